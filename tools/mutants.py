@@ -1,38 +1,44 @@
-"""Do the tests notice small slips? Samples mutants of the package: `python -m tools.mutants --sample 300 --seed 1`.
+"""Do the tests notice small slips? Mutants of the package: `python -m tools.mutants --rooms control/certificates`.
 
 Each mutant is a module with one change that a slip of the hand could make (`tests/mutation/mutator.py`), written into a
-copy of the repository. First of all the tests of the rooms run once there, unchanged, and note what each of them calls
-(`tests/mutation/reached.py`). A mutant then meets the tests that call its function, or, where it is in no function,
-those of its room and module: quick ones first, until one fails. That one must fail again with the mutant and pass
-without it: then the mutant is killed. One that ends no test run within its time is killed as well. What has run is kept
-in `--kept` (JSON lines), so that the same command goes on where it was stopped. A survivor is equivalent, or a test is
-missing: both are for a person to say, in `equivalent_mutants.json` or as a test.
+copy of the repository. First of all each test of the rooms runs there once, unchanged, for its time and for the lines
+that it reaches (`tests/mutation/reached.py`); what passes is kept in `--reached` until the package or the test changes.
+A mutant then meets the recordings whose replay reaches its lines, the other tests that do, those that call its function
+and, where it is in no function, those of its module and room: quick ones first, until one fails or their times fill the
+`--budget`. They run in forks of a process that has imported everything (`tools/mutant_server.py`). The one that fails
+must fail again with the mutant and pass without it: then the mutant is killed. One that ends no run of tests within its
+time is killed as well. What has run is kept in `--kept` (JSON lines), so that the same command goes on where it was
+stopped. A survivor is equivalent, or a test is missing: both are for a person to say, in `equivalent_mutants.json` or
+as a test.
 
-Exit status 1 when fewer than `--at-least` of the mutants that are not equivalent were killed. 300 mutants take some two
-hours of one processor; `--seconds` ends earlier, and `--only PATH:NUMBER` runs one.
+Exit status 1 when fewer than `--at-least` of the mutants that are not equivalent were killed. Mutants come in random
+order, so that those run when `--seconds` are over are a sample; `--only PATH:NUMBER` runs one, and `--again` the
+survivors.
 """
 
 import argparse
 import ast
+import hashlib
 import json
-import os
 import random
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import accumulate, islice
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-import pytest
-
-from tests.mutation.mutator import changes
-from tests.mutation.reached import CHOSEN, PLACE
+from tests.mutation.mutator import Change, changes
+from tests.mutation.reached import PLACE
+from tools.mutant_server import NOT_SWAPPED, TestServer
 
 ROOT: Final = Path(__file__).resolve().parents[1]
+_ACCOUNT: Final = ("control", "audit", "replay")
+_CONTROL: Final = ("control", "replay", "kernels")
 ROOMS: Final[dict[str, tuple[str, ...]]] = {  # part of the package -> folders of its tests, nearest first
     "drive": ("drive", "replay", "sim_bus", "acceptance", "commission"),
     "logs": ("logs", "audit", "replay", "view"),
@@ -40,45 +46,53 @@ ROOMS: Final[dict[str, tuple[str, ...]]] = {  # part of the package -> folders o
     "sim": ("sim_drive", "sim_bus", "plant", "replay", "acceptance", "touch"),
     "view": ("view", "audit", "cli", "project"),
     "result.py": ("audit", "acceptance", "cli", "view"),
-    "control/certificates": ("control", "replay", "kernels", "acceptance"),
-    "control/balance.py": ("control", "audit", "replay", "acceptance"),
+    "control/certificates": _CONTROL,
+    "control/passivity": _CONTROL,
+    "control/multi_axis": _CONTROL,
+    "control/balance.py": _ACCOUNT,
+    "control/axis_meter.py": _ACCOUNT,
+    "control/energy_loss.py": ("control", "acceptance/test_energy_loss.py"),
+    "meters.py": _ACCOUNT,
+    "drive/profile/limiter.py": ("mutation", "replay"),
 }
 EQUIVALENT: Final[dict[str, str]] = json.loads(Path(__file__).with_name("equivalent_mutants.json").read_text("utf-8"))
 """`path: name of the mutant` -> why no test can notice it, or should."""
-_LONGEST: Final = 600  # s, all tests of a mutant
-_QUICK: Final = 40  # tests that run before all others
-_SITE: Final = """import os
-if os.environ.get("CANHAPTIC_REACHED") and os.environ.get("PYTEST_CURRENT_TEST"):
+_RECORDINGS: Final = "tests/replay/test_replay.py::test_the_master_sends_today_what_it_sent_when_recorded["
+_SITE: Final = f"""import os
+if os.environ.get("{PLACE}") and os.environ.get("PYTEST_CURRENT_TEST"):
     from tests.mutation.reached import watch_process
     watch_process()
 """
-Reached = Mapping[str, Sequence[str]]
-"""Function (`module:name`) or module -> tests that call it, quick ones first."""
+
+
+class Test(NamedTuple):
+    """What is known of one test."""
+
+    name: str
+    seconds: float
+    calls: frozenset[str]  # `module:function`
+    lines: Mapping[str, frozenset[int]]  # of modules
 
 
 def modules(rooms: Sequence[str]) -> list[Path]:
     """Returns the modules of the rooms, relative to the repository."""
-    found: list[Path] = []
+    found: dict[Path, None] = {}
     for room in rooms:
         place = ROOT / "canhaptic" / room
-        found += [place] if place.is_file() else sorted(place.rglob("*.py"))
+        found |= dict.fromkeys([place] if place.is_file() else sorted(place.rglob("*.py")))
     return [path.relative_to(ROOT) for path in found]
-
-
-def _texts(path: Path) -> Iterator[tuple[str, ast.Module]]:
-    return changes(ROOT / path, {}, None)
 
 
 def sample(rooms: Sequence[str], count: int, seed: int) -> list[tuple[Path, int]]:
     """Returns so many mutants, each as module and number, every mutant of all rooms with the same chance."""
-    every = [(path, number) for path in modules(rooms) for number, _ in enumerate(_texts(path))]
+    every = [(path, number) for path in modules(rooms) for number, _ in enumerate(changes(ROOT / path, {}, None))]
     return random.Random(seed).sample(every, min(count, len(every)))
 
 
 def room_of(path: Path) -> str:
-    """Returns the key of `ROOMS` that a module belongs to; "" where it belongs to none."""
+    """Returns the longest key of `ROOMS` that a module belongs to; "" where it belongs to none."""
     inside = path.relative_to("canhaptic").as_posix()
-    return next((room for room in ROOMS if inside == room or inside.startswith(f"{room}/")), "")
+    return max((room for room in ROOMS if inside == room or inside.startswith(f"{room}/")), key=len, default="")
 
 
 def copied(folder: Path) -> Path:
@@ -90,77 +104,143 @@ def copied(folder: Path) -> Path:
         if (ROOT / name).is_file():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, folder / name)
+    site = folder / "reached_site"
+    site.mkdir()
+    (site / "sitecustomize.py").write_text(_SITE, encoding="utf-8")
     return folder
 
 
-def reached(copy: Path, folders: Sequence[str], into: Path, budget: float) -> Reached:
-    """Returns which tests call which function, quick ones first; runs them all where `into` is not there yet.
+def _mark(copy: Path, files: Iterable[str]) -> str:
+    found = hashlib.sha256()
+    for name in sorted(files):
+        found.update(name.encode() + (copy / name).read_bytes())
+    return found.hexdigest()[:16]
+
+
+def reached(copy: Path, server: TestServer, wanted: Sequence[Path], slowest: float, kept: Path) -> list[Test]:
+    """Returns what is known of every test that passes; watches those of which nothing is kept.
 
     Args:
         copy: Of the repository.
-        folders: Of tests.
-        into: Where what they call is noted.
-        budget: Time that the tests of one function may take together [s]; slower ones are left out.
+        server: With its tests.
+        wanted: Modules of which lines matter.
+        slowest: Tests that take longer are left out [s].
+        kept: Where what they reach is kept.
     """
-    if not into.exists():
-        site = copy / "reached_site"
-        site.mkdir(exist_ok=True)
-        (site / "sitecustomize.py").write_text(_SITE, encoding="utf-8")
-        words = ["-o", "timeout=900", *(f"tests/{folder}" for folder in folders)]
-        _pytest(copy, words, {PLACE: str(into), "PYTHONPATH": f"{copy}{os.pathsep}{site}"}, None)
-    seconds: dict[str, float] = {}
-    callers: dict[str, set[str]] = {}
-    for line in into.read_text(encoding="utf-8").splitlines():
-        one = json.loads(line)
-        seconds[one["test"]] = max(one["seconds"], seconds.get(one["test"], 0.0))
-        for name in one["calls"]:
-            callers.setdefault(name, set()).add(one["test"])
-            callers.setdefault(name.partition(":")[0], set()).add(one["test"])
-    for module in [name for name in callers if name.endswith(".py")]:
-        room = room_of(Path(module))
-        near = tuple(f"tests/{folder}/" for folder in ROOMS[room][:2]) if room else ()
-        callers[module] |= {test for test in seconds if near and test.startswith(near)}
-    for room, near in ROOMS.items():  # for modules that run in processes which no site reaches, as the log writer does
-        callers[room] = {test for test in seconds if test.startswith(tuple(f"tests/{folder}/" for folder in near[:2]))}
-    found = {}
-    for name, tests in callers.items():
-        ordered = sorted(tests, key=seconds.__getitem__)
-        total = accumulate(seconds[test] for test in ordered)
-        found[name] = [test for test, sofar in zip(ordered, total, strict=True) if sofar <= budget]
+    package = _mark(copy, (str(path.relative_to(copy)) for path in (copy / "canhaptic").rglob("*.py")))
+    lines_of = [path.as_posix() for path in wanted]
+    by_file: dict[str, list[str]] = {}
+    for test in server.tests:
+        by_file.setdefault(test.partition("::")[0], []).append(test)
+    known = {one["file"]: one for one in map(json.loads, kept.read_text().splitlines())} if kept.exists() else {}
+    found = []
+    for file, tests in by_file.items():
+        key = [package, _mark(copy, [file]), hashlib.sha256(json.dumps([*lines_of, slowest]).encode()).hexdigest()[:16]]
+        if known.get(file, {}).get("key") != key:
+            print(f"watched: {file}", flush=True)
+            known[file] = {"file": file, "key": key, "reached": server.watch(tests, lines_of, slowest)}
+            with kept.open("a", encoding="utf-8") as stream:
+                stream.write(json.dumps(known[file]) + "\n")
+        found += [_test(one) for one in known[file]["reached"] if one["passes"]]
     return found
 
 
-def _tests_of(mutant: str, path: Path, callers: Reached) -> Sequence[str]:
-    """Returns the tests that call what a mutant is in; those of its room where it is in no function."""
-    scope = mutant.partition(":")[0]
-    is_class = scope.rpartition(".")[2].lstrip("_")[:1].isupper()  # whose body runs with the import, in one test alone
-    found = callers.get(f"{path.as_posix()}:{scope}", ())
-    found = found if found and not is_class else callers.get(path.as_posix(), ())
-    return found or callers.get(room_of(path), ())
+def _test(one: Mapping[str, Any]) -> Test:
+    lines = {path: frozenset(lines) for path, lines in one["lines"].items()}
+    return Test(one["test"], one["seconds"], frozenset(one["calls"]), lines)
 
 
-def outcome(copy: Path, path: Path, number: int, callers: Reached) -> dict[str, Any]:
-    """Returns `{path, number, name, tests, killed_by}` of one mutant; `killed_by` is None for a survivor."""
-    name, tree = next(islice(_texts(path), number, None))
-    target, kept = copy / path, (copy / path).read_bytes()
-    begin, tests = time.monotonic(), _tests_of(name, path, callers)
-    mutant = ast.unparse(tree).encode()
-    killer, passed = None, 0
-    for few in (_QUICK, len(tests)):
-        batch, passed = list(tests[passed:few]), max(passed, few)
-        while batch and killer is None:
-            _put(target, mutant)
-            failed = _failure(copy, batch)
+class Chooser:
+    """Which tests a mutant meets, in which order.
+
+    Args:
+        tests: What is known of each.
+        budget: Time that those of one mutant may take together [s].
+    """
+
+    def __init__(self, tests: Sequence[Test], budget: float) -> None:
+        self._tests, self._budget = tests, budget
+        self._kills: Counter[tuple[str, str]] = Counter()
+        self.seconds = {test.name: test.seconds for test in tests}
+
+    def tests_for(self, path: str, change: Change) -> list[str]:
+        """Returns the names of the tests for a change of a module."""
+        scope = change.name.partition(": ")[0]
+        wanted = frozenset(range(change.first, change.last + 1))
+        by_line, by_call, by_module = [], [], []
+        for test in self._tests:
+            if wanted & test.lines.get(path, frozenset()):
+                by_line.append(test)
+            elif f"{path}:{scope}" in test.calls:
+                by_call.append(test)
+            elif any(call.startswith(f"{path}:") for call in test.calls):
+                by_module.append(test)
+        if not by_line and not by_call:  # of the module as it is imported, or of processes that no watch reaches
+            near = tuple(f"tests/{folder}/" for folder in ROOMS[room_of(Path(path))][:2])
+            by_call = by_module or [test for test in self._tests if test.name.startswith(near)]
+        ordered = [*sorted(by_line, key=lambda t: self._order(path, t)), *sorted(by_call, key=lambda t: t.seconds)]
+        chosen, left = [], self._budget
+        for test in ordered:
+            if test.seconds <= left:
+                chosen.append(test.name)
+                left -= test.seconds
+        return chosen
+
+    def _order(self, path: str, test: Test) -> tuple[bool, float]:
+        return not test.name.startswith(_RECORDINGS), test.seconds / (1 + self._kills[path, test.name])
+
+    def note(self, path: str, killer: str) -> None:
+        """Takes a kill, so that the same test comes earlier for other mutants of the module."""
+        self._kills[path, killer] += 1
+
+    def longest(self, tests: Sequence[str]) -> float:
+        """Returns how long tests may run before they count as endless [s]."""
+        return 20.0 + 10.0 * sum(self.seconds.get(test, 0.0) for test in tests)
+
+
+class Campaign:
+    """Runs mutants.
+
+    Args:
+        copy: Of the repository.
+        server: With the tests.
+        chooser: Of them.
+    """
+
+    def __init__(self, copy: Path, server: TestServer, chooser: Chooser) -> None:
+        self._copy, self._server, self._chooser = copy, server, chooser
+
+    def outcome(self, path: Path, number: int) -> dict[str, Any]:
+        """Returns `{path, number, name, tests, killed_by}` of one mutant; `killed_by` is None for a survivor."""
+        change = next(islice(changes(self._copy / path, {}, None), number, None))
+        target, kept = self._copy / path, (self._copy / path).read_bytes()
+        text, begin = ast.unparse(change.tree), time.monotonic()
+        tests = left = self._chooser.tests_for(path.as_posix(), change)
+        killer = None
+        while left and killer is None:
+            _put(target, text.encode())
+            failed = self._failure(path, change, text, left)
             if not failed:
                 break
-            again = _failure(copy, [failed]) if "::" in failed else failed
+            again = self._failure(path, change, text, [failed]) if "::" in failed else failed
             _put(target, kept)
-            if "::" not in failed or (again and not _failure(copy, [failed])):
+            if "::" not in failed or (again and not self._server.run([failed], self._chooser.longest([failed]))):
                 killer = failed
-            batch = [test for test in batch if test != failed]
-    _put(target, kept)
-    found = {"path": path.as_posix(), "number": number, "name": name, "tests": len(tests), "killed_by": killer}
-    return {**found, "seconds": round(time.monotonic() - begin, 1)}
+            left = [test for test in left if test != failed]
+        _put(target, kept)
+        if killer:
+            self._chooser.note(path.as_posix(), killer)
+        found = {"path": path.as_posix(), "number": number, "name": change.name, "tests": len(tests)}
+        return {**found, "killed_by": killer, "seconds": round(time.monotonic() - begin, 2)}
+
+    def _failure(self, path: Path, change: Change, text: str, tests: Sequence[str]) -> str:
+        """Returns the first test that fails; "" where all pass, and what happened where a run did not end well."""
+        scope, longest = change.name.partition(": ")[0], self._chooser.longest(tests)
+        if f"{path.as_posix()}:{scope}" not in self._server.imported:
+            found = self._server.run(tests, longest, {"path": path.as_posix(), "scope": scope, "text": text})
+            if found != NOT_SWAPPED:
+                return found
+        return self._server.run_cold(tests, longest)
 
 
 def _put(target: Path, text: bytes) -> None:
@@ -170,102 +250,97 @@ def _put(target: Path, text: bytes) -> None:
         compiled.unlink()
 
 
-def _failure(copy: Path, tests: Sequence[str]) -> str:
-    """Returns the first test that fails; "" where all pass, and what happened where pytest itself did not end well."""
-    listed = copy / "tests_of_mutant.txt"
-    listed.write_text("\n".join(tests), encoding="utf-8")
-    try:
-        files = dict.fromkeys(test.partition("::")[0] for test in tests)
-        done = _pytest(copy, ["-x", *files], {"PYTHONPATH": str(copy), CHOSEN: str(listed)}, _LONGEST)
-    except subprocess.TimeoutExpired:
-        return f"no end within {_LONGEST} s"
-    if done.returncode in (0, pytest.ExitCode.NO_TESTS_COLLECTED):  # none: the tests noted are no longer there
-        return ""
-    known = set(tests)
-    for line in done.stdout.splitlines():
-        if line.startswith(("FAILED", "ERROR")):
-            name = line.split(" ", 1)[1]
-            found = next((test for test in known if name == test or name.startswith(f"{test} - ")), "")
-            return found or f"{line[:160]}"
-    return f"pytest ended with {done.returncode}"
-
-
-def _pytest(
-    copy: Path, words: Sequence[str], more: Mapping[str, str], longest: float | None
-) -> subprocess.CompletedProcess[str]:
-    fixed = [
-        "-m",
-        "pytest",
-        "-q",
-        "-p",
-        "tests.mutation.reached",
-        "-p",
-        "no:cacheprovider",
-        "-m",
-        "not slow",
-        "--no-header",
-    ]
-    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "", **more}
-    return subprocess.run(
-        [sys.executable, *fixed, *words], cwd=copy, env=environment, capture_output=True, text=True, timeout=longest,
-        check=False,
-    )  # fmt: skip
-
-
-def _read(kept: Path) -> dict[tuple[str, int], dict[str, Any]]:
+def _read(kept: Path) -> dict[tuple[str, str], dict[str, Any]]:
     lines = kept.read_text(encoding="utf-8").splitlines() if kept.exists() else []
     found: list[dict[str, Any]] = [json.loads(line) for line in lines]
-    return {(one["path"], one["number"]): one for one in found}
+    return {(one["path"], one["name"]): one for one in found}
+
+
+def _way(one: Mapping[str, Any]) -> str:
+    killer = one["killed_by"]
+    if killer is None:
+        return "equivalent" if f"{one['path']}: {one['name']}" in EQUIVALENT else "open"
+    return "recording" if killer.startswith(_RECORDINGS) else "test"
 
 
 def report(outcomes: Sequence[dict[str, Any]], at_least: float) -> int:
     """Prints how many were killed and who survived; returns the exit status."""
-    survivors = [one for one in outcomes if one["killed_by"] is None]
-    noticed = [one for one in survivors if f"{one['path']}: {one['name']}" not in EQUIVALENT]
-    judged = len(outcomes) - len(survivors) + len(noticed)
-    share = (judged - len(noticed)) / judged if judged else 1.0
-    for one in noticed:
-        print(f"survived: {one['path']}:{one['number']}: {one['name']}")
-    print(f"{len(outcomes)} mutants, {len(outcomes) - judged} equivalent, {100.0 * share:.1f} % of the others killed")
+    ways = {path: Counter[str]() for path in sorted({one["path"] for one in outcomes})}
+    for one in outcomes:
+        ways[one["path"]][_way(one)] += 1
+    for one in outcomes:
+        if _way(one) == "open":
+            print(f"survived: {one['path']}:{one['number']}: {one['name']}")
+    columns = ("recording", "test", "equivalent", "open")
+    print("| module | mutants | killed by a recording | by a test | equivalent | open |\n|---|---|---|---|---|---|")
+    for path, found in ways.items():
+        print(f"| {path} | {found.total()} | {' | '.join(str(found[column]) for column in columns)} |")
+    total = sum(ways.values(), Counter[str]())
+    judged = total.total() - total["equivalent"]
+    share = (judged - total["open"]) / judged if judged else 1.0
+    print(f"{total.total()} mutants, {total['equivalent']} equivalent, {100.0 * share:.1f} % of the others killed")
     return 0 if share >= at_least else 1
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--sample", type=int, default=300, help="mutants; more than there are: all")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--rooms", nargs="+", default=["drive", "logs", "replay", "sim", "view", "result.py"],
+        help=f"{', '.join(ROOMS)}, or a module inside one of them",
+    )  # fmt: skip
+    parser.add_argument("--only", metavar="PATH:NUMBER", help="one mutant")
+    parser.add_argument("--again", action="store_true", help="runs survivors again")
+    parser.add_argument("--seconds", type=float, default=1e9, help="starts no further mutant after that time")
+    parser.add_argument("--at-least", type=float, default=0.9, help="share that must be killed")
+    parser.add_argument("--kept", type=Path, default=ROOT / "bench_output" / "mutants.jsonl")
+    parser.add_argument("--budget", type=float, default=60.0, help="s of tests for one mutant, on a quiet machine")
+    parser.add_argument("--slowest", type=float, default=1.0, help="s of a single test; slower ones are left out")
+    parser.add_argument("--reached", type=Path, default=ROOT / "bench_output" / "reached.jsonl")
+    return parser.parse_args()
+
+
+def _wanted(arguments: argparse.Namespace) -> list[tuple[Path, int]]:
+    if arguments.only:
+        path, _, number = arguments.only.rpartition(":")
+        return [(Path(path), int(number))]
+    return sample(arguments.rooms, arguments.sample, arguments.seed)
+
+
+def _names(wanted: Sequence[tuple[Path, int]]) -> Iterator[tuple[Path, int, str]]:
+    """Yields each mutant with its name."""
+    names = {path: [change.name for change in changes(ROOT / path, {}, None)] for path in {path for path, _ in wanted}}
+    for path, number in wanted:
+        yield path, number, names[path][number]
 
 
 def main() -> int:
     """Runs what the arguments ask for; returns the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--sample", type=int, default=300)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument(
-        "--rooms", nargs="+", choices=ROOMS, default=["drive", "logs", "replay", "sim", "view", "result.py"]
-    )
-    parser.add_argument("--only", metavar="PATH:NUMBER", help="one mutant")
-    parser.add_argument("--seconds", type=float, default=1e9, help="starts no further mutant after that time")
-    parser.add_argument("--at-least", type=float, default=0.9, help="share that must be killed")
-    parser.add_argument("--kept", type=Path, default=ROOT / "bench_output" / "mutants.jsonl")
-    parser.add_argument("--budget", type=float, default=600.0, help="s of tests for one mutant, as they were noted")
-    parser.add_argument("--reached", type=Path, default=ROOT / "bench_output" / "reached.jsonl")
-    arguments = parser.parse_args()
-    if arguments.only:
-        path, _, number = arguments.only.rpartition(":")
-        wanted = [(Path(path), int(number))]
-    else:
-        wanted = sample(arguments.rooms, arguments.sample, arguments.seed)
+    arguments = _arguments()
+    wanted = list(_names(_wanted(arguments)))
     done = {} if arguments.only else _read(arguments.kept)
     arguments.kept.parent.mkdir(parents=True, exist_ok=True)
     until = time.monotonic() + arguments.seconds
+    rooms = sorted({room_of(path) for path, _, _ in wanted})
+    folders = sorted({f"tests/{folder}" for room in rooms for folder in ROOMS[room]})
     with tempfile.TemporaryDirectory() as folder:
-        copy = copied(Path(folder))
-        folders = sorted({folder for room in ROOMS.values() for folder in room if (ROOT / "tests" / folder).is_dir()})
-        callers = reached(copy, folders, arguments.reached, arguments.budget)
-        for path, number in wanted:
-            if (path.as_posix(), number) in done or time.monotonic() > until:
+        copy = copied(Path(folder).resolve())
+        server = TestServer(copy, folders)
+        paths = sorted({path for path, _, _ in wanted})
+        tests = reached(copy, server, paths, arguments.slowest, arguments.reached)
+        campaign = Campaign(copy, server, Chooser(tests, arguments.budget))
+        for path, number, name in wanted:
+            before = done.get((path.as_posix(), name))
+            if time.monotonic() > until or (before and not (arguments.again and before["killed_by"] is None)):
                 continue
-            one = done[path.as_posix(), number] = outcome(copy, path, number, callers)
+            one = done[path.as_posix(), name] = campaign.outcome(path, number)
             print(f"{one['path']}:{number}: {one['killed_by'] or 'SURVIVED'} ({one['seconds']} s)", flush=True)
             with arguments.kept.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(one) + "\n")
-    found = [done[path.as_posix(), number] for path, number in wanted if (path.as_posix(), number) in done]
-    return report(found, arguments.at_least)
+        server.close()
+    found = [done[path.as_posix(), name] for path, _, name in wanted if (path.as_posix(), name) in done]
+    return report([{**one} for one in found], arguments.at_least)
 
 
 if __name__ == "__main__":

@@ -53,6 +53,15 @@ class Mutant(NamedTuple):
     code: CodeType
 
 
+class Change(NamedTuple):
+    """One changed module as text, and where it was changed."""
+
+    name: str
+    tree: ast.Module
+    first: int  # line of the statement
+    last: int  # its last one, without the block below it
+
+
 def mutants(
     path: Path, members: Mapping[str, type[Enum]], names: Mapping[str, Sequence[str]] | None = None
 ) -> Iterator[Mutant]:
@@ -63,28 +72,29 @@ def mutants(
         members: Enumerations by the name they have in the module; each use of a member becomes each of its neighbours.
         names: Further names and what each is taken for.
     """
-    for name, tree in changes(path, members, names):
-        yield Mutant(name, compile(tree, str(path), "exec"))
+    for change in changes(path, members, names):
+        yield Mutant(change.name, compile(change.tree, str(path), "exec"))
 
 
 def changes(
     path: Path, members: Mapping[str, type[Enum]], names: Mapping[str, Sequence[str]] | None = None
-) -> Iterator[tuple[str, ast.Module]]:
-    """Yields the name and the syntax tree of every mutant; the tree is changed again behind each. As `mutants`."""
+) -> Iterator[Change]:
+    """Yields every mutant as a syntax tree, which is changed again behind each. As `mutants`."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     seen: dict[str, int] = {}
     for scope, body, place in list(_statements(tree.body, "module")):
         statement = body[place]
         text = _head(statement)
+        lines = statement.lineno, _last_line(statement)
         for node, field, value in _sites(statement, members, names or {}):
             old = getattr(node, field)
             setattr(node, field, value)
-            ast.fix_missing_locations(tree)
-            yield _numbered(f"{scope}: {_change(text, _head(statement))}", seen), tree
+            ast.fix_missing_locations(statement)
+            yield Change(_numbered(f"{scope}: {_change(text, _head(statement))}", seen), tree, *lines)
             setattr(node, field, old)
         if scope != "module" and _may_be_left_out(statement):
             body[place] = ast.copy_location(ast.Pass(), statement)
-            yield _numbered(f"{scope}: {text} => left out", seen), tree
+            yield Change(_numbered(f"{scope}: {text} => left out", seen), tree, *lines)
             body[place] = statement
 
 
@@ -104,6 +114,12 @@ def _head(statement: ast.stmt) -> str:
     """The text of a statement without the block below it."""
     lines = ast.unparse(statement).splitlines()
     return lines[0] if hasattr(statement, "body") else " ".join(line.strip() for line in lines)
+
+
+def _last_line(statement: ast.stmt) -> int:
+    """The last line of what `_head` is the text of."""
+    body = getattr(statement, "body", None)
+    return max(statement.lineno, body[0].lineno - 1) if body else statement.end_lineno or statement.lineno
 
 
 def _change(before: str, after: str) -> str:

@@ -1,86 +1,111 @@
-"""Notes which functions of the package each test calls: a plugin of pytest, for `python -m tools.mutants`.
+"""Notes which functions and lines of the package each test reaches, for `tools.mutants`.
 
-    CANHAPTIC_REACHED=FILE pytest -p tests.mutation.reached
-
-writes one JSON line for each test: its name, how long it took, and `module:function` of all that it called. Processes
-that it starts note theirs as well, where `watch_process` is called in them (the tool's `sitecustomize.py` does).
+Processes that a test starts note their functions as well, where `watch_process` is called in them (by the tool's
+`sitecustomize.py`).
 """
 
 import json
 import os
 import sys
 import threading
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import FrameType
-from typing import Final
-
-import pytest
+from types import CodeType, FrameType
+from typing import Any, Final
 
 PLACE: Final = "CANHAPTIC_REACHED"
-"""Name of the environment variable with the file."""
-CHOSEN: Final = "CANHAPTIC_CHOSEN"
-"""Name of the environment variable with a file of names of tests, one a line: those alone run, in that order."""
-_PACKAGE: Final = f"{Path(__file__).resolve().parents[2] / 'canhaptic'}{os.sep}"
-_called: set[tuple[str, str]] = set()
+"""Name of the environment variable with the file in which a process notes what it calls."""
+_PACKAGE: Final = "canhaptic"
+_PATIENCE: Final = 200  # calls without a new line, after which not every call is watched
+_SELDOM: Final = 50  # of which one call is watched then
 
 
-def _note(frame: FrameType, _event: str, _argument: object) -> None:
-    code = frame.f_code
-    if code.co_filename.startswith(_PACKAGE):
-        _called.add((code.co_filename, code.co_qualname))
+class Watch:
+    """What tests reach.
+
+    Args:
+        root: Of the repository whose package runs.
+        lines_of: Modules, relative to it, of which lines are noted; of all others functions alone.
+    """
+
+    def __init__(self, root: Path, lines_of: Sequence[str]) -> None:
+        self._root = f"{root.resolve()}{os.sep}"
+        self._lines_of = frozenset(lines_of)
+        self._codes: dict[CodeType, Callable[..., Any] | None] = {}
+        self._lines: dict[str, set[int]] = {}
+        self._called: set[CodeType] = set()
+
+    def called(self, frame: FrameType, event: str, _argument: object) -> None:
+        """Notes a call: a function for `sys.setprofile`."""
+        if event == "call":
+            self._called.add(frame.f_code)
+
+    def functions(self) -> list[str]:
+        """Returns `module:function` of each that was called, without its closures."""
+        start = self._root + _PACKAGE + os.sep
+        found = {_named(code, self._root) for code in self._called if code.co_filename.startswith(start)}
+        return sorted(found)
+
+    def reached(self, run: Callable[[], object]) -> dict[str, Any]:
+        """Returns `calls` as `functions`, and `lines` of each module, of what is run."""
+        self._codes, self._lines, self._called = {}, {}, set()
+        threading.settrace(self._enter)
+        sys.settrace(self._enter)
+        try:
+            run()
+        finally:
+            sys.settrace(None)
+            threading.settrace(None)
+        return {"calls": self.functions(), "lines": {path: sorted(lines) for path, lines in self._lines.items()}}
+
+    def _enter(self, frame: FrameType, _event: str, _argument: object) -> Callable[..., Any] | None:
+        code = frame.f_code
+        try:
+            watch = self._codes[code]
+        except KeyError:
+            self._called.add(code)
+            watch = self._codes[code] = self._watch_of(code)
+        return watch(frame, "call", None) if watch else None
+
+    def _watch_of(self, code: CodeType) -> Callable[..., Any] | None:
+        path = code.co_filename.removeprefix(self._root)
+        if path not in self._lines_of:
+            return None
+        seen = self._lines.setdefault(path, set())
+        left = {line for _, _, line in code.co_lines() if line} - {code.co_firstlineno}
+        idle = 0
+
+        def note(frame: FrameType, event: str, _argument: object) -> Callable[..., Any] | None:
+            nonlocal idle
+            if event == "line":
+                if frame.f_lineno in left:
+                    left.discard(frame.f_lineno)
+                    seen.add(frame.f_lineno)
+                    idle = 0
+                return note
+            idle += event == "call"
+            return note if left and (idle < _PATIENCE or idle % _SELDOM == 0) else None
+
+        return note
 
 
-def named(called: tuple[str, str]) -> str:
-    """Returns `module:function`; the module relative to the repository, the function without its closures."""
-    path, function = called
-    return f"canhaptic/{path[len(_PACKAGE) :]}:{function.split('.<locals>')[0]}"
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leaves the tests chosen."""
-    if CHOSEN in os.environ:
-        names = Path(os.environ[CHOSEN]).read_text(encoding="utf-8").splitlines()
-        places = {name: place for place, name in enumerate(names)}
-        items[:] = sorted((i for i in items if i.nodeid in places), key=lambda item: places[item.nodeid])
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
-    """Watches one test, its fixtures included."""
-    if PLACE not in os.environ:
-        return (yield)
-    _called.clear()
-    begin = time.perf_counter()
-    threading.settrace(_note)
-    sys.settrace(_note)
-    try:
-        return (yield)
-    finally:
-        sys.settrace(None)
-        seconds = round(time.perf_counter() - begin, 3)
-        write(item.nodeid, seconds, sorted(map(named, _called)))
-
-
-def write(test: str, seconds: float, names: list[str]) -> None:
-    """Adds a line to the file, in one piece."""
-    with Path(os.environ[PLACE]).open("a", encoding="utf-8") as file:
-        file.write(json.dumps({"test": test, "seconds": seconds, "calls": names}) + "\n")
+def _named(code: CodeType, root: str) -> str:
+    return f"{code.co_filename.removeprefix(root)}:{code.co_qualname.split('.<locals>')[0]}"
 
 
 def watch_process() -> None:
     """Notes at once each function that this process calls for the first time; it may be killed at any time."""
     test = os.environ.get("PYTEST_CURRENT_TEST", "").rsplit(" ", 1)[0]
-    if not test:
-        return
+    root = f"{Path(__file__).resolve().parents[2]}{os.sep}"
+    called: set[CodeType] = set()
 
     def note(frame: FrameType, _event: str, _argument: object) -> None:
         code = frame.f_code
-        called = code.co_filename, code.co_qualname
-        if code.co_filename.startswith(_PACKAGE) and called not in _called:
-            _called.add(called)
-            write(test, 0.0, [named(called)])
+        if code not in called and code.co_filename.startswith(root + _PACKAGE + os.sep):
+            called.add(code)
+            with Path(os.environ[PLACE]).open("a", encoding="utf-8") as file:
+                file.write(json.dumps({"test": test, "calls": [_named(code, root)]}) + "\n")
 
-    threading.settrace(note)
-    sys.settrace(note)
+    if test:
+        threading.settrace(note)
+        sys.settrace(note)

@@ -4,6 +4,7 @@ Each module below has a specification that takes the module as an argument. The 
 mutant of it must not.
 """
 
+import importlib
 from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
 from pathlib import Path
@@ -24,6 +25,7 @@ from tests.mutation import (
     specification_of_state_machine,
 )
 from tests.mutation.mutator import load, mutants
+from tools import mutant_server
 from tools import mutants as campaign
 
 
@@ -215,3 +217,36 @@ def test_a_sample_of_the_package_is_drawn_the_same_again_and_survivors_decide(
     monkeypatch.setitem(campaign.EQUIVALENT, f"{outcomes[0]['path']}: {outcomes[0]['name']}", "of no use")
     assert campaign.report(outcomes, at_least=0.88) == 0
     assert "10 mutants, 1 equivalent, 88.9 % of the others killed" in capsys.readouterr().out
+
+
+MODULE = """
+STEP = 1
+def count(x):
+    return x + STEP
+class Counter:
+    @property
+    def one(self):
+        return count(0)
+    @staticmethod
+    def two():
+        return count(1)
+"""
+
+
+def test_a_mutant_of_a_function_takes_effect_where_it_was_imported_to_and_others_are_left_to_an_import(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "swapped_module.py").write_text(MODULE)
+    monkeypatch.syspath_prepend(tmp_path)
+    module = importlib.import_module("swapped_module")
+    count, counter = module.count, module.Counter()
+    for scope, old, new, figures in [
+        ("count", "x + STEP", "x - STEP", (4, -1, 0)),
+        ("Counter.one", "count(0)", "count(7)", (4, 6, 0)),
+        ("Counter.two", "count(1)", "count(9)", (4, 6, 8)),
+    ]:
+        assert mutant_server.swap("swapped_module.py", scope, MODULE.replace(old, new))
+        assert (count(5), counter.one, counter.two()) == figures
+    for scope in ("module", "Counter", "absent"):
+        assert not mutant_server.swap("swapped_module.py", scope, MODULE.replace("STEP = 1", "STEP = 2"))
+    assert module.STEP == 1
