@@ -39,7 +39,7 @@ test: $(VENV)/.installed-dev
 # Tests that need Debian's `chromium` or `tshark` skip, visibly, where those are absent.
 test-all: test $(VENV)/.installed-report,export,docs,release
 	$(BIN)/python tools/record.py --check
-	$(BIN)/pytest -q -n $(JOBS) --dist worksteal -m slow
+	$(BIN)/pytest -q -n $(JOBS) --dist worksteal -m "slow or hypothesis" --hypothesis-profile=thorough
 
 # Linux's own CAN stack in a virtual machine; the packages it needs are named in tests/socketcan_vm/README.md.
 test-socketcan: $(VENV)/.installed-dev

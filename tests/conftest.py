@@ -5,6 +5,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Generator
+from fnmatch import fnmatchcase
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,9 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-settings.register_profile("canhaptic", derandomize=True, deadline=None, print_blob=False)
-settings.load_profile("canhaptic")
+settings.register_profile("thorough", derandomize=True, deadline=None, print_blob=False, max_examples=100)
+settings.register_profile("canhaptic", settings.get_profile("thorough"), max_examples=30)
+settings.load_profile("canhaptic")  # `make test-all` asks for the thorough one
 
 os.environ.pop("COLUMNS", None)  # that of the terminal in which the tests run says nothing about tables in pipes
 gc.set_threshold(5000, 10, 100)  # a test is short: its garbage need not be searched for as often as in a server
@@ -29,6 +31,27 @@ def vendor_eds() -> Path:
     if not folder.is_dir():
         pytest.skip(f"vendor dictionaries not found at {folder}; set CANHAPTIC_VENDOR_EDS")
     return folder
+
+
+@pytest.hookimpl(tryfirst=True)  # before `-m` chooses
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Marks single cells of a parametrized test as slow: those of `slow_for`, or all but those of `slow_but`.
+
+    Raises:
+        pytest.UsageError: A pattern matches no cell, so that it says nothing.
+    """
+    unused: set[tuple[str, str]] = set()
+    used: set[tuple[str, str]] = set()
+    for item in items:
+        name, _, cell = item.nodeid.partition("[")
+        for mark in chain(item.iter_markers("slow_for"), item.iter_markers("slow_but")):
+            matching = {(name, pattern) for pattern in mark.args if fnmatchcase(cell.removesuffix("]"), pattern)}
+            unused |= {(name, pattern) for pattern in mark.args}
+            used |= matching
+            if bool(matching) == (mark.name == "slow_for"):
+                item.add_marker("slow")
+    if (unknown := sorted(unused - used)) and not any("[" in argument for argument in config.args):
+        raise pytest.UsageError(f"slow_for or slow_but: got {unknown}, expected patterns of cells of these tests")
 
 
 _SLOWEST = 10
