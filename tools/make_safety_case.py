@@ -70,13 +70,13 @@ def _test(name: str) -> str:
 
 @cache
 def _functions(file: str) -> dict[str, bool]:
-    """Returns the tests of a file, each with whether it is slow."""
+    """Returns the tests of a file, each with whether all of it is slow."""
     path = ROOT / "tests" / file
     if not path.is_file():
         raise InputError(f"{SOURCE.name}: there is no tests/{file}")
     tree = ast.parse(path.read_text(encoding="utf-8"))
     return {
-        node.name: any("mark.slow" in ast.unparse(each) for each in node.decorator_list)
+        node.name: any(ast.unparse(each) == "pytest.mark.slow" for each in node.decorator_list)
         for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef)
     }
