@@ -135,6 +135,7 @@ _NODE = SCENE.with_name("force_node.yaml")
 _LOST = "simulation.bus={drop: 0.05, direction: to_master, ids: [0x189], during: [{begin: 0.3, duration: 5}]}"
 
 
+@pytest.mark.slow
 def test_a_running_impulse_of_a_node_of_its_own_survives_lost_frames(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -306,6 +307,7 @@ def test_every_algorithm_is_compared_over_can(capsys: pytest.CaptureFixture[str]
     assert {found["status"] for found in compared.values()} == {"completed"}
 
 
+@pytest.mark.slow
 def test_an_arm_of_two_displays_renders_a_mass_in_the_plane(capsys: pytest.CaptureFixture[str]) -> None:
     scene = SCENE.with_name("two_link_arm.yaml")
     with build(load_scene(scene)) as experiment:

@@ -13,6 +13,7 @@ from tools.displays.random_display import random_display, with_true_bounds
 _CYCLES = 300
 
 
+@pytest.mark.slow_for("0", "2")
 @pytest.mark.parametrize("batch", range(4))
 def test_no_account_claims_what_the_plant_denies(batch: int) -> None:
     for seed in range(20 * batch, 20 * batch + 20):
@@ -23,7 +24,7 @@ def test_no_account_claims_what_the_plant_denies(batch: int) -> None:
 
 def test_no_account_of_two_displays_claims_what_their_plants_deny() -> None:
     exchanged = 0.0
-    for seed in range(8, 20):
+    for seed in range(8, 14):
         judged = with_true_group_bounds(random_group(seed), 250)
         if judged is not None:
             assert not false_group_claims(*judged), seed
@@ -36,14 +37,14 @@ def test_no_account_of_two_displays_claims_what_their_plants_deny() -> None:
 
 def test_no_account_of_an_arm_of_two_displays_claims_what_their_plants_deny() -> None:
     judged = moved = 0
-    for seed in range(700, 712):
+    for seed in range(700, 706):
         found = with_true_group_bounds(on_an_arm(random_group(seed)), 200)
         if found is not None:
             assert not false_group_claims(*found), seed
             judged += 1
             moved += max(axis.travel for axis in found[1].axes) > 0.01
-    assert judged >= 10
-    assert moved >= 6
+    assert judged >= 5
+    assert moved >= 3
 
 
 def test_the_guard_says_yes_where_it_is_due() -> None:
@@ -68,4 +69,6 @@ def test_a_command_that_acts_much_later_than_declared_is_found() -> None:
             denied += bool(false_claims(late, run(late, _CYCLES)))
         except ControlError:
             noticed += 1
-    assert denied + noticed >= 2
+        if denied + noticed == 2:
+            return
+    raise AssertionError(f"got {denied} false claims and {noticed} errors, expected 2")

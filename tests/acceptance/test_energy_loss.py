@@ -99,6 +99,7 @@ def test_a_real_interface_has_a_limit_whatever_the_algorithm() -> None:
         load_scene(DEMO, [*real, "axes.0.energy_loss_limit=none"])
 
 
+@pytest.mark.slow_for("two_handles")
 @pytest.mark.parametrize("name", ["xy_box", "two_handles"])
 def test_of_a_group_the_sum_of_its_axes_counts(name: str) -> None:
     """One handle of a coupled pair gives out what the other took in: that is no loss."""
@@ -138,6 +139,7 @@ def test_the_replay_of_a_run_that_was_ended_is_ended_too(tmp_path: Path) -> None
     assert (result["status"], "ENERGY_LOST" in result["ended"]) == ("identical", True)
 
 
+@pytest.mark.slow_for("0", "2", "3", "7", "10")
 @pytest.mark.parametrize("seed", range(12))
 def test_no_run_loses_more_than_the_limit_and_one_hold_and_goes_on(seed: int) -> None:
     """Stalls, losses and masses drawn at random, on walls that are too stiff for them."""

@@ -26,7 +26,7 @@ from tests.acceptance.group_runs import AXES, GROUP, REPOSITORY, encoder_bound, 
 from tests.drive.drive_bench import TamperedBus
 
 NO_LOSS = "simulation.bus=null"
-CYCLES = 2000
+CYCLES = 1000
 
 
 def lossless(name: str) -> list[str]:
@@ -91,10 +91,11 @@ def test_master_and_plant_agree_on_where_the_handle_is_though_neither_knows_the_
     assert abs(mechanism.handle[0]) > 0.01
 
 
+@pytest.mark.slow_for("two_handles", "five_bar_sphere")
 @pytest.mark.parametrize("name", AXES)
 def test_log_and_frames_give_the_same_account_again_bit_for_bit(name: str, tmp_path: Path) -> None:
     energy, frames = tmp_path / "run.h5", tmp_path / "run.log"
-    experiment = run_config(name, 800, energy, (), frames)
+    experiment = run_config(name, 400, energy, (), frames)
     with EnergyLog.open(energy) as log:
         found = recompute_all(log)
         assert {entry["port"] for entry in found} == {*AXES[name], GROUP[name]}
@@ -106,6 +107,7 @@ def test_log_and_frames_give_the_same_account_again_bit_for_bit(name: str, tmp_p
     assert replay_bus_log(frames, experiment.scene)["status"] == "identical"
 
 
+@pytest.mark.slow
 def test_a_recomputed_group_shows_a_row_that_was_tampered_with(tmp_path: Path) -> None:
     import h5py
 
@@ -119,6 +121,7 @@ def test_a_recomputed_group_shows_a_row_that_was_tampered_with(tmp_path: Path) -
     assert mismatch["stage"]["cycle"] == 300
 
 
+@pytest.mark.slow_for("overrides1*")
 @pytest.mark.parametrize(
     ("overrides", "limit", "words"),
     [
@@ -153,6 +156,7 @@ def test_at_the_edge_and_near_a_singular_pose_there_is_no_torque_and_the_log_say
         assert identity(log.ports["stylus"]).max() <= 1e-12
 
 
+@pytest.mark.slow
 def test_an_axis_beside_a_group_renders_as_if_it_were_alone(tmp_path: Path) -> None:
     import yaml
 
@@ -182,6 +186,7 @@ def test_an_axis_beside_a_group_renders_as_if_it_were_alone(tmp_path: Path) -> N
     assert accounts[0].energy_in > 0.0
 
 
+@pytest.mark.slow
 def test_what_a_mover_supplies_is_in_the_account_and_never_in_the_truth_of_the_motors(tmp_path: Path) -> None:
     wall = "type: moving_wall, normal: [1.0, 0.5], offset: -0.01, amplitude: 0.03, frequency: 1.0"
     # Without a push of the hand there is no start: the account is empty, and a wall without torque supplies nothing.

@@ -72,6 +72,7 @@ def test_lost_frames_certify_no_sync_that_was_skipped(capsys: pytest.CaptureFixt
 UNEVEN = "simulation.bus={stall: [{begin: 0.2, duration: 0.04 ms, every: 0.0113}]}"
 
 
+@pytest.mark.slow_for("0.039-none")
 @pytest.mark.parametrize(("jitter", "certificate"), [(0.039, "none"), (0.041, "hand_force")])
 def test_a_hold_longer_than_declared_has_no_certificate_and_one_that_is_not_has(
     jitter: float, certificate: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
@@ -121,6 +122,7 @@ def test_a_long_hold_takes_the_certificates_of_torques(torque: float, certificat
     assert account["certificates"] == certificates
 
 
+@pytest.mark.slow_for("0.2167", "0.2232")
 @pytest.mark.parametrize("begin", [0.2167, 0.2232, 0.2284, 0.2297])
 def test_a_stall_at_the_entry_into_a_wall_is_no_kick(begin: float, tmp_path: Path) -> None:
     """14 sample times of motion, taken for one, asked a damper of 2 N for 8 to 33 N."""

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import can
+import pytest
 
 from canhaptic.cycle import run
 from canhaptic.logs.energy_reader import EnergyLog
@@ -42,5 +43,6 @@ def test_a_position_that_stays_with_a_torque_is_noted_once(tmp_path: Path) -> No
     assert events(tmp_path, frozen=True) == [("unchanged", "handle")]
 
 
+@pytest.mark.slow
 def test_a_hand_that_moves_is_not(tmp_path: Path) -> None:
     assert events(tmp_path, frozen=False) == []

@@ -107,6 +107,7 @@ USES: tuple[Callable[[Path, Path], object], ...] = (
 EVERY_EIGHTH_OR_ALL = [8, pytest.param(1, marks=pytest.mark.slow)]  # all of them take 15 s of a processor
 
 
+@pytest.mark.slow_but("cut_in_half-8", "missing-8")
 @pytest.mark.parametrize("step", EVERY_EIGHTH_OR_ALL)
 @pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
 def test_a_damaged_column_is_one_error_that_names_it(
@@ -125,6 +126,7 @@ def test_a_damaged_column_is_one_error_that_names_it(
         assert live.trouble == message
 
 
+@pytest.mark.slow_for("inf-8")
 @pytest.mark.parametrize("step", EVERY_EIGHTH_OR_ALL)
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_value_that_is_no_finite_number_is_a_finding_and_no_check_passes(
@@ -164,6 +166,7 @@ def test_a_column_that_claims_any_length_is_named_and_repaired_at_once(whole: Pa
         assert repair(path, whole.with_name("saved.h5")) == (ROWS, 0)
 
 
+@pytest.mark.slow
 def test_repair_keeps_the_rows_that_every_column_has_and_refuses_what_it_cannot_save(whole: Path) -> None:
     saved = whole.with_name("saved.h5")
     for name in columns(whole)[::6]:
@@ -258,6 +261,7 @@ def test_a_damaged_attribute_is_one_error(whole: Path, attribute: str, value: ob
     assert LiveLog(path).look() is None
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is bounded through /proc")
 def test_a_text_that_claims_gigabytes_is_refused_at_once(whole: Path) -> None:
     content = whole.read_bytes()

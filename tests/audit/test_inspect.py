@@ -249,6 +249,7 @@ def test_comparison_is_of_bits(log: Path, tmp_path: Path, first: float, second: 
     assert found["identical"] is not differ
 
 
+@pytest.mark.slow
 def test_comparison_names_ports_and_rows_that_only_one_log_has(log: Path, tmp_path: Path) -> None:
     write_run(tmp_path / "two.h5", 3000, ("handle", "knob"))
     write_run(tmp_path / "short.h5", 3000)

@@ -45,6 +45,7 @@ def test_json_is_one_object_and_page_picture_and_tables_are_written(capsys: Capt
     assert "| canhaptic | 1 substep |" in files["markdown"].read_text(encoding="utf-8").replace("*", "")
 
 
+@pytest.mark.slow
 def test_the_answer_comes_first_with_a_line_that_a_scene_takes(capsys: Captured) -> None:
     assert main(["accuracy", SCENE, *SHORT, "--tolerance", "1e-7", "--tables"]) == 0
     shown = capsys.readouterr().out
@@ -61,6 +62,7 @@ def test_the_answer_comes_first_with_a_line_that_a_scene_takes(capsys: Captured)
     assert text in brief
 
 
+@pytest.mark.slow
 def test_a_rate_beyond_the_bus_is_studied_where_it_is_asked_for(capsys: Captured) -> None:
     words = ["accuracy", SCENE, "--duration", "5 ms", "--budget", "0", "--set", "bus.rate=8 kHz"]
     assert main(words) == 2
@@ -71,6 +73,7 @@ def test_a_rate_beyond_the_bus_is_studied_where_it_is_asked_for(capsys: Captured
     assert not any(row["bus_fits"] for row in result["loop"] if row["is_scene"])
 
 
+@pytest.mark.slow_for("{type: hard_stop*", "{type: cogging*")
 @pytest.mark.parametrize(
     ("effect", "idle"),
     [
@@ -146,6 +149,7 @@ def test_a_study_that_is_stopped_keeps_what_it_measured(calls: int, whole: dict[
     assert result["advice"] is None  # what was not measured might be the better choice
 
 
+@pytest.mark.slow
 def test_ctrl_c_prints_what_was_measured_and_ends_with_130() -> None:
     words = ["accuracy", SCENE, "--duration", "0.02 s", "--budget", "600", "--tables"]
     screen, terminal = pty.openpty()  # a terminal, so that there is a progress bar to wait for
@@ -185,6 +189,7 @@ def test_axes_that_are_not_their_own_have_no_accuracy_chosen(capsys: Captured, c
     assert "instead of auto" in capsys.readouterr().err
 
 
+@pytest.mark.slow_for("two_handles*", "five_bar*")
 @pytest.mark.parametrize(
     ("config", "name", "words"),
     [

@@ -169,6 +169,7 @@ def check_and_run(path: Path, folder: Path, capsys: Captured) -> dict[str, Any]:
     return result
 
 
+@pytest.mark.slow_for("zeroerr*", "kollmorgen*")
 @pytest.mark.parametrize("name", FITTING)
 def test_a_started_configuration_is_accepted_and_runs_for_every_vendor(
     name: str, vendor_eds: Path, tmp_path: Path, capsys: Captured

@@ -264,6 +264,7 @@ def test_a_drive_on_its_own_is_run_by_a_master_elsewhere() -> None:
             thread.join(5.0)
 
 
+@pytest.mark.slow
 def test_drives_on_two_buses_are_run_by_a_master_elsewhere() -> None:
     overrides = ["bus.left.channel=left-side", "bus.right.channel=right-side"]
     overrides += ["bus.left.rate=50", "bus.left.stop_cycles=500", "bus.left.heartbeat_timeout=10 s"]  # busy machines
@@ -339,6 +340,7 @@ def test_a_strict_run_exits_with_one_unless_it_was_passive(capsys):
     assert json.loads(capsys.readouterr().out)["passive"] == "yes"
 
 
+@pytest.mark.slow_for("words0-needed0", "words1-needed1")
 @pytest.mark.parametrize(
     ("words", "needed"), [(["--json"], set()), ([], {"rich"}), (["--json", "--log", "run.h5"], set())]
 )

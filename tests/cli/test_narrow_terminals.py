@@ -82,6 +82,7 @@ COMMANDS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow_for("design")
 @pytest.mark.parametrize("name", COMMANDS)
 def test_no_table_of_a_command_loses_anything(name: str, printed: list[Any]) -> None:
     command, *words = COMMANDS[name]
@@ -91,6 +92,7 @@ def test_no_table_of_a_command_loses_anything(name: str, printed: list[Any]) -> 
     assert_whole(printed)
 
 
+@pytest.mark.slow
 def test_no_table_of_an_inspected_log_loses_anything(log: Path, printed: list[Any]) -> None:
     other = log.with_name("other.h5")
     assert main(["run", str(CONFIGS / "demo.yaml"), "--log", str(other), "--duration", "2", "--json",

@@ -57,6 +57,7 @@ def runs(eds: Path, folder: Path) -> None:
     assert main(["run", str(scene), "--duration", "0.05", "--json"]) == 0
 
 
+@pytest.mark.slow_for("vendor ID in DeviceInfo, no 0x1018", "0x6072 up to 20", "0x1006 = 1 us, read-only")
 @pytest.mark.parametrize("name", GENERATED)
 def test_a_scene_runs_for_what_dictionaries_of_the_field_state(name: str, tmp_path: Path) -> None:
     eds = tmp_path / "drive.eds"
@@ -79,6 +80,7 @@ def test_a_scene_runs_without_the_values_of_any_part_of_the_dictionary(part: str
 OBJECTS = [name for name in WITH_DEFAULTS if name[:2] in ("10", "14", "60", "65")]
 
 
+@pytest.mark.slow_for("1018sub2", "1401sub1", "1403sub5", "60C2sub2", "1008")
 @pytest.mark.parametrize(
     "section",  # one in five, and all of them with the slow tests
     [pytest.param(name, marks=pytest.mark.slow if n % 5 else []) for n, name in enumerate(OBJECTS)],
@@ -99,6 +101,13 @@ def test_a_scene_runs_for_every_vendor_that_can_serve(name: str, vendor_eds: Pat
     runs(vendor_eds / name, tmp_path)
 
 
+@pytest.mark.slow_for(
+    "zeroerr_erob.eds-position",
+    "kollmorgen_rgm.eds-velocity",
+    "maxon_epos2*",
+    "elmo_gold.dcf-position",
+    "maxon_epos4.dcf-velocity",
+)
 @pytest.mark.parametrize("mode", ["velocity", "position"])
 @pytest.mark.parametrize("name", [*VENDOR_FILES, "maxon_epos2.eds"])
 def test_a_scene_of_an_admittance_display_runs_for_every_vendor_that_can_serve(

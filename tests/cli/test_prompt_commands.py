@@ -100,6 +100,7 @@ sys.exit(main.main(sys.argv[1:]))
 """
 
 
+@pytest.mark.slow_for("accuracy", "inspect")
 @pytest.mark.parametrize("command", ["accuracy", "sweep", "run", "inspect"])
 def test_ctrl_c_right_after_the_entry_ends_with_130_and_one_line(command: str) -> None:
     words = [command, str(CONFIGS / "demo.yaml")]

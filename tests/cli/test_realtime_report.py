@@ -33,6 +33,7 @@ def test_nothing_is_said_where_nothing_was_asked(capsys: Captured) -> None:
     assert not [name for name in json.loads(capsys.readouterr().out)["timing"] if name.startswith("realtime")]
 
 
+@pytest.mark.slow
 def test_check_asks_and_gives_back(capsys: Captured) -> None:
     assert main(["check", DEMO, "--json", *ASKED]) == 0
     answers = json.loads(capsys.readouterr().out)["realtime"]

@@ -65,6 +65,7 @@ def test_bad_options_are_refused_by_the_parser(capsys: Captured, arguments: list
     assert f"argument {arguments[0]}: " in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_map_of_a_sweep(capsys: Captured, tmp_path: Path) -> None:
     out, picture = tmp_path / "a.h5", tmp_path / "map.png"
     words = ["--vary", "bus.rate=100,200", "--controllers", "unprotected", "--set", "environment.damping=0"]

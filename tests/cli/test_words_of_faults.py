@@ -89,6 +89,7 @@ sys.exit(main(sys.argv[2:]))
 """
 
 
+@pytest.mark.slow_for("bokeh*")
 @pytest.mark.parametrize(
     ("library", "extra", "words"),
     [

@@ -120,6 +120,7 @@ def test_a_declared_mass_above_the_real_one_is_a_failure() -> None:
     assert row(commissioned("passivity.moving_mass=0.3 kg"), "moving mass").verdict is StepVerdict.FAILED
 
 
+@pytest.mark.slow
 def test_a_drive_that_reports_its_torque_after_the_update_is_told_from_one_that_does_before() -> None:
     assert row(commissioned(), "demand reported").verdict is StepVerdict.AGREES
     report = commissioned("simulation.drive.torque_read_back=after_update")
@@ -147,6 +148,7 @@ def test_dry_friction_is_measured() -> None:
 SHAFT = "simulation.effects=[{{type: shaft_compliance, stiffness: {} N/m, damping: 2 N*s/m, load_mass: 0.15 kg}}]"
 
 
+@pytest.mark.slow
 def test_behind_a_compliant_shaft_the_mass_of_the_rotor_is_proposed() -> None:
     """The rotor has 0.25 kg, rotor and load 0.4 kg: declared for them, energy comes out of a certified wall."""
     report = commissioned(SHAFT.format(5000))
@@ -157,6 +159,7 @@ def test_behind_a_compliant_shaft_the_mass_of_the_rotor_is_proposed() -> None:
     )
 
 
+@pytest.mark.slow
 def test_near_a_resonance_no_mass_is_proposed_and_none_is_seen_on_a_rigid_axis() -> None:
     report = commissioned(SHAFT.format(50_000))
     assert row(report, "mass on a shaft").verdict is StepVerdict.DIFFERS
@@ -244,6 +247,7 @@ def test_axes_in_one_mechanism_are_refused() -> None:
         commission(session, TIMED)
 
 
+@pytest.mark.slow
 def test_the_lag_of_the_torque_is_measured_and_a_declaration_below_it_differs() -> None:
     loop = "simulation.effects=[{type: current_loop, time_constant: 300 us}]"
     report = commissioned(loop)

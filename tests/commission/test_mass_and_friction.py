@@ -12,6 +12,7 @@ from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.effects.stribeck_friction import StribeckFriction
 from canhaptic.sim.plant.plant import Plant, PlantParameters
+from tests.drawn import examples
 
 TIME = 1e-3
 
@@ -33,7 +34,7 @@ def moved(mass: float, damping: float, torques: _Array) -> _Array:
     return np.array(positions)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     mass=st.floats(0.01, 10.0),
     damping=st.one_of(st.just(0.0), st.floats(0.1, 5.0)),
@@ -117,6 +118,7 @@ COULOMB = CoulombFriction(kinetic=0.5, static=0.8)
 FALLING = {speed: StribeckFriction(kinetic=0.5, static=1.0, stribeck_velocity=speed) for speed in (0.005, 0.02, 0.1)}
 
 
+@pytest.mark.slow_for("*-2.0-*", "*-0.0-1e-05", "*-0.5-0.0")
 @pytest.mark.parametrize("count", [0.0, 1e-5])
 @pytest.mark.parametrize("damping", [0.0, 0.5])
 @pytest.mark.parametrize("amplitude", [1.2, 2.0, 4.0])

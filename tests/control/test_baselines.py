@@ -14,6 +14,7 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.passivity_observer import PassivityObserverParameters
 from canhaptic.errors import ParameterError
 from tests.control.reference_loop import USER_S, sampled
+from tests.drawn import examples
 
 STIFF = SpringDamperWall(stiffness=20_000.0, damping=0.0)
 DEVICE_DAMPING = 2.0
@@ -21,7 +22,7 @@ motions = st.lists(st.one_of(st.floats(-0.01, 0.01), st.floats(-1e-5, 1e-5), st.
 
 
 @pytest.mark.parametrize("delay", [0, 1, 2])
-@settings(max_examples=100)
+@settings(max_examples=examples(100))
 @given(motion=motions)
 def test_energy_bounding_holds_for_every_motion_whatever_the_wall(delay, motion):
     loop = LoopProperties(sample_time=1e-3, delay=delay, device_damping=DEVICE_DAMPING)

@@ -42,6 +42,7 @@ def drive(made, delay, script):
         before = balance
 
 
+@pytest.mark.slow_but("*-spring_damper_wall", "*-detents", "0-*guarded-*", "1-internal_dissipation-*")
 @every_algorithm
 @pytest.mark.parametrize("delay", [0, 1, pytest.param(3, marks=pytest.mark.slow)])
 @settings(max_examples=8)
@@ -58,6 +59,7 @@ def test_every_joule_of_every_hold_has_a_name(environment, algorithm, delay, scr
         assert balance.h_m == balance.h_i - balance.h_pas
 
 
+@pytest.mark.slow_but("*-spring_damper_wall", "*-viscoelastic_medium", "guarded-*", "internal_dissipation-*")
 @every_algorithm
 @settings(max_examples=8)
 @given(script=moves)
@@ -80,6 +82,7 @@ def tapping(made, delay, cycles=400):
     return balances
 
 
+@pytest.mark.slow_but("*-two_sided_wall", "*-detents", "1-guarded-*", "0-internal_dissipation-*")
 @every_algorithm
 @pytest.mark.parametrize("delay", [0, 1])
 def test_after_reset_the_run_repeats_bit_for_bit(environment, algorithm, delay):
@@ -90,6 +93,7 @@ def test_after_reset_the_run_repeats_bit_for_bit(environment, algorithm, delay):
     assert first[0] == AT_REST
 
 
+@pytest.mark.slow_but("*-spring_damper_wall", "*-coulomb_surface", "guarded-*", "internal_dissipation-*")
 @every_algorithm
 def test_a_value_that_is_not_finite_raises_and_nothing_of_before_remains(environment, algorithm):
     made = controller(algorithm, EXAMPLES[environment][0], 1)

@@ -20,6 +20,7 @@ from canhaptic.control.certificates.scalar_bounds import (
     start_speed,
 )
 from tests.control.guarded_users import Mass
+from tests.drawn import examples
 
 positive = st.floats(1e-6, 1e3)
 
@@ -37,7 +38,7 @@ def displacements(mass, damping, sample_time, velocity, torques, hand):
     return np.diff(ends)
 
 
-@settings(max_examples=200)
+@settings(max_examples=examples(200))
 @given(
     mass=st.floats(0.05, 2.0),
     under=st.floats(0.3, 1.0),

@@ -14,6 +14,7 @@ from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
 from tests.control.cases import EXAMPLES
+from tests.drawn import examples
 
 every_environment = pytest.mark.parametrize("environment", [pair[0] for pair in EXAMPLES.values()], ids=EXAMPLES)
 positions = st.floats(-0.03, 0.03)
@@ -87,7 +88,7 @@ def test_a_true_state_is_admissible_and_so_is_the_nearest_to_any(environment, po
 
 
 @pytest.mark.parametrize("name", sorted(EXAMPLES))
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(position=positions)
 def test_the_mirror_image_has_the_mirrored_effort(name, position):
     one, other = EXAMPLES[name]

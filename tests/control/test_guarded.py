@@ -58,6 +58,7 @@ def trial(wall, rate, delay, user, seed, *, cycles=1500, count=0.0, quantum=0.0,
     )
 
 
+@pytest.mark.slow_for("sinusoid-0", "sudden_pull-1", "tapping-0", "telegraph-1", "tremor-1")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("user", sorted(USERS))
 def test_no_user_within_the_hand_force_takes_out_more_than_came_in(user, delay):
@@ -69,6 +70,7 @@ def test_no_user_within_the_hand_force_takes_out_more_than_came_in(user, delay):
         assert truth.believed_error <= ROUNDING
 
 
+@pytest.mark.slow_for("*-0.01-0", "*-0.1-1")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.1])
 @pytest.mark.parametrize(("count", "quantum"), [(0.0, 0.0), (2e-5, 0.02), (5e-4, 0.5)])
@@ -93,6 +95,7 @@ def test_the_whole_sweep_stays_passive(rate, delay, count, quantum, share):
         assert truth.least >= -1e-6, (wall, user)
 
 
+@pytest.mark.slow_for("sinusoid-1", "sudden_pull-0", "tapping-1", "telegraph-0", "tremor-0")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("user", sorted(USERS))
 def test_with_device_damping_declared_no_user_at_all_takes_more_than_device_and_wall_take_in(user, delay):
@@ -172,6 +175,7 @@ def test_after_long_tremor_the_wall_has_the_stiffness_asked(stiffness, delay):
     assert rest / stiffness >= (0.99 if delay == 0 else 0.95)
 
 
+@pytest.mark.slow_for("0")
 @pytest.mark.parametrize("delay", [0, 1])
 def test_half_the_damping_of_colgate_makes_no_limit_cycle(delay):
     """A6: the plain wall swings 10 mm."""

@@ -15,6 +15,7 @@ from tests.control.guarded_users import PUSH, USERS, Loss, guarded, run
 T, DAMPING, CREDIT = 1e-3, 3.0, 1e-4
 
 
+@pytest.mark.slow_for("3-1", "2-2")
 @pytest.mark.parametrize("losses", [1, 2])
 @pytest.mark.parametrize("delay", [2, 3])
 def test_of_several_torques_under_way_any_may_stay_for_the_next(delay: int, losses: int) -> None:
@@ -74,6 +75,7 @@ def dragged(delay: int, losses: int, seed: int) -> tuple[float, float]:
     return least, strongest
 
 
+@pytest.mark.slow_for("1-2", "2-1")
 @pytest.mark.parametrize("losses", [1, 2])
 @pytest.mark.parametrize("delay", [1, 2])
 def test_a_reversal_in_a_lost_sample_is_booked_where_damping_alone_is_known(delay: int, losses: int) -> None:

@@ -9,6 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from canhaptic.control.passivity.root import Balance, discriminant, solve_balance, solve_balance_nonlinear
+from tests.drawn import examples
 
 mpmath.mp.dps = 60
 
@@ -40,7 +41,7 @@ def ulps(value, exact):
     return abs(mpmath.mpf(value) - exact) / mpmath.mpf(math.ulp(float(exact)))
 
 
-@settings(max_examples=400)
+@settings(max_examples=examples(400))
 @given(stiffness=stiffnesses, effort=efforts, torque=st.floats(-1e3, 1e3), displacement=displacements)
 def test_the_root_is_within_4_ulp_of_60_digits(stiffness, effort, torque, displacement):
     energy = -torque * displacement
@@ -53,7 +54,7 @@ def test_the_root_is_within_4_ulp_of_60_digits(stiffness, effort, torque, displa
         assert ulps(found, exact) <= 4
 
 
-@settings(max_examples=400)
+@settings(max_examples=examples(400))
 @given(
     stiffness=st.floats(1e-3, 1e6),
     effort=efforts,
@@ -88,7 +89,7 @@ def test_ties_follow_the_motion_and_nothing_opposed_follows_it_whole():
     assert math.isnan(solve_balance(100.0, 0.0, -1e-6, 3e-4))
 
 
-@settings(max_examples=200)
+@settings(max_examples=examples(200))
 @given(
     stiffness=st.floats(1.0, 1e6),
     state=st.floats(-0.05, 0.05),

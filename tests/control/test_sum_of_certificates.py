@@ -79,6 +79,9 @@ def needed(known: Declared, bound: TorqueBound, memory: BoundMemory, torque: flo
     return total
 
 
+@pytest.mark.slow_for(
+    "0.0-0.5-0.0-1", "0.5-0.5-0.0-0", "0.5-0.5-1e-05-1", "3.0-0.0-1e-05-0", "0.0-0.5-1e-05-0", "3.0-0.0-0.0-1"
+)
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("count", [0.0, 1e-5])
 @pytest.mark.parametrize(("damping", "friction"), [(0.0, 0.5), (0.5, 0.5), (3.0, 0.0)])

@@ -39,7 +39,7 @@ QUICK = {
 }
 """Arguments that make a command short; None for one that other tests run."""
 
-QUICK_PAGES = ("README.md", "extending.md")
+QUICK_PAGES = ("README.md",)
 WITH_BLOCKS = [
     pytest.param(page, id=page.relative_to(ROOT).as_posix(), marks=() if page.name in QUICK_PAGES else pytest.mark.slow)
     for page in pages()

@@ -30,6 +30,7 @@ def close_to(value: Any) -> Any:
     return value if isinstance(value, int) else pytest.approx(value, rel=1e-3, abs=1e-9)
 
 
+@pytest.mark.slow_for("fig5")
 @pytest.mark.parametrize("name", FIGURES)
 def test_the_figures_of_today_are_the_committed_ones(name: str) -> None:
     found = {label: figures_of(taken) for label, taken in runs(name).items()}
@@ -89,6 +90,7 @@ def test_a_stiffer_wall_tells_the_algorithms_apart_as_the_page_says() -> None:
     assert least["one_sample_late_unprotected"] < -1.0
 
 
+@pytest.mark.slow_but("fig7")
 @pytest.mark.parametrize("name", FIGURES)
 def test_the_committed_picture_has_the_size_of_one_drawn_today(name: str, tmp_path: Path) -> None:
     committed = IMAGES / FIGURES[name].picture

@@ -41,6 +41,7 @@ def test_every_command_of_the_gallery_makes_its_picture(entry: Entry, tmp_path: 
     assert (tmp_path / "reduced.png").stat().st_size < picture.stat().st_size
 
 
+@pytest.mark.slow
 def test_a_command_that_fails_is_named_with_its_error(tmp_path: Path) -> None:
     prepare(tmp_path)
     wrong = Entry("", "", ("canhaptic run configs/no_such.yaml --png none.png",), ("",))

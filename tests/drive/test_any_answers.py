@@ -12,6 +12,7 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.sdo import SdoChannel
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.errors import SdoError
+from tests.drawn import examples
 from tests.drive.drive_bench import OUR_EDS, axis, dictionary, private_channel
 
 ANY = st.binary(max_size=8)
@@ -52,7 +53,7 @@ def channel_to(answer: Callable[[bytes], list[bytes]]) -> Iterator[tuple[SdoChan
         yield SdoChannel(link, 5, dictionary(axis(eds=OUR_EDS)), "x", timeout=10_000_000), node
 
 
-@settings(max_examples=200)
+@settings(max_examples=examples(200))
 @given(st.lists(st.lists(ANY | LIKELY, max_size=3), max_size=12), st.booleans(), st.integers(1, 12))
 def test_any_answers_give_a_value_or_an_sdo_error(answers: list[list[bytes]], reads: bool, size: int) -> None:
     rest = iter(answers)

@@ -104,6 +104,7 @@ def test_a_timer_that_stays_overdue_cannot_hold_time_up() -> None:
     assert clock.now() == 10 * MS
 
 
+@pytest.mark.slow_for("1")
 @pytest.mark.parametrize("far_sides", [0, 1])
 def test_real_waiting_never_ends_early(pair: tuple[can.BusABC, can.BusABC], far_sides: int) -> None:
     clock = WallClock([Metronome()] * far_sides, spin_margin=1e-4)

@@ -23,6 +23,7 @@ from canhaptic.cycle import Cycle
 from canhaptic.errors import RigError
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.drawn import examples
 from tests.drive.drive_bench import FreeMass, axis, make_bench
 
 NODE, TPDO, RPDO, SYNC, SDO = 5, 0x185, 0x205, 0x080, 0x605
@@ -324,9 +325,9 @@ class RigUnderStress(RuleBasedStateMachine):
             assert self.drive.state is not DriveState.OPERATION_ENABLED
 
 
-def _case(examples: int, steps: int) -> settings:
+def _case(most: int, steps: int) -> settings:
     return settings(
-        max_examples=examples,
+        max_examples=examples(most),
         stateful_step_count=steps,
         deadline=None,
         derandomize=True,

@@ -18,6 +18,7 @@ from canhaptic.scene.build import build
 from canhaptic.scene.bus import open_bus
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.drawn import examples
 from tests.drive.drive_bench import REPOSITORY, Bench, MakeBench, axis, make_bench
 
 TRAITS = REPOSITORY / "tests" / "sim_drive" / "eds"
@@ -164,7 +165,7 @@ IDENTIFIERS = st.sampled_from([0x000, 0x080, 0x085, 0x185, 0x205, 0x285, 0x585, 
 FRAMES = st.lists(st.tuples(IDENTIFIERS, st.binary(max_size=8)), min_size=1, max_size=8)
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(FRAMES)
 def test_arbitrary_frames_in_the_cycle_never_give_torque_beyond_the_limit_or_an_unknown_error(
     frames: list[tuple[int, bytes]],
@@ -180,7 +181,7 @@ def test_arbitrary_frames_in_the_cycle_never_give_torque_beyond_the_limit_or_an_
         assert all(abs(torque) <= 800 for torque in b.torques_sent())
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(st.integers(0, 60), st.sampled_from([0x585, 0x705, 0x185]), st.binary(max_size=8))
 def test_an_arbitrary_answer_anywhere_in_the_start_never_ends_in_torque_or_an_unknown_error(
     which: int, can_id: int, data: bytes

@@ -47,6 +47,7 @@ def test_a_script_runs(name: str, tmp_path: Path) -> None:
     assert re.search(SAYS[name], done.stdout), done.stdout
 
 
+@pytest.mark.slow
 def test_the_cells_of_the_notebook_run_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "configs").symlink_to(ROOT / "configs")

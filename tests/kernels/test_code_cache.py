@@ -46,6 +46,7 @@ def called(folder: Path, factor: float) -> list[str]:
     return found.stdout.split("]")
 
 
+@pytest.mark.slow
 def test_the_next_process_loads_the_code_and_an_edit_of_a_called_kernel_is_seen(tmp_path: Path) -> None:
     assert called(tmp_path, 3.0) == ["[3.0, 6.0", " 0\n"]
     assert called(tmp_path, 3.0) == ["[3.0, 6.0", " 1\n"]
@@ -74,6 +75,7 @@ def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow_but("a bit-index", "in the middle-code")
 @pytest.mark.parametrize("suffix", [".nbi", ".nbc"], ids=["index", "code"])
 @pytest.mark.parametrize("cut", [None, 0, 40], ids=["a bit", "to nothing", "in the middle"])
 def test_damaged_code_is_compiled_anew_and_kept_again(kept: Path, suffix: str, cut: int | None) -> None:

@@ -18,9 +18,12 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.replay.replayed_run import replay_bus_log
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
+from tests.drawn import examples
 
 DEMO = Path(__file__).parents[2] / "configs" / "demo.yaml"
-QUICK = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+QUICK = settings(
+    max_examples=examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+)
 
 CAN_IDS = st.sampled_from([0x000, 0x080, 0x081, 0x181, 0x201, 0x581, 0x601, 0x701, 0x77E, 0x7FF]) | st.integers(
     0, 0x7FF
@@ -162,6 +165,7 @@ def test_any_damage_to_an_energy_log_is_an_account_or_one_error(
         read_all(path)
 
 
+@pytest.mark.slow
 def test_every_place_of_an_energy_log_may_be_damaged(energy_log: bytes, tmp_path: Path) -> None:
     path = tmp_path / "b.h5"
     for place in range(0, len(energy_log), 997):

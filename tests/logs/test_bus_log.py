@@ -69,6 +69,7 @@ def test_more_frames_than_the_ring_holds_all_arrive_in_order_at_free_pace(tmp_pa
     assert all(line.endswith(f"181#{k.to_bytes(8, 'little').hex().upper()} R".encode()) for k, line in enumerate(lines))
 
 
+@pytest.mark.slow_for("run.2.log", "run")
 @pytest.mark.parametrize("name", ["run.log", "run", "run.2.log", "run[1].log"])
 def test_a_series_of_files_never_exceeds_its_number_and_size_and_keeps_the_newest(tmp_path: Path, name: str) -> None:
     path = tmp_path / name

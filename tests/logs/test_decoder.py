@@ -10,6 +10,7 @@ from canhaptic.canopen.objects import SdoAbort
 from canhaptic.logs.decoder import BusDecoder, NodeDescription
 from canhaptic.logs.pdo_decoder import PdoMaps
 from canhaptic.logs.sdo_decoder import Access
+from tests.drawn import examples
 
 EDS = Path(__file__).parents[2] / "eds" / "cia402_servo.eds"
 
@@ -199,7 +200,7 @@ def test_an_emcy_code_without_words_of_its_own_gets_those_of_its_group() -> None
 
 
 @given(st.lists(st.tuples(st.integers(0, 0x7FF), st.binary(max_size=8)), max_size=40))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_no_sequence_of_frames_breaks_the_decoder(frames: list[tuple[int, bytes]]) -> None:
     decoder = BusDecoder()
     for can_id, data in frames:

@@ -89,6 +89,7 @@ def test_a_series_of_files_and_the_last_seconds_exclude_each_other(capsys: pytes
     assert "exclude each other" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_what_ended_a_run_is_in_its_log_and_in_its_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "run.h5"
     words = ["run", DEMO, "--duration", "0.5", "--set", "axes.0.speed_limit=0.2", "--log", str(log), "--json"]

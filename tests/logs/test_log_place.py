@@ -49,6 +49,7 @@ BOTH = pytest.mark.parametrize("make", [bus_log, energy_log])
 # --- one run at a time ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_for("energy_log")
 @BOTH
 def test_a_second_run_into_one_log_is_refused(tmp_path: Path, make: Callable[[Path], Log]) -> None:
     path = tmp_path / "run.log"
@@ -222,6 +223,7 @@ def test_a_file_that_cannot_be_opened_in_time_does_not_hang_the_start(
 # --- what the writer imports ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_for("json", "h5py")
 @pytest.mark.parametrize("name", ["h5py", "json", "canhaptic"])
 def test_the_writer_imports_nothing_from_the_working_folder(tmp_path: Path, name: str) -> None:
     """The controller is started so that it does not look there either."""
@@ -251,6 +253,7 @@ def test_the_writer_imports_nothing_from_the_working_folder(tmp_path: Path, name
 # --- a scene from somebody else ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_for("energy")
 @pytest.mark.parametrize("key", ["energy", "bus"])
 def test_a_scene_replaces_no_file_outside_its_folder_and_says_where_it_writes(
     tmp_path: Path, key: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -274,6 +277,7 @@ def test_a_scene_replaces_no_file_outside_its_folder_and_says_where_it_writes(
     assert main([*words, "--log" if key == "energy" else "--bus-log", "../mine.log"]) == 0
 
 
+@pytest.mark.slow
 def test_a_log_in_the_folder_of_the_scene_or_the_current_one_is_replaced_as_ever(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

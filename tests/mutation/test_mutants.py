@@ -201,6 +201,7 @@ def test_the_mutator_makes_every_slip_once_and_leaves_text_alone(tmp_path: Path)
     )
 
 
+@pytest.mark.slow
 def test_a_sample_of_the_package_is_drawn_the_same_again_and_survivors_decide(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -82,6 +82,7 @@ def effect_modules(modules: set[str]) -> set[str]:
     return {name.rpartition(".")[2] for name in modules if name.startswith("canhaptic.sim.plant.effects.")}
 
 
+@pytest.mark.slow
 def test_a_scene_imports_only_the_modules_of_its_effects():
     bare = imported([])
     assert effect_modules(bare) == set()

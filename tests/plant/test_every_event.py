@@ -13,6 +13,7 @@ from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.sim.textbook.event_location import reference
 from canhaptic.sim.textbook.reference_model import Model
+from tests.drawn import examples
 from tests.plant.plant_scenes import MS, make_plant, run
 from tools.bench.plants.affine_judge import exponential, judged
 from tools.bench.plants.random_scenes import apart, random_scene
@@ -36,7 +37,7 @@ def linear_systems(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     return rates, chance.normal(size=(2, size)), chance.normal(size=size), draw(st.integers(0, 14))
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(linear_systems())
 def test_the_bounds_hold_at_every_instant_of_a_step(system):
     """Chord and curvature of a guard along the flow, by an exponential of its own, at 17 instants of the step."""
@@ -83,7 +84,7 @@ def test_a_servo_that_stops_inside_a_hold_is_right_to_a_nanometre(torques):
     assert np.abs(plant.velocity - expected.velocity[-1]) <= 1e-7
 
 
-@pytest.mark.parametrize("count", [50, pytest.param(150, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [20, pytest.param(150, marks=pytest.mark.slow)])
 def test_random_scenes_have_the_same_events_at_a_thirty_second_of_their_sample_time(count):
     """A guard that is crossed twice inside a step is seen by shorter steps; scenes are up to 600 events long."""
     scenes = [random_scene(seed) for seed in range(count)]
@@ -102,7 +103,7 @@ def test_a_bound_that_is_too_small_is_caught(monkeypatch):
     assert abs(run(servo(), [3.5])[-1]) >= 1e-4
 
 
-@pytest.mark.parametrize("count", [30, pytest.param(80, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [15, pytest.param(80, marks=pytest.mark.slow)])
 def test_random_scenes_agree_with_an_independent_judge(count):
     """Events, positions, velocities and works, by the textbook equations and located events."""
     scenes = [random_scene(seed) for seed in range(1000, 1000 + count)]

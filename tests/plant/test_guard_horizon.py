@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from canhaptic.sim.plant.guard_bounds import guard_bounds
 from canhaptic.sim.plant.guard_horizon import HOLDS, GuardHorizon
 from canhaptic.sim.plant.plant import Plant
+from tests.drawn import examples
 from tests.plant.plant_scenes import MS, make_plant, run
 from tools.bench.plants.affine_judge import exponential
 from tools.bench.plants.random_scenes import RandomScene, random_scene
@@ -29,7 +30,7 @@ def held_systems(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray, f
     return rates, guards, state, draw(st.floats(0.0, 2.0)), seed
 
 
-@settings(max_examples=80)
+@settings(max_examples=examples(80))
 @given(held_systems())
 def test_no_guard_is_reached_in_the_holds_that_are_promised(system):
     """Against torques at random and at their limits, by an exponential of its own at 9 instants of each hold."""
@@ -67,6 +68,7 @@ def without_looking_ahead(scene: RandomScene) -> tuple[np.ndarray, Plant]:
     return run(plant, scene.torques), plant
 
 
+@pytest.mark.slow_for("1?", "2?")
 @pytest.mark.parametrize("seed", range(40))
 def test_looking_ahead_changes_no_event_of_a_random_scene(seed):
     scene = random_scene(seed)

@@ -80,6 +80,7 @@ def test_a_stop_just_out_of_reach_is_not_touched():
     assert plant.position == pytest.approx(speed * 0.02 - deceleration * 0.02**2 / 2, abs=1e-15)
 
 
+@pytest.mark.slow_for("20")
 @pytest.mark.parametrize("ratio", [20, 400])
 def test_the_stiff_scene_without_substeps_agrees_with_an_event_located_reference(ratio):
     """1e6 N/m stop, stiff grip, current loop 50 us, at T = 1 ms and 20 ms."""

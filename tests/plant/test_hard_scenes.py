@@ -70,6 +70,7 @@ def test_chatter_stays_under_the_cap_and_closes_its_energy():
     assert residual(plant) <= 1e-12 * largest_flow(plant)
 
 
+@pytest.mark.slow
 def test_stick_slip_slips_as_often_and_as_far_as_the_reference():
     plant, positions = free("stick_slip")
     user = plant.user

@@ -75,6 +75,7 @@ def test_energy_never_rises_without_hand_and_torque(names):
     assert residual(plant) <= 1e-12 * start
 
 
+@pytest.mark.slow_for("*cogging+*", "*torque_ripple+*", "*lugre*+*")
 @pytest.mark.parametrize("names", SETS, ids="+".join)
 def test_the_balance_closes_under_hand_and_torque(names):
     plant = make_plant(*effects_of(names), user=USER_S)

@@ -63,6 +63,7 @@ def test_the_work_form_equals_van_loans_block_exponential(rates):
     assert np.allclose(works[0][0], expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_the_work_form_agrees_with_sixty_digit_quadrature_of_the_power():
     rates, sample_time = SCENES[2], 1e-3
     velocity = np.eye(6)[1]

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+from tests.drawn import examples
 from tests.plant.plant_scenes import make_plant, residual
 
 
@@ -79,7 +80,7 @@ def energies(plant: Plant, torques: list[float]) -> tuple[list[float], float]:
     return stored, largest
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(scenes(), st.lists(rounded(5.0), min_size=1, max_size=25), rounded(0.5))
 def test_the_balance_closes_for_any_scene_and_torque(scene, torques, velocity):
     effects, user, period = scene
@@ -90,7 +91,7 @@ def test_the_balance_closes_for_any_scene_and_torque(scene, torques, velocity):
     assert residual(plant) <= 1e-11 * largest + 1e-18
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(scenes(), rounded(0.5), rounded(0.02))
 def test_energy_never_rises_in_any_scene_without_hand_and_torque(scene, velocity, position):
     effects, _, period = scene

@@ -13,6 +13,7 @@ from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.sim.textbook.event_location import reference
 from canhaptic.sim.textbook.reference_model import Model
+from tests.drawn import examples
 from tests.plant.plant_scenes import MS, largest_flow, make_plant, residual, run
 
 STATIC = 1.0
@@ -31,6 +32,7 @@ def exact() -> np.ndarray:
     return reference(Model(plant.parameters, plant.user, plant.effects), TORQUES, plant.sample_time_ns).position
 
 
+@pytest.mark.slow
 def test_stick_slip_converges_with_the_declared_order():
     """Seven events in 1.5 s of sticking and slipping: 92 um at one substep of 10 ms, 4 nm at 128."""
     counts = [1, 2, 4, 8, 16, 32, 64, 128]
@@ -53,7 +55,7 @@ def rounded(low: float, high: float) -> st.SearchStrategy[float]:
 forces = st.lists(rounded(-1.5, 1.5), min_size=1, max_size=20)
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(forces, st.sampled_from([1, 2, 16]), rounded(-0.05, 0.05), st.booleans(), rounded(0.0, 0.4))
 def test_at_rest_no_force_exceeds_the_static_level(torques, substeps, velocity, held, detent):
     """v = 0 implies |force| <= static at every SYNC, with a hand, a current loop and a detent that push."""

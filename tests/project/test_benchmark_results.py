@@ -20,6 +20,7 @@ def recorded() -> dict[Path, tuple[int, bytes]]:
     return {path: (path.stat().st_mtime_ns, path.read_bytes()) for folder in folders for path in folder.glob("*.*")}
 
 
+@pytest.mark.slow
 def test_a_benchmark_leaves_the_recorded_results_alone(tmp_path: Path) -> None:
     before = recorded()
     words = [sys.executable, str(RUN), "dictionaries", "--out", "mine"]

@@ -40,6 +40,7 @@ print(canhaptic.simulate("configs/demo.yaml", duration=0.3).account.passive)
 """
 
 
+@pytest.mark.slow
 def test_every_module_imports_and_a_scene_runs_without_posix() -> None:
     """What a virtual bus needs is there on every system."""
     done = subprocess.run([sys.executable, "-c", _WITHOUT_POSIX], capture_output=True, text=True, timeout=100)

@@ -53,6 +53,7 @@ def test_a_saved_log_opens_and_is_never_overwritten(stiff: canhaptic.SimulationR
         stiff.save(path)
 
 
+@pytest.mark.slow
 def test_two_results_share_a_figure_and_a_notebook_sees_verdict_and_picture(stiff: canhaptic.SimulationResult) -> None:
     bare = canhaptic.simulate(DEMO, {"environment.damping": 0.0}, duration=INTO_THE_WALL)
     alone, both = (len(figure.axes[0].lines) for figure in (stiff.plot(), stiff.plot(bare)))

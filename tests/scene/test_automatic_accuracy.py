@@ -42,6 +42,7 @@ def test_a_scene_without_auto_is_left_as_it_is(tmp_path: Path) -> None:
     assert "accuracy" not in scene.resolved()
 
 
+@pytest.mark.slow
 def test_the_choice_keeps_its_tolerance_and_is_the_cheapest_that_does(tmp_path: Path) -> None:
     plain = scene_with(tmp_path, COGGING)
     simulation, period = simulation_of(plain.axes[0]), plain.bus.sample_time_ns
@@ -101,6 +102,7 @@ def test_a_bad_tolerance_is_refused(tmp_path: Path, accuracy: str, expected: str
     assert expected in str(caught.value)
 
 
+@pytest.mark.slow_for("*cogging*")
 @pytest.mark.parametrize(
     ("effects", "accuracy"),
     [

@@ -107,6 +107,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return energy, bus
 
 
+@pytest.mark.slow
 def test_the_bus_log_names_the_bus_of_each_frame(recorded: tuple[Path, Path]) -> None:
     frames = list(read_bus_log(recorded[1]))
     assert {frame.channel for frame in frames} == {"left", "right"}

@@ -212,6 +212,7 @@ def test_check_prints_the_groups(path: Path, capsys: pytest.CaptureFixture[str])
     assert told["stability"]
 
 
+@pytest.mark.slow
 def test_the_schema_knows_the_keys_of_groups_and_mechanisms() -> None:
     schema = scene_schema()
     group = schema["properties"]["groups"]["anyOf"][0]["items"]
@@ -226,6 +227,7 @@ def test_the_schema_knows_the_keys_of_groups_and_mechanisms() -> None:
     assert all("hand" in m["properties"] for m in mechanisms)
 
 
+@pytest.mark.slow
 def test_a_scene_of_axes_alone_imports_no_mechanism_and_no_network() -> None:
     script = (
         "import sys\nfrom canhaptic.scene.build import build\nfrom canhaptic.scene.load import load_scene\n"

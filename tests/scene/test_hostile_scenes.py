@@ -89,6 +89,7 @@ def test_markup_in_what_is_no_name_is_printed_as_it_is(tmp_path: Path, capsys: p
 # --- many axes ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_thousands_of_axes_with_one_node_id_are_refused_at_once() -> None:
     values = demo()
     values["axes"] = [{**values["axes"][0], "name": f"axis{n}"} for n in range(500)]

@@ -89,6 +89,7 @@ def test_a_wrong_value_of_an_old_key_is_a_fault_at_its_place(tmp_path: Path) -> 
     assert fault == "scene.yaml:15:111: passivity.lead: got 2, expected 0 <= prediction_holds <= 1"
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_shipped_scenes_have_no_old_name() -> None:
     for path in sorted((REPOSITORY / "configs").rglob("*.yaml")):

@@ -125,6 +125,7 @@ def test_faults_in_the_file_are_told_with_its_line(folder: Path) -> None:
     assert "no parameters" in refusal(folder, "environment={type: 'empty.py:Other'}")
 
 
+@pytest.mark.slow
 def test_a_log_names_the_code_and_another_code_is_not_its_scene(folder: Path, tmp_path: Path) -> None:
     words = ["run", str(folder / "scene.yaml"), "--set", ENVIRONMENT, "--duration", "0.2", "--pace", "free"]
     path = folder / "run.h5"
@@ -312,6 +313,7 @@ def test_an_installed_plug_in_is_named_by_its_entry_point(folder: Path, plug_in:
         load_scene(path, ["environment={type: bumpy_walls_for_tests.CenteringSpring}"])
 
 
+@pytest.mark.slow
 def test_a_replay_takes_the_code_of_the_run_and_no_other(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, energy, frames = (str(folder / name) for name in ("scene.yaml", "run.h5", "run.log"))
     words = ["run", path, "--set", ENVIRONMENT, "--duration", "0.2", "--pace", "free", "--allow-code"]
@@ -328,6 +330,7 @@ def test_a_replay_takes_the_code_of_the_run_and_no_other(folder: Path, capsys: p
     assert "my_wall.py: is not the code of" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_sweep_gives_its_workers_the_code_of_the_flag_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, vary = folder / "scene.yaml", "environment.stiffness=100:300:3"
     words = ["sweep", str(path), "--set", ENVIRONMENT, "--vary", vary, "--cycles", "300", "--workers", "2"]

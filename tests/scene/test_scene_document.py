@@ -96,6 +96,7 @@ def test_merge_keys_give_defaults_that_written_keys_override() -> None:
     assert "merges mappings only" in fault_of("<<: 5")
 
 
+@pytest.mark.slow_for("text12*")
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -10,9 +10,12 @@ from hypothesis import strategies as st
 
 from canhaptic.errors import SceneError
 from canhaptic.scene.load import load_scene, scene_from_mapping
+from tests.drawn import examples
 from tests.scene.scene_text import SCENE, SHIPPED_EDS
 
-FAST = settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+FAST = settings(
+    max_examples=examples(100), suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+)
 
 SCALARS = (
     st.none()

@@ -125,6 +125,7 @@ def assert_ledger_bound_kept(outcome: Outcome) -> None:
     assert outcome.encoder_bound < 1e-3 * outcome.energy_in
 
 
+@pytest.mark.slow_for("internal_dissipation-0.0", "internal_dissipation-0.01", "guarded-0.1")
 @pytest.mark.parametrize("drop", [0.0, 0.01, 0.1])
 @pytest.mark.parametrize("passivity", [GUARDED, PAPER], ids=["guarded", "internal_dissipation"])
 def test_lost_frames_are_counted_to_the_frame_and_the_ledger_bound_is_kept(passivity: str, drop: float) -> None:
@@ -165,6 +166,15 @@ DISTURBANCES = [
 ]
 
 
+@pytest.mark.slow_for(
+    "guarded-duplicate*",
+    "guarded-freeze*",
+    "guarded-jitter: 200*",
+    "internal_dissipation-jitter*",
+    "internal_dissipation-stall*",
+    "internal_dissipation-reorder*",
+    "internal_dissipation-bus6",
+)
 @pytest.mark.parametrize("bus", DISTURBANCES)
 @pytest.mark.parametrize("passivity", [GUARDED, PAPER], ids=["guarded", "internal_dissipation"])
 def test_in_every_disturbance_the_ledger_never_believes_too_much(passivity: str, bus: str) -> None:

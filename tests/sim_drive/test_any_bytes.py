@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from canhaptic.sim.drive.can.drive_group import DriveGroup
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.drawn import examples
 from tests.sim_drive.drive_on_bus import NODE, PERIOD, TRAITS, Rig
 
 COB_IDS = [0x000, 0x080, 0x085, 0x205, 0x305, 0x405, 0x605, 0x705, 0x77F]
@@ -39,14 +40,14 @@ def check(rig: Rig, frames: list[tuple[int, bytes, int]]) -> None:
             assert len(message.data) <= 8
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(FRAMES)
 def test_no_frames_make_the_drive_raise_or_push_while_not_enabled(frames: list[tuple[int, bytes, int]]) -> None:
     with Rig() as rig:
         check(rig, frames)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(FRAMES)
 def test_no_frames_make_an_enabled_drive_raise_or_push_when_it_leaves_that_state(
     frames: list[tuple[int, bytes, int]],
@@ -58,7 +59,7 @@ def test_no_frames_make_an_enabled_drive_raise_or_push_when_it_leaves_that_state
         check(rig, frames)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 @given(FRAMES)
 def test_no_frames_make_a_drive_of_a_sparse_dictionary_raise(frames: list[tuple[int, bytes, int]]) -> None:
     with Rig(TRAITS / "empty_entries.eds", objects={0x6502: 0x200}) as rig:

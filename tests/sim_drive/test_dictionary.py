@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.errors import DictionaryError
+from tests.drawn import examples
 
 
 def read(tmp_path: Path, text: str | bytes, node_id: int = 5, name: str = "drive.eds") -> canopen.ObjectDictionary:
@@ -193,7 +194,7 @@ LINES = [
 ]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.lists(st.sampled_from(LINES), max_size=12), st.binary(max_size=20))
 def test_any_text_is_read_or_refused_but_never_crashes(
     tmp_path_factory: pytest.TempPathFactory, lines: list[str], noise: bytes

@@ -16,6 +16,7 @@ def printed(capsys: pytest.CaptureFixture[str], *words: str) -> Any:
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scene", "group"), [("xy_box", "stage"), ("two_handles", "coupling")])
 def test_the_account_under_the_scenes_own_algorithm_is_that_of_a_run(
     scene: str, group: str, capsys: pytest.CaptureFixture[str]

@@ -90,6 +90,7 @@ def touch(*words: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
             process.kill()
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_it_with_130_and_a_taken_port_is_said() -> None:
     with touch(str(STIFF), "--port", "0") as (address, process):
         assert address.startswith("http://127.0.0.1:")

@@ -77,6 +77,16 @@ def write_debt(path: Path, skipped: int = 0) -> None:
     writer.close()
 
 
+@pytest.fixture(scope="module")
+def debt(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Any]:
+    """Page and scope of the 200 cycles in debt: several tests look at them, none changes them."""
+    path = tmp_path_factory.mktemp("debt") / "run.h5"
+    write_debt(path)
+    with pytest.MonkeyPatch.context() as patch:
+        return page_of(path, patch), scope_of(path)
+
+
+@pytest.mark.slow
 def test_a_decimated_torque_is_a_plain_line_and_a_whole_one_a_stair(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -105,6 +115,7 @@ def test_commanded_and_applied_torque_are_nowhere_drawn_further_apart_than_they_
     }  # between two rows that are drawn, both are drawn in the same way
 
 
+@pytest.mark.slow
 def test_panels_that_hold_only_zeros_are_left_out_and_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with build(load_scene(CONFIGS / "demo.yaml"), "free", tmp_path / "run.h5") as experiment:
         run(experiment.cycle, 1500)
@@ -116,6 +127,7 @@ def test_panels_that_hold_only_zeros_are_left_out_and_named(tmp_path: Path, monk
     assert sorted(titles(scope_of(tmp_path / "run.h5"))) == sorted(expected)
 
 
+@pytest.mark.slow
 def test_axes_and_pointer_carry_units_with_a_prefix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_run(tmp_path / "run.h5", cycles=1500, ports=("handle", "knob"))
     for content in (page_of(tmp_path / "run.h5", monkeypatch), scope_of(tmp_path / "run.h5")):
@@ -129,6 +141,7 @@ def test_axes_and_pointer_carry_units_with_a_prefix(tmp_path: Path, monkeypatch:
         assert units["knob: torque"]["unit"] == "N*m"
 
 
+@pytest.mark.slow
 def test_scope_and_page_have_the_same_panels_lines_and_colours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_run(tmp_path / "run.h5", cycles=6000)
     page, scope = page_of(tmp_path / "run.h5", monkeypatch), scope_of(tmp_path / "run.h5")
@@ -146,9 +159,8 @@ def test_scope_and_page_have_the_same_panels_lines_and_colours(tmp_path: Path, m
         assert drawn(page, title) == drawn(scope, title), title
 
 
-def test_a_negative_margin_is_an_area_of_its_own_in_red(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_debt(tmp_path / "run.h5")
-    for content in (page_of(tmp_path / "run.h5", monkeypatch), scope_of(tmp_path / "run.h5")):
+def test_a_negative_margin_is_an_area_of_its_own_in_red(debt: tuple[Any, Any]) -> None:
+    for content in debt:
         panel = panel_of(content, "energy")
         areas = {glyph.fill_color: glyph for glyph in glyphs(panel) if type(glyph).__name__ == "VArea"}
         data = {name: np.asarray(v) for r in panel.renderers for name, v in r.data_source.data.items()}
@@ -157,11 +169,10 @@ def test_a_negative_margin_is_an_area_of_its_own_in_red(tmp_path: Path, monkeypa
         assert np.abs(data[green.y2] - data[green.y1]).max() == 0.0
 
 
-def test_wall_and_contacts_are_in_page_and_scope(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wall_and_contacts_are_in_page_and_scope(debt: tuple[Any, Any]) -> None:
     from bokeh.models import BoxAnnotation
 
-    write_debt(tmp_path / "run.h5")
-    for content in (page_of(tmp_path / "run.h5", monkeypatch), scope_of(tmp_path / "run.h5")):
+    for content in debt:
         panel = panel_of(content, "position")
         inside = panel.select_one({"type": BoxAnnotation, "fill_color": "#4D4D4D"})
         assert inside.top == -0.02
@@ -183,6 +194,7 @@ def test_skipped_syncs_are_counted_and_drawn(tmp_path: Path, monkeypatch: pytest
         assert data["time"][int(np.argmax(data["SYNCs skipped"]))] == pytest.approx(0.107)
 
 
+@pytest.mark.slow
 def test_a_fault_behind_skipped_syncs_is_marked_where_its_row_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -200,12 +212,12 @@ def test_a_fault_behind_skipped_syncs_is_marked_where_its_row_is(
         assert PortPicture(log, "handle", slice(0, log.rows)).faults() == "\n0.22 s: fault too hot"
 
 
-@pytest.mark.parametrize(("write", "word"), [(write_debt, "NO"), (write_run, "yes")])
-def test_a_bar_says_the_verdict(write: Any, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write(tmp_path / "run.h5")
-    page, scope = page_of(tmp_path / "run.h5", monkeypatch), scope_of(tmp_path / "run.h5")
+def test_a_bar_says_the_verdict(debt: tuple[Any, Any], tmp_path: Path) -> None:
+    page, scope = debt
     for text in (page.select_one({"name": "heading"}).text, scope.select_one({"name": "status"}).text):
-        assert f"handle: passive at the motor: {word}<" in text
+        assert "handle: passive at the motor: NO<" in text
+    write_run(tmp_path / "run.h5", cycles=1500)
+    assert "handle: passive at the motor: yes<" in scope_of(tmp_path / "run.h5").select_one({"name": "status"}).text
 
 
 @pytest.fixture(scope="module")
@@ -236,6 +248,7 @@ def test_a_coupling_without_a_surface_has_no_path(groups: Path, monkeypatch: pyt
     assert not any("path" in title for title in titles(page_of(groups / "two_handles.h5", monkeypatch)))
 
 
+@pytest.mark.slow
 def test_several_runs_lie_over_one_page_and_two_cursors_read_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -26,6 +26,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_log_tells_its_groups(path: Path) -> None:
     with EnergyLog.open(path) as log:
         assert log.groups == {"stage": ("x", "y")}

@@ -173,6 +173,7 @@ def test_the_page_zooms_to_the_worst_margin_and_hovers_with_units(tmp_path: Path
         assert page.faults == []
 
 
+@pytest.mark.slow
 def test_a_run_of_other_ports_is_not_laid_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
     write_run(tmp_path / "run.h5", cycles=200)

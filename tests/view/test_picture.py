@@ -19,13 +19,14 @@ from canhaptic.scene.load import load_scene
 from canhaptic.view import run_picture
 from canhaptic.view.decimate import decimate
 from canhaptic.view.run_picture import draw_energy
+from tests.drawn import examples
 from tests.view.synthetic_run import write_run
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=400), st.integers(1, 50))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_decimation_keeps_both_ends_and_every_extreme_of_every_bucket(numbers: list[float], buckets: int) -> None:
     values = np.array(numbers)
     shown = decimate(values, buckets)
@@ -57,6 +58,7 @@ def test_contacts_are_the_stretches_not_booked_as_free() -> None:
     assert contacts(np.array([0, 0])) == []
 
 
+@pytest.mark.slow_for("ports1-svg")
 @pytest.mark.parametrize(("ports", "suffix"), [(("handle",), "png"), (("left", "right"), "svg")])
 def test_a_run_is_drawn_into_the_kind_of_file_its_suffix_names(
     tmp_path: Path, ports: tuple[str, ...], suffix: str
@@ -126,6 +128,7 @@ def test_a_decimated_torque_of_a_picture_is_a_plain_line(tmp_path: Path, monkeyp
         assert {line.get_drawstyle() for line in force.lines[:2]} == styles
 
 
+@pytest.mark.slow
 def test_panels_of_a_picture_that_hold_only_zeros_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with build(load_scene(CONFIGS / "demo.yaml"), "free", tmp_path / "run.h5") as experiment:
         run(experiment.cycle, 1500)

@@ -60,6 +60,7 @@ def test_the_share_of_tpdos_that_came_is_of_all_so_far(tmp_path: Path, monkeypat
     assert [news.fresh_share for _ in range(3) if (news := live.look())] == pytest.approx([38 / 40, 77 / 80, 0.97])
 
 
+@pytest.mark.slow
 def test_a_log_under_the_writers_hands_is_followed(tmp_path: Path) -> None:
     path, live, seen = tmp_path / "run.h5", LiveLog(tmp_path / "run.h5"), []
     writer = EnergyLogWriter(path, PORTS, {}, sample_time_ns=1_000_000, with_truth=False)
@@ -103,6 +104,7 @@ def scope(log: Path, number: signal.Signals = signal.SIGINT) -> Iterator[str]:
             process.kill()
 
 
+@pytest.mark.slow_for("2")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_scope_with_its_own_status(number: signal.Signals, tmp_path: Path) -> None:
     pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")

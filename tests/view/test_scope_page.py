@@ -85,6 +85,7 @@ def test_another_run_in_the_same_file_begins_anew(tmp_path: Path) -> None:
     assert "500 cycles" in status_of(document)
 
 
+@pytest.mark.slow
 def test_a_group_has_the_energy_and_its_axes_the_positions(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     with build(load_scene(CONFIGS / "xy_box.yaml"), "free", path) as experiment:

@@ -78,6 +78,15 @@ def search(kind, runs, cycles=150):
     return least, rendered
 
 
+@pytest.mark.slow_for(
+    "a limiter cuts one axis",
+    "commands of one axis lost",
+    "samples lost",
+    "masses of 100 to 1, frames lost",
+    "three axes",
+    "a wall that moves",
+    "late",
+)
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_attack_within_the_promise_takes_energy_out(kind):
     least, rendered = search(kind, 10, 100)
@@ -252,6 +261,7 @@ FIVE_BARS = {
 }
 
 
+@pytest.mark.slow_for("plane-0", "spring-1", "stiff-1")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("environment", FIVE_BARS)
 def test_a_fast_five_bar_near_its_singular_poses_gives_out_nothing(environment, delay):

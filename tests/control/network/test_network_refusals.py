@@ -178,6 +178,7 @@ def test_positions_and_torques_that_are_no_numbers_stop_the_group(bad, algorithm
         controller.step((0.0, 0.0), bad)
 
 
+@pytest.mark.slow_for("2")
 @pytest.mark.parametrize("losses", [0, 2])
 def test_numbers_at_the_edge_of_the_range_give_torques_or_a_clear_error(losses):
     """Squares that vanish or overflow, zeros of both signs: no division by zero, no NaN for an integer."""

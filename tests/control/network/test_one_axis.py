@@ -49,6 +49,7 @@ def positions(one, cycles, delay, start=0.003, clip=math.inf, after=None):
             q, t = q + quarter * v, t + quarter
 
 
+@pytest.mark.slow_for("*-3000.0-0.0-?", "*-200.0-0.0-0")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize(("stiffness", "damping"), WALLS)
 @pytest.mark.parametrize(
@@ -81,6 +82,7 @@ def test_the_account_of_a_guarded_group_is_that_of_guarded(delay, stiffness, dam
     assert worst_energy <= allowed * richest
 
 
+@pytest.mark.slow_for("*-1")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("alpha", ["0", "100 s/m^2"])
 @pytest.mark.parametrize(
@@ -150,6 +152,7 @@ class _OneOfGroup:
         return balance.account._replace(torque=balance.torques[0])
 
 
+@pytest.mark.slow_for("0")
 @pytest.mark.parametrize("delay", [0, 1])
 def test_a_group_is_certified_for_late_torques_and_books_them_at_their_worst(delay):
     made = []

@@ -86,6 +86,7 @@ def test_a_hundred_thousand_random_networks_are_solved_but_for_some_and_close_th
     assert judge(100_000, 2) <= 5  # of which the torque is 0 for that hold
 
 
+@pytest.mark.slow
 def test_a_residual_that_falls_step_by_step_does_not_solve_all_of_them(monkeypatch):
     monkeypatch.setattr(step, "by_power", lambda *arguments: -arguments[-1])
     assert judge(2000, 1) > 10

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
+from tests.drawn import examples
 from tests.plant.mechanism.mechanism_scenes import LINKS, MS, OpenChains, five_bar, integrated, run, wavy
 
 LEFT = st.floats(1.7, 2.9)
@@ -22,6 +23,7 @@ def reference(count: int, period: float = 1e-3) -> np.ndarray:
     return integrated(chains.rates, chains.start(), wavy(count), period)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_motion_is_that_of_two_open_chains_held_together_by_multipliers():
     mechanism = five_bar(substeps=64)
     positions = run(mechanism, wavy(300))
@@ -71,8 +73,9 @@ def kinetic_energy(z: np.ndarray) -> float:
     return total
 
 
+@pytest.mark.slow
 @given(left=LEFT, right=RIGHT, seed=st.integers(0, 10_000))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 def test_no_joule_is_lost_at_any_pose_even_at_coarse_steps(left: float, right: float, seed: int):
     mechanism = five_bar(
         period=5 * MS, initial_angles=(left, right), elbow_stop={"least": 0.05, "most": 0.39, "stiffness": 2e4}

@@ -81,6 +81,7 @@ def held_finely(scene: Scene, cycles: int) -> np.ndarray:
     return np.array(rows)
 
 
+@pytest.mark.slow_for("five_bar_sphere-0.0")
 @pytest.mark.parametrize(("name", "start"), [("xy_box", 0.0), ("five_bar_sphere", 0.0), ("two_handles", 0.0)])
 def test_the_continuous_group_is_what_ever_finer_holds_come_to(name: str, start: float) -> None:
     quick = "simulation.mechanisms.0.hand.motion.x.frequency=4 Hz"
@@ -107,6 +108,7 @@ def rough(name: str) -> Scene:
     return scene_of(name, f"{mechanism}.friction_x={x}", f"{mechanism}.friction_y={y}", quick)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["xy_box", "two_handles"])
 def test_the_continuous_group_with_dry_friction_is_what_ever_finer_holds_come_to(name: str) -> None:
     scene = rough(name)
@@ -122,6 +124,7 @@ def test_the_continuous_group_with_dry_friction_is_what_ever_finer_holds_come_to
     assert apart[1] < 0.65 * apart[0] < 1e-3
 
 
+@pytest.mark.slow
 def test_a_group_with_dry_friction_is_studied() -> None:
     result = AccuracyStudy(rough("xy_box"), budget=0.0, duration=0.05).run()
     assert result["plant"][0]["position_error"] < 1e-9
@@ -130,6 +133,7 @@ def test_a_group_with_dry_friction_is_studied() -> None:
     assert all(row["position_error"] > 0.0 for row in result["loop"])
 
 
+@pytest.mark.slow
 def test_the_loop_of_a_box_comes_nearer_with_the_rate() -> None:
     result = AccuracyStudy(scene_of("xy_box"), budget=0.0, duration=0.2).run()
     rates = {row["rate"]: row for row in result["loop"] if row["group"] in ("as it is", "sample rate")}

@@ -21,6 +21,7 @@ ENVIRONMENTS = {
 }
 
 
+@pytest.mark.slow_for("detents")
 @pytest.mark.parametrize("name", sorted(ENVIRONMENTS))
 def test_the_continuous_axis_agrees_with_the_exact_machine(name):
     motion = "simulation.user.motion={amplitude: 0.15, frequency: 2}"

@@ -68,6 +68,7 @@ def check_rows(rows, golden, floor):
             assert row[error] == pytest.approx(before[error], rel=0.3, abs=max(least, 1e-12)), (row["setting"], error)
 
 
+@pytest.mark.slow_but("paper_wall")
 @pytest.mark.parametrize("name", SCENES)
 def test_the_committed_gallery_is_what_our_plant_does(name):
     side, golden = measured(name), committed(name)
@@ -88,6 +89,7 @@ def test_the_committed_gallery_is_what_every_method_does(name):
     check_rows(rows, committed(name)["plant"], 10.0 * FLOOR * side.travel)
 
 
+@pytest.mark.slow_but("paper_wall")
 @pytest.mark.parametrize("name", SCENES)
 def test_no_setting_of_the_ladder_is_cheaper_than_the_advised_one_and_keeps_the_tolerance(name):
     everything, anew = committed(name)["plant"], {row["setting"]: row for row in measured(name).rows}
@@ -114,6 +116,7 @@ def test_no_setting_of_the_ladder_is_cheaper_than_the_advised_one_and_keeps_the_
     assert met >= 2  # the ladder reaches at least two of the tolerances, or nothing was tested
 
 
+@pytest.mark.slow_for("stiff_stop", "coarse_encoder")
 @pytest.mark.parametrize("name", SCENES)
 def test_the_advised_line_keeps_the_tolerance_when_it_is_pasted_into_the_scene(name):
     golden = committed(name)

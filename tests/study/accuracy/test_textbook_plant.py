@@ -79,6 +79,7 @@ def test_a_fixed_step_method_has_its_declared_order(method, effects):
     assert fitted == pytest.approx(order, abs=0.2), errors
 
 
+@pytest.mark.slow_for("implicit midpoint", "RK4")
 @pytest.mark.parametrize("method", sorted(METHODS))
 def test_a_fixed_step_method_falls_to_order_1_where_modes_change(method):
     scene, torques = simulation(*EFFECTS["hard_stop"]), random_torques(60)

@@ -11,6 +11,7 @@ ROOT = Path(__file__).resolve().parents[3]
 ROWS = {found["row"]: found for found in json.loads((ROOT / "docs/results/published.json").read_text())["rows"]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("part", "covered"), [(0.9, True), (1.2, False)])
 def test_the_worst_hand_for_an_encoder_is_covered_up_to_the_bound(part: float, covered: bool) -> None:
     bound = 2.0 * 0.02 / 1e-4

@@ -48,6 +48,14 @@ def demo(effects, *overrides, algorithm="guarded"):
     return load_scene("configs/demo.yaml", [f"simulation.effects=[{effects}]", *MOVING, *chosen, *overrides])
 
 
+@pytest.mark.slow_for(
+    "LuGre",
+    "backlash",
+    "Stribeck and stop",
+    "cogging, ripple, lag",
+    "two grasps and a stop",
+    "current loop and friction",
+)
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_batch_gives_the_figures_of_one_scene_at_a_time(plant):
     for algorithm in ("guarded", "unprotected"):

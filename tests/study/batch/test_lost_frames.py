@@ -39,6 +39,7 @@ def test_frames_are_lost_as_often_as_they_are_said_to_be(bus):
         assert (sent, heard / 20000) == (20000, pytest.approx(0.95, abs=0.006))
 
 
+@pytest.mark.slow_for("synchronous")
 @pytest.mark.parametrize("rpdo", ["synchronous", "event"])
 def test_a_controller_that_declares_losses_gives_out_nothing_and_one_that_does_not_books_wrong(rpdo):
     declared = figures(scene_of(LOSSY, "passivity.max_consecutive_losses=3", rpdo=rpdo))
@@ -49,6 +50,7 @@ def test_a_controller_that_declares_losses_gives_out_nothing_and_one_that_does_n
     assert (declared["believed_error"] > ideal["believed_error"] + 1e-9).all()
 
 
+@pytest.mark.slow
 def test_what_is_lost_over_can_is_lost_here():
     """The energies of a lossy run agree with those over CAN within what other losses of the same share give."""
     scene = scene_of(LOSSY, "passivity.max_consecutive_losses=3", "environment.stiffness=1000")

@@ -71,15 +71,6 @@ def many(algorithm, scenes=300, **named):
     return in_arrays(scalar_case("spring_damper_wall", algorithm, **named), numbers), numbers
 
 
-COMPILED = [
-    pytest.param(
-        algorithm, world, marks=() if (algorithm, world) == ("unprotected", "two_sided_wall") else pytest.mark.slow
-    )
-    for algorithm in ALGORITHMS
-    for world in WORLDS
-]
-
-
 def drawn(algorithm, world, seed, cycles=200):
     """A loop whose numbers are drawn at random, some of them at the edge of what a scene may ask."""
     rng = random.Random(f"{algorithm} {world} {seed}")
@@ -102,8 +93,10 @@ def drawn(algorithm, world, seed, cycles=200):
     return in_arrays(scalar_case(world, algorithm, environment=values, **named))
 
 
+@pytest.mark.slow  # compiles a loop for each cell
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize(("algorithm", "world"), COMPILED)
+@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_numba_gives_the_bits_of_python(algorithm, world):
     """Over 100 loops at random, some of which diverge; sine and exponential to their last bit."""
     pytest.importorskip("numba")

@@ -166,6 +166,7 @@ def felt():
     return felt_of(trial.scene, "guarded", trial.hand, 0.05, 100.0)
 
 
+@pytest.mark.slow
 def test_a_wall_said_to_be_felt_is_held_in_a_scene_and_one_beyond_the_certificate_is_not(felt):
     [_, wall, _] = felt["walls"]
     assert wall["push"] == 5.0

@@ -21,6 +21,7 @@ def trial_of(name: str, *overrides: str) -> GroupTrial:
     return GroupTrial(load_scene(CONFIGS / f"{name}.yaml", list(overrides)), 0.05, "python")
 
 
+@pytest.mark.slow
 def test_a_box_passes_until_the_rig_cannot_render_it() -> None:
     verdict = trial_of("xy_box").verdict(np.array([2000.0, 2000.0, 2e6]), np.array([0.0, 8.0, 0.0]))
     assert verdict.passed.tolist() == [True, True, False]
@@ -49,6 +50,7 @@ DAMPED = "dissipators: [{type: damper, viscous: 8, beside: 0}, {type: damper, vi
 ROOM = "{type: anisotropic_spring, stiffness: [[900, 300], [300, 400]], centre: [0, 0]%s}"
 
 
+@pytest.mark.slow_but("network1")
 @pytest.mark.parametrize(
     "network",
     [

@@ -47,6 +47,7 @@ def test_the_loop_is_near_the_ideal_display_and_a_coarser_one_is_further_off(
     assert {"algorithm", "sampling", "sensor", "encoder"} <= {row["changed"] for row in found["loop"]}
 
 
+@pytest.mark.slow
 def test_a_group_and_what_has_no_equations_are_studied_as_far_as_they_go() -> None:
     friction = ["simulation.effects=[{type: coulomb_friction, kinetic: 2 N, static: 3 N}]", "duration=0.1"]
     scene = load_scene(SCENES / "guided_path.yaml", friction)

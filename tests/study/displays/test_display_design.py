@@ -15,6 +15,7 @@ SCENES = Path(__file__).parents[3] / "configs" / "admittance"
 NODE = SCENES / "force_node.yaml"
 
 
+@pytest.mark.slow
 def test_the_mass_is_felt_as_asked_and_a_lighter_one_is_not(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

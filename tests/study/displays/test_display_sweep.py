@@ -61,6 +61,7 @@ def test_a_force_beyond_the_range_ends_a_run() -> None:
     assert found["stiffness_rendered.share"] != found["stiffness_rendered.share"]  # NaN: of impedance displays
 
 
+@pytest.mark.slow
 def test_a_display_is_swept_under_its_own_algorithms_and_mapped(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -118,6 +118,7 @@ def test_abbott_and_okamura_ask_for_friction_over_half_a_count(two_controllers):
     assert theory.abbott_okamura == pytest.approx(2.0 * 0.1 / 1e-6)
 
 
+@pytest.mark.slow
 def test_the_border_beside_dry_friction_and_a_coarse_encoder_is_that_of_abbott_and_okamura(tmp_path):
     """The worst hand there is: to and fro over the edge of a count, turning at every SYNC."""
     count, swing = 1e-4, 1e-5
@@ -237,6 +238,7 @@ def test_the_eigenvalues_of_a_hand_that_hardly_holds_are_at_colgates_bound(plain
     assert theory.eigenvalues == pytest.approx(800.0, rel=0.04)
 
 
+@pytest.mark.slow_for("samples")
 @pytest.mark.parametrize("kind", [pytest.param("grid", marks=pytest.mark.slow), "samples", "one key"])
 def test_pictures_and_pages_are_made_of_grids_of_samples_and_of_one_key(request, kind, tmp_path):
     pytest.importorskip("matplotlib")

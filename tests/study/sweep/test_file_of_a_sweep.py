@@ -59,7 +59,8 @@ def whole(tmp_path_factory):
     return path.read_bytes()
 
 
-@pytest.mark.parametrize("workers", [pytest.param("1", marks=pytest.mark.slow), "2"])
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", ["1", "2"])
 def test_after_kill_9_every_finished_chunk_is_there_and_the_rest_is_run(tmp_path, whole, workers):
     path = tmp_path / "killed.h5"
     process = begin(path, "--workers", workers)
@@ -88,6 +89,7 @@ def group_lives(group):
     return True
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_after_the_chunk_under_way_and_says_how_to_go_on(tmp_path, whole):
     path = tmp_path / "stopped.h5"
     process = begin(path)

@@ -72,6 +72,7 @@ def test_a_range_beyond_what_the_bus_carries_is_refused_exactly_where_the_scene_
         assert table.status().tolist() == [1, 1, 2, 2, 2]
 
 
+@pytest.mark.slow
 def test_more_reasons_than_a_chunk_keeps_are_said_to_be_more(demo, tmp_path):
     with run(demo, ["bus.rate=1500:9000:60"], tmp_path / "a.h5", cycles=20, chunk=60) as table:
         assert table.status().tolist() == [2] * 60

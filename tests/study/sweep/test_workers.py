@@ -37,6 +37,7 @@ def test_any_executor_of_python_gives_the_same_bits(demo, tmp_path, serial):
     assert (tmp_path / "threads.h5").read_bytes() == serial
 
 
+@pytest.mark.slow
 def test_a_pool_goes_on_with_new_processes_after_one_was_killed(demo, tmp_path, serial):
     pool, killed = Pool(2), []
 
@@ -53,6 +54,7 @@ def test_a_pool_goes_on_with_new_processes_after_one_was_killed(demo, tmp_path, 
     assert (tmp_path / "pool.h5").read_bytes() == serial
 
 
+@pytest.mark.slow
 def test_workers_that_die_again_and_again_end_the_sweep_with_what_was_finished(demo, tmp_path, serial):
     pool, path = Pool(1), tmp_path / "dying.h5"
     before = dict(os.environ)
@@ -102,6 +104,7 @@ def test_an_address_where_no_scheduler_answers_is_named(monkeypatch):
         pass
 
 
+@pytest.mark.slow
 def test_a_long_sweep_that_python_runs_gets_a_process_a_core(demo, tmp_path, serial, monkeypatch):
     made = []
 
