@@ -3,6 +3,8 @@
 from math import pi, sqrt
 
 from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
+from canhaptic.control.admittance.port import port_settings
+from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.scene.hints import Hint
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import display_properties
@@ -64,6 +66,29 @@ def _of_faults(axis: AxisScene, known: GuardedDisplayParameters, scene: Scene) -
         energy = power * noticed * properties.sample_time
         found = f"{power:.3g} W until it is noticed after {noticed * properties.sample_time:g} s"
     return [
+        _of_offset(axis, known, properties),
         Hint(name, "stalled master", power * silence, None, "J", f"{power:.3g} W at speed_limit for {silence:g} s"),
         Hint(name, "frozen sensor", energy, None, "J", found),
     ]
+
+
+def _of_offset(axis: AxisScene, known: GuardedDisplayParameters, properties: DisplayProperties) -> Hint:
+    """Returns what a sensor that is off by one newton gives out at most: the work of a constant force."""
+    low, high = (getattr(axis.parameters.admittance, key, None) for key in ("position_low", "position_high"))
+    room = None if low is None or high is None else high - low
+    unit = "J/N" if axis.parameters.unit == "m" else "J/(N*m)"
+    text = "an offset times the room between the limits of the position, never more"
+    if known.drive_friction is None:
+        return Hint(
+            axis.parameters.name, "sensor with an offset", room, None, unit, f"{text}; found by commission only"
+        )
+    port, effort = port_settings(properties), "N" if axis.parameters.unit == "m" else "N*m"
+    found = 2.0 * (known.drive_friction + port.error + (0.0 if port.is_mean else 0.25 * port.slew * port.sample_time))
+    return Hint(
+        axis.parameters.name,
+        "sensor with an offset",
+        room,
+        None,
+        unit,
+        f"{text}; noticed from about {found:.3g} {effort} on",
+    )

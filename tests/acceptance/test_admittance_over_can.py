@@ -235,6 +235,36 @@ def test_a_ramp_in_the_drive_slows_the_velocity_demanded() -> None:
     assert max(abs(b - a) for a, b in pairwise(commands)) > 3e-3
 
 
+_FRICTION = ("passivity.drive_friction=0.5 N", "passivity.drive_damping=2.2 N*s/m")
+
+
+@pytest.mark.parametrize("offset", [5.0, -5.0])
+def test_an_offset_that_comes_in_a_run_is_found_where_the_friction_is_declared(offset: float) -> None:
+    sensor = [f"simulation.admittance.sensor.{key}" for key in ("fault_at=0.5", f"fault_offset={offset}")]
+    with build(load_scene(SCENE, [*sensor, *_FRICTION])) as experiment:
+        with pytest.raises(ForceContradictedError, match="on average"):
+            run(experiment.cycle, 1200)
+        assert 500 < experiment.cycle.cycles < 1100
+        assert experiment.rig.stop_reason is StopReason.FORCE_CONTRADICTED
+    with build(load_scene(SCENE, _FRICTION)) as experiment:
+        run(experiment.cycle, 900)  # the same without the offset
+
+
+def test_each_axis_of_a_group_says_that_its_sensor_contradicts_its_encoder() -> None:
+    scene = SCENE.with_name("guided_path.yaml")
+    with build(load_scene(scene, ["simulation.admittance.sensor.gain=0.1"])) as experiment:
+        with pytest.raises(ForceContradictedError, match="motor axis 1: by its forces at most"):
+            run(experiment.cycle, 300)
+        assert experiment.rig.stop_reason is StopReason.FORCE_CONTRADICTED
+    declared = [f"groups.0.{text}" for text in _FRICTION]
+    sensor = [f"simulation.admittance.sensor.{key}" for key in ("fault_at=0.3", "fault_offset=20")]
+    wrong = pytest.raises(ForceContradictedError, match=r"motor axis \d: it shows")
+    with build(load_scene(scene, [*declared, *sensor])) as experiment, wrong:
+        run(experiment.cycle, 400)
+    with build(load_scene(scene, declared)) as experiment:
+        run(experiment.cycle, 400)
+
+
 def test_the_stop_is_a_quick_stop_until_standstill() -> None:
     _, experiment = _run(cycles=200)
     drive = experiment.far_side.drives[0] if experiment.far_side else None

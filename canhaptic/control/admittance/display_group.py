@@ -10,8 +10,10 @@ from collections.abc import Sequence
 from math import sqrt
 from typing import ClassVar, Final
 
+from canhaptic.control.admittance.force_evidence import ForceEvidence, contradiction
 from canhaptic.control.admittance.late_margin import LateMargin, fall, margin_memory, oldest, rise
 from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters, loop_settings
+from canhaptic.control.admittance.momentum_check import momentum_check, moved_hold
 from canhaptic.control.admittance.motion import (
     DisplayMotion,
     display_memory,
@@ -35,7 +37,7 @@ from canhaptic.control.admittance.velocity_loop import (
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.multi_axis.group_controller import GroupBalance, group_at_rest
 from canhaptic.control.passivity.settlement import settle
-from canhaptic.errors import ParameterError
+from canhaptic.errors import ForceContradictedError, ParameterError
 from canhaptic.kernels import list_of_zeros
 from canhaptic.units import Parameters
 
@@ -57,6 +59,40 @@ class _GroupAxis(GroupAxis):
         kept = self.loop_settings.delay + self.loop_settings.losses + 2
         self.memory = display_memory(self.port_settings, self.motion_settings, kept, list_of_zeros)
         self.leads = list_of_zeros(properties.latency + 1)
+        self._evidence = ForceEvidence(properties.latency)
+        self._check = momentum_check(parameters, self.port_settings, self.loop_settings)
+
+    def begin(self, position: float, force: float) -> None:
+        """Takes the first sample."""
+        super().begin(position, force)
+        if self._check is not None:
+            self._check.begin(position, force, 0.0)
+
+    def fall(self, change: float) -> None:
+        """Takes the change of the margin in the hold that ended, at least [J]."""
+        self._evidence.fall(change)
+
+    def contradiction(self, of: str, hold: BookedHold, force: float, *, is_first: bool) -> str:
+        """Returns why force and motion cannot both be right; "" where they can. Once per SYNC, commands sent.
+
+        Args:
+            of: The sensor.
+            hold: As booked.
+            force: That came [N or N*m].
+            is_first: Whether samples were lost before this one.
+        """
+        evidence, loop = self._evidence, self.loop_settings
+        evidence.book(loop, hold, self.port_settings.acceleration)
+        if evidence.is_contradicted:
+            return contradiction(of, evidence.by_force, evidence.by_encoder)
+        if self._check is None:
+            return ""
+        if is_first:
+            self._check.begin(self.port.position, force, self.loop.lead)
+            return ""
+        moved = moved_hold(loop, self.motion, self.memory.commands, hold.moved, self.loop.lead)
+        found = self._check.take(moved, force)
+        return "" if found is None else found.text(of)
 
     def change(self, moved: float | None) -> float:
         """Returns by how much the margin changed in the hold that ended, at least [J]; `moved` None: not seen."""
@@ -146,6 +182,7 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         return GroupBalance(speeds, account, speeds)
 
     def _answer(self, positions: Sequence[float], forces: list[float]) -> GroupBalance:
+        is_first = bool(self._each[0].port.missed)
         holds, h_i = self._take(positions, forces)
         before = [axis.motion.speed for axis in self._each]
         velocities = [hold.moved / hold.elapsed for hold in holds]
@@ -154,6 +191,8 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         certificate = self._send([axis.limit(speed, position, velocity) for axis, speed, position, velocity in limits])
         if self._reaches_limit(velocities):
             certificate = Certificate.NONE.value
+        else:
+            self._require_agreement(holds, forces, is_first=is_first)
         account = self._settle(h_i, before, velocities, certificate)
         commands = tuple(axis.motion.speed for axis in self._each)
         apart = (h_i - sum(hold.energy for hold in holds)) / self.axes  # known by the encoders: of no axis alone
@@ -183,9 +222,22 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         rise(self._margin, self._memory, then, free + energy - sum(kept), self._taken)
         return holds, max(free + energy, self._memory.before[then] - self._taken) - free
 
+    def _require_agreement(self, holds: Sequence[BookedHold], forces: Sequence[float], *, is_first: bool) -> None:
+        """Compares every force with the motion; each drive has its own loop, so that each axis says it for itself.
+
+        Raises:
+            ForceContradictedError: They do not agree.
+        """
+        for number, (axis, hold, force) in enumerate(zip(self._each, holds, forces, strict=True), 1):
+            text = axis.contradiction(f"force sensor of motor axis {number}", hold, force, is_first=is_first)
+            if text:
+                self.reset()
+                raise ForceContradictedError(text)
+
     def _fall(self, changes: Sequence[float]) -> None:
         fall(self._margin, self._memory, sum(changes), self._taken)
-        for axis in self._each:
+        for axis, change in zip(self._each, changes, strict=True):
+            axis.fall(change)
             axis.leads[self._margin.place] = axis.loop.lead
 
     def _send(self, wish: Sequence[float]) -> int:

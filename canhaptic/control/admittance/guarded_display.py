@@ -22,6 +22,7 @@ from typing import ClassVar, NamedTuple
 
 from canhaptic.control.admittance.display_controller import DisplayController
 from canhaptic.control.admittance.display_environment import DisplayEnvironment
+from canhaptic.control.admittance.force_evidence import ROUNDING, contradiction
 from canhaptic.control.admittance.hand_force import (
     HandForceSettings,
     fastest_for_hand,
@@ -33,11 +34,13 @@ from canhaptic.control.admittance.late_margin import (
     LateMargin,
     MarginMemory,
     fall,
+    known_then,
     margin_memory,
     oldest,
     rise,
 )
 from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters, loop_settings
+from canhaptic.control.admittance.momentum_check import MomentumCheck, momentum_check, moved_hold
 from canhaptic.control.admittance.motion import (
     DisplayMemory,
     DisplayMotion,
@@ -68,7 +71,6 @@ from canhaptic.kernels import Buffer, Kernel, MakeBuffer, new
 from canhaptic.units import Parameters
 
 _EXACT, _DEPLETED, _FREE = Branch.EXACT.value, Branch.DEPLETED.value, Branch.FREE.value
-_ROUNDING = 1e-9  # [J]
 _UNBOUNDED, _NONE = Certificate.EXACT.value, Certificate.NONE.value
 _BY_LOOP, _BY_HAND = Certificate.VELOCITY_LOOP.value, Certificate.LARGEST_HAND_FORCE.value
 
@@ -309,12 +311,7 @@ def _settle(
 
 def is_contradicted(state: _GuardedDisplayState, memory: GuardedMemory) -> bool:
     """Whether more came in by encoder and commands, at the SYNC of the last force, than the force says at most."""
-    then, changes = oldest(state.margin, memory.margin), memory.margin.changes
-    known = state.by_encoder
-    for place in range(len(changes)):
-        if place != then:
-            known -= changes[place]
-    return known > state.by_force + _ROUNDING
+    return known_then(state.by_encoder, state.margin, memory.margin) > state.by_force + ROUNDING
 
 
 class GuardedDisplay(DisplayController):
@@ -329,6 +326,7 @@ class GuardedDisplay(DisplayController):
         super().__init__(environment, parameters, loop)
         self.max_consecutive_losses = parameters.max_consecutive_losses
         self.energy_allowance = parameters.energy_allowance
+        self._check = momentum_check(parameters, self._settings.port, self._settings.loop)
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
         """Accounts for the hold that ended; see `Controller.step`.
@@ -337,19 +335,28 @@ class GuardedDisplay(DisplayController):
             ControlError: What came is not finite.
             ForceContradictedError: The force sensor contradicts the encoder.
         """
+        before, state = self._axis.missed or not self._axis.started, self._state
         balance = super().step(position, torque_applied)
-        state = self._state
+        if self._check is not None:
+            self._compare(self._check, -torque_applied, is_first=bool(before))
         late = state.by_encoder - state.by_force
         if late > 0.0 and not state.unsure and is_contradicted(state, self._memory):
-            error = ForceContradictedError(
-                f"force sensor: by its forces at most {state.by_force:.3g} J came in, by encoder and commands at least "
-                f"{state.by_encoder:.3g} J: its sign, scale or offset is wrong, it is frozen, commands do not reach "
-                "the drive, or drive_mass or loop_gain is wrong; the velocity is zero, check sensor, bus and drive "
-                "[FORCE_CONTRADICTED]"
-            )
+            error = ForceContradictedError(contradiction("force sensor", state.by_force, state.by_encoder))
             self.reset()
             raise error
         return balance
+
+    def _compare(self, check: MomentumCheck, force: float, *, is_first: bool) -> None:
+        """Compares force and motion; raises ForceContradictedError."""
+        state, loop = self._state, self._settings.loop
+        if is_first or state.unsure:
+            check.begin(state.axis.position, force, state.loop.lead)
+            return
+        hold = moved_hold(loop, state.motion, self._memory.display.commands, state.axis.moved, state.loop.lead)
+        found = check.take(hold, force)
+        if found is not None:
+            self.reset()
+            raise ForceContradictedError(found.text())
 
     def _command_unseen(self) -> float:
         return miss(self._settings, self._state, self._memory)

@@ -47,6 +47,15 @@ def oldest(margin: LateMargin, memory: MarginMemory) -> int:
     return then if then < len(memory.changes) else 0
 
 
+def known_then(known: float, margin: LateMargin, memory: MarginMemory) -> float:
+    """Returns what is known now, less the changes since the SYNC to which the force belongs that came now [J]."""
+    then = oldest(margin, memory)
+    for place in range(len(memory.changes)):
+        if place != then:
+            known -= memory.changes[place]
+    return known
+
+
 def rise(margin: LateMargin, memory: MarginMemory, then: int, value: float, taken: float) -> None:
     """Takes what W was at the place `then` at least, by the force [J]."""
     if then != margin.place:

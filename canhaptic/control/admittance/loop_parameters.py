@@ -18,13 +18,18 @@ class GuardedDisplayParameters(Parameters):
     integral_gain: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e12)] = 0.0
     """OVER-estimate of the loop's integral gain; of a position loop: its gain times `loop_gain`. 0: no integral."""
     spread: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.2
-    """The gains are at least 1 - spread of what is declared."""
+    """The gains are at least 1 - spread of what is declared; with a `drive_friction` the mass too."""
     energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
     """Energy that may be given out before any came in: the promise becomes E >= -energy_allowance."""
     max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Consecutive cycles without a new command at the drive that the certificate survives; only without an integral."""
     largest_hand_force: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] = 0.0
     """OVER-estimate of the force of the hand: lighter masses, for such hands only; not with an integral. 0: none."""
+    drive_friction: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
+    """OVER-estimate of the dry friction of the drive: force and motion are then compared, and the rig stops where they
+    do not agree. None: they are not compared."""
+    drive_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
+    """OVER-estimate of the damping of its bearings, for that comparison."""
 
 
 def loop_settings(parameters: GuardedDisplayParameters, properties: DisplayProperties) -> VelocityLoopSettings:

@@ -32,7 +32,7 @@ class ForceChannel:
         self._counts: int | None = None
 
     def of(self, counts: int) -> float:
-        """Returns the force that counts stand for [N or N*m]; not of a running impulse."""
+        """Returns the force of so many counts [N or N*m]; not of a running impulse."""
         return (counts - self._offset) * self._per_count
 
     def take(self, counts: int, periods: int = 1) -> float:
