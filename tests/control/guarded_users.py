@@ -11,6 +11,7 @@ import random
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded
@@ -163,60 +164,59 @@ class Truth(NamedTuple):
     torques: list[float]  # applied in the hold that begins there
 
 
+class _Energies:
+    """The true energies of a run, and those that the controller books [J]."""
+
+    def __init__(self) -> None:
+        self.true = self.least = self.with_damping = self.least_with_damping = 0.0
+        self.booked = self.worst = self.margin = self.least_margin = 0.0
+
+    def book(self, balance: EnergyBalance) -> None:
+        self.booked += balance.h_i
+        self.worst = max(self.worst, abs(self.booked - self.true))
+        self.margin += balance.h_i - balance.h_r
+        self.least_margin = min(self.least_margin, self.margin)
+
+    def move(self, torque: float, moved: float, dissipation: float) -> None:
+        self.true -= torque * moved
+        self.with_damping += dissipation * moved * moved
+        self.least = min(self.least, self.true)
+        self.least_with_damping = min(self.least_with_damping, self.true + self.with_damping)
+
+
 def run(
-    controller: Any,
-    user: Force,
-    rate: float,
-    cycles: int,
-    *,
-    delay: int = 0,
-    damping: float = FRICTION,
-    hand_force: float = HAND_FORCE,
-    push: float = PUSH,
-    count: float = 0.0,
-    quantum: float = 0.0,
-    loss: Loss | None = None,
-    position: float = 0.003,
-    seed: int = 0,
-) -> Truth:
+    controller: Any, user: Force, rate: float, cycles: int, *, delay: int = 0, damping: float = FRICTION,
+    hand_force: float = HAND_FORCE, push: float = PUSH, count: float = 0.0, quantum: float = 0.0,
+    loss: Loss | None = None, position: float = 0.003, seed: int = 0,
+) -> Truth:  # fmt: skip
     """Runs a user against a controller; `user` is a force law (t, q, v, torque) -> force."""
-    rng = random.Random(seed)
-    sample_time = 1.0 / rate
+    rng, energies, sample_time = random.Random(seed), _Energies(), 1.0 / rate
     mass = Mass(MASS, damping, sample_time / SUBSTEPS, position)
-    held, command, lost_in_a_row = 0.0, 0.0, 0
+    held, lost_in_a_row, variation = 0.0, 0, 0.0
     pending: list[float | None] = [0.0] * delay
-    true = least = with_damping = least_damping = margin = least_margin = booked = worst = variation = 0.0
     positions: list[float] = []
     torques: list[float] = []
     for cycle in range(cycles):
         start = mass.position
-        seen = round(start / count) * count if count else start
         tpdo = rpdo = True
         if loss and cycle > 2 and lost_in_a_row < loss.most:
             tpdo, rpdo = rng.random() >= loss.share, rng.random() >= loss.share
         lost_in_a_row = 0 if tpdo and rpdo else lost_in_a_row + 1
+        seen = round(start / count) * count if count else start
         balance = controller.step(seen, held) if tpdo else controller.hold()
         if tpdo:
-            booked += balance.h_i
-            worst = max(worst, abs(booked - true))
-            margin += balance.h_i - balance.h_r
-            least_margin = min(least_margin, margin)
+            energies.book(balance)
         command = round(balance.torque / quantum) * quantum if quantum else balance.torque
-        arriving = command if rpdo else None
-        if delay:
-            pending.append(arriving)
-            arriving = pending.pop(0)
-        before, held = held, held if arriving is None else arriving
+        pending.append(command if rpdo else None)
+        before, arriving = held, pending.pop(0)
+        held = held if arriving is None else arriving
         variation += abs(held - before)
         for part in range(SUBSTEPS):
             hand = user((cycle + part / SUBSTEPS) * sample_time, mass.position, mass.velocity, held)
             mass.advance(held + max(-push, min(hand_force, hand)))
-        moved = mass.position - start
-        true -= held * moved
-        with_damping += damping / sample_time * moved * moved
-        least, least_damping = min(least, true), min(least_damping, true + with_damping)
+        energies.move(held, mass.position - start, damping / sample_time)
         positions.append(start)
         torques.append(held)
         assert abs(mass.position) < 100.0, "diverged"
-    bound = 0.5 * count * (variation + abs(held))
-    return Truth(least, least_damping, least_margin, worst, bound, positions, torques)
+    bound, e = 0.5 * count * (variation + abs(held)), energies
+    return Truth(e.least, e.least_with_damping, e.least_margin, e.worst, bound, positions, torques)

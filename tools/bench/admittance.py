@@ -6,6 +6,7 @@ paper's algorithm; faults over CAN; what the bus carries.
 """
 
 import argparse
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from math import pi
 from random import Random
@@ -38,6 +39,7 @@ from tools.displays.random_display import random_display, with_true_bounds
 
 _PACKAGES = ("canhaptic", "numpy", "scipy")
 _MASS, _BANDWIDTH = 2.0, 50.0
+_Hand = tuple[float, float, float, float]
 _GAIN = 2.0 * pi * _BANDWIDTH * _MASS
 _RATES = (250, 500, 1000)
 _TWO_BUSES_AT = 500  # [Hz]
@@ -163,7 +165,7 @@ def mass_rows(found: list[dict[str, Any]]) -> list[Row]:
     return rows
 
 
-def _is_stable(rate: int, delay: int, mass: float, damping: float, hand: tuple[float, float, float, float]) -> bool:
+def _is_stable(rate: int, delay: int, mass: float, damping: float, hand: _Hand) -> bool:
     """Whether the sampled loop of a virtual mass with the mean force of a hold is stable with a hand.
 
     The hand: grip stiffness and damping, mass behind it, stiffness to ground from there.
@@ -226,52 +228,32 @@ def declared_rows(hands: int) -> list[Row]:
 
 def border_rows() -> list[Row]:
     """AD6: least virtual mass without damping for many hands, and least damping against a spring to ground."""
-    rows = []
     hands = [(k, 1e-3, m, 0.0) for k in np.logspace(2, 7, 60) for m in (0.05, 0.3, 2.0, 20.0, 1e6)]
-    for rate, delay in ((1000, 0), (1000, 1), (1000, 3), (250, 1)):
-        tau = (delay + 0.5) / rate
-        low, high = 0.1, 30.0
-        for _ in range(30):
-            middle = 0.5 * (low + high)
-            if all(_is_stable(rate, delay, middle, 1e-4, hand) for hand in hands):
-                high = middle
-            else:
-                low = middle
-        said = _MASS + _GAIN * tau
-        rows.append(
-            Row(
-                f"AD6 border {rate} Hz, delay {delay}",
-                high,
-                "kg",
-                "M + c tau",
-                said,
-                high / said,
-                "0.5 %",
-                abs(high / said - 1.0) <= 5e-3,
-            )
-        )
-    for stiffness, rate in ((1000.0, 1000), (5000.0, 1000), (5000.0, 250)):
-        tau, mass = 1.5 / rate, 0.5
-        low, high = 0.0, 500.0
-        for _ in range(30):
-            middle = 0.5 * (low + high)
-            low, high = (
-                (low, middle) if _is_stable(rate, 1, mass, middle, (stiffness, 1e-6, 1e6, 0.0)) else (middle, high)
-            )
-        said = stiffness * (tau + (_MASS - mass) / _GAIN)
-        rows.append(
-            Row(
-                f"AD6 damping against {stiffness:g} N/m, {rate} Hz",
-                high,
-                "N*s/m",
-                "K (tau + (M - m) / c)",
-                said,
-                high / said,
-                "0.9..1",
-                0.9 <= high / said <= 1.0 + 1e-6,
-            )
-        )
-    return rows
+    rows = [_mass_row(rate, delay, hands) for rate, delay in ((1000, 0), (1000, 1), (1000, 3), (250, 1))]
+    return rows + [_damping_row(k, rate) for k, rate in ((1000.0, 1000), (5000.0, 1000), (5000.0, 250))]
+
+
+def _mass_row(rate: int, delay: int, hands: list[_Hand]) -> Row:
+    least = _least(0.1, 30.0, lambda mass: all(_is_stable(rate, delay, mass, 1e-4, hand) for hand in hands))
+    said = _MASS + _GAIN * (delay + 0.5) / rate
+    name, ratio = f"AD6 border {rate} Hz, delay {delay}", least / said
+    return Row(name, least, "kg", "M + c tau", said, ratio, "0.5 %", abs(ratio - 1.0) <= 5e-3)
+
+
+def _damping_row(stiffness: float, rate: int) -> Row:
+    mass, hand = 0.5, (stiffness, 1e-6, 1e6, 0.0)
+    least = _least(0.0, 500.0, lambda damping: _is_stable(rate, 1, mass, damping, hand))
+    said = stiffness * (1.5 / rate + (_MASS - mass) / _GAIN)
+    name, ratio = f"AD6 damping against {stiffness:g} N/m, {rate} Hz", least / said
+    return Row(name, least, "N*s/m", "K (tau + (M - m) / c)", said, ratio, "0.9..1", 0.9 <= ratio <= 1.0 + 1e-6)
+
+
+def _least(low: float, high: float, is_stable: Callable[[float], bool]) -> float:
+    """Returns the least stable value between an unstable and a stable one."""
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if is_stable(middle) else (middle, high)
+    return high
 
 
 def fault_rows() -> tuple[list[Row], list[dict[str, Any]]]:

@@ -53,6 +53,18 @@ def attacked(seed: int) -> tuple[int, float]:
     return seed, min(attack.run(_HANDS_OF_A_LOOP * seed + hand) for hand in range(_HANDS_OF_A_LOOP))
 
 
+def climbed(runs: int, minutes: float, jobs: int | None) -> list[tuple[float, int]]:
+    """Returns (least sum of energy [J], seed) of random loops, until the runs are done or the minutes over."""
+    end, found = perf_counter() + 60.0 * minutes, []
+    with Pool(jobs) as pool:
+        for seed, least in pool.imap_unordered(attacked, range(runs // _HANDS_OF_A_LOOP)):
+            found.append((least, seed))
+            if perf_counter() > end:
+                pool.terminate()
+                break
+    return found
+
+
 def main() -> None:
     """Attacks and publishes."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -68,13 +80,7 @@ def main() -> None:
     for hole in holes:
         table.add_row(*("-" if v is None else f"{v:.3g}" if isinstance(v, float) else str(v) for v in hole.values()))
     Console(width=150).print(table)
-    end, found = perf_counter() + 60.0 * arguments.minutes, []
-    with Pool(arguments.jobs) as pool:
-        for seed, least in pool.imap_unordered(attacked, range(arguments.runs // _HANDS_OF_A_LOOP)):
-            found.append((least, seed))
-            if perf_counter() > end:
-                pool.terminate()
-                break
+    found = climbed(arguments.runs, arguments.minutes, arguments.jobs)
     worst, seed = min(found)
     runs = _HANDS_OF_A_LOOP * len(found)
     closed = [hole["declared [J]"] for hole in holes if hole["declared [J]"] is not None]

@@ -288,7 +288,7 @@ def end_gap(
         largest: Size of the torques sent for them [N or N*m].
         apart: Largest difference of one of those from the last [N or N*m].
     """
-    count, missed, further, damped = declared.encoder_count, holds - 1, 1.0, 0.0
+    count, missed, damped = declared.encoder_count, holds - 1, 0.0
     if declared.losses:
         largest, apart = max(largest, abs(bound.torque)), max(apart, abs(bound.torque - torque))
     if declared.late > 0.0:  # older torques act in the last hold as well
@@ -306,17 +306,7 @@ def end_gap(
             dissipate(bound, stiffness * certain * certain / holds)
         damped = missed * apart * ((abs(displacement) + count) / holds + apart / (4.0 * stiffness))
     if declared.by_hand_force:
-        response = declared.response
-        hand = response.push if response.push < inf else response.hand
-        step = (response.before + response.during) * largest + hand
-        for _ in range(holds):
-            further *= response.growth
-        start = abs(bound.displacement) + bound.blur + count
-        excursion = abs(displacement) + count + further * (holds * (start + holds * step))
-        bound.blur = 0.5 * (holds - 1) * step + (1.0 - response.retained) * holds * excursion
-        if further > 1.0:
-            bound.blur += (further - 1.0) * excursion
-        doubt = missed * apart * excursion
+        doubt = missed * apart * excursion_unseen(declared, bound, displacement, holds, largest)
     elif declared.hand_speed > 0.0:
         doubt = missed * apart * declared.hand_speed * declared.sample_time
     else:
@@ -328,6 +318,24 @@ def end_gap(
     bound.unsure = bound.changes + 0.5 * count * abs(torque)
     bound.displacement, bound.torque = displacement / holds, torque
     return doubt
+
+
+def excursion_unseen(declared: Declared, bound: TorqueBound, displacement: float, holds: int, largest: float) -> float:
+    """Returns how far the hand can have moved the axis inside several holds [m or rad]; see `end_gap`.
+
+    What is not known of the last of them is then in `bound.blur`.
+    """
+    response, further = declared.response, 1.0
+    hand = response.push if response.push < inf else response.hand
+    step = (response.before + response.during) * largest + hand
+    for _ in range(holds):
+        further *= response.growth
+    start = abs(bound.displacement) + bound.blur + declared.encoder_count
+    excursion = abs(displacement) + declared.encoder_count + further * (holds * (start + holds * step))
+    bound.blur = 0.5 * (holds - 1) * step + (1.0 - response.retained) * holds * excursion
+    if further > 1.0:
+        bound.blur += (further - 1.0) * excursion
+    return excursion
 
 
 class Dissipated(Protocol):

@@ -5,7 +5,7 @@ from typing import Annotated, NamedTuple
 
 from canhaptic.control.multi_axis.account_memory import AccountMemory, account_memory
 from canhaptic.control.multi_axis.group_account import AccountSettings, GroupAccount
-from canhaptic.control.multi_axis.group_certificates import axes_of
+from canhaptic.control.multi_axis.group_certificates import AxisLimits, axes_of
 from canhaptic.control.multi_axis.group_kernel import Group, GroupLoop, GroupMemory, group_loop, group_memory
 from canhaptic.control.multi_axis.group_motion import RequestedEfforts, World
 from canhaptic.control.multi_axis.per_axis_memory import per_axis_limits
@@ -95,17 +95,7 @@ def settings_of(
     sample_time, delay = loops[0].sample_time, loops[0].delay
     late = max([loop.timing.late for loop in loops]) / sample_time
     axes = axes_of(loops, parameters.hand_force, parameters.hand_speed)
-    if not (axes.by_hand or axes.by_damping or axes.path):
-        raise ParameterError(
-            "guarded group: got neither moving_mass of every axis with hand_force, nor device_damping of every "
-            "axis, nor hand_speed, expected one of them; without any no torque can be certified"
-        )
-    if axes.by_hand and any(loop.device_damping_bound is None for loop in loops):
-        raise ParameterError(
-            "guarded group: got hand_force without device_damping_bound of every axis, expected the largest damping "
-            "that each device can have; measure it (canhaptic commission), or declare hand_force: null and another "
-            "certificate"
-        )
+    _require_certificates(axes, loops)
     loop = group_loop(world, loops)
     limits = per_axis_limits(axes, delay, parameters.max_consecutive_losses, may_cut=parameters.may_cut)
     quanta = [loop.torque_quantum for loop in loops]
@@ -132,6 +122,20 @@ def settings_of(
         quanta=quanta,
         quantised=any(quanta),
     )
+
+
+def _require_certificates(axes: AxisLimits, loops: tuple[LoopProperties, ...]) -> None:
+    if not (axes.by_hand or axes.by_damping or axes.path):
+        raise ParameterError(
+            "guarded group: got neither moving_mass of every axis with hand_force, nor device_damping of every "
+            "axis, nor hand_speed, expected one of them; without any no torque can be certified"
+        )
+    if axes.by_hand and any(loop.device_damping_bound is None for loop in loops):
+        raise ParameterError(
+            "guarded group: got hand_force without device_damping_bound of every axis, expected the largest damping "
+            "that each device can have; measure it (canhaptic commission), or declare hand_force: null and another "
+            "certificate"
+        )
 
 
 def memory_of(world: World, settings: GuardedGroupSettings) -> GuardedGroupMemory:

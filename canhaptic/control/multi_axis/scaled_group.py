@@ -78,14 +78,9 @@ def memory_of(world: World, settings: ScaledGroupSettings) -> ScaledGroupMemory:
 
 
 def step(
-    world: World,
-    settings: ScaledGroupSettings,
-    state: ScaledGroupState,
-    memory: ScaledGroupMemory,
-    missed: int,
-    positions: Buffer,
-    torques_applied: Buffer,
-) -> GroupHold:
+    world: World, settings: ScaledGroupSettings, state: ScaledGroupState, memory: ScaledGroupMemory, missed: int,
+    positions: Buffer, torques_applied: Buffer,
+) -> GroupHold:  # fmt: skip
     """Accounts for the hold that ended; see `GroupKernel`."""
     group, motion, ended, loop = state.group, state.group.motion, memory.group.ended, settings.loop
     if not group.started:

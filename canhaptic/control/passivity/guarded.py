@@ -46,36 +46,28 @@ _EXIT, _UNBOUNDED = Branch.EXIT.value, Certificate.EXACT.value
 
 
 def step(
-    environment: Environment,
-    settings: GuardedSettings,
-    state: GuardedState,
-    memory: Memory,
-    position: float,
+    environment: Environment, settings: GuardedSettings, state: GuardedState, memory: Memory, position: float,
     torque_applied: float,
-) -> EnergyBalance:
+) -> EnergyBalance:  # fmt: skip
     """Accounts for the hold that ended; see `Controller.step`."""
     zone, zone_before, axis = environment.contact(position), state.zone, state.axis
     state.zone = zone
     if not axis.started:
         return start(environment, settings, state, memory, position)
-    holds = axis.missed + 1
+    holds, same = axis.missed + 1, zone == zone_before
     displacement, damper, modulated, unsure = end(settings, state, memory, position, torque_applied)
-    same = zone == zone_before
-    last = state.true if same else 0.0
-    true = environment.true_state(position, displacement, last) if zone else 0.0
+    true = environment.true_state(position, displacement, state.true if same else 0.0) if zone else 0.0
     if not same and zone:
         turn(settings.declared, state.bound, way_out(environment, true))
     ceiling = environment.stored_energy(true) if zone else 0.0
     h_i, h_pas = interaction_energy(torque_applied, displacement) - unsure, modulated * displacement
     h_r, deficit, leak, paid = book(settings, state, memory, h_i, h_pas, damper * displacement, ceiling)
-    torque = damper = modulated = rendered = 0.0
-    certificate = _UNBOUNDED
     if zone:
         if environment.relaxes:
             true, ceiling, lost = relax(environment, settings, state, true, ceiling)
             h_r += lost
         spring, moved = environment.effort(true), displacement / holds
-        inside, travel = moved, (true - last) / holds if same else moved
+        travel, inside = (true - state.true) / holds, moved
         if settings.longest_window or not same:
             travel, inside = motion_inside(environment, settings, axis, travel, displacement, holds, true, same)
         torque, damper, modulated, rendered, certificate = render(
@@ -83,6 +75,7 @@ def step(
         )
         branch = _START if not same else _STICKY if h_i > 0.0 and displacement * spring < 0.0 else _EXACT
     else:
+        torque, damper, modulated, rendered, certificate = 0.0, 0.0, 0.0, 0.0, _UNBOUNDED
         branch = _EXIT if zone_before or ((h_i != 0.0 or leak != 0.0) and settings.drag == 0.0) else _FREE
         if settings.drag > 0.0 or state.bound.dissipated > 0.0:
             torque, certificate = drag(settings, state, memory, displacement / holds)
@@ -114,28 +107,24 @@ def way_out(environment: Environment, true: float) -> float:
 
 
 def motion_inside(
-    environment: Environment,
-    settings: GuardedSettings,
-    axis: Axis,
-    travel: float,
-    displacement: float,
-    holds: int,
-    true: float,
-    same: bool,
-) -> tuple[float, float]:
+    environment: Environment, settings: GuardedSettings, axis: Axis, travel: float, displacement: float, holds: int,
+    true: float, same: bool,
+) -> tuple[float, float]:  # fmt: skip
     """Returns the motion of storage and damper in a hold [m or rad], the smooth one where an encoder is coarse.
 
     Args:
         environment: Rendered.
         settings: Of the run.
         axis: That moved.
-        travel: Motion of the storage in a hold.
+        travel: Motion of the storage in a hold, where the contact was there before.
         displacement: Since the last position.
         holds: Since then.
         true: State of the storage.
         same: Whether the contact was there before.
     """
     inside = displacement / holds
+    if not same:
+        travel = inside
     if settings.longest_window and not environment.relaxes:
         travel = inside = axis.window.velocity * settings.sample_time
     if not same:

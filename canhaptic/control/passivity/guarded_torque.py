@@ -21,18 +21,9 @@ _DRAG_SHARE: Final = 0.5
 
 
 def render(
-    environment: Environment,
-    settings: GuardedSettings,
-    state: GuardedState,
-    memory: Memory,
-    true: float,
-    spring: float,
-    ceiling: float,
-    travel: float,
-    inside: float,
-    moved: float,
-    same: bool,
-) -> tuple[float, float, float, float, int]:
+    environment: Environment, settings: GuardedSettings, state: GuardedState, memory: Memory, true: float,
+    spring: float, ceiling: float, travel: float, inside: float, moved: float, same: bool,
+) -> tuple[float, float, float, float, int]:  # fmt: skip
     """Returns (torque for the next free hold, damper and modulated effort in it, damping rendered, certificate).
 
     Args:

@@ -231,23 +231,16 @@ def run_free(
 
 
 def run(
-    tables: ModeTables,
-    settings: StepperSettings,
-    state: Array,
-    moved: Array,
-    books: Any,
-    counts: Any,
-    values: Any,
+    tables: ModeTables, settings: StepperSettings, state: Array, moved: Array, books: Any, counts: Any, values: Any,
     ticks: int,
-) -> tuple[Array, Array, int]:
+) -> tuple[Array, Array, int]:  # fmt: skip
     """Moves by `ticks` under constant inputs, through every event on the way.
 
     Returns:
         State, spare state, and the ticks left: above zero with counts[MISSING] set or at counts[LIMIT] only.
     """
-    before, after = values[0], values[1]
-    state, moved, before = settle(tables, state, moved, books, counts, before)
-    mode = counts[MODE]
+    state, moved, before = settle(tables, state, moved, books, counts, values[0])
+    mode, after = counts[MODE], values[1]
     flows, guards, count, base = tables.flows[mode], tables.guards[mode], tables.guard_counts[mode], tables.base[mode]
     level, window, known, event_level, tried = base, -1, -1, settings.event_level, 0
     while ticks and counts[MISSING] == NONE and counts[EVENTS] < counts[LIMIT]:

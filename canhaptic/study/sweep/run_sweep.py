@@ -158,11 +158,7 @@ def _make_sweep(
     """
     controllers = [algorithm_now(name, "controllers") for name in controllers]
     points = make_points([_varied(one) for one in vary], controllers, samples, seed)
-    unknown = [name for name in metrics or () if name not in FIGURES]
-    if unknown:
-        raise InputError(f"unknown metric {unknown[0]!r}, expected one of: {', '.join(FIGURES)}")
-    if duration is not None and cycles is not None:
-        raise InputError("got a duration and a number of cycles; give one")
+    _check(metrics, duration, cycles)
     recipe = make_recipe(
         scene,
         points,
@@ -183,6 +179,14 @@ def _make_sweep(
     pays = _pays(scene, len(points), batches, recipe.cycles or cycles_of(scene, duration))
     recipe = replace(recipe, engine=chosen_engine(engine, pays))
     return _Sweep(recipe, points, chunk, _identity(scene, recipe, points))
+
+
+def _check(metrics: Sequence[str] | None, duration: float | None, cycles: int | None) -> None:
+    unknown = [name for name in metrics or () if name not in FIGURES]
+    if unknown:
+        raise InputError(f"unknown metric {unknown[0]!r}, expected one of: {', '.join(FIGURES)}")
+    if duration is not None and cycles is not None:
+        raise InputError("got a duration and a number of cycles; give one")
 
 
 def _pays(scene: Scene, scenes: int, batches: int, cycles: int) -> bool:
