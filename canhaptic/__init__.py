@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from canhaptic.control.balance import Branch as Branch
     from canhaptic.control.balance import Certificate as Certificate
     from canhaptic.control.balance import EnergyBalance as EnergyBalance
-    from canhaptic.control.balance import Ledger as Ledger
-    from canhaptic.control.balance import LedgerSummary as LedgerSummary
+    from canhaptic.control.ledger import Ledger as Ledger
+    from canhaptic.control.ledger import LedgerSummary as LedgerSummary
     from canhaptic.control.multi_axis import build_group_controller as build_group_controller
     from canhaptic.control.passivity import build_controller as build_controller
     from canhaptic.control.passivity.controller import LoopProperties as LoopProperties
@@ -64,8 +64,8 @@ _PUBLIC: Final = {
     "EnergyLog": "canhaptic.logs.energy_reader",
     "Experiment": "canhaptic.scene.build",
     "InputError": "canhaptic.errors",
-    "Ledger": "canhaptic.control.balance",
-    "LedgerSummary": "canhaptic.control.balance",
+    "Ledger": "canhaptic.control.ledger",
+    "LedgerSummary": "canhaptic.control.ledger",
     "LoopProperties": "canhaptic.control.passivity.controller",
     "Plant": "canhaptic.sim.plant.plant",
     "PlantEnergy": "canhaptic.signals",

@@ -10,8 +10,9 @@ from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 from canhaptic.control.axis_meter import AxisMeter
-from canhaptic.control.balance import Branch, Certificate, EnergyBalance, Ledger
+from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.control.energy_loss import EnergyLossMeter
+from canhaptic.control.ledger import Ledger
 from canhaptic.control.multi_axis.axis_group import AxisGroup, GroupedControllers
 from canhaptic.control.passivity.controller import Controller
 from canhaptic.drive.clock import VirtualClock

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 from canhaptic.control.axis_meter import AxisMeter
-from canhaptic.control.balance import OUT_OF_CONTACT, Branch, EnergyBalance, Ledger
+from canhaptic.control.balance import OUT_OF_CONTACT, Branch, EnergyBalance
+from canhaptic.control.ledger import Ledger
 from canhaptic.control.multi_axis.axis_group import AxisGroup
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.signals import Measured, Sample

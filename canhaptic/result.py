@@ -10,11 +10,42 @@ whether it is passive included, is that of the group, which has `axes`. Energies
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final, NotRequired, TypedDict, cast
 
-from canhaptic.control.balance import Certificate, Verdict, account_verdict, handle_verdict
+from canhaptic.control.balance import Certificate
+from canhaptic.control.verdict import PortResult, RenderedShares, Verdict, account_verdict, handle_verdict
 from canhaptic.cycle import Cycle
 from canhaptic.meters import Promise, RunMeters, promise_of
+
+
+class TruthResult(TypedDict):
+    """True energies of a simulated port [J]."""
+
+    interaction: float
+    least_interaction: float
+    least_at_handle: float
+    believed_error: float
+
+
+class RunResult(TypedDict):
+    """The account of a run, as `run --json` prints it; see the module."""
+
+    status: str
+    config_hash: str
+    cycles: int
+    duration: float  # [s]
+    passive: Verdict
+    passive_at_handle: NotRequired[Verdict]
+    ports: dict[str, PortResult]
+    truth: dict[str, TruthResult]
+    timing: Mapping[str, Mapping[str, float] | float | str]
+    link: Mapping[str, float]
+    method: str
+    plants: NotRequired[dict[str, dict[str, int]]]
+    bus_effects: NotRequired[Mapping[str, object]]
+    logs: NotRequired[dict[str, int]]
+    error: NotRequired[Mapping[str, object]]
+
 
 _OF_AN_AXIS: Final = ("unit", "in", "out", "peak_torque", "limited_cycles", "read_back", "read_back_bound")
 
@@ -22,22 +53,21 @@ _OF_AN_AXIS: Final = ("unit", "in", "out", "peak_torque", "limited_cycles", "rea
 _WORST_LAST: Final[tuple[Verdict, ...]] = ("yes", "in doubt", "no")
 
 
-def overall(ports: Mapping[str, Mapping[str, Any]]) -> Verdict:
+def overall(ports: Mapping[str, PortResult]) -> Verdict:
     """Returns the worst verdict of all accounts; "in doubt" where there is none, as of a run without a cycle."""
     found: list[Verdict] = [account["passive"] for account in ports.values() if "passive" in account]
     return max(found, key=_WORST_LAST.index) if found else "in doubt"
 
 
-def at_handles(ports: Mapping[str, Mapping[str, Any]]) -> dict[str, Verdict]:
-    """Returns the worst verdict at the handle, as `passive_at_handle`; nothing where no account has one."""
-    key = "passive_at_handle"
-    found: list[Verdict] = [account[key] for account in ports.values() if key in account]
-    return {key: max(found, key=_WORST_LAST.index)} if found else {}
+def at_handles(ports: Mapping[str, PortResult]) -> Verdict | None:
+    """Returns the worst verdict at the handle; None where no account has one."""
+    found = [account["passive_at_handle"] for account in ports.values() if "passive_at_handle" in account]
+    return max(found, key=_WORST_LAST.index) if found else None
 
 
 def run_result(
     cycle: Cycle, ports: Sequence[tuple[str, str]], *, status: str, config_hash: str, sample_time: float, method: str
-) -> dict[str, Any]:
+) -> RunResult:
     """Returns the account of a run; energies in [J], times in [s].
 
     Args:
@@ -49,26 +79,29 @@ def run_result(
         method: One line on how the far side was computed; empty with real drives.
     """
     accounts = _accounts(cycle, ports, sample_time)
-    return {
+    result: RunResult = {
         "status": status,
         "config_hash": config_hash,
         "cycles": cycle.cycles,
         "duration": (cycle.cycles + cycle.rig.skipped_syncs) * sample_time,
         "passive": overall(accounts),
-        **at_handles(accounts),
         "ports": accounts,
         "truth": _truth(cycle, list(accounts)),
         "timing": {name: histogram.summary() for name, histogram in cycle.timing.items()},
         "link": cycle.rig.link_statistics(),
         "method": method,
     }
+    at_handle = at_handles(accounts)
+    if at_handle is not None:
+        result["passive_at_handle"] = at_handle
+    return result
 
 
-def _accounts(cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float) -> dict[str, dict[str, Any]]:
+def _accounts(cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float) -> dict[str, PortResult]:
     """Returns the account of each axis, then of each group."""
     drives, grouped = cycle.rig.drives, {axis for group in cycle.groups for axis in group.axes}
     alone = iter(cycle.controllers)
-    accounts: dict[str, dict[str, Any]] = {}
+    accounts: dict[str, PortResult] = {}
     for axis, (name, unit) in enumerate(ports):
         drive, promise = drives[axis], Promise() if axis in grouped else promise_of(next(alone))
         accounts[name] = {
@@ -95,34 +128,38 @@ def _accounts(cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float
     return with_groups(accounts, {group.name: [ports[axis][0] for axis in group.axes] for group in cycle.groups})
 
 
-def _measured(meters: RunMeters, place: int, promise: Promise) -> dict[str, Any]:
+def _measured(meters: RunMeters, place: int, promise: Promise) -> PortResult:
     """Returns what is known of a port in addition to its ledger."""
     port = meters.ports[place]
     measured, least = port.measured(), port.least_at_handle
+    at_handle: PortResult = {}
+    if least is not None:
+        at_handle = {"least_at_handle": least, "device_dissipated": measured.device_dissipated}
     return {
         "energy_resolution": measured.energy_resolution,
-        **({} if least is None else {"least_at_handle": least, "device_dissipated": measured.device_dissipated}),
+        **at_handle,
         "contact": {"holds": port.contacts, "without_torque": port.silent},
         "longest_hold": measured.longest_hold,
         "uncommanded_cycles": measured.uncommanded,
-        **promise._asdict(),
+        "max_consecutive_losses": promise.max_consecutive_losses,
+        "energy_allowance": promise.energy_allowance,
     }
 
 
-def _compared(meters: RunMeters, axis: int) -> dict[str, float]:
+def _compared(meters: RunMeters, axis: int) -> PortResult:
     """Returns by how much an axis was faster than its declared friction lets it be; nothing where none can be said."""
     watch = meters.axes[axis].watch
     return {} if watch is None else {"friction_excess": watch.excess}
 
 
-def _rendered(meters: RunMeters, axis: int) -> dict[str, float | None]:
+def _rendered(meters: RunMeters, axis: int) -> RenderedShares:
     """Returns how much of what the environment of an axis asked for was rendered."""
     port = meters.of_axes[axis]
     damping = meters.axes[axis].damping_asked * port.contacts
     return rendered_shares(port.asked, port.rendered, damping, port.damping)
 
 
-def rendered_shares(asked: float, given: float, damping_asked: float, damping: float) -> dict[str, float | None]:
+def rendered_shares(asked: float, given: float, damping_asked: float, damping: float) -> RenderedShares:
     """Returns how much of effort and damping was rendered in contact, from sums over its holds; None: none asked."""
     return {
         "stiffness": given / asked if asked else None,
@@ -130,7 +167,7 @@ def rendered_shares(asked: float, given: float, damping_asked: float, damping: f
     }
 
 
-def withdraw_certificates(account: dict[str, Any], *, longest_gap: int) -> None:
+def withdraw_certificates(account: PortResult, *, longest_gap: int) -> None:
     """Takes the certificates off an account where a torque acted for longer than they covered, or was not commanded.
 
     The same where one hold had none, being longer or shorter than declared, and where the axis moved as it cannot with
@@ -152,7 +189,7 @@ def withdraw_certificates(account: dict[str, Any], *, longest_gap: int) -> None:
         account["certificates"] = [account["certificate"]]
 
 
-def with_groups(accounts: Mapping[str, Mapping[str, Any]], groups: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+def with_groups(accounts: Mapping[str, PortResult], groups: Mapping[str, Sequence[str]]) -> dict[str, PortResult]:
     """Returns the accounts of axes and groups with the verdict of each, and with what each says of the other.
 
     Args:
@@ -160,7 +197,7 @@ def with_groups(accounts: Mapping[str, Mapping[str, Any]], groups: Mapping[str, 
         groups: Names of the axes of each group. Alone an axis of a group proves nothing: of its account is left what
             came in and went out by it.
     """
-    found = {name: dict(account) for name, account in accounts.items()}
+    found = {name: account.copy() for name, account in accounts.items()}
     for account in found.values():
         account["passive"] = account_verdict(account)
         at_handle = handle_verdict(account)
@@ -169,12 +206,12 @@ def with_groups(accounts: Mapping[str, Mapping[str, Any]], groups: Mapping[str, 
     for group, axes in groups.items():
         found[group] = {"unit": found[group]["unit"], "axes": list(axes), **found[group]}
         for name in axes:
-            kept: dict[str, Any] = {key: found[name][key] for key in _OF_AN_AXIS if key in found[name]}
-            found[name] = {"group": group, **kept}
+            kept = {key: value for key, value in found[name].items() if key in _OF_AN_AXIS}
+            found[name] = cast("PortResult", {"group": group, **kept})
     return found
 
 
-def _truth(cycle: Cycle, names: Sequence[str]) -> dict[str, dict[str, float]]:
+def _truth(cycle: Cycle, names: Sequence[str]) -> dict[str, TruthResult]:
     """Returns what the simulated plant says of each axis, then of each group; nothing with real drives."""
     judge = cycle.judge
     if judge is None:

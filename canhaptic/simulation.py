@@ -18,18 +18,20 @@ import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from math import nan
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.control.balance import Verdict
+from canhaptic.control.verdict import Verdict
 from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.result import RunResult
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.load import load_scene, scene_from_mapping
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     import pandas
     import xarray
     from matplotlib.figure import Figure
+    from rich.progress import Progress
 
 
 _LOG_NAME: Final = "run.h5"
@@ -84,8 +87,8 @@ class Account(Mapping[str, PortAccount]):
         >>> {name: port.margin for name, port in result.account.items()}  # doctest: +SKIP
     """
 
-    def __init__(self, raw: Mapping[str, Any]) -> None:
-        self.raw: Mapping[str, object] = dict(raw)
+    def __init__(self, raw: RunResult) -> None:
+        self.raw: RunResult = raw.copy()
         self._passive: Verdict = raw["passive"]
         self._ports = {name: _port_account(name, raw) for name in raw["ports"]}
 
@@ -122,7 +125,7 @@ class SimulationResult:
     def __init__(
         self,
         scene: Scene,
-        raw: Mapping[str, Any],
+        raw: RunResult,
         error: CanHapticError | None,
         folder: Path,
     ) -> None:
@@ -333,7 +336,7 @@ def _scene(
     return load_scene(Path(scene), overrides, allow_code=allow_code)
 
 
-def _run(experiment: Experiment, cycles: int, progress: bool) -> tuple[dict[str, Any], CanHapticError | None]:
+def _run(experiment: Experiment, cycles: int, progress: bool) -> tuple[RunResult, CanHapticError | None]:
     """Runs to the end, wherever that is; returns the account and what ended the run before its time."""
     error: CanHapticError | None = None
     clock = WallClock()
@@ -367,7 +370,7 @@ def _bar(cycles: int, wanted: bool) -> "Iterator[_Bar | None]":
 class _Bar:
     """Takes the number of completed cycles; draws one of a thousand."""
 
-    def __init__(self, display: Any, cycles: int) -> None:
+    def __init__(self, display: "Progress", cycles: int) -> None:
         self._display = display
         self._task = display.add_task("simulating", total=cycles)
 
@@ -376,11 +379,11 @@ class _Bar:
             self._display.update(self._task, completed=cycles, refresh=True)
 
 
-def _port_account(name: str, raw: Mapping[str, Any]) -> PortAccount:
+def _port_account(name: str, raw: RunResult) -> PortAccount:
     port = raw["ports"][name]
     group = port.get("group", "")
     whole = raw["ports"][group] if group else port
-    truth = raw["truth"].get(name, {})
+    truth = raw["truth"].get(name)
     return PortAccount(
         name=name,
         energy_in=port["in"],
@@ -390,7 +393,7 @@ def _port_account(name: str, raw: Mapping[str, Any]) -> PortAccount:
         deficit=whole["deficit"],
         margin=whole["margin"]["value"],
         least_interaction=whole["least_interaction"],
-        true_least_interaction=truth.get("least_interaction", float("nan")),
+        true_least_interaction=nan if truth is None else truth["least_interaction"],
         certificate=whole["certificate"],
         passive=whole["passive"],
         group=group,

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic import load_scene
-from canhaptic.control.balance import Branch, EnergyBalance, LedgerSummary
+from canhaptic.control.balance import Branch, EnergyBalance
+from canhaptic.control.ledger import LedgerSummary
 from canhaptic.scene.models import Scene
 from canhaptic.signals import Sample, Truth
 from canhaptic.study.over_can import walk_over_can

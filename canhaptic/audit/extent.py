@@ -1,13 +1,11 @@
 """Which rows of a log: those of a span of time, those of each contact."""
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from canhaptic.control.balance import Branch
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.hdf5 import Array
 
 
 def rows_between(log: EnergyLog, start: float | None, stop: float | None) -> slice:
@@ -38,7 +36,7 @@ def rows_to_draw(log: EnergyLog, start: float | None, stop: float | None) -> sli
     return rows_between(log, start, stop)
 
 
-def contacts(branch: NDArray[Any]) -> list[tuple[int, int]]:
+def contacts(branch: Array) -> list[tuple[int, int]]:
     """Returns (first, last) row of every stretch in which a hold was booked by another branch than `free`."""
     touching = np.concatenate(([False], branch != Branch.FREE.value, [False]))
     edges = np.flatnonzero(touching[1:] != touching[:-1])

@@ -3,7 +3,7 @@
 They are numbers that are not finite, and running counts that fall.
 """
 
-from typing import Any, Final
+from typing import Final, TypedDict
 
 import numpy as np
 
@@ -14,15 +14,24 @@ _COUNTS: Final = frozenset({"uncommanded"})
 """Columns that count from the beginning of a run; a recomputation does not have them."""
 
 
-def impossible_values(log: EnergyLog) -> list[dict[str, Any]]:
-    """Returns `{dataset, what, rows, cycle}` of each column with such values: how many rows, and the first cycle.
+class Finding(TypedDict):
+    """A column with such values."""
+
+    dataset: str
+    what: str
+    rows: int  # how many
+    cycle: int  # the first
+
+
+def impossible_values(log: EnergyLog) -> list[Finding]:
+    """Returns each column with such values.
 
     Raises:
         LogFormatError: A column cannot be read.
     """
     groups = {f"ports/{name}": port for name, port in log.ports.items()}
     groups |= {f"truth/{name}": truth for name, truth in log.truth.items()}
-    found = []
+    found: list[Finding] = []
     for group, quantities in groups.items():
         for name in quantities:
             rows, first, before = 0, -1, 0

@@ -1,27 +1,80 @@
 """What an energy log says about a run, as one dictionary: the names of `run --json`, with contacts and events added."""
 
 from collections.abc import Callable
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final, NotRequired, TypedDict
 
 import numpy as np
-from numpy.typing import NDArray
 
 from canhaptic.audit.extent import contacts, rows_between
-from canhaptic.audit.impossible_values import impossible_values
+from canhaptic.audit.impossible_values import Finding, impossible_values
+from canhaptic.audit.log_difference import Comparison
 from canhaptic.audit.port_record import PortRecord
+from canhaptic.audit.recompute import Recomputed
+from canhaptic.audit.user_checks import Outcome
 from canhaptic.canopen.objects import StatusBit
-from canhaptic.control.balance import Branch, Certificate, LedgerSummary, certificates_of
+from canhaptic.control.balance import Branch, Certificate, certificates_of
+from canhaptic.control.ledger import LedgerSummary
+from canhaptic.control.verdict import PortResult, Verdict
 from canhaptic.errors import LogFormatError
+from canhaptic.logs.columns import Event
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
-from canhaptic.result import at_handles, overall, with_groups
+from canhaptic.logs.hdf5 import Array
+from canhaptic.result import TruthResult, at_handles, overall, with_groups
 from canhaptic.signals import CycleTiming
 
-_Array = NDArray[Any]
+if TYPE_CHECKING:
+    from canhaptic.audit.rederive import Rederived
 
 _QUANTILES: Final = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
 
 
-def inspect(log: EnergyLog, start: float | None = None, stop: float | None = None) -> dict[str, Any]:
+class LoggedEvent(TypedDict):
+    """An event of the run."""
+
+    sync_index: int
+    kind: str
+    port: str
+    text: str
+    time: float  # [s]
+
+
+class ContactStretch(TypedDict):
+    """One stretch in contact."""
+
+    start: float  # [s]
+    duration: float  # [s]
+    depth: float  # [m or rad]
+    peak_torque: float  # [N or N*m]
+    energy: float  # taken in [J]
+
+
+_Inspected = TypedDict("_Inspected", {"from": float, "to": float})  # [s]
+
+
+class Inspection(_Inspected):
+    """What a log says of a run or of a part of it."""
+
+    file: str
+    status: str
+    config_hash: str
+    cycles: int
+    rate: float  # [Hz]
+    findings: list[Finding]
+    passive: Verdict
+    passive_at_handle: NotRequired[Verdict]
+    ports: dict[str, PortResult]
+    truth: dict[str, TruthResult]
+    timing: dict[str, int | dict[str, float]]
+    link: dict[str, float]
+    contacts: dict[str, list[ContactStretch]]
+    events: list[LoggedEvent]
+    checks: NotRequired[list[Outcome]]
+    comparison: NotRequired[Comparison]
+    recomputed: NotRequired[list[Recomputed]]
+    rederived: NotRequired["Rederived"]
+
+
+def inspect(log: EnergyLog, start: float | None = None, stop: float | None = None) -> Inspection:
     """Returns the account of a run, or of a part of it.
 
     Args:
@@ -35,7 +88,7 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
     rows = rows_between(log, start, stop)
     sync_index, time = log.timing["sync_index"][rows], log.deadlines(rows.start, rows.stop) * log.sample_time
     ports = _ports(log, rows)
-    return {
+    found: Inspection = {
         "file": str(log.path),
         "status": log.status,
         "config_hash": str(log.attributes.get("config_hash", "")),
@@ -45,26 +98,34 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
         "to": float(time[-1]) if len(time) else 0.0,
         "findings": impossible_values(log),
         "passive": overall(ports),
-        **at_handles(ports),
         "ports": ports,
         "truth": {name: _truth(log, name, rows) for name in log.truth},
         "timing": _timing(log, rows),
         "link": _link(log, rows, sync_index),
         "contacts": {n: _contacts(log, port, rows) for n, port in log.ports.items() if n not in log.group_of},
-        "events": [event._asdict() | {"time": log.time_of(event.sync_index)} for event in log.events],
+        "events": [_logged(event, log) for event in log.events],
     }
+    at_handle = at_handles(ports)
+    if at_handle is not None:
+        found["passive_at_handle"] = at_handle
+    return found
 
 
-def _sum(values: _Array) -> float:
+def _logged(event: Event, log: EnergyLog) -> LoggedEvent:
+    index, kind, port, text = event
+    return {"sync_index": index, "kind": kind, "port": port, "text": text, "time": log.time_of(index)}
+
+
+def _sum(values: Array) -> float:
     """Sum in extended precision: the terms are many and of both signs."""
     return float(values.sum(dtype=np.longdouble))
 
 
-def _running(values: _Array) -> _Array:
+def _running(values: Array) -> Array:
     return np.cumsum(values, dtype=np.longdouble)
 
 
-def _least(running: _Array) -> tuple[float, int]:
+def _least(running: Array) -> tuple[float, int]:
     """Returns the least value of a running sum that starts at 0, and the row where it is reached."""
     if not len(running) or running.min() >= 0.0:
         return 0.0, 0
@@ -72,11 +133,11 @@ def _least(running: _Array) -> tuple[float, int]:
     return float(running[row]), row
 
 
-def _port(log: EnergyLog, port_name: str, rows: slice) -> dict[str, Any]:
+def _port(log: EnergyLog, port_name: str, rows: slice) -> PortResult:
     """The account of one port; columns are read one after the other, an hour of them at once would not fit."""
     port = log.ports[port_name]
 
-    def column(name: str) -> _Array:
+    def column(name: str) -> Array:
         return port.read(name, rows.start, rows.stop)
 
     return {
@@ -88,7 +149,7 @@ def _port(log: EnergyLog, port_name: str, rows: slice) -> dict[str, Any]:
     }
 
 
-def _ports(log: EnergyLog, rows: slice) -> dict[str, Any]:
+def _ports(log: EnergyLog, rows: slice) -> dict[str, PortResult]:
     """The account of each port; of an axis in a group what came in and went out by it."""
     accounts = {name: _port(log, name, rows) for name in log.ports}
     for group in log.groups:
@@ -96,14 +157,14 @@ def _ports(log: EnergyLog, rows: slice) -> dict[str, Any]:
     return with_groups(accounts, log.groups)
 
 
-def _record(log: EnergyLog, name: str, rows: slice) -> dict[str, Any]:
+def _record(log: EnergyLog, name: str, rows: slice) -> PortResult:
     """What is known of a port in addition to its ledger."""
     record = PortRecord(log, name, rows.start)
     record.take(log, rows.start, rows.stop)
     return record.account()
 
 
-def _summary(log: EnergyLog, column: Callable[[str], _Array], rows: slice) -> LedgerSummary:
+def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> LedgerSummary:
     """The account of rows in arrays; what `Ledger` sums up one row at a time."""
     h_i, h_r = column("h_i"), column("h_r")
     margin, margin_row = _least(_running(h_i - h_r))
@@ -139,7 +200,7 @@ def _summary(log: EnergyLog, column: Callable[[str], _Array], rows: slice) -> Le
     )
 
 
-def _known(log: EnergyLog, name: str, values: _Array, count: int) -> _Array:
+def _known(log: EnergyLog, name: str, values: Array, count: int) -> Array:
     """Returns the values of a column of codes, of which there are `count`.
 
     Raises:
@@ -152,11 +213,11 @@ def _known(log: EnergyLog, name: str, values: _Array, count: int) -> _Array:
     return values
 
 
-def _last(values: _Array) -> float:
+def _last(values: Array) -> float:
     return float(values[-1]) if len(values) else 0.0
 
 
-def _truth(log: EnergyLog, name: str, rows: slice) -> dict[str, float]:
+def _truth(log: EnergyLog, name: str, rows: slice) -> TruthResult:
     """True energies of the simulated axis against the believed ones.
 
     The interaction is minus the motor's work on the moving mass; both count from the first row of the part.
@@ -179,17 +240,17 @@ def _truth(log: EnergyLog, name: str, rows: slice) -> dict[str, float]:
     }
 
 
-def _timing(log: EnergyLog, rows: slice) -> dict[str, Any]:
+def _timing(log: EnergyLog, rows: slice) -> dict[str, int | dict[str, float]]:
     parts = {name: log.timing.read(name, rows.start, rows.stop) for name in CycleTiming._fields}
     if not any(values.any() for values in parts.values()):
         return {}  # in lock-step virtual time does not advance within a cycle: durations say nothing
     cycle_time = parts["sync_to_last_tpdo"] + parts["compute"] + parts["send"]
     late = parts["wakeup_lateness"] + cycle_time > log.sample_time_ns
-    result: dict[str, Any] = {"deadlines_missed": int(late.sum())}
+    result: dict[str, int | dict[str, float]] = {"deadlines_missed": int(late.sum())}
     return result | {name: _quantiles(values) for name, values in {**parts, "cycle_time": cycle_time}.items()}
 
 
-def _quantiles(durations: _Array) -> dict[str, float]:
+def _quantiles(durations: Array) -> dict[str, float]:
     """Returns p50, p99, p99.9 and the maximum [s] of durations [ns]."""
     if not len(durations):
         return dict.fromkeys((*_QUANTILES, "max"), 0.0)
@@ -199,7 +260,7 @@ def _quantiles(durations: _Array) -> dict[str, float]:
     }
 
 
-def _link(log: EnergyLog, rows: slice, sync_index: _Array) -> dict[str, Any]:
+def _link(log: EnergyLog, rows: slice, sync_index: Array) -> dict[str, float]:
     fresh = [port.read("fresh", rows.start, rows.stop) for n, port in log.ports.items() if n not in log.groups]
     expected = sum(len(values) for values in fresh)
     received = int(sum(values.sum(dtype=np.int64) for values in fresh))
@@ -224,10 +285,10 @@ def _skipped(log: EnergyLog, rows: slice) -> int:
     return int(last - first) - int(index[-1] - index[0])
 
 
-def _contacts(log: EnergyLog, port: Quantities, rows: slice) -> list[dict[str, float]]:
+def _contacts(log: EnergyLog, port: Quantities, rows: slice) -> list[ContactStretch]:
     """Every stretch in contact: start [s], duration [s], depth [m or rad], peak torque [N or N*m], energy taken [J]."""
 
-    def column(name: str) -> _Array:
+    def column(name: str) -> Array:
         return port.read(name, rows.start, rows.stop)
 
     stretches = contacts(column("branch"))
@@ -240,6 +301,8 @@ def _contacts(log: EnergyLog, port: Quantities, rows: slice) -> list[dict[str, f
     energy = np.add.reduceat(column("h_i"), spans)[::2]
     start = log.deadlines(rows.start, rows.stop)[edges[:, 0]] * log.sample_time
     duration = (edges[:, 1] - edges[:, 0]) * log.sample_time
-    names = ("start", "duration", "depth", "peak_torque", "energy")
     columns = (values.tolist() for values in (start, duration, depth, peak, energy))
-    return [dict(zip(names, contact, strict=True)) for contact in zip(*columns, strict=True)]
+    return [
+        {"start": begin, "duration": length, "depth": deepest, "peak_torque": most, "energy": taken}
+        for begin, length, deepest, most, taken in zip(*columns, strict=True)
+    ]

@@ -1,36 +1,62 @@
 """Two runs against each other, quantity by quantity: the first row in which they differ, and by how much."""
 
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
+from canhaptic.logs.hdf5 import Array
 
 
-def compare(first: EnergyLog, second: EnergyLog) -> dict[str, Any]:
-    """Returns `{identical, rows, missing, differences}`; times of the cycles are left out, they differ in every run.
+class Difference(TypedDict):
+    """A quantity that differs."""
+
+    name: str
+    unit: str
+    cycle: int  # the first in which it does
+    first: float
+    second: float
+    largest: float  # in any cycle
+
+
+class Comparison(TypedDict):
+    """Two runs against each other."""
+
+    identical: bool
+    rows: list[int]  # of both
+    missing: list[str]  # groups and quantities that only one of them has
+    differences: list[Difference]
+
+
+def compare(first: EnergyLog, second: EnergyLog) -> Comparison:
+    """Returns how two runs differ; times of the cycles are left out, they differ in every run.
 
     Args:
         first: An open energy log.
         second: Another.
-
-    Returns:
-        `rows` are the lengths of both; `missing` names groups and quantities that only one of them has; `differences`
-        has one `{name, unit, cycle, first, second, largest}` per quantity that differs, `cycle` being the first such.
     """
     groups = _groups(first), _groups(second)
     names = [{f"{group}/{name}" for group, columns in side.items() for name in columns} for side in groups]
     shared = min(first.rows, second.rows)
-    differences = []
+    differences: list[Difference] = []
     for path in sorted(names[0] & names[1]):
         group, _, name = path.rpartition("/")
         left, right = groups[0][group][name][:shared], groups[1][group][name][:shared]
         unequal = _unequal(left, right)
         if len(unequal):
             cycle = int(first.timing["sync_index"][unequal[0]])
-            known = {"name": path, "unit": groups[0][group].unit(name), "cycle": cycle}
-            differences.append(known | _difference(left[unequal], right[unequal]))
+            left, right = left[unequal], right[unequal]
+            differences.append(
+                {
+                    "name": path,
+                    "unit": groups[0][group].unit(name),
+                    "cycle": cycle,
+                    "first": left[0].item(),
+                    "second": right[0].item(),
+                    "largest": float(np.abs(left.astype(float) - right.astype(float)).max()),
+                }
+            )
     one_sided = set(groups[0]) ^ set(groups[1])
     single = {path for path in names[0] ^ names[1] if path.rpartition("/")[0] not in one_sided}
     missing = sorted(one_sided | single)
@@ -38,14 +64,8 @@ def compare(first: EnergyLog, second: EnergyLog) -> dict[str, Any]:
         "identical": not differences and not missing and first.rows == second.rows,
         "rows": [first.rows, second.rows],
         "missing": missing,
-        "differences": sorted(differences, key=lambda difference: int(difference["cycle"])),
+        "differences": sorted(differences, key=lambda difference: difference["cycle"]),
     }
-
-
-def _difference(left: NDArray[Any], right: NDArray[Any]) -> dict[str, float]:
-    """Returns what is said of the rows that differ, by the values of both logs in them."""
-    largest = float(np.abs(left.astype(float) - right.astype(float)).max())
-    return {"first": left[0].item(), "second": right[0].item(), "largest": largest}
 
 
 def _groups(log: EnergyLog) -> dict[str, Quantities]:
@@ -53,7 +73,7 @@ def _groups(log: EnergyLog) -> dict[str, Quantities]:
     return ports | {f"truth/{name}": truth for name, truth in log.truth.items()}
 
 
-def _unequal(left: NDArray[Any], right: NDArray[Any]) -> NDArray[np.intp]:
+def _unequal(left: Array, right: Array) -> NDArray[np.intp]:
     """Rows whose bits differ: NaN equals NaN, and 0.0 is not -0.0."""
     if left.dtype != right.dtype:
         return np.flatnonzero(left.astype(float) != right.astype(float))

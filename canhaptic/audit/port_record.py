@@ -1,14 +1,14 @@
 """What an energy log holds of a port in addition to its ledger, read in pieces from a finished or a growing log."""
 
-from typing import Any
-
 import numpy as np
 
 from canhaptic.control.balance import OUT_OF_CONTACT, Branch, certificates_of
 from canhaptic.control.friction_watch import FrictionDeclared, FrictionWatch
+from canhaptic.control.verdict import PortResult
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.columns import FRICTION_DECLARED
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.hdf5 import Array
 from canhaptic.meters import Promise
 from canhaptic.result import rendered_shares, withdraw_certificates
 
@@ -64,7 +64,9 @@ class PortRecord:
         if self._is_measured:
             self._take_measured(log, start, stop, running, torque, branch)
 
-    def _take_measured(self, log: EnergyLog, start: int, stop: int, running: Any, torque: Any, branch: Any) -> None:
+    def _take_measured(
+        self, log: EnergyLog, start: int, stop: int, running: Array, torque: Array, branch: Array
+    ) -> None:
         port = log.ports[self._name]
         dissipated = port.read("device_dissipated", start, stop) - self._dissipated
         self._device = float(dissipated[-1])
@@ -82,7 +84,7 @@ class PortRecord:
         if len(deadlines) > 1:
             self._gap = max(self._gap, int(np.diff(deadlines).max()))
 
-    def _take_motion(self, watch: FrictionWatch, log: EnergyLog, start: int, stop: int, branch: Any) -> None:
+    def _take_motion(self, watch: FrictionWatch, log: EnergyLog, start: int, stop: int, branch: Array) -> None:
         port, booked = log.ports[self._name], branch != Branch.HELD
         names = ("position", "torque_applied", "effort_asked")
         position, torque, asked = (port.read(name, start, stop)[booked].tolist() for name in names)
@@ -95,23 +97,24 @@ class PortRecord:
         """Least sum of interaction so far [J]."""
         return self._least
 
-    def account(self) -> dict[str, Any]:
+    def account(self) -> PortResult:
         """Returns what is known so far, by the names of `run --json`, without verdicts."""
         certificates = [certificate.name.lower() for certificate in certificates_of(self._certificates)]
-        account: dict[str, Any] = {
+        account: PortResult = {
             "in": self._in,
             "least_interaction": self._least,
             "certificate": certificates[-1] if certificates else "exact",
             "certificates": certificates,
             "contact": {"holds": self._contacts, "without_torque": self._silent},
             "open_hold": self._is_open,
-            **self._promise._asdict(),
+            "max_consecutive_losses": self._promise.max_consecutive_losses,
+            "energy_allowance": self._promise.energy_allowance,
         }
         if self._is_measured:
             account["energy_resolution"] = self._resolution + self._unknown
             account["longest_hold"], account["uncommanded_cycles"] = self._longest_hold, self._uncommanded
             if self._is_damped:
-                account |= {"least_at_handle": self._at_handle, "device_dissipated": self._device}
+                account["least_at_handle"], account["device_dissipated"] = self._at_handle, self._device
             if self._watch is not None:
                 account["friction_excess"] = self._watch.excess
             if not self._is_group:
@@ -130,6 +133,6 @@ def _watch(log: EnergyLog, name: str) -> FrictionWatch | None:
     if name not in log.attributes:
         return None
     try:
-        return FrictionWatch(FrictionDeclared(**log.decoded(name, dict[str, Any]())))
+        return FrictionWatch(FrictionDeclared(**log.decoded(name, dict[str, float]())))
     except TypeError as error:
         raise LogFormatError(f"{log.path}: attribute {name} cannot be used ({error}); the file is damaged") from error

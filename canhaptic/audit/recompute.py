@@ -3,7 +3,7 @@
 import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, TypedDict
 
 from canhaptic.control.balance import Certificate, EnergyBalance
 from canhaptic.control.multi_axis.axis_group import GroupedControllers
@@ -31,6 +31,13 @@ class Mismatch(NamedTuple):
     quantity: str
     logged: float
     recomputed: float
+
+
+class Recomputed(TypedDict):
+    """A port, and its `Mismatch` as plain values; None where every output is equal."""
+
+    port: str
+    mismatch: dict[str, str | int | float] | None
 
 
 def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControllers) -> list[Mismatch]:
@@ -67,8 +74,8 @@ def _differ(left: float, right: float) -> bool:
     return _ONE.pack(left) != _ONE.pack(right)
 
 
-def recompute_all(log: EnergyLog, config: Path | None = None, *, allow_code: bool = False) -> list[dict[str, Any]]:
-    """Returns `{port, mismatch}` of every port, recomputed with the controllers of the run's own scene.
+def recompute_all(log: EnergyLog, config: Path | None = None, *, allow_code: bool = False) -> list[Recomputed]:
+    """Returns the outcome for every port, recomputed with the controllers of the run's own scene.
 
     Args:
         log: An open energy log that holds the run from its first cycle.
@@ -83,8 +90,8 @@ def recompute_all(log: EnergyLog, config: Path | None = None, *, allow_code: boo
     scene = scene_of(log, config, allow_code=allow_code)
     controllers = GroupedControllers(build_axis_controllers(scene), build_axis_groups(scene))
     axes = [axis.parameters.name for axis in scene.axes]
-    found = {mismatch.port: mismatch._asdict() for mismatch in recompute(log, axes, controllers)}
-    return [{"port": name, "mismatch": found.get(name)} for name in log.ports]
+    found = {mismatch.port: mismatch for mismatch in recompute(log, axes, controllers)}
+    return [{"port": name, "mismatch": found[name]._asdict() if name in found else None} for name in log.ports]
 
 
 def scene_of(log: EnergyLog, config: Path | None = None, *, allow_code: bool = False) -> "Scene":
@@ -106,7 +113,7 @@ def scene_of(log: EnergyLog, config: Path | None = None, *, allow_code: bool = F
     if not path.is_file():
         raise InputError(f"{log.path}: its scene {str(path)!r} is not there; name it with --config")
     scene = load_scene(path, overrides, allow_code=allow_code)
-    resolved = log.decoded("config_resolved", dict[str, Any]())
+    resolved = log.decoded("config_resolved", dict[str, dict[str, str]]())
     require_same_code(scene.own_code, resolved.get("own_code", {}), str(log.path))
     if log.attributes.get("config_hash") not in (scene.config_hash(), scene.config_hash(old_names=True)):
         raise InputError(

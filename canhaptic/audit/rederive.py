@@ -7,12 +7,14 @@ codecs and its record of the run take no part, so the account can be held agains
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Final
+from typing import Final, NotRequired, TypedDict
 
 from canhaptic.audit.listened_axis import OF_A_NODE, DeclaredDrive, DeclaredForce, ListenedAxis
+from canhaptic.audit.user_checks import Outcome
 from canhaptic.canopen import objects as od
-from canhaptic.control.balance import Ledger
+from canhaptic.control.ledger import Ledger
 from canhaptic.control.multi_axis.axis_group import GroupedControllers
+from canhaptic.control.verdict import PortResult, Verdict
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
@@ -69,17 +71,34 @@ def _declared(axis: AxisScene) -> DeclaredDrive:
     return DeclaredDrive(**named, force=force)
 
 
-def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) -> dict[str, Any]:
+class Departure(TypedDict):
+    """The first value of a port that is not the logged one."""
+
+    port: str
+    cycle: int
+    quantity: str
+    logged: float
+    rederived: float
+
+
+class Rederived(TypedDict):
+    """The account of a run from its frames, by the names of `run --json`."""
+
+    status: NotRequired[str]
+    cycles: int
+    passive: Verdict
+    ports: dict[str, PortResult]
+    differences: NotRequired[list[Departure]]  # with a log: the first of each port
+    checks: NotRequired[list[Outcome]]
+
+
+def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) -> Rederived:
     """Returns the account of a run from its frames, and where it departs from the logged one.
 
     Args:
         bus_log: The frames, bring-up included.
         scene: The scene of the run.
         log: The energy log of the same run; its length then ends the account.
-
-    Returns:
-        `{cycles, ports: {NAME: account}}` with the names of `run --json`, and with a log `differences`: one
-        `{port, cycle, quantity, logged, rederived}` per port whose first departure that is.
 
     Raises:
         InputError: The log holds no answered SYNC with all axes enabled.
@@ -103,23 +122,29 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     if not cycles:
         raise InputError(f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}")
     ports = _accounts(scene, ledgers)
-    result: dict[str, Any] = {"cycles": cycles, "passive": overall(ports), "ports": ports}
+    result: Rederived = {"cycles": cycles, "passive": overall(ports), "ports": ports}
     if log is not None:
         result["differences"] = [judge.difference for judge in judges if judge.difference is not None]
         if cycles < log.rows:  # the frames end early: of the rows behind nothing was derived
-            short = {"port": "", "cycle": cycles, "quantity": "cycles", "logged": log.rows, "rederived": cycles}
+            short: Departure = {
+                "port": "",
+                "cycle": cycles,
+                "quantity": "cycles",
+                "logged": log.rows,
+                "rederived": cycles,
+            }
             result["differences"].append(short)
     return result
 
 
-def _accounts(scene: Scene, ledgers: Sequence[Ledger]) -> dict[str, Any]:
+def _accounts(scene: Scene, ledgers: Sequence[Ledger]) -> dict[str, PortResult]:
     """Returns the accounts of the axes, then of the groups; of an axis in a group what came in and went out by it."""
     units: dict[str, str] = {axis.parameters.name: axis.parameters.unit for axis in scene.axes}
     units |= {group.name: units[group.axes[0]] for group in scene.groups}
-    ports = {
-        name: {"unit": unit, **ledger.summary().as_json(scene.bus.sample_time)}
-        for (name, unit), ledger in zip(units.items(), ledgers, strict=True)
-    }
+    ports: dict[str, PortResult] = {}
+    for (name, unit), ledger in zip(units.items(), ledgers, strict=True):
+        ports[name] = {"unit": unit}
+        ports[name].update(ledger.summary().as_json(scene.bus.sample_time))
     return with_groups(ports, {group.name: group.axes for group in scene.groups})
 
 
@@ -133,7 +158,7 @@ class _Judge:
         if self._port not in log.ports:
             raise InputError(f"{log.path}: has no port {self._port!r}; it is the log of another scene")
         self._rows = zip(*(log.ports[self._port][name].tolist() for name in self._NAMES), strict=True)
-        self.difference: dict[str, Any] | None = None
+        self.difference: Departure | None = None
 
     def compare(self, cycle: int, values: tuple[float, ...]) -> None:
         """Takes the next cycle."""

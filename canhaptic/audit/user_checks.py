@@ -4,9 +4,10 @@ import difflib
 import operator
 import re
 from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from typing import Final, Literal, TypedDict
 
 from canhaptic.axis_units import damping_unit, effort_unit
+from canhaptic.control.verdict import PortResult
 from canhaptic.errors import InputError
 from canhaptic.units import parse_unit
 
@@ -21,11 +22,26 @@ _OPERATORS: Final = {
     ">": operator.gt,
     "<": operator.lt,
 }
-_VERDICT: Final = "passive"
+_VERDICT: Final[Literal["passive"]] = "passive"
 _SHORT: Final = {"margin": "margin.value", "surplus": "surplus.max"}
 
 
-def check(result: Mapping[str, Any], expression: str) -> list[dict[str, Any]]:
+class Checked(TypedDict):
+    """What a check needs of a result."""
+
+    ports: dict[str, PortResult]
+
+
+class Outcome(TypedDict):
+    """Whether a check holds for one value."""
+
+    check: str
+    name: str
+    value: float | str
+    holds: bool
+
+
+def check(result: Checked, expression: str) -> list[Outcome]:
     """Returns, for every value that the expression names, whether it holds.
 
     A name without a port means every port: `margin>=-1e-6`. A name may be shortened from the left as long as it ends
@@ -35,9 +51,6 @@ def check(result: Mapping[str, Any], expression: str) -> list[dict[str, Any]]:
     Args:
         result: As `inspect` or `run --json` gives it.
         expression: NAME, one of >= <= == != > <, a number; or `passive` or `NAME.passive`.
-
-    Returns:
-        One `{check, name, value, holds}` per value.
 
     Raises:
         InputError: The expression cannot be read, names nothing in the result, or has the unit of something else.
@@ -65,7 +78,7 @@ def check(result: Mapping[str, Any], expression: str) -> list[dict[str, Any]]:
     ]
 
 
-def _verdicts(result: Mapping[str, Any], expression: str) -> list[dict[str, Any]]:
+def _verdicts(result: Checked, expression: str) -> list[Outcome]:
     """Returns whether each account that the expression names was passive.
 
     Raises:
@@ -83,7 +96,7 @@ def _verdicts(result: Mapping[str, Any], expression: str) -> list[dict[str, Any]
     ]
 
 
-def _factor(expression: str, unit: str, found: Mapping[str, float], result: Mapping[str, Any]) -> float:
+def _factor(expression: str, unit: str, found: Mapping[str, float], result: Checked) -> float:
     """Returns how much a unit is of that in which the figures found are kept; 1 where none is given.
 
     Raises:
@@ -103,7 +116,7 @@ def _factor(expression: str, unit: str, found: Mapping[str, float], result: Mapp
     return factor
 
 
-def _unit_of(path: str, result: Mapping[str, Any]) -> str:
+def _unit_of(path: str, result: Checked) -> str:
     """Returns the unit in which a figure is kept, "1" for a pure number.
 
     Args:
@@ -114,10 +127,10 @@ def _unit_of(path: str, result: Mapping[str, Any]) -> str:
     name = path.rpartition(".")[2]
     if section in ("ports", "truth"):
         port, _, figure = rest.partition(".")
-        while port not in result[section]:  # a name may hold dots
+        while port not in result["ports"]:  # a name may hold dots
             head, _, figure = figure.partition(".")
             port = f"{port}.{head}"
-        motion = result[section][port].get("unit", "m")
+        motion = result["ports"][port].get("unit", "m")
         units = {"peak_torque": effort_unit(motion), "margin.time": "s", "margin.cycle": "1", "longest_hold": "1"}
         if figure.startswith("damping_rendered."):
             return damping_unit(motion)
@@ -133,7 +146,7 @@ def _wanted(name: str) -> str:
     return head + dot + _SHORT.get(last, last)
 
 
-def _numbers(value: Any, path: str) -> Iterator[tuple[str, float]]:
+def _numbers(value: object, path: str) -> Iterator[tuple[str, float]]:
     if isinstance(value, Mapping):
         for name, part in value.items():
             yield from _numbers(part, f"{path}.{name}" if path else str(name))

@@ -19,7 +19,7 @@ from canhaptic.study.arena.run_arena import ArenaPlan, run_arena
 from canhaptic.study.arena.standings import COLUMNS
 from canhaptic.study.sweep.workers import Pool
 from canhaptic.view.energy_table import make_console
-from canhaptic.view.picture_style import matplotlib_figure
+from canhaptic.view.picture_style import require_matplotlib
 from canhaptic.view.table_style import plain_table
 
 STORE: Final = "cases.jsonl"
@@ -31,7 +31,7 @@ def execute(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: A scene, an algorithm or a file that cannot be used.
     """
-    matplotlib_figure()  # missing, it is said before the arena begins
+    require_matplotlib()  # missing, it is said before the arena begins
     plan, out = _plan(arguments), arguments.out
     plan.check()
     store = ArenaStore(out / STORE, force=arguments.force)

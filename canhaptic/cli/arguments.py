@@ -74,9 +74,9 @@ def check_picture(path: Path) -> None:
     if path.suffix not in _PICTURES:
         raise InputError(f"{path}: expected a name that ends in {', '.join(_PICTURES[:-1])} or {_PICTURES[-1]}")
     check_folder(path)
-    from canhaptic.view.picture_style import matplotlib_figure
+    from canhaptic.view.picture_style import require_matplotlib
 
-    matplotlib_figure()
+    require_matplotlib()
 
 
 def check_page(path: Path) -> None:

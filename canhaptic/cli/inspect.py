@@ -2,14 +2,14 @@
 
 import argparse
 from contextlib import ExitStack
-from typing import Any, Final
+from typing import Final
 
 from rich.console import Console
 
-from canhaptic.audit.inspection import inspect
+from canhaptic.audit.inspection import Inspection, inspect
 from canhaptic.audit.log_difference import compare
 from canhaptic.audit.recompute import recompute_all, scene_of
-from canhaptic.audit.user_checks import check
+from canhaptic.audit.user_checks import Checked, Outcome, check
 from canhaptic.cli.arguments import check_folder, check_page, check_picture
 from canhaptic.cli.output import write_json
 from canhaptic.errors import InputError
@@ -53,11 +53,11 @@ def execute(arguments: argparse.Namespace) -> int:
     return 0 if _is_good(result) else 1
 
 
-def _checks(result: dict[str, Any], arguments: argparse.Namespace) -> list[dict[str, Any]]:
+def _checks(result: Checked, arguments: argparse.Namespace) -> list[Outcome]:
     return [outcome for expression in arguments.check for outcome in check(result, expression)]
 
 
-def _judge(log: EnergyLog, result: dict[str, Any], arguments: argparse.Namespace) -> None:
+def _judge(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) -> None:
     """Adds what the log is held against: another log, its own controllers, the frames of the same run."""
     if arguments.compare is not None:
         with EnergyLog.open(arguments.compare) as other:
@@ -71,7 +71,7 @@ def _judge(log: EnergyLog, result: dict[str, Any], arguments: argparse.Namespace
         result["rederived"] = rederive(arguments.bus_log, scene, log)
 
 
-def _is_good(result: dict[str, Any]) -> bool:
+def _is_good(result: Inspection) -> bool:
     return (
         not result["findings"]
         and all(outcome["holds"] for outcome in result["checks"])
@@ -97,7 +97,7 @@ def _check_files(arguments: argparse.Namespace) -> None:
         check_page(arguments.html)
 
 
-def _write_files(log: EnergyLog, result: dict[str, Any], arguments: argparse.Namespace) -> None:
+def _write_files(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) -> None:
     for path in (getattr(arguments, suffix) for suffix in _EXPORTS):
         if path is not None:
             export(log, path)
@@ -128,8 +128,8 @@ def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
 
     if arguments.config is None:
         raise InputError(f"{arguments.log}: is a bus log; name the scene of the run with --config")
-    result: dict[str, Any] = {"status": f"derived from the frames of {arguments.log.name}"}
-    result |= rederive(arguments.log, load_scene(arguments.config, allow_code=arguments.allow_code))
+    result = rederive(arguments.log, load_scene(arguments.config, allow_code=arguments.allow_code))
+    result["status"] = f"derived from the frames of {arguments.log.name}"
     result["checks"] = _checks(result, arguments)
     if arguments.json:
         write_json(result)
@@ -140,7 +140,7 @@ def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
     return 0 if all(outcome["holds"] for outcome in result["checks"]) else 1
 
 
-def _show(result: dict[str, Any], console: Console, as_json: bool) -> None:
+def _show(result: Inspection, console: Console, as_json: bool) -> None:
     if as_json:
         write_json(result)
         return

@@ -2,10 +2,9 @@
 
 import argparse
 import tempfile
-from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from canhaptic.cli.arguments import check_picture, scene_of
 from canhaptic.cli.output import failure, note_file, write_failure, write_json, write_note
@@ -15,6 +14,7 @@ from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError
 from canhaptic.host.socketcan_state import require_preflight
+from canhaptic.result import RunResult
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.guesses import require_no_guesses
@@ -53,7 +53,7 @@ def execute(arguments: argparse.Namespace) -> int:
     return stop.exit_status or (_NOT_PASSIVE if arguments.strict and _fails(result) else 0)
 
 
-def _fails(result: Mapping[str, Any]) -> bool:
+def _fails(result: RunResult) -> bool:
     """Says which account is not passive, if one is not."""
     for name, account in result["ports"].items():
         if account.get("passive", "yes") != "yes":
@@ -62,9 +62,7 @@ def _fails(result: Mapping[str, Any]) -> bool:
     return bool(result["passive"] != "yes")
 
 
-def _run(
-    experiment: Experiment, duration: float | None, stop: StopSignal
-) -> tuple[dict[str, Any], CanHapticError | None]:
+def _run(experiment: Experiment, duration: float | None, stop: StopSignal) -> tuple[RunResult, CanHapticError | None]:
     """Runs to the end, good or bad; returns the account and what went wrong."""
     scene, clock = experiment.scene, WallClock()
     cycles = None if duration is None else max(1, round(duration / scene.bus.sample_time))
@@ -87,7 +85,7 @@ def _run(
     return result, error
 
 
-def _report(result: dict[str, Any], error: CanHapticError | None, arguments: argparse.Namespace) -> None:
+def _report(result: RunResult, error: CanHapticError | None, arguments: argparse.Namespace) -> None:
     """Prints the account, and the error that ended the run if one did."""
     if arguments.json:
         write_json(result if error is None else {**failure(error), "result": result})

@@ -2,9 +2,9 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import can
 
@@ -93,18 +93,16 @@ def _skipped_kind(path: Path, number: int, line: str) -> SkippedKind:
 
 
 def _read_with_python_can(path: Path, skipped: Counter[SkippedKind]) -> Iterator[Frame]:
-    binary = path.suffix.lower() == ".blf"
     try:
-        with path.open("rb" if binary else "r") as file:  # python-can leaves a file open that it cannot read
-            for number, message in enumerate(_reader(path.suffix.lower(), file), 1):
-                if message.is_error_frame or message.is_remote_frame or message.is_fd:
-                    kind: SkippedKind = "error" if message.is_error_frame else "CAN FD" if message.is_fd else "remote"
-                    skipped[kind] += 1
-                    continue
-                nanoseconds = round(message.timestamp * 1e6) * 1000
-                _require_time(path, number, nanoseconds)
-                can_id, data = message.arbitration_id, bytes(message.data)
-                yield Frame(nanoseconds, can_id, data, message.is_rx, number, _channel(path, message.channel))
+        for number, message in enumerate(_messages(path), 1):
+            if message.is_error_frame or message.is_remote_frame or message.is_fd:
+                kind: SkippedKind = "error" if message.is_error_frame else "CAN FD" if message.is_fd else "remote"
+                skipped[kind] += 1
+                continue
+            nanoseconds = round(message.timestamp * 1e6) * 1000
+            _require_time(path, number, nanoseconds)
+            can_id, data = message.arbitration_id, bytes(message.data)
+            yield Frame(nanoseconds, can_id, data, message.is_rx, number, _channel(path, message.channel))
     except LogFormatError:
         raise
     except Exception as error:  # its readers may raise anything on a damaged file
@@ -116,12 +114,15 @@ def _channel(path: Path, number: object) -> str:
     return str(number - 1 if path.suffix.lower() == ".trc" and isinstance(number, int) and number > 0 else number)
 
 
-def _reader(suffix: str, file: Any) -> Iterable[can.Message]:
+def _messages(path: Path) -> Iterator[can.Message]:
+    """Yields what a file of python-can holds; opened here, as python-can leaves a file open that it cannot read."""
+    suffix = path.suffix.lower()
     if suffix == ".blf":
-        return can.BLFReader(file)
-    if suffix == ".trc":
-        return can.TRCReader(file)
-    return can.ASCReader(file, relative_timestamp=False)
+        with path.open("rb") as binary:
+            yield from can.BLFReader(binary)
+        return
+    with path.open() as text:
+        yield from can.TRCReader(text) if suffix == ".trc" else can.ASCReader(text, relative_timestamp=False)
 
 
 def convert(source: Path, target: Path) -> None:

@@ -10,17 +10,17 @@ import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.column_check import checked_rows
 from canhaptic.logs.columns import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, GROUP_AXES, Event
-from canhaptic.logs.hdf5 import Array, Hdf5File
+from canhaptic.logs.hdf5 import Array, Attribute, Hdf5File
 from canhaptic.logs.log_file import log_file
 
-_Json = TypeVar("_Json", list[str], dict[str, Any])
+_Json = TypeVar("_Json", list[str], dict[str, float], dict[str, dict[str, str]])
 
 DAMAGE: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError)
 """What h5py and NumPy raise for one kind of damage or another."""
@@ -230,7 +230,7 @@ def open_file(path: str | Path) -> tuple[Hdf5File, LogDescription]:
         raise LogFormatError(f"{path}: the file is damaged ({error})") from error
 
 
-def _description(path: Path, attributes: Mapping[str, Any]) -> LogDescription:
+def _description(path: Path, attributes: Mapping[str, Attribute]) -> LogDescription:
     if attributes.get("format") != FORMAT_NAME:
         raise LogFormatError(f"{path}: an HDF5 file, but no energy log of canhaptic")
     version = int(attributes.get("format_version", 0))
@@ -248,8 +248,7 @@ def _description(path: Path, attributes: Mapping[str, Any]) -> LogDescription:
     return LogDescription(sample_time_ns, ports, str(_plain(attributes["status"])), int(attributes["rows_lost"]))
 
 
-def _plain(value: Any) -> str | int | float:
+def _plain(value: Attribute) -> str | int | float:
     if isinstance(value, bytes):
         return value.decode("utf-8", "replace")
-    plain: str | int | float = value.item() if isinstance(value, np.generic) else value
-    return plain
+    return value.item() if isinstance(value, np.generic) else value

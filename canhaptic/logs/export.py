@@ -4,9 +4,9 @@ import csv
 import importlib
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
@@ -90,7 +90,7 @@ def _write_parquet(log: EnergyLog, path: Path) -> None:
 def _write_mat(log: EnergyLog, path: Path) -> None:
     from scipy.io import savemat
 
-    content: dict[str, Any] = {"timing": dict(log.timing), "sample_time": log.sample_time}
+    content: dict[str, object] = {"timing": dict(log.timing), "sample_time": log.sample_time}
     content["ports"] = {name: dict(port) for name, port in log.ports.items()}
     if log.truth:
         content["truth"] = {name: dict(truth) for name, truth in log.truth.items()}
@@ -130,19 +130,28 @@ def _write_mcap(log: EnergyLog, path: Path) -> None:
 _MESSAGES: Final = 4096  # SYNCs held in memory at a time
 
 
-def _mcap_channel(writer: Any, topic: str, quantities: Quantities) -> int:
+class _McapWriter(Protocol):
+    """The part of `mcap.writer.Writer` that is used."""
+
+    def register_schema(self, name: str, encoding: str, data: bytes) -> int: ...
+
+    def register_channel(self, topic: str, message_encoding: str, schema_id: int) -> int: ...
+
+    def add_message(self, channel_id: int, log_time: int, data: bytes, publish_time: int) -> None: ...
+
+
+def _mcap_channel(writer: _McapWriter, topic: str, quantities: Quantities) -> int:
     properties = {name: {"type": "number", "description": f"[{quantities.unit(name)}]"} for name in quantities}
     return _channel(writer, topic, properties)
 
 
-def _channel(writer: Any, topic: str, properties: dict[str, Any]) -> int:
+def _channel(writer: _McapWriter, topic: str, properties: Mapping[str, Mapping[str, str]]) -> int:
     schema = json.dumps({"type": "object", "properties": properties}).encode()
     schema_id = writer.register_schema(f"canhaptic{topic.replace('/', '.')}", "jsonschema", schema)
-    channel: int = writer.register_channel(topic, "json", schema_id)
-    return channel
+    return writer.register_channel(topic, "json", schema_id)
 
 
-def _write_events(writer: Any, log: EnergyLog) -> None:
+def _write_events(writer: _McapWriter, log: EnergyLog) -> None:
     text = {"type": "string"}
     channel = _channel(writer, "/events", {"kind": text, "port": text, "text": text})
     for event in log.events:
@@ -150,7 +159,7 @@ def _write_events(writer: Any, log: EnergyLog) -> None:
         _add_message(writer, channel, time, {"kind": event.kind, "port": event.port, "text": event.text})
 
 
-def _add_message(writer: Any, channel: int, time: int, values: dict[str, Any]) -> None:
+def _add_message(writer: _McapWriter, channel: int, time: int, values: Mapping[str, float | str]) -> None:
     """Adds one message; numbers that JSON lacks (inf, nan) are left out."""
     finite = {name: value for name, value in values.items() if not isinstance(value, float) or math.isfinite(value)}
     writer.add_message(channel, time, json.dumps(finite, separators=(",", ":")).encode(), time)

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
+"""A column; its type says what it holds."""
+Attribute = str | bytes | int | float | np.generic
 
 _TABLE_CACHE: Final = 1 << 18  # [B]
 _TEXTS_AND_CHUNKS: Final = 1 << 26  # [B], the most that those of one item may take
@@ -21,7 +23,7 @@ _BOUND: Final = RLock()
 class Dataset:
     """One column of a file."""
 
-    def __init__(self, dataset: Any) -> None:
+    def __init__(self, dataset: h5py.Dataset) -> None:
         self._dataset = dataset
 
     def __len__(self) -> int:
@@ -49,18 +51,18 @@ class Dataset:
             self._dataset.id.get_num_chunks()
 
     @property
-    def dtype(self) -> np.dtype[Any]:
+    def dtype(self) -> np.dtype[np.generic]:
         """Type of its elements."""
-        dtype: np.dtype[Any] = self._dataset.dtype
+        dtype: np.dtype[np.generic] = self._dataset.dtype
         return dtype
 
     @property
-    def attributes(self) -> dict[str, Any]:
+    def attributes(self) -> dict[str, Attribute]:
         """Its attributes."""
         with _bounded_memory():
             return dict(self._dataset.attrs)
 
-    def set_attribute(self, name: str, value: str) -> None:
+    def set_attribute(self, name: str, value: Attribute) -> None:
         """Sets one attribute."""
         self._dataset.attrs[name] = value
 
@@ -112,18 +114,18 @@ class Hdf5File:
         self._file.close()
 
     @property
-    def attributes(self) -> dict[str, Any]:
+    def attributes(self) -> dict[str, Attribute]:
         """Attributes of the root; bytes of a text that are no UTF-8 are replaced."""
         with _bounded_memory():
             return {name: _text(value) if isinstance(value, str) else value for name, value in self._file.attrs.items()}
 
-    def set_attribute(self, name: str, value: Any) -> None:
+    def set_attribute(self, name: str, value: Attribute) -> None:
         """Sets one attribute of the root."""
         self._file.attrs[name] = value
 
-    def create(self, path: str, dtype: str | np.dtype[Any], chunk: int, compressed: bool = True) -> Dataset:
+    def create(self, path: str, dtype: str | np.dtype[np.generic], chunk: int, compressed: bool = True) -> Dataset:
         """Returns a new empty column that can grow."""
-        options: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if compressed else {}
+        options = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if compressed else {}
         return Dataset(self._file.create_dataset(path, (0,), maxshape=(None,), dtype=dtype, chunks=(chunk,), **options))
 
     def __getitem__(self, path: str) -> Dataset:
@@ -140,7 +142,7 @@ class Hdf5File:
         """Yields path and column of everything in the file that is one."""
         found: list[tuple[str, Dataset]] = []
 
-        def visit(path: str | bytes, item: Any) -> None:  # h5py leaves a damaged name as bytes
+        def visit(path: str | bytes, item: h5py.Dataset | h5py.Group) -> None:  # h5py leaves a damaged name as bytes
             if isinstance(item, h5py.Dataset) and item.ndim == 1:
                 found.append((path if isinstance(path, str) else path.decode("utf-8", "replace"), Dataset(item)))
 

@@ -8,7 +8,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from canhaptic.errors import LogFormatError
 
@@ -59,7 +59,7 @@ def _exit(status: int) -> str:
     )
 
 
-def _answer(writer: int, work: Callable[[], Any]) -> None:
+def _answer(writer: int, work: Callable[[], object]) -> None:
     """Sends the result or the error of `work` and ends the copy; nothing of the first process is flushed or closed."""
     import resource
 

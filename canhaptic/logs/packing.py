@@ -1,10 +1,11 @@
 """What is whole of an energy log, and how it is packed: a kill or a full disk can come between two columns."""
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from canhaptic.logs.hdf5 import Dataset, Hdf5File
+from canhaptic.logs.hdf5 import Attribute, Dataset, Hdf5File
 
 _PACKED_CHUNK: Final = 16_384  # rows
 _BLOCK: Final = 16 * _PACKED_CHUNK  # rows copied at a time
@@ -36,7 +37,9 @@ def unfinished(path: Path) -> Path:
     return temporary
 
 
-def repack(source: Path, target: Path, attributes: dict[str, Any], lengths: tuple[int, int] | None = None) -> None:
+def repack(
+    source: Path, target: Path, attributes: Mapping[str, Attribute], lengths: tuple[int, int] | None = None
+) -> None:
     """Writes a compact copy of a log with large chunks; `target` may be `source`.
 
     Args:

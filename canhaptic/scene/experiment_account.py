@@ -1,14 +1,12 @@
 """The account of an experiment that has run: the energies of each port, and how and how fast the run was computed."""
 
-from typing import Any
-
-from canhaptic.result import run_result
+from canhaptic.result import RunResult, run_result
 from canhaptic.scene.build import Experiment
 from canhaptic.scene.method import method_line
 from canhaptic.scene.plant_price import plant_prices
 
 
-def experiment_account(experiment: Experiment, status: str, elapsed: float) -> dict[str, Any]:
+def experiment_account(experiment: Experiment, status: str, elapsed: float) -> RunResult:
     """Returns what `canhaptic run --json` prints; energies in [J], times in [s].
 
     Args:

@@ -5,9 +5,10 @@ one glance and an algorithm that diverges leaves its panel instead of flattening
 """
 
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.errors import InputError
@@ -16,8 +17,12 @@ from canhaptic.study.loop import Array, LoopRun
 from canhaptic.study.reference.continuous_reference import ContinuousReference
 from canhaptic.view.decimate import decimate
 from canhaptic.view.palette import BLUE, GREEN, PALE, VERMILION
-from canhaptic.view.picture_style import STYLE, axis_scale, matplotlib_figure, save_picture
+from canhaptic.view.picture_style import axis_scale, drawing, require_matplotlib, save_picture
 from canhaptic.view.si import si
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 
 _BUCKETS: Final = 1200
 _ROOM: Final = 0.35
@@ -33,14 +38,14 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
     Raises:
         InputError: matplotlib is not installed, the file cannot be written, or no algorithm ran.
     """
-    mpl, figure_type = matplotlib_figure()
+    require_matplotlib()
     columns = max(len(axis.runs) for axis in comparison.axes)
     if columns == 0:
         raise InputError("no algorithm ran, there is nothing to draw; the table says why")
     rows = 3 * len(comparison.axes)
-    with mpl.rc_context(STYLE):
-        figure: Any = figure_type(figsize=(1.2 + 3.0 * columns, 0.9 + 2.5 * rows), dpi=110, layout="constrained")
-        panels: Any = figure.subplots(rows, columns, sharex=True, sharey="row", squeeze=False)
+    with drawing() as figure_type:
+        figure = figure_type(figsize=(1.2 + 3.0 * columns, 0.9 + 2.5 * rows), dpi=110, layout="constrained")
+        panels = figure.subplots(rows, columns, sharex=True, sharey="row", squeeze=False)
         for index, axis in enumerate(comparison.axes):
             _draw_axis(axis, comparison, panels[3 * index : 3 * index + 3])
         for panel in panels[-1]:
@@ -55,7 +60,7 @@ def _caption(comparison: Comparison) -> str:
     return f"{result['scene']}   {si(result['rate'], 'Hz', 3)}, delay {result['delay']}, {path}   grey: continuous"
 
 
-def _draw_axis(axis: AxisComparison, comparison: Comparison, panels: Any) -> None:
+def _draw_axis(axis: AxisComparison, comparison: Comparison, panels: NDArray[Any]) -> None:
     """Draws one axis into three rows of panels."""
     unit = axis.unit
     runs, reference, period = axis.runs, axis.reference, comparison.sample_time
@@ -106,7 +111,7 @@ def _times(values: Array, period: float) -> Array:
     return np.arange(len(values), dtype=np.float64) * np.float64(period)
 
 
-def _line(panel: Any, time: Array, values: Array, scale: _Scale, **style: Any) -> None:
+def _line(panel: "Axes", time: Array, values: Array, scale: _Scale, **style: Any) -> None:
     """Draws a line, cut off a little outside the panel so that a diverged run keeps its direction."""
     low, high = scale[2]
     far = 3.0 * (high - low)
@@ -115,7 +120,7 @@ def _line(panel: Any, time: Array, values: Array, scale: _Scale, **style: Any) -
 
 
 def _draw_position(
-    panel: Any, run: LoopRun, reference: ContinuousReference | None, period: float, scale: _Scale
+    panel: "Axes", run: LoopRun, reference: ContinuousReference | None, period: float, scale: _Scale
 ) -> None:
     if reference is not None:
         time = _times(reference.position, period)
@@ -124,14 +129,16 @@ def _draw_position(
     _line(panel, time, run.true_position, scale, color=BLUE, linewidth=1.0)
 
 
-def _draw_force(panel: Any, run: LoopRun, reference: ContinuousReference | None, period: float, scale: _Scale) -> None:
+def _draw_force(
+    panel: "Axes", run: LoopRun, reference: ContinuousReference | None, period: float, scale: _Scale
+) -> None:
     if reference is not None:
         _line(panel, reference.fine_time, reference.fine_torque, scale, color=PALE, linewidth=3.0, alpha=0.6)
     time = _times(run.torque, period)
     _line(panel, time, run.torque, scale, color=VERMILION, linewidth=0.9, drawstyle="steps-pre")
 
 
-def _draw_energy(panel: Any, run: LoopRun, period: float, scale: _Scale) -> None:
+def _draw_energy(panel: "Axes", run: LoopRun, period: float, scale: _Scale) -> None:
     time = _times(run.interaction, period)
     panel.axhline(0.0, color="black", linewidth=0.8)
     _line(panel, time, run.interaction, scale, color=BLUE, linewidth=1.2, label="in, true")
@@ -140,11 +147,11 @@ def _draw_energy(panel: Any, run: LoopRun, period: float, scale: _Scale) -> None
     panel.set_title(
         f"least in {si(run.least_interaction, 'J', 3)}, margin {si(run.least_margin, 'J', 3)}", fontsize=8.0, loc="left"
     )
-    if panel.get_subplotspec().is_first_col():
+    if (place := panel.get_subplotspec()) is not None and place.is_first_col():
         panel.legend(loc="upper left", fontsize=7.5, ncols=1)
 
 
-def _write_error(panel: Any, account: dict[str, Any], unit: str) -> None:
+def _write_error(panel: "Axes", account: dict[str, Any], unit: str) -> None:
     error, ratio = account["position_error"], account["force_variation"]["ratio"]
     words = [] if error is None else [f"rms error {si(error['rms'], unit, 3)}"]
     if account["status"] != "completed":

@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from canhaptic.axis_units import effort_unit
-from canhaptic.control.balance import PASSIVE_TOLERANCE
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable
 

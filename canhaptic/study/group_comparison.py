@@ -12,8 +12,8 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from canhaptic.axis_units import damping_unit
-from canhaptic.control.balance import PASSIVE_TOLERANCE, passive_verdict
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
+from canhaptic.control.verdict import PASSIVE_TOLERANCE, passive_verdict
 from canhaptic.errors import ParameterError
 from canhaptic.scene.models import Scene
 from canhaptic.study.accounts_over_can import Progress, accounts_over_can, heading_of, known_algorithms

@@ -8,10 +8,12 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.control.balance import Branch, CompensatedSum, EnergyBalance, Ledger, LedgerSummary, residual
+from canhaptic.control.balance import Branch, EnergyBalance, residual
 from canhaptic.control.environments.environment import Environment
+from canhaptic.control.ledger import Ledger, LedgerSummary
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import Controller, LoopProperties
+from canhaptic.control.running_sum import RunningSum, add
 from canhaptic.errors import ControlError
 from canhaptic.scene.models import AxisSimulation
 from canhaptic.sim.plant.direct_rig import DirectRig
@@ -123,7 +125,7 @@ class Recorder:
         self._columns = [array("d") for _ in _COLUMNS]
         self._ledger = Ledger()
         self._lowest, self._highest = centre - furthest, centre + furthest
-        self._believed, self._dissipated = CompensatedSum(), CompensatedSum()
+        self._believed, self._dissipated = RunningSum(), RunningSum()
         self._h_s = self._residual = 0.0
 
     @classmethod
@@ -146,7 +148,7 @@ class Recorder:
             DivergedError: The position is not finite, or further away than any user took it.
         """
         self._ledger.add(balance, len(self._columns[0]))
-        believed, dissipated = self._believed.add(balance.h_i), self._dissipated.add(balance.h_r)
+        believed, dissipated = add(self._believed, balance.h_i), add(self._dissipated, balance.h_r)
         largest = max(self._h_s, balance.h_s, abs(balance.h_i), balance.h_r, balance.gen, balance.deficit, balance.leak)
         if largest > 0.0:
             self._residual = max(self._residual, abs(residual(balance, self._h_s)) / largest)

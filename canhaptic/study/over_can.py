@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Sequence
 
-from canhaptic.control.balance import EnergyBalance, LedgerSummary
+from canhaptic.control.balance import EnergyBalance
+from canhaptic.control.ledger import LedgerSummary
 from canhaptic.cycle import Cycle, run
 from canhaptic.errors import InputError, RigError
 from canhaptic.scene.build import build

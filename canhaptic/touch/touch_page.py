@@ -21,7 +21,7 @@ from bokeh.models import (
 )
 from bokeh.plotting import figure
 
-from canhaptic.control.balance import PASSIVE_TOLERANCE, passive_verdict
+from canhaptic.control.verdict import PASSIVE_TOLERANCE, passive_verdict
 from canhaptic.errors import CanHapticError
 from canhaptic.study.loop import Array
 from canhaptic.touch.hand import TouchHand, TouchNews
@@ -263,7 +263,9 @@ class _SideView:
         """Shows whether the side gave out more than it took in so far."""
         least = status.least[self._number]
         passive = passive_verdict(least + self._allowance + PASSIVE_TOLERANCE)
-        verdict = verdict_bar({self._name: {"passive_at_sensor" if self._is_display else "passive": passive}})
+        verdict = verdict_bar(
+            {self._name: {"passive_at_sensor": passive} if self._is_display else {"passive": passive}}
+        )
         allowed = f", it may {si(self._allowance, 'J')}" if self._allowance else ""
         self._verdict.text = f"{verdict} gave out {si(max(0.0, -least), 'J')} more than it took in{allowed}"
 

@@ -5,9 +5,9 @@ zoom and every line that grows.
 """
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
-from bokeh.models import CustomJSHover, CustomJSTickFormatter, HoverTool
+from bokeh.models import CustomJSHover, CustomJSTickFormatter, HoverTool, Range
 from bokeh.plotting import figure
 
 from canhaptic.view.si import prefixes_of
@@ -38,7 +38,7 @@ return `${(value / scale).toPrecision(5)} ${prefix}${unit}`;
 )
 
 
-def new_panel(title: str, unit: str, time: Any, height: int) -> Any:
+def new_panel(title: str, unit: str, time: Range, height: int) -> figure:
     """Returns an empty panel over time.
 
     Args:
@@ -66,7 +66,7 @@ def new_panel(title: str, unit: str, time: Any, height: int) -> Any:
     return panel
 
 
-def new_plane(title: str, unit: str, height: int) -> Any:
+def new_plane(title: str, unit: str, height: int) -> figure:
     """Returns an empty panel of a plane, both axes alike and to the same scale."""
     panel = figure(
         height=height,
@@ -83,7 +83,7 @@ def new_plane(title: str, unit: str, height: int) -> Any:
     return panel
 
 
-def new_xy(title: str, unit: str, across: str, height: int) -> Any:
+def new_xy(title: str, unit: str, across: str, height: int) -> figure:
     """Returns an empty panel of one quantity over another.
 
     Args:
@@ -107,22 +107,22 @@ def new_xy(title: str, unit: str, across: str, height: int) -> Any:
     return panel
 
 
-def _plain(panel: Any) -> None:
+def _plain(panel: figure) -> None:
     panel.toolbar.logo = None
     panel.grid.grid_line_color = "#E6E6E6"
 
 
-def _si_ticks(unit: str) -> Any:
+def _si_ticks(unit: str) -> CustomJSTickFormatter:
     """Returns what writes the ticks of an axis with one SI prefix, chosen by the largest of them."""
     return CustomJSTickFormatter(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_TICKS)
 
 
-def _si_hover(unit: str) -> Any:
+def _si_hover(unit: str) -> CustomJSHover:
     """Returns what writes a value under the pointer with five digits and its SI prefix."""
     return CustomJSHover(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_VALUE)
 
 
-def add_hover(panel: Any, main: str, values: Mapping[str, tuple[str, str]], mode: str = "vline") -> None:
+def add_hover(panel: figure, main: str, values: Mapping[str, tuple[str, str]], mode: str = "vline") -> None:
     """Shows time and values under the pointer.
 
     Args:
@@ -140,7 +140,7 @@ def add_hover(panel: Any, main: str, values: Mapping[str, tuple[str, str]], mode
     panel.add_tools(tool)
 
 
-def finished(panel: Any) -> Any:
+def finished(panel: figure) -> figure:
     """Puts the legend above the panel, where nothing can lie on the data."""
     legend = panel.legend[0]
     legend.orientation, legend.location, legend.click_policy = "horizontal", "right", "hide"

@@ -1,8 +1,9 @@
 """The panels that all ports of a page share: durations within the cycle, and what was lost."""
 
-from typing import Any, Final
+from typing import Final
 
-from bokeh.models import DataRange1d, Span
+from bokeh.models import ColumnDataSource, DataRange1d, Range, Span
+from bokeh.plotting import figure
 
 from canhaptic.view.bokeh_style import add_hover, finished, new_panel
 from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION
@@ -10,7 +11,7 @@ from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION
 _TIMING_COLOURS: Final = (BLUE, GREEN, VERMILION, PURPLE)
 
 
-def timing_panel(time: Any, source: Any, period: float) -> Any:
+def timing_panel(time: Range, source: ColumnDataSource, period: float) -> figure:
     """Returns the panel of durations within the cycle.
 
     Args:
@@ -28,7 +29,7 @@ def timing_panel(time: Any, source: Any, period: float) -> Any:
     return finished(panel)
 
 
-def link_panel(time: Any, source: Any) -> Any:
+def link_panel(time: Range, source: ColumnDataSource) -> figure:
     """Returns the panel of what was lost, summed; every change is a row of `source`, so that its stairs are true."""
     panel = new_panel("lost", "", time, 130)
     panel.y_range = DataRange1d(start=-0.05, min_interval=1.0)

@@ -1,9 +1,10 @@
 """Two cursors over all panels of a port: drag one, and the line below says the values at both and their difference."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 from bokeh.models import ColumnDataSource, CustomJS, Div, Span
+from bokeh.plotting import figure
 
 from canhaptic.view.palette import PURPLE, SKY
 from canhaptic.view.si import prefixes_of
@@ -33,8 +34,8 @@ _NAMES: Final = ("time", "position", "command", "applied", "taken_in", "dissipat
 
 
 def add_cursors(
-    panels: Sequence[Any], source: ColumnDataSource, units: Mapping[str, str], whole: tuple[float, float]
-) -> Any:
+    panels: Sequence[figure], source: ColumnDataSource, units: Mapping[str, str], whole: tuple[float, float]
+) -> Div:
     """Adds two cursors to panels over time and returns the line that reads them.
 
     Args:
@@ -45,13 +46,13 @@ def add_cursors(
     """
     start, stop = whole
     places = (start + (stop - start) / 3.0, start + 2.0 * (stop - start) / 3.0)
-    cursors: list[Any] = [
+    cursors = [
         Span(
             location=place, dimension="height", line_color=colour, line_width=2, editable=True, name=f"cursor {number}"
         )
         for number, (place, colour) in enumerate(zip(places, (PURPLE, SKY), strict=True), 1)
     ]
-    readout: Any = Div(text="drag the two upright lines to read values and differences", name="cursors")
+    readout = Div(text="drag the two upright lines to read values and differences", name="cursors")
     known = {name: units[name] for name in _NAMES if name in units}
     arguments = {
         "first": cursors[0],

@@ -3,13 +3,11 @@
 Striding would lose it. Every bucket of samples is drawn as its first extreme and its second, in their order.
 """
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 
-def decimate(values: NDArray[Any], buckets: int) -> NDArray[np.intp]:
+def decimate(values: NDArray[np.generic], buckets: int) -> NDArray[np.intp]:
     """Returns the indices of samples to draw: the least and the greatest of every bucket, in order, both ends kept.
 
     Args:

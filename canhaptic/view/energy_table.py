@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import IO, Any, Final, Literal, TypeVar
 
 from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
@@ -10,7 +10,8 @@ from rich.table import Table
 from rich.text import Text
 
 from canhaptic.axis_units import damping_unit, effort_unit
-from canhaptic.control.balance import PASSIVE_TOLERANCE, Verdict, account_verdict, handle_verdict
+from canhaptic.control.verdict import PASSIVE_TOLERANCE, PortResult, Verdict, account_verdict, handle_verdict
+from canhaptic.result import TruthResult
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable, in_lines
 
@@ -28,15 +29,20 @@ _ROUNDING: Final = 1e-9
 _SHOWN_AT_ZERO: Final = frozenset({"deadlines_missed", "missing", "missed_tpdos", "skipped_syncs", "success_rate"})
 
 _Result = Mapping[str, Any]
-_Row = tuple[str, Callable[[_Result], str | Text]]
+_Port = TypeVar("_Port", PortResult, TruthResult)
+_Energy = Literal[
+    "in", "out", "stored", "dissipated", "recovered", "leaked", "deficit", "least_interaction", "least_at_handle",
+    "supplied", "unsure",
+]  # fmt: skip
+_TrueEnergy = Literal["interaction", "least_interaction", "least_at_handle", "believed_error"]
 
 
-def make_console(**options: Any) -> Console:
+def make_console(file: IO[str] | None = None) -> Console:
     """Returns a console on standard output, as wide as COLUMNS says, else the terminal; 100 columns without either."""
-    console = Console(highlight=False, **options)
+    console = Console(highlight=False, file=file)
     if console.is_terminal or os.environ.get("COLUMNS", "").isdecimal():
         return console
-    return Console(highlight=False, width=_PLAIN_WIDTH, **options)
+    return Console(highlight=False, width=_PLAIN_WIDTH, file=file)
 
 
 def print_energy(result: _Result, console: Console | None = None) -> None:
@@ -61,7 +67,7 @@ def energy_report(result: _Result) -> RenderableType:
     return Group(*parts)
 
 
-def _ordered(ports: Mapping[str, _Result]) -> list[str]:
+def _ordered(ports: Mapping[str, PortResult]) -> list[str]:
     """Returns the names of the ports, each group before its axes."""
     names: dict[str, None] = {}
     for name, port in ports.items():
@@ -94,21 +100,21 @@ def _energy_table(result: _Result, names: list[str]) -> Table:
     branches = [name for name in _branch_names(result, names) if any(_count(result, port, name) for port in names)]
     for branch in branches:
         table.add_row(f"holds booked as {branch}", *(_count_text(result, port, branch) for port in names))
-    for name, label in _OF_GROUPS.items():
-        if any(result["ports"][port].get(name) for port in names):
-            table.add_row(label, *(_cell(_plain(name), result["ports"][port]) for port in names))
+    for of_group, label in _OF_GROUPS.items():
+        if any(result["ports"][port].get(of_group) for port in names):
+            table.add_row(label, *(_cell(_plain(of_group), result["ports"][port]) for port in names))
     for limit in dict.fromkeys(limit for port in names for limit, count in _limits(result, port).items() if count):
         counts = (f"{_limits(result, port)[limit]}   " if _limits(result, port) else "-   " for port in names)
         table.add_row(f"holds limited: {limit}", *counts)
     truth = result.get("truth") or {}
     if any(name in truth for name in names):
         table.add_section()
-        for label, cell in _TRUTH_ROWS:
-            table.add_row(label, *(_cell(cell, truth[name]) if name in truth else "-" for name in names))
+        for label, true in _TRUTH_ROWS:
+            table.add_row(label, *(_cell(true, truth[name]) if name in truth else "-" for name in names))
     return table
 
 
-def _cell(cell: Callable[[_Result], str | Text], port: _Result) -> str | Text:
+def _cell(cell: Callable[[_Port], str | Text], port: _Port) -> str | Text:
     try:
         return cell(port)
     except (KeyError, TypeError):  # an axis in a group, another version, or a quantity that this run did not have
@@ -138,39 +144,43 @@ def energy(value: float) -> str:
     return f"{number} {unit:<2}"
 
 
-def _margin(port: _Result) -> Text:
+def _margin(port: PortResult) -> Text:
     margin = port["margin"]
     return Text(energy(margin["value"]), style="green" if margin["value"] >= -PASSIVE_TOLERANCE else "red")
 
 
-def _margin_place(port: _Result) -> str:
+def _margin_place(port: PortResult) -> str:
     margin = port["margin"]
     return f"{margin['time']:.4g} s " if margin["value"] < 0.0 else "never below 0  "
 
 
-def _longest_hold(port: _Result) -> str:
+def _longest_hold(port: PortResult) -> str:
     return f"{port['longest_hold']} T   " if "longest_hold" in port else "-   "
 
 
-def _uncommanded(port: _Result) -> str:
+def _uncommanded(port: PortResult) -> str:
     count = port.get("uncommanded_cycles", 0)
     return f"{count}   " if count else _NOTHING
 
 
-def _passive(port: _Result) -> Text:
+def _passive(port: PortResult) -> Text:
     return _VERDICTS[account_verdict(port)].copy()
 
 
-def _at_handle(port: _Result) -> Text:
+def _at_handle(port: PortResult) -> Text:
     verdict = handle_verdict(port)
     return Text(_NOTHING) if verdict is None else _VERDICTS[verdict].copy()
 
 
-def _share(name: str) -> Callable[[_Result], str]:
-    return lambda port: f"{100.0 * port['rendered'][name]:.3g} %   "
+def _share(name: Literal["stiffness", "damping"]) -> Callable[[PortResult], str]:
+    def share(port: PortResult) -> str:
+        part = port["rendered"][name]
+        return _NOTHING if part is None else f"{100.0 * part:.3g} %   "
+
+    return share
 
 
-def _silent(port: _Result) -> str | Text:
+def _silent(port: PortResult) -> str | Text:
     """Returns how many holds of contact had no torque; a wall that renders nothing is absent."""
     contact = port["contact"]
     if contact["holds"] and contact["without_torque"] == contact["holds"]:
@@ -178,18 +188,18 @@ def _silent(port: _Result) -> str | Text:
     return f"{contact['without_torque']} of {contact['holds']}   " if contact["holds"] else _NOTHING
 
 
-def _resolution(port: _Result) -> str:
+def _resolution(port: PortResult) -> str:
     """Returns how far the booked energy may be from the true one."""
     resolution = port["energy_resolution"]
     return energy(resolution) if resolution else "exact   "
 
 
-def _certificates(port: _Result) -> str:
+def _certificates(port: PortResult) -> str:
     names = port.get("certificates", [port["certificate"]])
     return ", ".join(str(name).replace("_", " ") for name in names) + "   " if names else "no torque   "
 
 
-def _damping(port: _Result) -> str:
+def _damping(port: PortResult) -> str:
     rendered = port["damping_rendered"]
     unit = damping_unit(port["unit"])
     least, most = f"{rendered['least']:.3g}", f"{rendered['most']:.3g}"
@@ -198,23 +208,30 @@ def _damping(port: _Result) -> str:
     return f"{most} {unit}" if least == most else f"{least}..{most} {unit}"
 
 
-def _surplus(which: str) -> Callable[[_Result], str]:
+def _surplus(which: Literal["end", "max"]) -> Callable[[PortResult], str]:
     return lambda port: energy(port["surplus"][which])
 
 
-def _friction(port: _Result) -> str | Text:
+def _friction(port: PortResult) -> str | Text:
     """Returns by how much an axis was faster than the declared friction and hand let it be."""
     excess = port["friction_excess"]
     return Text(f"{excess:.3g} {effort_unit(port['unit'])}   ", style="bold red") if excess else "none   "
 
 
-def _plain(name: str) -> Callable[[_Result], str]:
+def _true(name: _TrueEnergy) -> Callable[[TruthResult], str]:
     return lambda port: energy(port[name])
 
 
-_OF_GROUPS: Final = {"supplied": "in by movers, not motors", "unsure": "in doubt, taken off `in`"}
+def _plain(name: _Energy) -> Callable[[PortResult], str]:
+    return lambda port: energy(port[name])
+
+
+_OF_GROUPS: Final[dict[Literal["supplied", "unsure"], str]] = {
+    "supplied": "in by movers, not motors",
+    "unsure": "in doubt, taken off `in`",
+}
 """Rows that only a group may have, shown where they are not zero."""
-_PORT_ROWS: Final[tuple[_Row, ...]] = (
+_PORT_ROWS: Final[tuple[tuple[str, Callable[[PortResult], str | Text]], ...]] = (
     ("in", _plain("in")),
     ("out", _plain("out")),
     ("dissipated", _plain("dissipated")),
@@ -240,15 +257,15 @@ _PORT_ROWS: Final[tuple[_Row, ...]] = (
     ("beyond declared friction and hand", _friction),
     ("certificates", _certificates),
 )
-_TRUTH_ROWS: Final[tuple[_Row, ...]] = (
-    ("true interaction", _plain("interaction")),
-    ("least true interaction", _plain("least_interaction")),
-    ("least true sum at the handle", _plain("least_at_handle")),
-    ("believed minus true, at most", _plain("believed_error")),
+_TRUTH_ROWS: Final[tuple[tuple[str, Callable[[TruthResult], str]], ...]] = (
+    ("true interaction", _true("interaction")),
+    ("least true interaction", _true("least_interaction")),
+    ("least true sum at the handle", _true("least_at_handle")),
+    ("believed minus true, at most", _true("believed_error")),
 )
 
 
-def _line(name: str, content: Any) -> Padding:
+def _line(name: str, content: Mapping[str, object] | str) -> Padding:
     """One part of the result in words: nested mappings are quantiles of durations [s]."""
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(no_wrap=True, style="bold", width=7)
@@ -271,11 +288,11 @@ def _line(name: str, content: Any) -> Padding:
     return Padding(table, (0, 1))
 
 
-def _words(name: str, value: Any) -> str:
+def _words(name: str, value: object) -> str:
     return f"{name.replace('_', ' ')} {_value(name, value)}"
 
 
-def _value(name: str, value: Any) -> str:
+def _value(name: str, value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if not isinstance(value, float):

@@ -1,11 +1,14 @@
 """Pages that any browser opens without a network, drawn by Bokeh: where it is asked for, and how a page is written."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
 from canhaptic.host.output_file import replacing
+
+if TYPE_CHECKING:
+    from bokeh.models import LayoutDOM
 
 
 def require_bokeh() -> None:
@@ -20,7 +23,7 @@ def require_bokeh() -> None:
         raise InputError(f"an HTML page needs Bokeh; install it with: {install_hint('report')}") from error
 
 
-def write_page(content: Any, title: str, path: Path) -> None:
+def write_page(content: "LayoutDOM", title: str, path: Path) -> None:
     """Writes a layout of Bokeh as one self-contained page.
 
     Raises:

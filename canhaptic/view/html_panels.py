@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import cycle
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from bokeh.layouts import column, row
-from bokeh.models import Button, ColumnDataSource, CustomJS, Div, HoverTool, Range1d, TabPanel, Tabs
+from bokeh.models import Button, Column, ColumnDataSource, CustomJS, Div, HoverTool, Range1d, TabPanel, Tabs
+from bokeh.plotting import figure
 
+from canhaptic.logs.hdf5 import Array
 from canhaptic.view.bokeh_style import add_hover, finished, new_plane, new_xy
 from canhaptic.view.common_panels import link_panel, timing_panel
 from canhaptic.view.cursors import add_cursors
@@ -34,11 +36,11 @@ class Panels:
     def __init__(self, start: float, stop: float) -> None:
         stop = max(stop, start + 1e-9)
         self._all = (start, stop)
-        self._time: Any = Range1d(start, stop, bounds=(start, stop))
-        self._buttons: list[Any] = [self._button("whole run", start, stop)]
+        self._time = Range1d(start, stop, bounds=(start, stop))
+        self._buttons: list[Button] = [self._button("whole run", start, stop)]
         self.empty: list[str] = []
 
-    def port(self, series: PortSeries, others: Mapping[str, PortSeries], plane: TaskPlane | None) -> Any:
+    def port(self, series: PortSeries, others: Mapping[str, PortSeries], plane: TaskPlane | None) -> TabPanel:
         """Returns the tab of one port: path, position, torque, energy, surplus, damping; those that show something.
 
         Below them is force over position, where the port has a position; `others` are further runs by their names.
@@ -68,15 +70,15 @@ class Panels:
         panels.append(readout)
         return TabPanel(title=facts.name, child=column(*panels, sizing_mode="stretch_width"))
 
-    def timing(self, columns: dict[str, Any], period: float) -> Any:
+    def timing(self, columns: Mapping[str, Array], period: float) -> figure:
         """Returns the panel of durations within the cycle [s]."""
         return timing_panel(self._time, ColumnDataSource(columns), period)
 
-    def link(self, columns: dict[str, Any]) -> Any:
+    def link(self, columns: Mapping[str, Array]) -> figure:
         """Returns the panel of frames and cycles lost, summed."""
         return link_panel(self._time, ColumnDataSource(columns))
 
-    def page(self, heading: str, tabs: Sequence[Any], common: Sequence[Any]) -> Any:
+    def page(self, heading: str, tabs: Sequence[TabPanel], common: Sequence[figure]) -> Column:
         """Returns the whole page."""
         return column(
             Div(text=heading, sizing_mode="stretch_width", name="heading"),
@@ -86,7 +88,7 @@ class Panels:
             sizing_mode="stretch_width",
         )
 
-    def _button(self, label: str, start: float, stop: float) -> Any:
+    def _button(self, label: str, start: float, stop: float) -> Button:
         low, high = max(start, self._all[0]), min(stop, self._all[1])
         code = "range.start = low; range.end = high"
         button = Button(label=label, width=max(110, 8 * len(label)), height=30)
@@ -94,7 +96,9 @@ class Panels:
         return button
 
 
-def _force_over_position(facts: PortFacts, source: Any, others: Sequence[tuple[str, Any]]) -> Any:
+def _force_over_position(
+    facts: PortFacts, source: ColumnDataSource, others: Sequence[tuple[str, ColumnDataSource]]
+) -> figure:
     """Returns the panel of the torque that acted over the position: its slope is the stiffness felt."""
     effort = "torque" if facts.units["applied"] == "N*m" else "force"
     panel = new_xy(f"{facts.name}: loop", facts.units["applied"], facts.units["position"], 300)
@@ -108,7 +112,7 @@ def _force_over_position(facts: PortFacts, source: Any, others: Sequence[tuple[s
     return finished(panel)
 
 
-def _drawn_plane(plane: TaskPlane) -> Any:
+def _drawn_plane(plane: TaskPlane) -> figure:
     """Returns the path of the handle against the surface, material shaded."""
     panel = new_plane(f"{plane.name}: path", plane.unit, 420)
     deepest = max(float(plane.depth.max()), plane.surface + 1e-12)
@@ -123,14 +127,14 @@ def _drawn_plane(plane: TaskPlane) -> Any:
     return finished(panel)
 
 
-def _mark_worst(panel: Any, series: PortSeries) -> None:
+def _mark_worst(panel: figure, series: PortSeries) -> None:
     worst = int(np.argmin(series.columns["margin"]))
     label = f"least margin {si(float(series.columns['margin'][worst]), 'J')} at {series.worst:.6g} s"
     place = [float(series.columns["taken_in"][worst])]
     panel.scatter([series.worst], place, size=8, color="black", legend_label=label)
 
 
-def _hover_contacts(panel: Any, series: PortSeries) -> None:
+def _hover_contacts(panel: figure, series: PortSeries) -> None:
     strips = [renderer for renderer in panel.renderers if renderer.name == "contacts"]
     unit = series.facts.units["applied"]
     tooltips = [

@@ -6,11 +6,12 @@ Bokeh is imported when a report is written, not before. Colours are those of Oka
 import html
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from canhaptic.audit.extent import rows_between, rows_to_draw
+from canhaptic.control.verdict import PortResult
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.signals import CycleTiming
 from canhaptic.view.decimate import decimate
@@ -21,6 +22,9 @@ from canhaptic.view.task_plane import task_plane
 from canhaptic.view.verdict import verdict_bar
 
 if TYPE_CHECKING:
+    from bokeh.plotting import figure
+
+    from canhaptic.audit.inspection import Inspection
     from canhaptic.view.html_panels import Panels
 
 _BUCKETS: Final = 1000
@@ -36,7 +40,7 @@ _STYLE: Final = (
 def write_html(
     log: EnergyLog,
     path: Path,
-    result: dict[str, Any],
+    result: "Inspection",
     start: float | None = None,
     stop: float | None = None,
     others: Sequence[EnergyLog] = (),
@@ -58,7 +62,7 @@ def write_html(
     require_bokeh()
     from canhaptic.view.html_panels import Panels
 
-    panels = Panels(float(result["from"]), float(result["to"]))
+    panels = Panels(result["from"], result["to"])
     further = [(other, rows_between(other, start, stop)) for other in others if other.rows]
     tabs = []
     for name in sorted(log.ports, key=lambda name: name not in log.groups):  # groups first: they have the account
@@ -70,7 +74,7 @@ def write_html(
     write_page(page, f"{log.path.name} - canhaptic", path)
 
 
-def _timing(log: EnergyLog, rows: slice, panels: "Panels") -> Any:
+def _timing(log: EnergyLog, rows: slice, panels: "Panels") -> "figure | None":
     parts = {name: log.timing.read(name, rows.start, rows.stop) * _S_PER_NS for name in CycleTiming._fields}
     if not any(values.any() for values in parts.values()):
         return None  # in lock-step virtual time does not advance within a cycle
@@ -80,7 +84,7 @@ def _timing(log: EnergyLog, rows: slice, panels: "Panels") -> Any:
     return panels.timing({"time": time, **columns}, log.sample_time)
 
 
-def _link(log: EnergyLog, rows: slice, panels: "Panels") -> Any:
+def _link(log: EnergyLog, rows: slice, panels: "Panels") -> "figure | None":
     """What was lost, summed; no panel where nothing was."""
     lost = {name: np.cumsum(values) for name, values in losses(log, rows.start, rows.stop).items()}
     if not any(total[-1] for total in lost.values()):
@@ -95,7 +99,7 @@ def _link(log: EnergyLog, rows: slice, panels: "Panels") -> Any:
     return panels.link({"time": time} | {name: total[shown].astype(np.float32) for name, total in lost.items()})
 
 
-def _heading(log: EnergyLog, result: dict[str, Any], others: Sequence[EnergyLog], empty: Sequence[str]) -> str:
+def _heading(log: EnergyLog, result: "Inspection", others: Sequence[EnergyLog], empty: Sequence[str]) -> str:
     facts = [
         f"<b>{html.escape(log.path.name)}</b>",
         html.escape(str(result["status"])),
@@ -115,14 +119,14 @@ def _heading(log: EnergyLog, result: dict[str, Any], others: Sequence[EnergyLog]
     )
 
 
-def _cell(value: Callable[[dict[str, Any]], float], port: dict[str, Any]) -> str:
+def _cell(value: Callable[[PortResult], float], port: PortResult) -> str:
     try:
         return si(value(port), "J")
     except KeyError:  # an axis in a group: its account is the group's
         return "-"
 
 
-_ACCOUNT: Final[dict[str, Any]] = {
+_ACCOUNT: Final[dict[str, Callable[[PortResult], float]]] = {
     "in": lambda port: port["in"],
     "out": lambda port: port["out"],
     "dissipated": lambda port: port["dissipated"],

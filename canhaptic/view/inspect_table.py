@@ -1,26 +1,31 @@
 """What `canhaptic inspect` prints: header, energy table, contacts, events, checks, comparison."""
 
-from collections.abc import Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
 from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from canhaptic.audit.impossible_values import Finding
+from canhaptic.audit.inspection import ContactStretch, Inspection, LoggedEvent
+from canhaptic.audit.log_difference import Comparison
+from canhaptic.audit.recompute import Recomputed
+from canhaptic.audit.user_checks import Outcome
 from canhaptic.axis_units import effort_unit
 from canhaptic.view.energy_table import energy, energy_report
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable, in_lines, plain_table
 
+if TYPE_CHECKING:
+    from canhaptic.audit.rederive import Rederived
+
 _CONTACTS_SHOWN: Final = 8
 _EVENTS_SHOWN: Final = 20
 _NAME_WIDTH: Final = 24  # of a quantity; longer ones go on in the next line
 
-_Result = Mapping[str, Any]
 
-
-def inspection_report(result: _Result) -> RenderableType:
+def inspection_report(result: Inspection) -> RenderableType:
     """Returns everything that `inspect` found, for a terminal."""
     parts: list[RenderableType] = [_header(result), energy_report(result)]
     parts += [_finding_line(finding) for finding in result.get("findings", ())]
@@ -39,17 +44,17 @@ def inspection_report(result: _Result) -> RenderableType:
     return Group(*parts)
 
 
-def _header(result: _Result) -> Text:
+def _header(result: Inspection) -> Text:
     return Text(f" {result['file']}   {si(result['rate'], 'Hz', 3)}   {result['from']:.6g} s to {result['to']:.6g} s")
 
 
-def _contacts_table(name: str, contacts: list[_Result], unit: str, depth_unit: str) -> Table:
-    hardest = sorted(contacts, key=lambda contact: -float(contact["peak_torque"]))[:_CONTACTS_SHOWN]
+def _contacts_table(name: str, contacts: list[ContactStretch], unit: str, depth_unit: str) -> Table:
+    hardest = sorted(contacts, key=lambda contact: -contact["peak_torque"])[:_CONTACTS_SHOWN]
     shown = f", the {_CONTACTS_SHOWN} hardest" if len(contacts) > _CONTACTS_SHOWN else ""
     table = FigureTable(title=escape(f" {name}: {len(contacts)} contact{'s' if len(contacts) != 1 else ''}{shown}"))
     for column in ("start", "duration", "depth", "peak", "energy taken in"):
         table.add_column(column, justify="right", no_wrap=True)
-    for contact in sorted(hardest, key=lambda contact: float(contact["start"])):
+    for contact in sorted(hardest, key=lambda contact: contact["start"]):
         table.add_row(
             f"{contact['start']:.4f} s",
             si(contact["duration"], "s"),
@@ -60,7 +65,7 @@ def _contacts_table(name: str, contacts: list[_Result], unit: str, depth_unit: s
     return table
 
 
-def _events_table(events: list[_Result]) -> Table:
+def _events_table(events: list[LoggedEvent]) -> Table:
     more = f", the first {_EVENTS_SHOWN}" if len(events) > _EVENTS_SHOWN else ""
     table = plain_table(f" {len(events)} event{'s' if len(events) != 1 else ''}{more}")
     table.add_column("time", justify="right", no_wrap=True)
@@ -68,12 +73,12 @@ def _events_table(events: list[_Result]) -> Table:
     for column in ("kind", "port", "what"):
         table.add_column(column, overflow="fold")
     for event in events[:_EVENTS_SHOWN]:
-        words = (Text(str(event[name])) for name in ("kind", "port", "text"))
+        words = (Text(event["kind"]), Text(event["port"]), Text(event["text"]))
         table.add_row(f"{event['time']:.4f} s", str(event["sync_index"]), *words)
     return table
 
 
-def checks_table(checks: list[_Result]) -> Table:
+def checks_table(checks: list[Outcome]) -> Table:
     """Returns the outcome of every check."""
     table = plain_table(" checks", "check", "value of", "is", "")
     for check in checks:
@@ -83,13 +88,13 @@ def checks_table(checks: list[_Result]) -> Table:
     return table
 
 
-def _finding_line(finding: _Result) -> Text:
+def _finding_line(finding: Finding) -> Text:
     rows = f"{finding['rows']} row{'s are' if finding['rows'] != 1 else ' is'}"
     words = f" {finding['dataset']}: {rows} {finding['what']}, first in cycle {finding['cycle']}"
     return Text(words, style="bold red")
 
 
-def _recomputed_line(recomputed: _Result) -> Text:
+def _recomputed_line(recomputed: Recomputed) -> Text:
     mismatch = recomputed["mismatch"]
     if mismatch is None:
         return Text(f" {recomputed['port']}: recomputed, every output equal bit for bit", style="green")
@@ -100,7 +105,7 @@ def _recomputed_line(recomputed: _Result) -> Text:
     return Text(words, style="bold red")
 
 
-def _rederived_line(rederived: _Result) -> Text:
+def _rederived_line(rederived: "Rederived") -> Text:
     if not rederived["differences"]:
         words = f" from the frames alone: {rederived['cycles']} cycles, samples and account equal bit for bit"
         return Text(words, style="green")
@@ -112,7 +117,7 @@ def _rederived_line(rederived: _Result) -> Text:
     return Text("\n".join(lines), style="bold red")
 
 
-def comparison_report(comparison: _Result) -> RenderableType:
+def comparison_report(comparison: Comparison) -> RenderableType:
     """Returns the difference of two runs as `compare` found it."""
     first, second = comparison["rows"]
     if comparison["identical"]:
@@ -126,7 +131,7 @@ def comparison_report(comparison: _Result) -> RenderableType:
     return Group(*parts)
 
 
-def _differences_table(title: str, comparison: _Result) -> Table:
+def _differences_table(title: str, comparison: Comparison) -> Table:
     table = FigureTable(title=title)
     table.add_column("quantity", no_wrap=True)
     for column in ("cycle", "first log", "second log", "largest difference"):

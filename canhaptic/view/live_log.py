@@ -5,19 +5,18 @@ again) is followed, and the writer never waits for the reader.
 """
 
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from canhaptic.audit.extent import contacts
 from canhaptic.audit.port_record import PortRecord
+from canhaptic.control.verdict import PortResult
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.hdf5 import Array
 from canhaptic.signals import CycleTiming
 from canhaptic.view.series import COLUMNS, MarkedEvent, PortFacts, losses, port_facts
-
-_Array = NDArray[Any]
 
 _MOST_AT_ONCE: Final = 200_000  # rows; a viewer that comes late takes the past in pieces
 _S_PER_NS: Final = 1e-9
@@ -29,13 +28,13 @@ class News(NamedTuple):
     status: str
     rows: int  # in the log, so far
     restarted: bool  # another run has begun in this file: what was drawn is past
-    time: _Array  # of the new rows [s]
-    timing: dict[str, _Array]  # durations within each new cycle [s]
-    lost: dict[str, _Array]  # of the new rows, summed from the beginning
-    ports: dict[str, dict[str, _Array]]  # new rows, with energies summed from the beginning
+    time: Array  # of the new rows [s]
+    timing: dict[str, Array]  # durations within each new cycle [s]
+    lost: dict[str, Array]  # of the new rows, summed from the beginning
+    ports: dict[str, dict[str, Array]]  # new rows, with energies summed from the beginning
     contacts: dict[str, list[tuple[float, float]]]  # first and last time in each contact, of the new rows [s]
     facts: dict[str, PortFacts]
-    accounts: dict[str, dict[str, Any]]  # what verdicts rest on, since the beginning
+    accounts: dict[str, PortResult]  # what verdicts rest on, since the beginning
     events: list[MarkedEvent]  # all so far
     fresh_share: float  # TPDOs that came, of all expected, since the beginning
     group_of: dict[str, str]  # of each axis in a group, whose account is the group's
@@ -67,7 +66,7 @@ class LiveLog:
         self._sums: dict[tuple[str, str], float] = {}  # of each port's column; losses belong to port ""
         self._records: dict[str, PortRecord] = {}
         self._expected = self._missed = 0
-        self._run: tuple[Any, ...] = ()
+        self._run: tuple[int, str, tuple[str, ...]] | None = None
 
     def look(self) -> News | None:
         """Returns what is new; None while there is no log that can be read."""
@@ -81,7 +80,7 @@ class LiveLog:
 
     def _take(self, log: EnergyLog) -> News:
         run = (log.sample_time_ns, str(log.attributes.get("config_hash")), tuple(log.ports))
-        restarted = bool(self._run) and (log.rows < self._rows or run != self._run)
+        restarted = self._run is not None and (log.rows < self._rows or run != self._run)
         if restarted:
             self._forget()
         self._run = run
@@ -108,14 +107,14 @@ class LiveLog:
             log.sample_time,
         )
 
-    def _summed(self, port: str, name: str, values: _Array) -> _Array:
+    def _summed(self, port: str, name: str, values: Array) -> Array:
         """Returns the running sum of a column, which goes on where the last look ended."""
         total = self._sums.get((port, name), 0) + np.cumsum(values)
         if len(total):
             self._sums[port, name] = total[-1]
         return np.asarray(total)
 
-    def _port(self, log: EnergyLog, name: str, start: int, stop: int) -> dict[str, _Array]:
+    def _port(self, log: EnergyLog, name: str, start: int, stop: int) -> dict[str, Array]:
         port = log.ports[name]
         rows = {key: port.read(column, start, stop) for key, column in COLUMNS.items()}
         rows["statusword"] = port.read("statusword", start, stop)

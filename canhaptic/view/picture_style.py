@@ -1,11 +1,16 @@
 """How every picture of the package looks, where matplotlib is asked for, and how a picture is written."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
 from canhaptic.host.output_file import replacing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 STYLE: Final[Any] = {
     "font.size": 9.0,
@@ -26,21 +31,34 @@ STYLE: Final[Any] = {
 _PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"), (1e-12, "p"))
 
 
-def matplotlib_figure() -> tuple[Any, Any]:
-    """Returns matplotlib and its `Figure`, which needs no display.
+def require_matplotlib() -> None:
+    """Imports matplotlib.
+
+    Raises:
+        InputError: It is not installed.
+    """
+    try:
+        import matplotlib.figure  # noqa: F401 - raises where it is not installed
+    except ImportError as error:
+        raise InputError(f"a picture needs matplotlib; install it with: {install_hint('plot')}") from error
+
+
+@contextmanager
+def drawing() -> "Iterator[type[Figure]]":
+    """Yields matplotlib's `Figure`, which needs no display; what is drawn meanwhile has the style of the package.
 
     Raises:
         InputError: matplotlib is not installed.
     """
-    try:
-        import matplotlib as mpl
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise InputError(f"a picture needs matplotlib; install it with: {install_hint('plot')}") from error
-    return mpl, Figure
+    require_matplotlib()
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    with rc_context(STYLE):
+        yield Figure
 
 
-def save_picture(figure: Any, path: str | Path) -> None:
+def save_picture(figure: "Figure", path: str | Path) -> None:
     """Writes a figure into a file; its suffix says how (.png, .svg, .pdf).
 
     Raises:

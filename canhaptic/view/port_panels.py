@@ -9,8 +9,10 @@ from itertools import cycle
 from typing import Any, Final
 
 import numpy as np
-from bokeh.models import BoxAnnotation, HoverTool
+from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, Range
+from bokeh.plotting import figure
 
+from canhaptic.logs.hdf5 import Array
 from canhaptic.view.bokeh_style import add_hover, finished, new_panel
 from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, OVERLAID, VERMILION
 from canhaptic.view.series import MarkedEvent, PortFacts
@@ -23,12 +25,12 @@ OPTIONAL: Final[dict[str, tuple[str, ...]]] = {
 """Panel -> its columns; where all of them are zero, the panel is left out."""
 
 
-def is_empty(name: str, columns: Mapping[str, Any]) -> bool:
+def is_empty(name: str, columns: Mapping[str, Array]) -> bool:
     """Returns whether a panel would show nothing but zeros."""
     return name in OPTIONAL and not any(np.any(columns[column]) for column in OPTIONAL[name])
 
 
-def fault_columns(faults: Sequence[MarkedEvent]) -> dict[str, list[Any]]:
+def fault_columns(faults: Sequence[MarkedEvent]) -> dict[str, list[float] | list[str]]:
     """Returns the columns `at` and `text` of faults."""
     return {
         "at": [fault.time for fault in faults],
@@ -55,16 +57,16 @@ class PortPanels:
     def __init__(
         self,
         facts: PortFacts,
-        time: Any,
-        source: Any,
-        contacts: Any,
-        faults: Any,
-        others: Sequence[tuple[str, Any]] = (),
+        time: Range,
+        source: ColumnDataSource,
+        contacts: ColumnDataSource,
+        faults: ColumnDataSource,
+        others: Sequence[tuple[str, ColumnDataSource]] = (),
         *,
         stairs: bool = False,
     ) -> None:
         self._facts, self._time, self._source, self._others, self._stairs = facts, time, source, others, stairs
-        self.panels: dict[str, Any] = {}
+        self.panels: dict[str, figure] = {}
         if not facts.is_group:
             self.panels["position"] = self._position()
         self.panels["torque"] = self._torque()
@@ -76,24 +78,24 @@ class PortPanels:
             mark = panel.vspan(x="at", source=faults, line_color=VERMILION, line_width=1.5, line_dash="dotted")
             panel.add_tools(HoverTool(renderers=[mark], tooltips=[("", "@text"), ("at", "@at{0.0000} s")]))
 
-    def _panel(self, title: str, unit: str, height: int) -> Any:
+    def _panel(self, title: str, unit: str, height: int) -> figure:
         return new_panel(f"{self._facts.name}: {title}", unit, self._time, height)
 
-    def _line(self, panel: Any, name: str, hold: str | None = None, **style: Any) -> None:
+    def _line(self, panel: figure, name: str, hold: str | None = None, **style: Any) -> None:
         """Draws a column; `hold` says on which side of a row its value acts, where it is drawn as a stair."""
         if hold is not None and self._stairs:
             panel.step("time", name, mode=hold, source=self._source, name=name, **style)
         else:
             panel.line("time", name, source=self._source, name=name, **style)
 
-    def _other(self, panel: Any, *names: str) -> None:
+    def _other(self, panel: figure, *names: str) -> None:
         """Draws the other runs over this one."""
         for (label, source), colour in zip(self._others, cycle(OVERLAID)):
             for name in names:
                 style = {"color": colour, "line_width": 1.0, "line_dash": [3, 2], "legend_label": label}
                 panel.line("time", name, source=source, **style)
 
-    def _position(self) -> Any:
+    def _position(self) -> figure:
         unit, wall = self._facts.units["position"], self._facts.wall
         panel = self._panel("position", unit, 190)
         self._line(panel, "position", color=BLUE, line_width=1.5, legend_label="position")
@@ -105,7 +107,7 @@ class PortPanels:
         add_hover(panel, "position", {"position": ("position", unit)})
         return finished(panel)
 
-    def _torque(self) -> Any:
+    def _torque(self) -> figure:
         unit = self._facts.units["applied"]
         panel = self._panel("torque" if unit == "N*m" else "force", unit, 190)
         self._line(panel, "command", "after", color=ORANGE, line_width=2.5, alpha=0.8, legend_label="commanded")
@@ -114,7 +116,7 @@ class PortPanels:
         add_hover(panel, "applied", {"commanded": ("command", unit), "applied": ("applied", unit)})
         return finished(panel)
 
-    def _energy(self) -> Any:
+    def _energy(self) -> figure:
         panel = self._panel("energy", "J", 240)
         area = {"source": self._source, "legend_label": "margin"}
         panel.varea("time", "dissipated", "upper", fill_color=GREEN, fill_alpha=0.22, name="margin", **area)
@@ -127,7 +129,7 @@ class PortPanels:
         add_hover(panel, "taken_in", {label: (name, "J") for label, name in names.items()})
         return finished(panel)
 
-    def _surplus(self) -> Any:
+    def _surplus(self) -> figure:
         panel = self._panel("surplus", "J", 150)
         self._line(panel, "surplus", color=ORANGE, line_width=1.5, legend_label="surplus to dissipate")
         self._line(panel, "deficit", color=VERMILION, line_dash=[6, 3], legend_label="deficit, summed")
@@ -135,7 +137,7 @@ class PortPanels:
         add_hover(panel, "surplus", {"surplus": ("surplus", "J"), "deficit": ("deficit", "J")})
         return finished(panel)
 
-    def _damping(self) -> Any:
+    def _damping(self) -> figure:
         unit = self._facts.units["damping"]
         panel = self._panel("damping", unit, 130)
         self._line(panel, "damping", "after", color=GREEN, line_width=1.2, legend_label="damping rendered")

@@ -2,19 +2,23 @@
 
 from collections.abc import Mapping
 from itertools import cycle
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from canhaptic.audit.extent import contacts
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.hdf5 import Array
 from canhaptic.view.decimate import decimate
 from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, VERMILION
 from canhaptic.view.picture_style import axis_scale
 from canhaptic.view.series import faults_of
 from canhaptic.view.si import si
 from canhaptic.view.task_plane import TaskPlane, task_plane
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 
 _OF_AXES: Final = (BLUE, VERMILION, GREEN, ORANGE)  # axes of a group in turn
 _BUCKETS: Final = 2000  # about 4000 points a line, more than the picture has columns
@@ -27,8 +31,6 @@ _LEGEND: Final[Any] = {
     "borderaxespad": 0.0,
     "columnspacing": 1.2,
 }
-
-_Array = NDArray[Any]
 
 
 class PortPicture:
@@ -56,7 +58,7 @@ class PortPicture:
         shown = {"path": self.plane is not None, "position": True, "torque": True, "energy": energy, "surplus": surplus}
         return [name for name, is_shown in shown.items() if is_shown]
 
-    def draw(self, panels: Mapping[str, Any]) -> None:
+    def draw(self, panels: "Mapping[str, Axes]") -> None:
         """Draws into axes, by the names that `draws` returned."""
         parts = {
             "position": self._draw_position,
@@ -74,7 +76,7 @@ class PortPicture:
         if len(self._log.ports) > 1 or self._axes:
             panels["position"].set_title(f"{self._name}: position", fontweight="bold")
 
-    def draw_over(self, panels: Mapping[str, Any], scales: Mapping[str, float], name: str, colour: str) -> None:
+    def draw_over(self, panels: "Mapping[str, Axes]", scales: Mapping[str, float], name: str, colour: str) -> None:
         """Draws the same quantities over the panels of another run, whose scales they take."""
         lines = {
             "position": self._of_movers("position"),
@@ -88,20 +90,20 @@ class PortPicture:
                 self._line(panels[panel], line, scale, color=colour, linewidth=0.7, linestyle=(0, (3, 2)), label=label)
             panels[panel].legend(**_LEGEND)
 
-    def _column(self, name: str) -> _Array:
+    def _column(self, name: str) -> Array:
         return self._port.read(name, self._rows.start, self._rows.stop)
 
-    def _of_movers(self, name: str) -> list[_Array]:
+    def _of_movers(self, name: str) -> list[Array]:
         """Returns a quantity of the axis, or of each axis of the group."""
         return [port.read(name, self._rows.start, self._rows.stop) for port in self._movers]
 
-    def _line(self, axes: Any, values: _Array, scale: float, stair: str = "default", **style: Any) -> None:
+    def _line(self, axes: "Axes", values: Array, scale: float, stair: str = "default", **style: Any) -> None:
         """Draws a line; as a stair only where every row is drawn, for nothing is known between rows far apart."""
         shown = decimate(values, _BUCKETS)
         drawn = stair if len(shown) == len(values) else "default"
         axes.plot(self._time[shown], values[shown] / scale, drawstyle=drawn, **style)
 
-    def _draw_position(self, axes: Any) -> None:
+    def _draw_position(self, axes: "Axes") -> None:
         positions = self._of_movers("position")
         wall = self._log.attributes.get(f"{self._name}.wall_position")
         scale, prefix = self._prefix("position", *positions)
@@ -115,7 +117,7 @@ class PortPicture:
             axes.set_ylim(low, high)
         _finish(axes, "position", f"{prefix}{self._movers[0].unit('position')}")
 
-    def _draw_path(self, axes: Any, plane: TaskPlane) -> None:
+    def _draw_path(self, axes: "Axes", plane: TaskPlane) -> None:
         """Draws the path of the handle against the surface, material shaded, both axes to the same scale."""
         scale, prefix = axis_scale(float(np.nanmax(np.abs(plane.path))))
         _draw_material(axes, plane, scale)
@@ -124,7 +126,7 @@ class PortPicture:
         axes.set_xlabel(f"[{prefix}{plane.unit}]")
         _finish(axes, f"{self._name}: path", f"{prefix}{plane.unit}")
 
-    def _draw_torque(self, axes: Any) -> None:
+    def _draw_torque(self, axes: "Axes") -> None:
         if self._axes:
             self._draw_torques_of_axes(axes)
             return
@@ -135,7 +137,7 @@ class PortPicture:
         self._line(axes, applied, scale, color=BLUE, linewidth=0.9, stair="steps-pre", label="applied")
         _finish(axes, "torque" if unit == "N*m" else "force", f"{prefix}{unit}")
 
-    def _draw_torques_of_axes(self, axes: Any) -> None:
+    def _draw_torques_of_axes(self, axes: "Axes") -> None:
         """Draws what each axis of a group applied; what was commanded is drawn wide and pale behind it."""
         commands, applied = self._of_movers("torque_command"), self._of_movers("torque_applied")
         unit = self._movers[0].unit("torque_applied")
@@ -147,7 +149,7 @@ class PortPicture:
             self._line(axes, held, scale, color=colour, label=name, **thin)
         _finish(axes, "torque" if unit == "N*m" else "force", f"{prefix}{unit}")
 
-    def _draw_energy(self, axes: Any) -> None:
+    def _draw_energy(self, axes: "Axes") -> None:
         taken_in, dissipated = np.cumsum(self._column("h_i")), np.cumsum(self._column("h_r"))
         margin = taken_in - dissipated
         scale, prefix = self._prefix("energy", taken_in, dissipated)
@@ -163,21 +165,21 @@ class PortPicture:
         axes.plot(self._time[worst], taken_in[worst] / scale, "ko", markersize=4, zorder=5, label=label)
         _finish(axes, "energy", f"{prefix}J")
 
-    def _draw_surplus(self, axes: Any) -> None:
+    def _draw_surplus(self, axes: "Axes") -> None:
         surplus, deficit = self._column("h_dis"), np.cumsum(self._column("deficit"))
         scale, prefix = self._prefix("surplus", surplus, deficit)
         self._line(axes, surplus, scale, color=ORANGE, linewidth=1.3, label="surplus to dissipate")
         self._line(axes, deficit, scale, color=VERMILION, linewidth=1.0, linestyle="--", label="deficit, summed")
         _finish(axes, "surplus", f"{prefix}J")
 
-    def _prefix(self, panel: str, *lines: _Array) -> tuple[float, str]:
+    def _prefix(self, panel: str, *lines: Array) -> tuple[float, str]:
         """Returns the scale and SI prefix of a panel that shows all of these lines, and keeps the scale."""
         largest = max(abs(float(limit(line, initial=0.0))) for line in lines for limit in (np.nanmin, np.nanmax))
         scale, prefix = axis_scale(largest)
         self.scales[panel] = scale
         return scale, prefix
 
-    def _mark(self, axes: Any) -> None:
+    def _mark(self, axes: "Axes") -> None:
         """Shades the contacts and marks faults."""
         for start, end in self._contacts:
             axes.axvspan(self._time[start], self._time[end], color=GREY, alpha=0.05, linewidth=0, zorder=0)
@@ -191,7 +193,7 @@ class PortPicture:
         )
 
 
-def _draw_material(axes: Any, plane: TaskPlane, scale: float) -> None:
+def _draw_material(axes: "Axes", plane: TaskPlane, scale: float) -> None:
     across, along = plane.across / scale, plane.along / scale
     deepest = max(float(plane.depth.max()), plane.surface) * (1.0 + 1e-9) + 1e-12
     axes.contourf(across, along, plane.depth, levels=[plane.surface, deepest], colors=[GREY], alpha=0.15)
@@ -199,7 +201,7 @@ def _draw_material(axes: Any, plane: TaskPlane, scale: float) -> None:
     axes.plot([], [], color=GREY, linewidth=1.0, label="surface")
 
 
-def _finish(axes: Any, title: str, unit: str) -> None:
+def _finish(axes: "Axes", title: str, unit: str) -> None:
     """Titles at the left, legend at the right of the same line: nothing can lie on the data."""
     axes.set_title(title, fontweight="bold")
     axes.set_ylabel(f"[{unit}]")

@@ -9,14 +9,19 @@ matplotlib is imported when a picture is drawn, not before.
 from collections.abc import Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
 from canhaptic.audit.extent import rows_between, rows_to_draw
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.view.palette import OVERLAID
-from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
+from canhaptic.view.picture_style import drawing, save_picture
 from canhaptic.view.port_picture import PortPicture
 from canhaptic.view.si import si
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 
 _HEIGHTS: Final = {"path": 5.0, "position": 3.0, "torque": 3.0, "energy": 4.0, "surplus": 2.0}
 """Heights of the panels, in units of `_INCH`."""
@@ -44,8 +49,7 @@ def draw_energy(
     Raises:
         InputError: The log holds no cycle there, matplotlib is not installed, or the file cannot be written.
     """
-    mpl, _ = matplotlib_figure()
-    with mpl.rc_context(STYLE):
+    with drawing():
         save_picture(energy_figure(log, start, stop, others), path)
 
 
@@ -55,7 +59,7 @@ def energy_figure(
     stop: float | None = None,
     others: Sequence[EnergyLog] = (),
     labels: Sequence[str] = (),
-) -> Any:
+) -> "Figure":
     """Returns the matplotlib figure of a run; the arguments are those of `draw_energy`.
 
     Args:
@@ -67,8 +71,7 @@ def energy_figure(
     """
     names = list(labels) or [other.path.name for other in others]
     rows = rows_to_draw(log, start, stop)
-    mpl, figure_type = matplotlib_figure()
-    with mpl.rc_context(STYLE):
+    with drawing() as figure_type:
         pictures = {name: PortPicture(log, name, rows) for name in log.ports if name not in log.group_of}
         figure, columns = _layout(figure_type, pictures)
         for name, picture in pictures.items():
@@ -82,15 +85,17 @@ def energy_figure(
     return figure
 
 
-def _layout(figure_type: Any, pictures: Mapping[str, PortPicture]) -> tuple[Any, dict[str, dict[str, Any]]]:
+def _layout(
+    figure_type: "type[Figure]", pictures: Mapping[str, PortPicture]
+) -> "tuple[Figure, dict[str, dict[str, Axes]]]":
     """Returns an empty figure, and of each port its panels by name, top to bottom, all but paths over one time axis."""
     wanted = {name: picture.draws() for name, picture in pictures.items()}
     rows = [row for row in _HEIGHTS if any(row in names for names in wanted.values())]
     heights = [_HEIGHTS[row] for row in rows]
-    figure = figure_type(figsize=(2.0 + 6.5 * len(pictures), _INCH * sum(heights)), dpi=120, layout="constrained")
-    figure.get_layout_engine().set(hspace=0.04, h_pad=0.06)
+    figure = figure_type(figsize=(2.0 + 6.5 * len(pictures), _INCH * sum(heights)), dpi=120)
+    figure.set_layout_engine("constrained", hspace=0.04, h_pad=0.06)
     grid = figure.add_gridspec(len(rows), len(pictures), height_ratios=heights)
-    columns: dict[str, dict[str, Any]] = {}
+    columns: dict[str, dict[str, Axes]] = {}
     first = None
     for number, (name, names) in enumerate(wanted.items()):
         columns[name] = {}

@@ -1,12 +1,16 @@
 """The page of `canhaptic scope`: the panels of the page of a finished run, for the last seconds, as they come."""
 
 import html
-from typing import Any, Final
+from collections.abc import Mapping
+from typing import Final
 
 import numpy as np
+from bokeh.document import Document
 from bokeh.layouts import column
-from bokeh.models import ColumnDataSource, DataRange1d, Div
+from bokeh.models import ColumnDataSource, DataRange1d, Div, Range
+from bokeh.plotting import figure
 
+from canhaptic.logs.hdf5 import Array
 from canhaptic.logs.statusword import state_text
 from canhaptic.result import with_groups
 from canhaptic.view.common_panels import link_panel, timing_panel
@@ -35,16 +39,16 @@ class ScopePage:
         period: Between two looks [s].
     """
 
-    def __init__(self, document: Any, log: LiveLog, window: float, period: float) -> None:
+    def __init__(self, document: Document, log: LiveLog, window: float, period: float) -> None:
         self._document = document
         self._log = log
         self._window = window
-        self._status: Any = Div(text=f"waiting for {html.escape(str(log.path))} ...", name="status")
-        self._time: Any = DataRange1d(follow="end", follow_interval=window, range_padding=0.0)
+        self._status = Div(text=f"waiting for {html.escape(str(log.path))} ...", name="status")
+        self._time = DataRange1d(follow="end", follow_interval=window, range_padding=0.0)
         self._ports: dict[str, _LivePort] = {}
-        self._timing: Any = None
-        self._lost: Any = None
-        self._common: dict[str, Any] = {}
+        self._timing: ColumnDataSource | None = None
+        self._lost: ColumnDataSource | None = None
+        self._common: dict[str, figure] = {}
         self._last: News | None = None  # look that found rows
         document.title = f"canhaptic scope: {log.path.name}"
         document.add_root(column(self._status, sizing_mode="stretch_width", name="root"))
@@ -91,7 +95,7 @@ class ScopePage:
 class _LivePort:
     """The panels of one port; those that show nothing but zeros are hidden until they show more."""
 
-    def __init__(self, news: News, name: str, time: Any, window: float) -> None:
+    def __init__(self, news: News, name: str, time: Range, window: float) -> None:
         self._window, self._sample_time = window, news.sample_time
         self._source = ColumnDataSource({key: [] for key in ("time", *_LINES)})
         self._contacts = ColumnDataSource({"start": [], "end": []})
@@ -103,7 +107,7 @@ class _LivePort:
         for title, panel in self.panels.items():
             panel.visible = title not in OPTIONAL
 
-    def take(self, news: News, keep: Any) -> None:
+    def take(self, news: News, keep: Array) -> None:
         """Takes the new rows that `keep` says, their contacts, and all faults."""
         time, rows = news.time[keep], news.ports[self._name]
         columns = {key: rows[key][keep] for key in _LINES}
@@ -125,7 +129,7 @@ class _LivePort:
         }
 
 
-def _stream(source: Any, time: Any, columns: dict[str, Any]) -> None:
+def _stream(source: ColumnDataSource, time: Array, columns: Mapping[str, Array]) -> None:
     shown = np.unique(np.concatenate([decimate(values, _BUCKETS) for values in columns.values()]))
     source.stream({"time": time[shown]} | {name: values[shown] for name, values in columns.items()}, rollover=_POINTS)
 

@@ -1,17 +1,15 @@
 """What is drawn of one port: a few thousand rows out of millions, no spike lost, every row around what matters."""
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from canhaptic.audit.extent import contacts
 from canhaptic.logs.columns import Event
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.hdf5 import Array
 from canhaptic.view.decimate import decimate
-
-_Array = NDArray[Any]
 
 FAULTS: Final = frozenset({"fault", "emcy", "stop", "limit"})
 """Kinds of events that are marked."""
@@ -67,7 +65,7 @@ def port_facts(log: EnergyLog, name: str) -> PortFacts:
     return PortFacts(name, name in log.groups, name in log.group_of, units, place, side)
 
 
-def losses(log: EnergyLog, start: int, stop: int) -> dict[str, _Array]:
+def losses(log: EnergyLog, start: int, stop: int) -> dict[str, Array]:
     """Returns for each row what was lost before it: SYNCs not sent, TPDOs that did not come, rows without room."""
     index = log.timing.read("sync_index", max(0, start - 1), stop).astype(np.int64)
     dropped = log.timing.read("dropped_before", start, stop).astype(np.int64)
@@ -109,13 +107,13 @@ class PortSeries:
         places = [int(np.searchsorted(index, fault.event.sync_index)) for fault in self.faults]
         shown = self._shown(full, [worst, *places])
         self.is_whole = len(shown) == len(time)
-        self.columns: dict[str, _Array] = {"time": time[shown]} | {key: values[shown] for key, values in full.items()}
+        self.columns: dict[str, Array] = {"time": time[shown]} | {key: values[shown] for key, values in full.items()}
         self.columns["upper"] = np.maximum(self.columns["taken_in"], self.columns["dissipated"])
 
-    def _read(self, name: str) -> _Array:
+    def _read(self, name: str) -> Array:
         return self._port.read(name, self._rows.start, self._rows.stop)
 
-    def _columns(self) -> dict[str, _Array]:
+    def _columns(self) -> dict[str, Array]:
         """Every row of what is drawn, in single precision: an hour of doubles would take half a gigabyte."""
         taken_in = np.cumsum(self._read("h_i"), dtype=np.longdouble)
         dissipated = np.cumsum(self._read("h_r"), dtype=np.longdouble)
@@ -128,7 +126,7 @@ class PortSeries:
         del taken_in, dissipated
         return columns | {key: self._read(name).astype(np.float32) for key, name in COLUMNS.items()}
 
-    def _contacts(self, time: _Array, full: dict[str, _Array]) -> dict[str, list[float]]:
+    def _contacts(self, time: Array, full: dict[str, Array]) -> dict[str, list[float]]:
         found = [] if self.facts.is_member else contacts(self._read("branch"))
         before = [max(0, first - 1) for first, _ in found]
         return {
@@ -141,7 +139,7 @@ class PortSeries:
             ],
         }
 
-    def _shown(self, full: dict[str, _Array], places: Sequence[int]) -> _Array:
+    def _shown(self, full: dict[str, Array], places: Sequence[int]) -> Array:
         count = len(full["position"])
         picks = [decimate(values, _BUCKETS) for values in full.values()]
         span = min(_FULL_ROWS // 2, round(_FULL_SPAN / self.sample_time))
@@ -149,7 +147,7 @@ class PortSeries:
         return np.unique(np.concatenate(picks))
 
 
-def faults_of(log: EnergyLog, port: str, index: _Array) -> list[MarkedEvent]:
+def faults_of(log: EnergyLog, port: str, index: Array) -> list[MarkedEvent]:
     """Returns the events to mark that concern a port and lie within the SYNCs of `index`.
 
     The fault that ended a run came with a SYNC that has no row any more; it is moved to the last one that has.

@@ -5,22 +5,21 @@ a network without a surface have no such picture.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from canhaptic.control.mechanisms import KINEMATICS
+from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis import NETWORKS
 from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, coordinates_at
 from canhaptic.errors import CanHapticError
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.hdf5 import Array
 from canhaptic.registry import load
 from canhaptic.scene.models import task_unit
 from canhaptic.view.decimate import decimate
-
-_Array = NDArray[Any]
 
 _BUCKETS: Final = 1000
 _GRID: Final = 121  # places along each side where the depth is taken
@@ -32,11 +31,11 @@ class TaskPlane(NamedTuple):
 
     name: str  # of the group
     unit: str
-    time: _Array  # of each place [s], (n,)
-    path: _Array  # (n, 2); NaN where the mechanism had no pose
-    across: _Array  # of the grid, (m,)
-    along: _Array  # of the grid, (m,)
-    depth: _Array  # in the material, above `surface` inside it, (m, m): rows along, columns across
+    time: Array  # of each place [s], (n,)
+    path: Array  # (n, 2); NaN where the mechanism had no pose
+    across: Array  # of the grid, (m,)
+    along: Array  # of the grid, (m,)
+    depth: Array  # in the material, above `surface` inside it, (m, m): rows along, columns across
     surface: float  # depth at the surface
 
 
@@ -72,7 +71,7 @@ def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
     return TaskPlane(name, str(unit), log.time[rows][shown], path, across, along, depth, surface)
 
 
-def _build(table: dict[str, str], section: dict[str, Any]) -> Any:
+def _build(table: dict[str, str], section: Mapping[str, str]) -> Any:
     parameters = {key: value for key, value in section.items() if key != "type"}
     return load(table, section["type"], "part of a group")(**parameters)
 
@@ -95,12 +94,12 @@ def _depth(rendered: Rendered, position: Sequence[float]) -> float:
     return float(deepest)
 
 
-def _place(kinematics: Any, position: list[float]) -> tuple[float, float]:
+def _place(kinematics: Kinematics, position: list[float]) -> tuple[float, float]:
     pose = kinematics.pose(position)
     return (np.nan, np.nan) if pose.limit else (float(pose.position[0]), float(pose.position[1]))
 
 
-def _span(values: _Array) -> _Array:
+def _span(values: Array) -> Array:
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     margin = max(_MARGIN * (high - low), 1e-3)
     return np.linspace(low - margin, high + margin, _GRID)

@@ -2,16 +2,20 @@
 
 import html
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final, Literal
 
-from canhaptic.control.balance import Verdict
+from canhaptic.control.verdict import PortResult, Verdict
 from canhaptic.view.palette import GREEN, ORANGE, VERMILION
 
-_SUMS: Final = {"passive": "at the motor", "passive_at_sensor": "at the sensor", "passive_at_handle": "at the handle"}
+_SUMS: Final[dict[Literal["passive", "passive_at_sensor", "passive_at_handle"], str]] = {
+    "passive": "at the motor",
+    "passive_at_sensor": "at the sensor",
+    "passive_at_handle": "at the handle",
+}
 _COLOURS: Final[dict[Verdict, str]] = {"yes": GREEN, "in doubt": ORANGE, "no": VERMILION}
 
 
-def verdict_bar(ports: Mapping[str, Mapping[str, Any]]) -> str:
+def verdict_bar(ports: Mapping[str, PortResult]) -> str:
     """Returns a bar of HTML with the verdicts of every account, by name of the port."""
     verdicts: dict[str, Verdict] = {}
     for name, port in ports.items():

@@ -4,7 +4,6 @@ import json
 import math
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,6 +21,7 @@ from canhaptic.errors import (
     StartError,
 )
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.result import RunResult
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.load import load_scene
@@ -30,7 +30,7 @@ from canhaptic.sim.drive.profile.state_machine import DriveState
 SCENE = Path(__file__).parents[2] / "configs" / "admittance" / "virtual_mass.yaml"
 
 
-def _run(*overrides: str, cycles: int = 1500) -> tuple[dict[str, Any], Experiment]:
+def _run(*overrides: str, cycles: int = 1500) -> tuple[RunResult, Experiment]:
     with build(load_scene(SCENE, overrides)) as experiment:
         run(experiment.cycle, cycles)
         return experiment_account(experiment, "completed", 1.0), experiment

@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 from canhaptic.cli.main import main
-from canhaptic.control.balance import AT_REST, Certificate, Ledger
+from canhaptic.control.balance import AT_REST, Certificate
+from canhaptic.control.ledger import Ledger
 from canhaptic.cycle import run
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import withdraw_certificates
@@ -117,7 +118,8 @@ def test_of_a_group_the_axis_held_longest_counts(capsys: pytest.CaptureFixture[s
 def test_a_long_hold_takes_the_certificates_of_torques(torque: float, certificates: list[str]) -> None:
     ledger = Ledger()
     ledger.add(AT_REST._replace(torque=torque, certificate=Certificate.HAND_FORCE.value), 0)
-    account = {**ledger.summary().as_json(1e-3), "longest_hold": 2, "max_consecutive_losses": 0}
+    account = ledger.summary().as_json(1e-3)
+    account["longest_hold"], account["max_consecutive_losses"] = 2, 0
     withdraw_certificates(account, longest_gap=1)
     assert account["certificates"] == certificates
 

@@ -10,7 +10,8 @@ import pytest
 from canhaptic.audit.inspection import _quantiles, inspect
 from canhaptic.audit.log_difference import compare
 from canhaptic.audit.user_checks import check
-from canhaptic.control.balance import Branch, Certificate, EnergyBalance, Ledger
+from canhaptic.control.balance import Branch, Certificate, EnergyBalance
+from canhaptic.control.ledger import Ledger
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import overall

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.control.balance import Ledger
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.ledger import Ledger
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.passivity_observer import PassivityObserverParameters

@@ -6,7 +6,8 @@ import random
 
 import pytest
 
-from canhaptic.control.balance import AT_REST, Branch, Certificate, Ledger
+from canhaptic.control.balance import AT_REST, Branch, Certificate
+from canhaptic.control.ledger import Ledger
 
 
 def hold(h_i=0.0, h_r=0.0, **more):

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from canhaptic.control.balance import Ledger, residual
+from canhaptic.control.balance import residual
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.ledger import Ledger
 from canhaptic.control.passivity import build_controller, internal_dissipation
 from canhaptic.control.passivity.a_priori_dissipation import APrioriDissipationParameters
 from canhaptic.control.passivity.controller import LoopProperties

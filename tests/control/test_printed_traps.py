@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from canhaptic.control.balance import Branch, Ledger
+from canhaptic.control.balance import Branch
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.viscous_medium import ViscousMedium
+from canhaptic.control.ledger import Ledger
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.internal_dissipation import InternalDissipationParameters

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from canhaptic.control.balance import PASSIVE_TOLERANCE
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from tests.docs.documents import ROOT
 
 EXAMPLES = ROOT / "examples"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from canhaptic.control.balance import Ledger
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.ledger import Ledger
 from canhaptic.control.passivity import ALGORITHMS, build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import InputError, ParameterError

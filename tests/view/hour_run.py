@@ -53,8 +53,17 @@ def write_hour(path: Path, rows: int = HOUR) -> None:
     columns = columns_of(rows)
     schema = LogSchema((PortDescription("handle", "m"),), 1_000_000, False, 4096, False, {})
     with Hdf5File(path, "w") as file:
-        attributes = {"format": FORMAT_NAME, "format_version": FORMAT_VERSION, "sample_time_ns": 1_000_000}
-        more = {"ports": "handle m", "status": "completed", "rows_lost": 0, "handle.wall_position": -0.02}
+        attributes: dict[str, str | int] = {
+            "format": FORMAT_NAME,
+            "format_version": FORMAT_VERSION,
+            "sample_time_ns": 1_000_000,
+        }
+        more: dict[str, str | int | float] = {
+            "ports": "handle m",
+            "status": "completed",
+            "rows_lost": 0,
+            "handle.wall_position": -0.02,
+        }
         for name, value in {**attributes, **more, "config_hash": "0" * 64}.items():
             file.set_attribute(name, value)
         for column in schema.columns():

@@ -4,6 +4,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from canhaptic.audit.inspection import LoggedEvent
 from canhaptic.view.energy_table import energy_report, make_console, print_energy
 from canhaptic.view.inspect_table import _events_table
 from canhaptic.view.si import si
@@ -221,6 +222,6 @@ def test_a_quantity_that_no_port_has_is_no_row():
 
 @pytest.mark.parametrize(("count", "title"), [(1, " 1 event"), (20, " 20 events"), (21, " 21 events, the first 20")])
 def test_of_many_events_the_first_are_shown(count: int, title: str) -> None:
-    event = {"time": 1.0, "sync_index": 1000, "kind": "fault", "port": "handle", "text": "stopped"}
+    event: LoggedEvent = {"time": 1.0, "sync_index": 1000, "kind": "fault", "port": "handle", "text": "stopped"}
     table = _events_table([event] * count)
     assert (str(table.title), table.row_count) == (title, min(count, 20))

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from canhaptic.control.balance import PASSIVE_TOLERANCE
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.package_data import shipped
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import Scene

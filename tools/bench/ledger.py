@@ -1,6 +1,6 @@
 """How far does the ledger drift over 1e9 samples of noise? Slow: some minutes. `python -m tools.bench.ledger [N]`.
 
-The sum of the package (`CompensatedSum`, one call per sample, as the ledger makes it) against the exact sum, which is
+The sum of the package (`RunningSum`, one call per sample, as the ledger makes it) against the exact sum, which is
 that of one block times the number of blocks, and against a plain running sum of the same samples.
 """
 
@@ -9,9 +9,10 @@ import math
 import random
 import sys
 from collections import deque
+from functools import partial
 from time import perf_counter
 
-from canhaptic.control.balance import CompensatedSum
+from canhaptic.control.running_sum import RunningSum, add
 from tools.bench.report import Row, publish
 
 SAMPLES = 1_000_000_000
@@ -29,10 +30,10 @@ def noise(seed: int = 11) -> list[float]:
 def main(samples: int = SAMPLES) -> None:
     """Adds the samples one by one and publishes the drift."""
     block, blocks = noise(), max(1, samples // BLOCK)
-    total = CompensatedSum()
+    total = RunningSum()
     start = perf_counter()
     for _ in range(blocks):
-        deque(map(total.add, block), maxlen=0)  # consumed in C: the loop costs less than the call
+        deque(map(partial(add, total), block), maxlen=0)  # consumed in C: the loop costs less than the call
     duration = perf_counter() - start
     plain = 0.0
     for _ in range(blocks):

@@ -1,6 +1,6 @@
 """What the plant denies of the account of an admittance display."""
 
-from canhaptic.control.balance import PASSIVE_TOLERANCE
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from tools.displays.direct import Display, Outcome
 
 ROUNDING = 1e-9  # [J]

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from canhaptic.cycle import run
 from canhaptic.errors import CanHapticError, SceneError
-from canhaptic.result import run_result
+from canhaptic.result import TruthResult, run_result
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import scene_from_mapping
 from tools.truth.faults import FaultWatch
@@ -215,7 +215,7 @@ class _Moved:
                 least, at_handle = self._least.get(group.name, (0.0, 0.0))
                 self._least[group.name] = min(now, least), min(now + judge.dissipated[place], at_handle)
 
-    def count(self, truth: dict[str, dict[str, float]]) -> None:
+    def count(self, truth: dict[str, TruthResult]) -> None:
         """Takes these sums into the truth of a run."""
         for _, group in self._groups:
             if group.supplied:

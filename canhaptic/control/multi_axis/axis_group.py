@@ -7,7 +7,8 @@ balance of the axis says `Branch.GROUP`, and it holds h_i alone.
 
 from collections.abc import Sequence
 
-from canhaptic.control.balance import Branch, EnergyBalance, Ledger
+from canhaptic.control.balance import Branch, EnergyBalance
+from canhaptic.control.ledger import Ledger
 from canhaptic.control.mechanisms.kinematics import Limit
 from canhaptic.control.multi_axis.group_controller import GroupBalance, GroupController, group_at_rest
 from canhaptic.control.passivity.controller import Controller

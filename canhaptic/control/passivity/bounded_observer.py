@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from math import copysign, inf
 from typing import Annotated, ClassVar
 
-from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance, RunningSum, add
+from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import (
@@ -34,6 +34,7 @@ from canhaptic.control.passivity.hold_account import (
 )
 from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
 from canhaptic.control.passivity.stepped import SteppedController
+from canhaptic.control.running_sum import RunningSum, add
 from canhaptic.control.velocity import DamperVelocity
 from canhaptic.kernels import Kernel, new
 from canhaptic.units import Parameters, quantity

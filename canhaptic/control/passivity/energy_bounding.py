@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from math import sqrt
 from typing import ClassVar
 
-from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance, RunningSum, add
+from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import (
@@ -31,6 +31,7 @@ from canhaptic.control.passivity.hold_account import (
 )
 from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
 from canhaptic.control.passivity.stepped import SteppedController
+from canhaptic.control.running_sum import RunningSum, add
 from canhaptic.control.velocity import DamperVelocity
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, Kernel, new

@@ -14,7 +14,7 @@ the next hold, where the source changes the force of this one without bound. It 
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
-from canhaptic.control.balance import AT_REST, EnergyBalance, RunningSum, add
+from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import (
@@ -33,6 +33,7 @@ from canhaptic.control.passivity.passivity_observer import (
 )
 from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
 from canhaptic.control.passivity.stepped import SteppedController
+from canhaptic.control.running_sum import RunningSum, add
 from canhaptic.kernels import Kernel, new
 from canhaptic.units import Parameters, quantity
 

@@ -3,12 +3,16 @@
 import html
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from canhaptic.errors import InputError
 from canhaptic.study.accuracy.accuracy_picture import GROUPS, STYLES, price_of
 from canhaptic.study.accuracy.accuracy_table import advice_lines, heading
 from canhaptic.view.html_page import require_bokeh, write_page
+
+if TYPE_CHECKING:
+    from bokeh.models import Plot
+
 
 Row = Mapping[str, Any]
 
@@ -40,11 +44,11 @@ def write_accuracy_page(result: Row, path: Path) -> None:
     write_page(column(*parts), f"{result['scene']} - accuracy", path)
 
 
-def _ladder(result: Row, price: str, price_label: str, error: str, error_label: str) -> Any:
+def _ladder(result: Row, price: str, price_label: str, error: str, error_label: str) -> "Plot":
     from bokeh.models import ColumnDataSource, HoverTool
     from bokeh.plotting import figure
 
-    panel: Any = figure(
+    panel = figure(
         width=620, height=460, x_axis_type="log", y_axis_type="log", tools=_TOOLS, x_axis_label=price_label,
         y_axis_label=error_label,
     )  # fmt: skip
@@ -81,13 +85,13 @@ def _ladder(result: Row, price: str, price_label: str, error: str, error_label: 
     return panel
 
 
-def _loop(result: Row) -> Any:
+def _loop(result: Row) -> "Plot":
     from bokeh.models import ColumnDataSource, HoverTool
     from bokeh.plotting import figure
 
     rows = [r for r in result["loop"] if r["position_error"]]
     names = [f"{r['group']}: {r['setting']}" for r in rows]
-    panel: Any = figure(
+    panel = figure(
         width=1240, height=120 + 20 * len(rows), x_axis_type="log", y_range=names[::-1], tools=_TOOLS,
         x_axis_label=f"largest difference from the continuous axis [{result['unit']}]",
     )  # fmt: skip

@@ -5,7 +5,7 @@ Pareto front ringed and joined; the tolerance as a dashed line; a method that is
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from canhaptic.errors import InputError
 from canhaptic.scene.accuracy_choice import FLOOR
@@ -13,7 +13,11 @@ from canhaptic.study.accuracy.accuracy_table import part_of
 from canhaptic.study.accuracy.advice import front
 from canhaptic.study.accuracy.candidates import COMPILED, OURS
 from canhaptic.view.palette import BLUE, GREEN, ORANGE, PALE, PURPLE, SKY, VERMILION
-from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
+from canhaptic.view.picture_style import drawing, require_matplotlib, save_picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 
 Row = Mapping[str, Any]
 
@@ -45,13 +49,13 @@ def draw_accuracy(result: Row, path: str | Path) -> None:
     Raises:
         InputError: matplotlib is not installed, the file cannot be written, or nothing was measured.
     """
-    mpl, figure_type = matplotlib_figure()
+    require_matplotlib()
     if not result["plant"]:
         raise InputError("nothing was measured, there is nothing to draw")
-    with mpl.rc_context(STYLE):
+    with drawing() as figure_type:
         loop = [row for row in result["loop"] if row["position_error"]]
-        figure: Any = figure_type(figsize=(14.5, max(6.4, 1.6 + 0.22 * len(loop))), dpi=110, layout="constrained")
-        panels: Any = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.05))
+        figure = figure_type(figsize=(14.5, max(6.4, 1.6 + 0.22 * len(loop))), dpi=110, layout="constrained")
+        panels = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.05))
         time = price_of(result)
         _draw_ladder(panels[0], result, time[0], "position_error")
         panels[0].set_xlabel(time[1])
@@ -82,7 +86,7 @@ def _caption(result: Row) -> str:
     )
 
 
-def _draw_ladder(panel: Any, result: Row, price: str, error: str) -> None:
+def _draw_ladder(panel: "Axes", result: Row, price: str, error: str) -> None:
     rows = [row for row in result["plant"] if row.get(price) is not None]
     stable = [row for row in rows if row["status"] == "ok"]
     floor = FLOOR * result["reference"]["travel" if error == "position_error" else "energy"]
@@ -116,7 +120,7 @@ def _lines(own: Sequence[Row]) -> list[list[Row]]:
     return [[row for row in own if row["accuracy"]["event_bits"] == b] for b in bits]
 
 
-def _draw_loop(panel: Any, loop: Sequence[Row], result: Row) -> None:
+def _draw_loop(panel: "Axes", loop: Sequence[Row], result: Row) -> None:
     """Draws one row per variant: position error, with its price in words."""
     places = list(range(len(loop)))[::-1]
     for place, row in zip(places, loop, strict=True):

@@ -1,13 +1,18 @@
 """The pictures of an arena: K-B plot, impedance, and who gives out energy where; `guarded` is drawn thick and black."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
-from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
+from canhaptic.view.picture_style import drawing, save_picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 
 Found = Mapping[str, Any]
 _COLOURS: Final = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, GREY)
@@ -26,17 +31,16 @@ _DARK: Final = 3e-3
 """Energy from which a cell is so dark that its number is white [J]."""
 
 
-def _draw_borders(found: Found, path: str | Path) -> None:
+def _draw_borders(found: Found, path: Path) -> None:
     """Draws the K-B plot: passive, and passive and near, each without delay and late.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
     """
-    mpl, figure_type = matplotlib_figure()
     delays = sorted({border["delay"] for border in found["borders"]})
-    with mpl.rc_context(STYLE):
-        figure: Any = figure_type(figsize=(5.4 * len(_WORDS) + 2.6, 4.4 * len(delays)), dpi=_DPI, layout="constrained")
-        panels: Any = figure.subplots(len(delays), len(_WORDS), sharex=True, sharey=True, squeeze=False)
+    with drawing() as figure_type:
+        figure = figure_type(figsize=(5.4 * len(_WORDS) + 2.6, 4.4 * len(delays)), dpi=_DPI, layout="constrained")
+        panels = figure.subplots(len(delays), len(_WORDS), sharex=True, sharey=True, squeeze=False)
         for row, delay in zip(panels, delays, strict=True):
             for panel, (key, words) in zip(row, _WORDS.items(), strict=True):
                 _draw_border(panel, found, delay, key)
@@ -47,14 +51,14 @@ def _draw_borders(found: Found, path: str | Path) -> None:
         _save_with_legend(figure, panels[0, 0], path)
 
 
-def _save_with_legend(figure: Any, panel: Any, path: str | Path) -> None:
+def _save_with_legend(figure: "Figure", panel: "Axes", path: Path) -> None:
     """Saves a picture with the lines of one panel explained on its right."""
     handles, labels = panel.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right upper", fontsize=8.0)
     save_picture(figure, path)
 
 
-def _draw_border(panel: Any, found: Found, delay: int, key: str) -> None:
+def _draw_border(panel: "Axes", found: Found, delay: int, key: str) -> None:
     for number, name in enumerate(found["algorithms"]):
         own = [b for b in found["borders"] if b["algorithm"] == name and b["delay"] == delay]
         values = [b[key] if b[key] > 0.0 else np.nan for b in own]
@@ -81,17 +85,16 @@ def _line(name: str, number: int) -> dict[str, Any]:
     return {**mark, "color": _COLOURS[number % len(_COLOURS)], "linewidth": 1.0}
 
 
-def _draw_impedance(found: Found, path: str | Path) -> None:
+def _draw_impedance(found: Found, path: Path) -> None:
     """Draws the impedance rendered over the one asked for, size and angle, without delay and late.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
     """
-    mpl, figure_type = matplotlib_figure()
     delays = sorted({one["delay"] for one in found["impedance"]})
-    with mpl.rc_context(STYLE):
-        figure: Any = figure_type(figsize=(5.0 * len(delays) + 2.6, 6.0), dpi=_DPI, layout="constrained")
-        panels: Any = figure.subplots(2, len(delays), sharex=True, sharey="row", squeeze=False)
+    with drawing() as figure_type:
+        figure = figure_type(figsize=(5.0 * len(delays) + 2.6, 6.0), dpi=_DPI, layout="constrained")
+        panels = figure.subplots(2, len(delays), sharex=True, sharey="row", squeeze=False)
         for column, delay in enumerate(delays):
             for row, key in enumerate(("size", "angle")):
                 _draw_ratio(panels[row, column], found, delay, key)
@@ -102,7 +105,7 @@ def _draw_impedance(found: Found, path: str | Path) -> None:
         _save_with_legend(figure, panels[0, 0], path)
 
 
-def _draw_ratio(panel: Any, found: Found, delay: int, key: str) -> None:
+def _draw_ratio(panel: "Axes", found: Found, delay: int, key: str) -> None:
     for number, name in enumerate(found["algorithms"]):
         own = [one for one in found["impedance"] if one["algorithm"] == name and one["delay"] == delay]
         values = [np.nan if one[key] is None else one[key] for one in own]
@@ -113,21 +116,22 @@ def _draw_ratio(panel: Any, found: Found, delay: int, key: str) -> None:
         panel.set_yscale("log")
 
 
-def _draw_given_out(found: Found, path: str | Path) -> None:
+def _draw_given_out(found: Found, path: Path) -> None:
     """Draws who gives out energy where: cells by the most energy beyond the device, with the number of cases.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
     """
-    mpl, figure_type = matplotlib_figure()
     names, scenes = found["algorithms"], found["scenes"]
     of_all = len(found["rates"]) * len(found["delays"])
     most = np.array([[_cell(found, name, scene, "most") for scene in scenes] for name in names])
-    with mpl.rc_context(STYLE):
+    with drawing() as figure_type:
+        from matplotlib.colors import LogNorm
+
         size = 5.0 + 0.75 * len(scenes), 2.4 + 0.34 * len(names)
-        figure: Any = figure_type(figsize=size, dpi=_DPI, layout="constrained")
-        panel: Any = figure.subplots()
-        norm = mpl.colors.LogNorm(1e-6, max(1e-5, float(np.nanmax(most, initial=1e-5))))
+        figure = figure_type(figsize=size, dpi=_DPI, layout="constrained")
+        panel = figure.subplots()
+        norm = LogNorm(1e-6, max(1e-5, float(np.nanmax(most, initial=1e-5))))
         drawn = panel.imshow(np.where(most > 1e-6, most, np.nan), norm=norm, cmap="magma_r", aspect="auto")
         for row, name in enumerate(names):
             for column, scene in enumerate(scenes):
@@ -149,7 +153,7 @@ def _cell(found: Found, name: str, scene: str, key: str) -> float:
     return float(found["given_out"].get(name, {}).get(scene, {}).get(key, np.nan))
 
 
-def pictures_of(found: Found) -> Sequence[tuple[str, str, Any]]:
+def pictures_of(found: Found) -> Sequence[tuple[str, str, Callable[[Found, Path], None]]]:
     """Returns (file name, title, function that draws it) of every picture that an arena has."""
     whole = [("arena_given_out.png", "Who gives out energy where", _draw_given_out)]
     if found.get("borders"):

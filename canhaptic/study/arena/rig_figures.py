@@ -12,8 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.control.balance import PASSIVE_TOLERANCE
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import ParameterError
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.components import ComponentSpec

@@ -5,7 +5,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.control.balance import PASSIVE_TOLERANCE
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.study.arena.arena_cases import CaseFigures, rounded
 
 AT_DAMPING: Final = 10.0

@@ -14,7 +14,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.control.balance import PASSIVE_TOLERANCE, RANKS, WEAKEST_LAST, Certificate
+from canhaptic.control.balance import RANKS, WEAKEST_LAST, Certificate
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.scene.models import AxisScene, MechanismScene, Scene, task_unit
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion

@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 import yaml
 
-from canhaptic.control.balance import PASSIVE_TOLERANCE
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.hints import LEAN

@@ -16,7 +16,7 @@ from rich.text import Text
 from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.group_environment import GroupMass, PathMass
 from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
-from canhaptic.control.balance import PASSIVE_TOLERANCE
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import CheckFailedError, InputError
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene

@@ -3,12 +3,16 @@
 import html
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from canhaptic.study.map.panel import Cells, Lines, Panel, common_limits
 from canhaptic.view.html_page import require_bokeh, write_page
+
+if TYPE_CHECKING:
+    from bokeh.models import Plot
+
 
 _WIDTH, _HEIGHT = 560, 380
 _DASHES: Final = {
@@ -37,7 +41,7 @@ def write_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: Pat
     write_page(column(heading, gridplot(rows)), f"{caption} - canhaptic", path)
 
 
-def _figure(panel: Panel, limits: tuple[float, float]) -> Any:
+def _figure(panel: Panel, limits: tuple[float, float]) -> "Plot":
     from bokeh.plotting import figure
 
     types = {
@@ -59,7 +63,7 @@ def _figure(panel: Panel, limits: tuple[float, float]) -> Any:
     return place
 
 
-def _lines(place: Any, panel: Lines) -> None:
+def _lines(place: "Plot", panel: Lines) -> None:
     from bokeh.models import HoverTool, Title
 
     for line in panel.lines:
@@ -85,7 +89,7 @@ def _lines(place: Any, panel: Lines) -> None:
         place.legend.location = "top_left"
 
 
-def _cells(place: Any, panel: Cells, limits: tuple[float, float]) -> None:
+def _cells(place: "Plot", panel: Cells, limits: tuple[float, float]) -> None:
     from bokeh.models import ColorBar, HoverTool, LinearColorMapper, LogColorMapper
 
     mapper = (LogColorMapper if panel.value_log else LinearColorMapper)(

@@ -3,12 +3,18 @@
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from canhaptic.study.map.panel import Cells, Lines, Panel, common_limits
-from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
+from canhaptic.view.picture_style import drawing, save_picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.figure import Figure
+
 
 _LETTERS: Final = 80
 """Letters of the caption over one column."""
@@ -31,11 +37,10 @@ def draw_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: str 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
     """
-    mpl, figure_type = matplotlib_figure()
     rows = max(len(column) for column in columns)
-    with mpl.rc_context(STYLE):
-        figure: Any = figure_type(figsize=(0.8 + 5.0 * len(columns), 0.6 + 3.6 * rows), dpi=110, layout="constrained")
-        axes: Any = figure.subplots(rows, len(columns), squeeze=False)
+    with drawing() as figure_type:
+        figure = figure_type(figsize=(0.8 + 5.0 * len(columns), 0.6 + 3.6 * rows), dpi=110, layout="constrained")
+        axes = figure.subplots(rows, len(columns), squeeze=False)
         for row in range(rows):
             panels = [column[row] if row < len(column) else None for column in columns]
             _draw_row(figure, axes[row], panels)
@@ -44,7 +49,7 @@ def draw_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: str 
         save_picture(figure, path)
 
 
-def _draw_row(figure: Any, axes: Any, panels: Sequence[Panel | None]) -> None:
+def _draw_row(figure: "Figure", axes: "Sequence[Axes]", panels: Sequence[Panel | None]) -> None:
     limits = common_limits(panels)
     for place, panel in zip(axes, panels, strict=True):
         if panel is None:
@@ -62,7 +67,7 @@ def _draw_row(figure: Any, axes: Any, panels: Sequence[Panel | None]) -> None:
             _draw_cells(figure, place, panel, limits)
 
 
-def _mark_values(place: Any, panel: Panel) -> None:
+def _mark_values(place: "Axes", panel: Panel) -> None:
     """Puts the marks of a logarithmic axis at the values themselves where those are few."""
     places = panel.marks()
     if places:
@@ -70,7 +75,7 @@ def _mark_values(place: Any, panel: Panel) -> None:
         place.set_xticks([], minor=True)
 
 
-def _draw_lines(place: Any, panel: Lines) -> None:
+def _draw_lines(place: "Axes", panel: Lines) -> None:
     place.grid(visible=True)
     for line in panel.lines:
         mark = _MARKS[line.number % len(_MARKS)] if line.style in ("measured", "ours") else None
@@ -89,10 +94,11 @@ def _draw_lines(place: Any, panel: Lines) -> None:
     place.legend(frameon=True, framealpha=0.85, edgecolor="none", fontsize=size, loc="best")
 
 
-def _draw_cells(figure: Any, place: Any, panel: Cells, limits: tuple[float, float]) -> None:
+def _draw_cells(figure: "Figure", place: "Axes", panel: Cells, limits: tuple[float, float]) -> None:
     from matplotlib.colors import LogNorm, Normalize
 
     norm = (LogNorm if panel.value_log else Normalize)(*limits)
+    drawn: ScalarMappable
     colours = "magma_r" if panel.more_is_worse else "viridis"
     if panel.dots:
         drawn = place.scatter(panel.x, panel.y, c=panel.values, norm=norm, cmap=colours, s=14.0, edgecolors="none")
@@ -102,7 +108,7 @@ def _draw_cells(figure: Any, place: Any, panel: Cells, limits: tuple[float, floa
     figure.colorbar(drawn, ax=place, label=panel.value_label, pad=0.02)
 
 
-def _draw_contour(place: Any, panel: Cells) -> None:
+def _draw_contour(place: "Axes", panel: Cells) -> None:
     if panel.contour is None or min(panel.values.shape) < 2 or not np.isfinite(panel.values).any():
         return
     if not np.nanmin(panel.values) < panel.contour < np.nanmax(panel.values):

@@ -4,7 +4,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.control.balance import PASSIVE_TOLERANCE
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.study.field_figures import NEAR
 from canhaptic.study.loop import Array
 from canhaptic.study.map.field import MapField, Mask

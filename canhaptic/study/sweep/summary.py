@@ -8,7 +8,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from canhaptic.control.balance import PASSIVE_TOLERANCE
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.study.sweep.points import CONTROLLER
 from canhaptic.study.sweep.selected import Selected
 from canhaptic.study.sweep.sweep_table import SweepTable

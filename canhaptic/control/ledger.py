@@ -1,0 +1,165 @@
+"""Ledger: the sums of a whole run over the account of every hold."""
+
+from typing import Final, NamedTuple
+
+from canhaptic.control.balance import AT_REST, OUT_OF_CONTACT, Branch, Certificate, EnergyBalance, certificates_of
+from canhaptic.control.running_sum import RunningSum, add
+from canhaptic.control.verdict import PortResult
+
+_NONE: Final = Certificate.NONE.value
+
+
+class LedgerSummary(NamedTuple):
+    """The account of one port over a run. Energies in [J]."""
+
+    energy_in: float  # sum of the positive h_i
+    energy_out: float  # minus the sum of the negative h_i
+    stored: float  # at the end
+    dissipated: float  # sum of h_r
+    generated: float  # sum of gen
+    surplus_end: float  # h_dis at the end
+    surplus_max: float
+    recovered: float  # sum of h_pas
+    leaked: float  # sum of leak, of which `paid` paid surplus
+    paid: float
+    deficit: float
+    margin_value: float  # least value of sum(h_i) - sum(h_r) after any hold (eq. 4)
+    margin_cycle: int  # the SYNC at which it was reached
+    margin_deadline: int  # and the sample times to it
+    least_interaction: float  # least value of sum(h_i) after any hold (eq. 3)
+    certificates: tuple[Certificate, ...]  # that bounded a torque, weakest last
+    branches: dict[str, int]  # holds booked by each branch
+    damping_least: float  # range of the damping rendered in contact [N*s/m or N*m*s/rad]
+    damping_most: float
+    has_open_hold: bool  # the last position was lost: the energy since the one before is not booked
+
+    @property
+    def certificate(self) -> Certificate:
+        """The weakest that bounded a torque; EXACT where no torque acted."""
+        return self.certificates[-1] if self.certificates else Certificate.EXACT
+
+    def as_json(self, sample_time: float) -> PortResult:
+        """Returns the account of a port as `run --json` prints it.
+
+        Args:
+            sample_time: Turns the cycle of the least margin into a time [s].
+        """
+        return {
+            "in": self.energy_in,
+            "out": self.energy_out,
+            "stored": self.stored,
+            "dissipated": self.dissipated,
+            "generated": self.generated,
+            "surplus": {"end": self.surplus_end, "max": self.surplus_max},
+            "recovered": self.recovered,
+            "leaked": self.leaked,
+            "paid": self.paid,
+            "deficit": self.deficit,
+            "margin": {
+                "value": self.margin_value,
+                "cycle": self.margin_cycle,
+                "time": self.margin_deadline * sample_time,
+            },
+            "least_interaction": self.least_interaction,
+            "certificate": self.certificate.name.lower(),
+            "certificates": [certificate.name.lower() for certificate in self.certificates],
+            "branches": dict(self.branches),
+            "damping_rendered": {"least": self.damping_least, "most": self.damping_most},
+            "open_hold": self.has_open_hold,
+        }
+
+
+class Ledger:
+    """The compensated sums of a run: one `add` per cycle, one `summary` whenever it is wanted.
+
+    Attributes:
+        interaction: Sum of h_i so far [J] (eq. 3).
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets every hold."""
+        self._interaction, self._in, self._dissipated = RunningSum(), RunningSum(), RunningSum()
+        self._recovered, self._leaked, self._paid, self._deficit, self._generated = (RunningSum() for _ in range(5))
+        self._branches = [0] * len(Branch)
+        self._last = AT_REST
+        self.interaction = self._least_interaction = self._least_margin = self._surplus_max = 0.0
+        self._least_margin_cycle = self._least_margin_deadline = 0
+        self._certificates = 0  # one bit each
+        self._damping_least, self._damping_most = float("inf"), 0.0
+
+    def add(self, balance: EnergyBalance, cycle: int, deadline: int | None = None) -> None:
+        """Adds the account of the hold that ended at SYNC `cycle`.
+
+        Args:
+            balance: Of the hold.
+            cycle: Index of the SYNC.
+            deadline: Sample times to it; None: no SYNC was skipped.
+        """
+        torque, h_i, h_pas, _, h_r, _, surplus, gen, deficit, leak, _, branch, rendered, certificate, _ = balance
+        self._branches[branch] += 1
+        self._last = balance
+        if surplus > self._surplus_max:
+            self._surplus_max = surplus
+        if torque or (h_i and certificate == _NONE):  # without one nothing was to be bounded
+            self._certificates |= 1 << certificate
+        if h_i or h_r:
+            self._add_flows(h_i, h_r, cycle, cycle if deadline is None else deadline)
+        if h_pas or leak or deficit or gen:
+            self._add_corrections(balance)
+        if branch not in OUT_OF_CONTACT:
+            if rendered < self._damping_least:
+                self._damping_least = rendered
+            if rendered > self._damping_most:
+                self._damping_most = rendered
+
+    def _add_corrections(self, balance: EnergyBalance) -> None:
+        if balance.h_pas:
+            add(self._recovered, balance.h_pas)
+        if balance.leak:
+            add(self._leaked, balance.leak)
+        if balance.paid:
+            add(self._paid, balance.paid)
+        if balance.deficit:
+            add(self._deficit, balance.deficit)
+        if balance.gen:
+            add(self._generated, balance.gen)
+
+    def _add_flows(self, h_i: float, h_r: float, cycle: int, deadline: int) -> None:
+        self.interaction = interaction = add(self._interaction, h_i)
+        if h_i > 0.0:
+            add(self._in, h_i)
+        elif interaction < self._least_interaction:
+            self._least_interaction = interaction
+        dissipated = add(self._dissipated, h_r) if h_r else self._dissipated.value
+        if interaction - dissipated < self._least_margin:
+            self._least_margin = interaction - dissipated
+            self._least_margin_cycle, self._least_margin_deadline = cycle, deadline
+
+    def summary(self) -> LedgerSummary:
+        """Returns the account so far."""
+        energy_in = self._in.value
+        return LedgerSummary(
+            energy_in=energy_in,
+            energy_out=energy_in - self._interaction.value,
+            stored=self._last.h_s,
+            dissipated=self._dissipated.value,
+            generated=self._generated.value,
+            surplus_end=self._last.h_dis,
+            surplus_max=self._surplus_max,
+            recovered=self._recovered.value,
+            leaked=self._leaked.value,
+            paid=self._paid.value,
+            deficit=self._deficit.value,
+            margin_value=self._least_margin,
+            margin_cycle=self._least_margin_cycle,
+            margin_deadline=self._least_margin_deadline,
+            least_interaction=self._least_interaction,
+            certificates=certificates_of(self._certificates),
+            branches={branch.name.lower(): self._branches[branch] for branch in Branch},
+            damping_least=min(self._damping_least, self._damping_most),
+            damping_most=self._damping_most,
+            has_open_hold=self._last.branch == Branch.HELD,
+        )
