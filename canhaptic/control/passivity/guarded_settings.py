@@ -1,6 +1,7 @@
 """What `guarded` rests on: its parameters, and the numbers that follow from them and from the loop."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import inf
 from typing import Annotated, Final
 
@@ -89,19 +90,34 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
     Raises:
         ParameterError: Nothing is known that a torque could be certified by, or not enough; a drag that earns nothing.
     """
+    of_loop = _settings_of_loop(parameters, loop)
+    return replace(
+        of_loop,
+        earned=kept_for_contacts(environment, parameters, loop, of_loop.declared.response),
+        outside={"below": 1.0, "above": -1.0}.get(getattr(environment, "side", ""), 0.0),
+        damping=min(environment.damping, of_loop.cap),
+    )
+
+
+@lru_cache(maxsize=4)
+def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> GuardedSettings:
+    """Returns what does not follow from the environment; kept, for a sweep asks it for every scene.
+
+    Raises:
+        ParameterError: Nothing is known that a torque could be certified by, or not enough.
+    """
     sample_time, mass, damping = loop.sample_time, loop.moving_mass, loop.device_damping or 0.0
     timing, response, speed = loop.timing, hand_response(parameters, loop), parameters.hand_speed or 0.0
     by_hand_force = response is not NO_RESPONSE
     _require_certifiable(parameters, loop, by_hand_force=by_hand_force)
-    earned = kept_for_contacts(environment, parameters, loop, response)
     cap, late = min(_NO_CAP, damping_cap(loop.delay, mass, sample_time)), timing.late / sample_time
     damped, calm = renderable_by_device_damping(damping, sample_time, loop.delay), calm_stiffness_of(loop)
     return GuardedSettings(
         sample_time=sample_time,
         credit=parameters.energy_allowance,
-        earned=earned,
+        earned=0.0,
         drag=parameters.drag,
-        outside={"below": 1.0, "above": -1.0}.get(getattr(environment, "side", ""), 0.0),
+        outside=0.0,
         alpha=parameters.alpha,
         torque_limit=loop.torque_limit or inf,
         least_limit=0.0 if loop.torque_rate_limit or loop.power_limit else loop.torque_limit or inf,
@@ -110,7 +126,7 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
         quantum=loop.torque_quantum,
         lead=parameters.prediction_holds + loop.delay + late,
         cap=cap,
-        damping=min(environment.damping, cap),
+        damping=cap,
         calm=calm,
         calm_stiffness=calm if by_hand_force else 0.0,
         damped_stiffness=damped,

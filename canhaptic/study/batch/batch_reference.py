@@ -89,7 +89,8 @@ def continuous_modes(
             readings[period == value] = readings_per_hold(round(float(value) * 1e9), cycles)
     steps = 2 ** np.ceil(np.log2(np.maximum(1.0, period * _fastest(linear) / (_ANGLE * readings))))
     step = period / (readings * steps)
-    flows = [np.eye(rate.shape[1]) + flow_changes(rate * step[:, None, None]) for rate in linear.rates]
+    flows = [_flows(rates, step) for rates in linear.rates[:1]]
+    flows += [flows[0] if rates is linear.rates[0] else _flows(rates, step) for rates in linear.rates[1:]]
     columns = (
         (steps * readings <= _MOST_STEPS).tolist(), linear.lower.tolist(), linear.upper.tolist(),
         linear.stiffness.tolist(), linear.damping.tolist(), [linear.everywhere] * count, [with_force] * count,
@@ -98,6 +99,18 @@ def continuous_modes(
     )  # fmt: skip
     settings = [ReferenceSettings(*row) for row in zip(*columns, strict=True)]
     return ContinuousModes(settings, _stacked(flows), _stacked(linear.rates), np.ascontiguousarray(linear.start.T))
+
+
+def _flows(rates: Array, step: Array) -> Array:
+    """Returns y after a step of y' = F y in many scenes, shape (n, k, k); once for all that do not differ."""
+    if (rates == rates[0]).all():
+        step, which = np.unique(step, return_inverse=True)
+        return _flows_of_each(rates[: len(step)], step)[which]
+    return _flows_of_each(rates, step)
+
+
+def _flows_of_each(rates: Array, step: Array) -> Array:
+    return np.asarray(np.eye(rates.shape[1]) + flow_changes(rates * step[:, None, None]))
 
 
 def _stacked(modes: Sequence[Array]) -> Array:
@@ -129,6 +142,9 @@ def _linear(case: BatchCase, numbers: Mapping[str, Any], count: int) -> _Linear:
         lower, upper = (surface, upper) if environment.side == "below" else (lower, surface)
     rates = [free]
     for surface in (lower, upper):
+        if not np.isfinite(surface).any():
+            rates.append(free)  # a mode that nothing enters
+            continue
         inside = free.copy()
         inside[:, 1, 0] -= share * stiffness
         inside[:, 1, 1] -= share * damping
