@@ -65,6 +65,19 @@ _WITH_FRICTION: Final = (
     "simulation.effects=[{type: coulomb_friction, kinetic: 0.5, static: 0.5}]",
 )
 _LATE: Final = {"sync_jitter": "0.02", "torque_window": "400 us", "current_lag": "300 us"}
+_LIGHT_DISPLAY: Final = (  # lighter than the drive carries safely
+    *("bus.rate=250", "environment.mass=0.3", "axes.0.admittance.handle_acceleration=20"),
+    "simulation.admittance.grip={mass: 0.3, stiffness: 500, damping: 0}",
+)
+_DECLARED_HAND: Final = tuple(
+    f"passivity.{key}={value}"
+    for key, value in {
+        "hand_stiffness": "500",
+        "hand_speed": "0.6 m/s",
+        "drive_friction": "0",
+        "drive_damping": "2",
+    }.items()
+)
 _GROUP_AT_A_BOUND: Final = ("bus.rate=250", "groups.0.network.stiffness=6000", "groups.0.passivity.hand_force=1")
 
 RECORDINGS: Final = {
@@ -124,6 +137,11 @@ RECORDINGS: Final = {
         (*_GROUP_AT_A_BOUND, "groups.0.passivity.max_consecutive_losses=1"),
         loses=lambda number: number % 23 == 11,
     ),
+    "bound_display": Plan("configs/admittance/virtual_mass.yaml", 0.8, _LIGHT_DISPLAY),
+    "bound_display_force": Plan(
+        "configs/admittance/virtual_mass.yaml", 0.8, (*_LIGHT_DISPLAY, "passivity.largest_hand_force=40")
+    ),
+    "bound_declared_hand": Plan("configs/admittance/virtual_mass.yaml", 0.8, (*_LIGHT_DISPLAY, *_DECLARED_HAND)),
     "bound_group_of_handles": Plan("configs/two_handles.yaml", 0.4),
 }
 
@@ -148,7 +166,7 @@ class LossyBus(VirtualBus):
 def record(plan: Plan, path: Path) -> str:
     """Runs a scene with simulated drives in lock-step, records its bus, and returns how it ended."""
     scene = load_scene(ROOT / plan.config, plan.overrides)
-    if scene.groups:
+    if scene.groups or any(axis.parameters.admittance is not None for axis in scene.axes):
         with build(scene, "free", bus_log=path) as experiment:
             run(experiment.cycle, round(plan.duration / scene.bus.sample_time))
         return "completed"

@@ -50,12 +50,13 @@ class Certificate(IntEnum):
     VELOCITY_LOOP = 5  # of an admittance display: the drive's own velocity loop
     LARGEST_HAND_FORCE = 6  # of an admittance display: the hand never pushes or pulls harder than declared
     DEVICE_FRICTION = 7  # no larger than the dry friction of the device: for every hand
+    DECLARED_HAND = 8  # of an admittance display: the hand is a spring, a damper and a mass as declared
 
 
 WEAKEST_LAST: Final = (
     *(Certificate.EXACT, Certificate.DEVICE_DAMPING, Certificate.DEVICE_FRICTION),
     *(Certificate.HAND_FORCE, Certificate.HAND_SPEED, Certificate.VELOCITY_LOOP),
-    *(Certificate.LARGEST_HAND_FORCE, Certificate.NONE),
+    *(Certificate.LARGEST_HAND_FORCE, Certificate.DECLARED_HAND, Certificate.NONE),
 )
 """The certificates by how much they promise."""
 RANKS: Final = tuple(WEAKEST_LAST.index(certificate) for certificate in Certificate)

@@ -2,7 +2,8 @@
 
 from math import pi, sqrt
 
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
+from canhaptic.control.admittance.declared_hand import declared_hand_settings, lightest
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters, loop_settings
 from canhaptic.control.admittance.port import port_settings
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.scene.hints import Hint
@@ -46,11 +47,17 @@ def _of_guard(axis: AxisScene, known: GuardedDisplayParameters, speed_unit: str,
     never = mass + gain * lag
     start = sqrt(4.0 * known.energy_allowance / (gain * time * holds))
     about = "" if asked is None else f"; asked {asked:g} {unit}"
-    return [
+    hints = [
         Hint(name, "mass felt, at least", felt, None, unit, f"while the guard acts, for every hand{about}"),
         Hint(name, "mass from which the guard never acts", never, None, unit, "passive without it: M + c tau" + about),
         Hint(name, "speed at which motion starts", start, None, speed_unit, "by energy_allowance, with nothing stored"),
     ]
+    if known.hand_stiffness and not known.integral_gain:
+        loop = loop_settings(known, properties)
+        carried = lightest(declared_hand_settings(known, loop, properties.latency), loop, properties.speed_limit)
+        text = "at speed_limit, with a hand as declared (hand_stiffness); heavier at less" + about
+        hints.append(Hint(name, "mass carried for the declared hand", carried, None, unit, text))
+    return hints
 
 
 def _of_faults(axis: AxisScene, known: GuardedDisplayParameters, scene: Scene) -> list[Hint]:

@@ -73,6 +73,9 @@ def test_the_master_sends_today_what_it_sent_when_recorded(name: str) -> None:
         ("bound_group", "multi_axis.per_axis_certificates.hand_force_bound"),
         ("bound_late_group", "multi_axis.group_shares.by_hand_force"),
         ("bound_lossy_group", "multi_axis.per_axis_certificates.largest_share"),
+        ("bound_display", "admittance.guarded_display.fastest"),
+        ("bound_display_force", "admittance.guarded_display.fastest_for_hand"),
+        ("bound_declared_hand", "admittance.declared_hand.fastest_for_declared"),
         ("bound_group_of_handles", "multi_axis.per_axis_certificates.hand_force_bound"),
     ],
 )

@@ -1,4 +1,6 @@
-"""Certificates that rest on a declared hand, tried on many hands at once: AD9. A study: no controller uses them.
+"""Certificates that rest on a declared hand, tried on many hands at once: AD9.
+
+A study of two cases; the controller has one proof for both, `canhaptic.control.admittance.declared_hand`.
 
 Spring first (a): a hand is a spring of at most K_e whose far side retreats at most at w. The drive is a P loop of
 lag l = M / c. With x the way to the stop, x = l v + T (sum of u under way + u), and t = (1 + d) T + 3 l,

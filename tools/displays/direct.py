@@ -18,7 +18,8 @@ from canhaptic.sim.plant.velocity_drive import AdmittancePlant, AdmittanceSimula
 from canhaptic.units import Parameters
 
 _NONE, _HELD = Certificate.NONE.value, Branch.HELD.value
-_CUTS = (Certificate.VELOCITY_LOOP.value, Certificate.LARGEST_HAND_FORCE.value)
+_DECLARED = Certificate.DECLARED_HAND.value
+_CUTS = (Certificate.VELOCITY_LOOP.value, Certificate.LARGEST_HAND_FORCE.value, _DECLARED)
 _IMPULSE = 1e-6  # one count of a running impulse [N*s]
 _PARTS = 8
 """Parts of a hold in which slew and acceleration are watched; a power of two."""
@@ -66,6 +67,8 @@ class Outcome:
     acceleration: float = 0.0  # largest seen [m/s^2]
     speed: float = 0.0  # largest seen [m/s]
     force: float = 0.0  # largest seen [N]
+    far_speed: float = 0.0  # largest seen behind the grip [m/s]
+    by_declared: int = 0  # holds whose command rests on a hand declared as spring, damper and mass
     forces: list[float] = field(default_factory=list)  # true, at each SYNC [N]
     velocities: list[float] = field(default_factory=list)  # true, at each SYNC [m/s]
 
@@ -134,6 +137,7 @@ def watch(found: Outcome, plant: AdmittancePlant, before: _Motion, time: float) 
     found.slew = max(found.slew, abs(force - before[0]) / time)
     found.acceleration = max(found.acceleration, abs(velocity - before[1]) / time)
     found.speed, found.force = max(found.speed, abs(velocity)), max(found.force, abs(force))
+    found.far_speed = max(found.far_speed, abs(plant.far_velocity))
     found.travel += abs(position - before[2])
     return force, velocity, position
 
@@ -148,4 +152,5 @@ def _take(found: Outcome, plant: AdmittancePlant, balance: Any, properties: Disp
     if abs(balance.torque) > 1e-9 or balance.certificate in _CUTS:
         found.moving += 1
         found.cut += balance.certificate in _CUTS
+    found.by_declared += balance.certificate == _DECLARED
     found.uncertified += balance.certificate == _NONE

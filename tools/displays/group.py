@@ -40,6 +40,11 @@ class GroupOutcome:
     given_by_one: float = 0.0  # least true energy of one axis alone
 
 
+_NO_HAND = {
+    "largest_hand_force": 0.0, "hand_stiffness": 0.0, "hand_speed": 0.0, "hand_damping": 0.0,
+}  # fmt: skip
+
+
 def random_group(seed: int) -> DisplayGroup:
     """Returns two displays that differ in rig, sensor and hand, with one account."""
     random, first = Random(seed), random_display(2 * seed, "guarded")
@@ -65,7 +70,7 @@ def random_group(seed: int) -> DisplayGroup:
     first, other = (
         replace(axis, properties=axis.properties.model_copy(update={"jitter": 0.0})) for axis in (first, other)
     )
-    return DisplayGroup((first, other), environment, known.model_copy(update={"largest_hand_force": 0.0}))
+    return DisplayGroup((first, other), environment, known.model_copy(update=_NO_HAND))
 
 
 def on_an_arm(group: DisplayGroup) -> DisplayGroup:

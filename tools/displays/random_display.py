@@ -19,6 +19,7 @@ from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation, GripParamet
 from tools.displays.direct import Display, Outcome, run
 
 _DURATION = 2.0  # for the drift [s]
+_STATIC = 4.0  # static friction of the device [N]
 
 
 def random_display(seed: int, algorithm: str | None = None) -> Display:
@@ -49,12 +50,35 @@ def random_display(seed: int, algorithm: str | None = None) -> Display:
         energy_allowance=random.choice([0.0, 1e-3, 1e-2]), max_consecutive_losses=losses,
         largest_hand_force=0.0 if integral else random.choice([0.0, 0.0, 30.0]),
     )  # fmt: skip
-    return Display(
+    display = Display(
         PlantParameters(mass=mass, damping=random.choice([0.0, 2.0, 10.0])),
         AdmittanceSimulation(loop=loop, grip=grip, sensor=sensor), _hand(random),
         _environment(random, name),
         properties, name, guarded if name == "guarded" else None, _effects(random), seed,
         random.choice([0.0, 0.0, 0.02]), losses,
+    )  # fmt: skip
+    is_declared = name == "guarded" and not integral and random.random() < 0.4
+    return _with_declared_hand(display, guarded, random) if is_declared else display
+
+
+def _with_declared_hand(display: Display, guarded: GuardedDisplayParameters, random: Random) -> Display:
+    """Returns a display with a softer grip, which is declared; its far side and the friction as a run shows them.
+
+    Without jitter, lost commands and another declaration of the hand.
+    """
+    grip = display.simulation.grip.model_copy(
+        update={"stiffness": random.choice([300.0, 1000.0, 3000.0]), "damping": random.choice([0.0, 1.0])}
+    )
+    declared = {
+        "hand_stiffness": grip.stiffness * random.uniform(1.0, 1.2), "hand_speed": 0.1,
+        "hand_damping": grip.damping * random.uniform(1.0, 1.5),
+        "drive_friction": _STATIC if display.effects else 0.0, "drive_damping": display.plant.damping,
+        "largest_hand_force": 0.0, "max_consecutive_losses": 0,
+    }  # fmt: skip
+    return replace(
+        display, commands_lost=0, properties=display.properties.model_copy(update={"jitter": 0.0}),
+        simulation=display.simulation.model_copy(update={"grip": grip}),
+        parameters=guarded.model_copy(update=declared),
     )  # fmt: skip
 
 
@@ -67,6 +91,7 @@ def with_true_bounds(display: Display, cycles: int, *, keeps: bool = False) -> t
         found = run(display, cycles, keeps=keeps)
         properties = display.properties
         is_hand_true = 0.0 in (_hand_force(display), found.force) or found.force <= _hand_force(display)
+        is_hand_true = is_hand_true and _is_declared_hand_true(display, found)
         if (
             found.slew <= properties.force_slew
             and found.acceleration <= properties.handle_acceleration
@@ -78,7 +103,21 @@ def with_true_bounds(display: Display, cycles: int, *, keeps: bool = False) -> t
         if _hand_force(display) and display.parameters is not None:
             force = {"largest_hand_force": 1.5 * found.force}
             display = replace(display, parameters=display.parameters.model_copy(update=force))
+        if _has_declared_hand(display) and display.parameters is not None:
+            hand = {"hand_speed": 1.5 * found.far_speed}
+            display = replace(display, parameters=display.parameters.model_copy(update=hand))
     return None
+
+
+def _has_declared_hand(display: Display) -> bool:
+    return bool(getattr(display.parameters, "hand_stiffness", 0.0))
+
+
+def _is_declared_hand_true(display: Display, found: Outcome) -> bool:
+    known = display.parameters
+    if not _has_declared_hand(display) or not isinstance(known, GuardedDisplayParameters):
+        return True
+    return found.far_speed <= known.hand_speed
 
 
 def _hand_force(display: Display) -> float:
@@ -128,4 +167,4 @@ def _effects(random: Random) -> tuple[Effect, ...]:
     """Returns friction of the device, or none."""
     if random.random() < 0.7:
         return ()
-    return (read_effect({"type": "coulomb_friction", "kinetic": random.choice([0.5, 3.0]), "static": 4.0}, "m"),)
+    return (read_effect({"type": "coulomb_friction", "kinetic": random.choice([0.5, 3.0]), "static": _STATIC}, "m"),)

@@ -134,7 +134,7 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         energy_resolution: Sum of what was unsure in the energy of all axes, which the account has taken off [J].
 
     Raises:
-        ParameterError: Parts do not fit together, or `largest_hand_force` is declared.
+        ParameterError: Parts do not fit together, or a hand is declared.
     """
 
     parameters_type: ClassVar[type[Parameters]] = GuardedDisplayParameters
@@ -144,11 +144,12 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         self, environment: GroupMotion, parameters: GuardedDisplayParameters, properties: Sequence[DisplayProperties]
     ) -> None:
         require_alike(properties)
-        if parameters.largest_hand_force:
-            raise ParameterError(
-                f"guarded: largest_hand_force: got {parameters.largest_hand_force:g}, expected 0 for several axes: "
-                "what such a hand can take is proved for one axis only"
-            )
+        for key in ("largest_hand_force", "hand_stiffness"):
+            if getattr(parameters, key):
+                raise ParameterError(
+                    f"guarded: {key}: got {getattr(parameters, key):g}, expected 0 for several axes: "
+                    "what such a hand can take is proved for one axis only"
+                )
         environment.require(len(properties))
         self.axes = len(properties)
         self._environment, self._parameters, self._properties = environment, parameters, tuple(properties)

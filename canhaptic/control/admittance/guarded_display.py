@@ -11,7 +11,8 @@ to what the mass, or the drive with the commands under way, can give back.
 A drive with an integral is certified as long as its torque stays below its limit for certain; from the first hold on
 in which it may not, nothing is certified any more and the account rests on the force alone.
 
-Where a largest force of the hand is declared (`largest_hand_force`), a command may rest on that instead.
+Where a largest force of the hand is declared (`largest_hand_force`), or the hand as a spring with damper and mass
+(`hand_stiffness`), a command may rest on that instead: see `hand_force` and `declared_hand`.
 
 Where the mass asked for is lighter than the drive carries safely, the hand feels a heavier one; nothing else changes.
 """
@@ -20,6 +21,8 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import ClassVar, NamedTuple
 
+from canhaptic.control.admittance import declared_hand
+from canhaptic.control.admittance.declared_hand import DeclaredHand, DeclaredHandSettings, HeardForce
 from canhaptic.control.admittance.display_controller import DisplayController
 from canhaptic.control.admittance.display_environment import DisplayEnvironment
 from canhaptic.control.admittance.force_evidence import ROUNDING, contradiction
@@ -73,6 +76,7 @@ from canhaptic.units import Parameters
 _EXACT, _DEPLETED, _FREE = Branch.EXACT.value, Branch.DEPLETED.value, Branch.FREE.value
 _UNBOUNDED, _NONE = Certificate.EXACT.value, Certificate.NONE.value
 _BY_LOOP, _BY_HAND = Certificate.VELOCITY_LOOP.value, Certificate.LARGEST_HAND_FORCE.value
+_BY_DECLARED = Certificate.DECLARED_HAND.value
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +87,7 @@ class _GuardedSettings:
     motion: DisplayMotionSettings
     loop: VelocityLoopSettings
     hand: HandForceSettings
+    declared: DeclaredHandSettings
     allowance: float  # [J]
     may_be_limited: bool  # a torque at its limit would end what is proved
 
@@ -96,6 +101,7 @@ class _GuardedDisplayState:
     loop: LoopState = field(default_factory=LoopState)
     margin: LateMargin = field(default_factory=LateMargin)  # E - V
     hand: LateMargin = field(default_factory=LateMargin)  # E - G
+    declared: DeclaredHand = field(default_factory=DeclaredHand)
     h_s: float = 0.0  # [J]
     surplus: float = 0.0  # [J]
     taken: float = 0.0  # dissipated or leaked so far, and not paid [J]
@@ -112,6 +118,7 @@ class GuardedMemory(NamedTuple):
     margin: MarginMemory
     hand: MarginMemory
     leads: Buffer  # a ring as those of the margins [m or rad]
+    speeds: Buffer  # another, of the motion that the commands make [m/s or rad/s]
 
 
 def settings_of(
@@ -120,22 +127,25 @@ def settings_of(
     """Returns what is fixed for a run.
 
     Raises:
-        ParameterError: Losses or a largest force of the hand are declared for a drive with an integral.
+        ParameterError: A hand or losses are declared where their proof does not hold.
     """
     loop = loop_settings(parameters, properties)
     motion = motion_settings(environment, properties, loop.mass / loop.gain_least)
     hand = HandForceSettings(parameters.largest_hand_force)
-    ends = loop.integral > 0.0 or hand.force > 0.0
-    return _GuardedSettings(port_settings(properties), motion, loop, hand, parameters.energy_allowance, ends)
+    declared = declared_hand.declared_hand_settings(parameters, loop, properties.latency)
+    ends = loop.integral > 0.0 or hand.force > 0.0 or declared.stiffness > 0.0
+    return _GuardedSettings(port_settings(properties), motion, loop, hand, declared, parameters.energy_allowance, ends)
 
 
 def memory_of(settings: _GuardedSettings, make_buffer: MakeBuffer) -> GuardedMemory:
     """Returns the buffers of one axis."""
     kept, late = settings.loop.delay + settings.loop.losses + 2, settings.port.latency
+    kept += late if settings.declared.stiffness > 0.0 else 0
     display = display_memory(settings.port, settings.motion, kept, make_buffer)
     return GuardedMemory(
-        display, margin_memory(late, make_buffer), margin_memory(late, make_buffer), make_buffer(late + 1)
-    )
+        display, margin_memory(late, make_buffer), margin_memory(late, make_buffer), make_buffer(late + 1),
+        declared_hand.speeds_of(late, make_buffer),
+    )  # fmt: skip
 
 
 def step(
@@ -164,6 +174,8 @@ def step(
     if settings.may_be_limited:
         ahead = may_limit(settings.loop, state.loop.lead, velocity, motion.speed, settings.port.acceleration)
         state.is_limited = ahead
+        if ahead:
+            state.declared.limited = settings.declared.holds + 2
         if ahead and not state.unsure:
             state.unsure = not _fits_loop(settings, state, commands)
     if state.unsure:
@@ -185,13 +197,21 @@ def _certified(
     most = fastest(settings.loop, state.loop.lead, commands, motion, budget, sign)
     if abs(wish) <= most:
         return wish, _UNBOUNDED
-    if settings.hand.force == 0.0:
-        return sign * most, _BY_LOOP
-    budget = state.hand.known + settings.allowance
-    by_hand = fastest_for_hand(settings.hand, settings.loop, commands, motion, budget)
-    if abs(wish) <= by_hand:
-        return wish, _BY_HAND
-    return (sign * by_hand, _BY_HAND) if by_hand > most else (sign * most, _BY_LOOP)
+    certificate = _BY_LOOP
+    if settings.hand.force > 0.0:
+        budget = state.hand.known + settings.allowance
+        by_hand = fastest_for_hand(settings.hand, settings.loop, commands, motion, budget)
+        if abs(wish) <= by_hand:
+            return wish, _BY_HAND
+        if by_hand > most:
+            most, certificate = by_hand, _BY_HAND
+    if settings.declared.stiffness > 0.0:
+        by_declared = declared_hand.fastest_for_declared(
+            settings.declared, settings.loop, state.declared, commands, motion, wish, settings.allowance
+        )
+        if by_declared > most:
+            most, certificate = by_declared, _BY_DECLARED
+    return sign * most, certificate
 
 
 def _fits_loop(settings: _GuardedSettings, state: _GuardedDisplayState, commands: Buffer) -> bool:
@@ -230,7 +250,7 @@ def _take(
 ) -> tuple[float, float]:
     """Books the hold that ended and brings W up to date; returns (h_i [J], mean velocity [m/s or rad/s])."""
     port, loop, motion, commands = state.axis, state.loop, state.motion, memory.display.commands
-    missed = port.missed
+    missed, origin, heard = port.missed, port.origin, port.force
     hold = book(settings.port, port, memory.display.positions, position, force)
     if not missed:
         change = gained(settings.loop, loop.lead, commands, motion, hold.moved)
@@ -249,6 +269,10 @@ def _take(
     late = free + hold.energy
     if state.unsure:
         return hold.energy, velocity
+    if settings.declared.stiffness > 0.0:
+        acted = sent(motion, commands, settings.declared.holds)
+        said = new(HeardForce, (late, port.origin - origin, acted, port.force, port.force - heard))
+        declared_hand.hear(settings.declared, settings.loop, settings.port, state.declared, memory.speeds, said)
     then = oldest(state.margin, memory.margin)
     rise(state.margin, memory.margin, then, late - reserve(settings.loop, memory.leads[then], hold.speed), state.taken)
     if settings.hand.force > 0.0:
@@ -264,6 +288,9 @@ def _fall(settings: _GuardedSettings, state: _GuardedDisplayState, memory: Guard
     if settings.hand.force > 0.0:
         lost = lost_to_hand(settings.hand, settings.loop, memory.display.commands, state.motion)
         fall(state.hand, memory.hand, -inf if state.is_limited else -lost, state.taken)
+    if settings.declared.stiffness > 0.0:
+        acted = sent(state.motion, memory.display.commands, settings.loop.delay)
+        declared_hand.go_on(settings.declared, state.declared, memory.speeds, acted)
 
 
 def _settle(
@@ -300,10 +327,14 @@ def _settle(
     if settings.hand.force > 0.0:
         by_hand = used_by_hand(settings.hand, settings.loop, commands, motion)
         slack = max(slack, state.hand.known + settings.allowance - by_hand)
+    if settings.declared.stiffness > 0.0:
+        used = declared_hand.used_by_declared(settings.declared, settings.loop, state.declared, commands, motion)
+        slack = max(slack, state.declared.known + settings.allowance - used)
     h_s, surplus, h_r, deficit, leak, paid = settle(state.h_s + h_i, state.surplus, lost, ceiling, slack)
     taken = h_r + leak - paid
     state.margin.known -= taken
     state.hand.known -= taken
+    state.declared.known -= taken
     state.taken += taken
     state.h_s, state.surplus = h_s, surplus
     return h_s, h_r, deficit, leak, paid

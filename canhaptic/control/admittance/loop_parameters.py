@@ -27,20 +27,33 @@ class GuardedDisplayParameters(Parameters):
     """OVER-estimate of the force of the hand: lighter masses, for such hands only; not with an integral. 0: none."""
     drive_friction: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
     """OVER-estimate of the dry friction of the drive: force and motion are then compared, and the rig stops where they
-    do not agree. None: they are not compared."""
+    do not agree. None: they are not compared. Needed with hand_stiffness; 0 where there is none."""
     drive_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
-    """OVER-estimate of the damping of its bearings, for that comparison."""
+    """OVER-estimate of the damping of its bearings, for both."""
+    hand_stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e8)] = 0.0
+    """OVER-estimate of the stiffness of sensor, grip and hand: lighter masses, for such hands only. 0: not declared.
+
+    Not with an integral, lost commands or jitter; drive_mass too must then be at least 1 - spread of what is declared.
+    """
+    hand_speed: Annotated[float, quantity("m/s", "rad/s", ge=0.0, le=1e3)] = 0.0
+    """OVER-estimate of the speed of what holds the grip; with hand_stiffness."""
+    hand_mass: Annotated[float, quantity("kg", "kg*m^2", ge=0.0, le=1e6)] = 0.0
+    """OVER-estimate of the mass behind the sensor that is rigid with it; with hand_stiffness."""
+    hand_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
+    """OVER-estimate of the damping of the grip; with hand_stiffness."""
 
 
 def loop_settings(parameters: GuardedDisplayParameters, properties: DisplayProperties) -> VelocityLoopSettings:
     """Returns what is declared of the drive; a hold lasts as long as it may, which costs and proves the least.
 
     Raises:
-        ParameterError: Losses or a largest force of the hand are declared for a drive with an integral.
+        ParameterError: Losses or a hand are declared for a drive with an integral, or a hand where its proof fails.
     """
+    _require_what_a_hand_needs(parameters, properties)
     refused = {
         "max_consecutive_losses": "a command that is lost leaves the integral of the drive unknown",
         "largest_hand_force": "what such a hand can take from an integral is not proved",
+        "hand_stiffness": "what such a hand can take from an integral is not proved",
     }
     for key, why in refused.items():
         if parameters.integral_gain and getattr(parameters, key):
@@ -53,3 +66,28 @@ def loop_settings(parameters: GuardedDisplayParameters, properties: DisplayPrope
         parameters.loop_gain, parameters.loop_gain * least, parameters.integral_gain, parameters.integral_gain * least,
         properties.encoder_count, properties.torque_limit, properties.handle_acceleration,
     )  # fmt: skip
+
+
+def _require_what_a_hand_needs(parameters: GuardedDisplayParameters, properties: DisplayProperties) -> None:
+    """Raises what contradicts a hand declared as spring, damper and mass, or what of one is declared without it."""
+    if not parameters.hand_stiffness:
+        for key in ("hand_speed", "hand_mass", "hand_damping"):
+            if getattr(parameters, key):
+                raise ParameterError(
+                    f"guarded: {key}: got {getattr(parameters, key):g}, expected 0 without hand_stiffness, which "
+                    "declares the hand; declare that too"
+                )
+        return
+    if parameters.drive_friction is None:
+        raise ParameterError(
+            "guarded: drive_friction: got none, expected an over-estimate with hand_stiffness, and of drive_damping: "
+            "friction changes what such a hand can take"
+        )
+    why = "the motion that the commands make must be known"
+    if parameters.max_consecutive_losses:
+        raise ParameterError(
+            f"guarded: max_consecutive_losses: got {parameters.max_consecutive_losses}, expected 0 with "
+            f"hand_stiffness: {why}"
+        )
+    if properties.jitter:
+        raise ParameterError(f"guarded: sync_jitter: got {properties.jitter:g}, expected 0 with hand_stiffness: {why}")

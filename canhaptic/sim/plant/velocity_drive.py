@@ -316,6 +316,11 @@ class AdmittancePlant(Plant):
         return -self._stiffness * read(places[1]) - self._damping * yielding
 
     @property
+    def far_velocity(self) -> float:
+        """True velocity of the mass behind the grip [m/s or rad/s]."""
+        return self._machine.state.item(self._places[3])
+
+    @property
     def impulse(self) -> float:
         """Integral of that force since the start [N*s or N*m*s]."""
         return self._machine.state.item(self._places[0])

@@ -22,7 +22,9 @@ from canhaptic.sim.plant.velocity_drive import AdmittancePlant
 from canhaptic.study.loop import FURTHEST, Array
 
 Mask = NDArray[np.bool_]
-_CUTS: Final = (Certificate.VELOCITY_LOOP.value, Certificate.LARGEST_HAND_FORCE.value)
+_CUTS: Final = (
+    Certificate.VELOCITY_LOOP.value, Certificate.LARGEST_HAND_FORCE.value, Certificate.DECLARED_HAND.value
+)  # fmt: skip
 _NONE: Final = Certificate.NONE.value
 _STILL: Final = 1e-9  # command that counts as none [m/s or rad/s]
 _COLUMNS: Final = 3  # of one axis in `DisplayRun.motion`
@@ -180,7 +182,9 @@ def _walk(motors: list[_Motor], step: _Step, scene: Scene, cycles: int, found: D
 
 def _ranked() -> list[int]:
     """Returns the numbers of the certificates, the weakest promise last."""
-    weakest_last = (Certificate.EXACT, Certificate.VELOCITY_LOOP, Certificate.LARGEST_HAND_FORCE)
+    weakest_last = (
+        Certificate.EXACT, Certificate.VELOCITY_LOOP, Certificate.LARGEST_HAND_FORCE, Certificate.DECLARED_HAND,
+    )  # fmt: skip
     others = [one.value for one in Certificate if one not in weakest_last and one.value != _NONE]
     return [*(one.value for one in weakest_last), *others, _NONE]
 

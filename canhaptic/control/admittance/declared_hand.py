@@ -1,0 +1,324 @@
+"""How fast a drive without an integral may be commanded where the hand is declared: a spring, a damper and a mass.
+
+    F = K (x - q) + b (x' - v) - m v',     0 <= K <= K_e, 0 <= b <= B, 0 <= m <= N, abs(x') <= w, all constant but x
+
+x is the far side of the grip; q and v = q' belong to the mass before the sensor, M v' = c (r - v) + F - f, with the
+friction f = f_c + d v, f_c v >= 0, abs(f_c) <= f_d, 0 <= d <= d_d. E >= -allowance at every time, for every such hand.
+
+Proof. Let g be the velocity that the commands alone make, l g' = r - g for a chosen l, and s = v - g what the hand
+adds. With D = (c - M / l) (r - g), M s' = F - f - c s + D, so that for A = E - M s^2 / 2
+
+    A' = F g + c s^2 + f s - D s        and        f s >= -f_d abs(g) - d_d g^2 / 4                                (1)
+
+At a SYNC all commands are known, and with them g, the way y that it goes from there to a later time, and the longest
+way P that is left to it at any time. F is known there, and what it says of the spring: F + m a + b v, with a = v'. The
+hand of that moment changes by the spring's way, by the far side and by the motion, so that integration by parts gives
+
+    int F g  >=  (F + m a + b v) y - K_e y^2 / 2 - b int g^2 - m (g_1^2 - g_0^2) / 2 + m (s_0 g_0 - s_1 g_1)
+                 - K_e w int P - 2 B w P_0 - int (K P + b abs(g) + m abs(g')) abs(s)                               (2)
+
+where 0 is the SYNC and 1 the later time. In the sum of (1) and (2) the last term and D s are covered by c s^2: they
+cost (K P + b abs(g) + m abs(g') + abs(D))^2 / 4c at most. M s_1^2 / 2 covers m s_1 g_1 but for m^2 g_1^2 / 2M. What is
+left is known; it is the `loss` of the commands. E >= A >= -allowance at every later time follows from
+loss <= A + allowance, for the commands under way, the new one, and zeros behind them. So does the next SYNC: zero is
+the same sequence, which was proved before. The loss is convex in K, b and m, largest at an end of each; and in the
+new command, so that every command between two that fit fits.
+
+A is known from below by E at the sensor less the largest M s^2 / 2, and by (1) from the SYNC before. A force that is
+late makes the sequence longer by as many holds. The two studies of `tools/displays/declared_hands.py` are the cases
+b = m = 0 and l = 0. The drive must not reach its torque limit (`velocity_loop.may_limit`).
+"""
+
+from dataclasses import dataclass
+from math import exp, inf
+from typing import Final, NamedTuple
+
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
+from canhaptic.control.admittance.motion import DisplayMotion
+from canhaptic.control.admittance.port import PortSettings
+from canhaptic.control.admittance.velocity_loop import VelocityLoopSettings
+from canhaptic.kernels import Buffer, MakeBuffer
+
+_STEPS: Final = 5  # of the search for the largest speed; each halves what it leaves at least
+_OF_COMMANDS, _OF_WAY = 0.3125, 2.5
+"""(x + y)^2 / 4 <= 0.3125 x^2 + 1.25 y^2, and (y + z)^2 <= 2 y^2 + 2 z^2."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeclaredHandSettings:
+    """What is declared of the hand, and what follows of drive and sensor."""
+
+    stiffness: float  # K_e [N/m or N*m/rad]; 0: no hand is declared
+    speed: float  # w [m/s or rad/s]
+    mass: float  # N [kg or kg*m^2]
+    damping: float  # B [N*s/m or N*m*s/rad]
+    friction: float  # f_d [N or N*m]
+    viscous: float  # d_d [N*s/m or N*m*s/rad]
+    holds: int  # from the SYNC of the last force to the one at which a new command acts
+    lag: float  # l [s]
+    decay: float  # part of a difference to the command that a hold leaves
+    moved: float  # least mass of the drive [kg or kg*m^2]
+    unsure: float  # largest of abs(c - M / l) [N*s/m or N*m*s/rad]
+
+
+@dataclass(slots=True)
+class DeclaredHand:
+    """What is known at the SYNC of the last force, and of the motion that the commands make."""
+
+    known: float = 0.0  # A, at least [J]
+    speed: float = 0.0  # g now [m/s or rad/s]
+    before: float = 0.0  # g at that SYNC [m/s or rad/s]
+    place: int = 0  # of this SYNC in the ring
+    waiting: int = 0  # SYNCs since
+    limited: int = 0  # SYNCs for which the torque may have been at its limit before that one
+    slowest: float = 0.0  # least v there [m/s or rad/s]
+    fastest: float = 0.0  # largest v there
+    up: float = -inf  # least F where K is alone, in the positive direction [N or N*m]
+    down: float = -inf  # the same of -F
+    up_with_mass: float = -inf  # least F + N a
+    down_with_mass: float = -inf
+
+
+class HeardForce(NamedTuple):
+    """A force and the hold that it closes."""
+
+    energy: float  # E there, at least [J]
+    moved: float  # in that hold [m or rad]
+    command: float  # that acted in it [m/s or rad/s]
+    force: float  # [N or N*m]
+    change: float  # since the force before [N or N*m]
+
+
+def declared_hand_settings(
+    known: GuardedDisplayParameters, loop: VelocityLoopSettings, latency: int
+) -> DeclaredHandSettings:
+    """Returns what is fixed for a run."""
+    lag = loop.mass / loop.gain
+    return DeclaredHandSettings(
+        known.hand_stiffness, known.hand_speed, known.hand_mass, known.hand_damping,
+        known.drive_friction or 0.0, known.drive_damping,
+        loop.delay + latency, lag, exp(-loop.sample_time / lag), loop.mass * (1.0 - known.spread),
+        loop.gain * known.spread,
+    )  # fmt: skip
+
+
+def speeds_of(latency: int, make_buffer: MakeBuffer) -> Buffer:
+    """Returns the ring of g at the SYNCs whose forces have not come, shape (latency + 1,) [m/s or rad/s]."""
+    return make_buffer(latency + 1)
+
+
+def go_on(settings: DeclaredHandSettings, hand: DeclaredHand, speeds: Buffer, command: float) -> None:
+    """Moves g on by the hold that ended, under the command that acted in it [m/s or rad/s]."""
+    hand.speed = command + (hand.speed - command) * settings.decay
+    hand.place = hand.place + 1 if hand.place + 1 < len(speeds) else 0
+    speeds[hand.place] = hand.speed
+    hand.waiting += 1
+    if hand.limited > 0:
+        hand.limited -= 1
+
+
+def hear(
+    settings: DeclaredHandSettings,
+    loop: VelocityLoopSettings,
+    port: PortSettings,
+    hand: DeclaredHand,
+    speeds: Buffer,
+    heard: HeardForce,
+) -> None:
+    """Takes a force: A and the force of the hand at its SYNC."""
+    samples, begin = hand.waiting, hand.before
+    hand.waiting = 0
+    hand.before = speeds[hand.place + 1 if hand.place + 1 < len(speeds) else 0]
+    length = samples * loop.sample_time
+    mean, off = heard.moved / length, 0.5 * port.acceleration * length + port.count / length
+    hand.slowest, hand.fastest = mean - off, mean + off
+    slip = max(hand.fastest - hand.before, hand.before - hand.slowest)
+    least = heard.energy - 0.5 * loop.mass * slip * slip
+    if samples > 1:  # what the force was in between is not known
+        hand.known = least
+        hand.up = hand.down = hand.up_with_mass = hand.down_with_mass = -inf
+        return
+    if hand.limited == 0:
+        least = max(least, hand.known + _gained(settings, loop, port, heard, begin, hand.before))
+    hand.known = least
+    error = port.error + port.lag * port.slew
+    hand.up, hand.up_with_mass = _forces(settings, loop, port, heard, 1.0, error)
+    hand.down, hand.down_with_mass = _forces(settings, loop, port, heard, -1.0, error)
+
+
+def _gained(
+    settings: DeclaredHandSettings,
+    loop: VelocityLoopSettings,
+    port: PortSettings,
+    heard: HeardForce,
+    begin: float,
+    end: float,
+) -> float:
+    """Returns the least change of A in a hold, by (1), half of c s^2 left for D; -inf behind a filter [J]."""
+    if port.lag > 0.0:
+        return -inf
+    time, lead = loop.sample_time, heard.command - begin
+    way = heard.command * time - settings.lag * (end - begin)
+    bend, rise = abs(lead) / settings.lag, abs(heard.change)
+    if port.is_mean:
+        mean, doubt = heard.force, port.slew * bend * time * time * time / 12.0
+    else:
+        mean, doubt = heard.force - 0.5 * heard.change, rise * bend * time * time / 12.0
+        room = port.slew * port.slew * time * time - rise * rise
+        if room > 0.0:
+            doubt += max(abs(begin), abs(end)) * room / (4.0 * port.slew)
+    added = max(0.0, abs(heard.moved - way) - port.count)
+    top = max(abs(begin), abs(end))
+    doubt += port.error * abs(way) + (settings.friction + 0.25 * settings.viscous * top) * top * time
+    doubt += settings.unsure * settings.unsure / (2.0 * loop.gain_least) * _square(settings, lead)
+    return mean * way + 0.5 * loop.gain_least * added * added / time - doubt
+
+
+def _forces(
+    settings: DeclaredHandSettings,
+    loop: VelocityLoopSettings,
+    port: PortSettings,
+    heard: HeardForce,
+    sign: float,
+    error: float,
+) -> tuple[float, float]:
+    """Returns the least F in a direction at the SYNC without a mass, and the least F + N a with one [N or N*m].
+
+    A mean belongs to the whole hold: since then the spring lost K_e times the mean way to the end, and the far side
+    took on. The mean of the acceleration follows from the drive.
+    """
+    time = loop.sample_time
+    along, late = sign * heard.force - error, 0.0
+    unsure = port.count / time
+    if port.is_mean:
+        late = max(0.0, 0.5 * sign * heard.moved + port.acceleration * time * time / 12.0)
+        late = settings.stiffness * (late + 0.5 * settings.speed * time)
+    else:
+        unsure += 0.5 * port.acceleration * time
+    lead = sign * (heard.command - heard.moved / time) - unsure
+    push = along + (loop.gain_least if lead > 0.0 else loop.gain) * lead - settings.friction
+    push -= settings.viscous * (abs(heard.moved) / time + unsure)
+    push /= loop.mass if push > 0.0 else settings.moved
+    alone = min(late, 0.5 * port.slew * time) if settings.mass == 0.0 else late
+    return along - alone, along - late + settings.mass * push
+
+
+def _square(settings: DeclaredHandSettings, lead: float) -> float:
+    """Returns the integral of (r - g)^2 over a hold that begins with this lead [m^2/s or rad^2/s]."""
+    return 0.5 * settings.lag * lead * lead * (1.0 - settings.decay * settings.decay)
+
+
+def loss(
+    settings: DeclaredHandSettings,
+    loop: VelocityLoopSettings,
+    hand: DeclaredHand,
+    commands: Buffer,
+    newest: int,
+    speed: float,
+    holds: int,
+) -> float:
+    """Returns the largest fall of A at any time, by commands under way and a new one [J].
+
+    Args:
+        settings: Of the run.
+        loop: Of the drive.
+        hand: At the SYNC of the last force.
+        commands: Sent.
+        newest: Place of the first that is not the new one.
+        speed: The new one [m/s or rad/s].
+        holds: In which others act before it.
+    """
+    time, lag, g = loop.sample_time, settings.lag, hand.before
+    forth, back, late = lag * max(0.0, g), lag * max(0.0, -g), lag * lag * abs(g)
+    top, square, bent = abs(g), 0.0, g
+    for hold in range(holds + 1):
+        command = commands[newest - (holds - 1 - hold)] if hold < holds else speed
+        size = abs(command)
+        if command > 0.0:
+            forth += time * command
+        else:
+            back -= time * command
+        late += time * size * (lag + time * (hold + 0.5))
+        lead = command - bent
+        square += lead * lead
+        bent = command - lead * settings.decay
+        top = max(top, abs(bent))
+    square = _square(settings, 1.0) * square + 0.5 * lag * bent * bent
+    way, stiffness = forth + back, settings.stiffness
+    unsure = stiffness * stiffness * way * late + settings.damping * settings.damping * top * way
+    fixed = stiffness * settings.speed * late + (2.0 * settings.damping * settings.speed + settings.friction) * way
+    fixed += 0.25 * settings.viscous * top * way + _OF_WAY * unsure / loop.gain_least
+    yielding = settings.damping * (top - hand.slowest), settings.damping * (top + hand.fastest)
+    push = 0.5 * stiffness * forth - hand.up + max(0.0, yielding[0])
+    pull = 0.5 * stiffness * back - hand.down + max(0.0, yielding[1])
+    share = settings.unsure
+    largest = max(0.0, push * forth) + max(0.0, pull * back)
+    largest += _OF_COMMANDS * share * share / loop.gain_least * square
+    if settings.mass > 0.0:
+        push += hand.up - hand.up_with_mass
+        pull += hand.down - hand.down_with_mass
+        share += settings.mass / lag
+        slip = hand.slowest - g if g > 0.0 else g - hand.fastest
+        heavy = max(0.0, push * forth) + max(0.0, pull * back)
+        heavy += _OF_COMMANDS * share * share / loop.gain_least * square
+        heavy += 0.5 * settings.mass * ((1.0 + settings.mass / settings.moved) * top * top - g * g)
+        heavy -= settings.mass * abs(g) * slip
+        largest = heavy if heavy > largest else largest
+    return fixed + largest
+
+
+def fastest_for_declared(
+    settings: DeclaredHandSettings,
+    loop: VelocityLoopSettings,
+    hand: DeclaredHand,
+    commands: Buffer,
+    motion: DisplayMotion,
+    wish: float,
+    allowance: float,
+) -> float:
+    """Returns the largest speed towards a wish that may be commanded now, without its sign [m/s or rad/s].
+
+    The loss is convex: a chord between a speed that fits and one that does not meets the budget at one that fits.
+    """
+    budget, newest = hand.known + allowance, motion.newest
+    if hand.waiting > 0 or hand.up == -inf:
+        return 0.0
+    fits, low = 0.0, loss(settings, loop, hand, commands, newest, 0.0, settings.holds)
+    if low > budget:
+        return 0.0
+    fails, high = wish, loss(settings, loop, hand, commands, newest, wish, settings.holds)
+    if high <= budget:
+        return abs(wish)
+    for _ in range(_STEPS):
+        fits += (fails - fits) * (budget - low) / (high - low)
+        low = loss(settings, loop, hand, commands, newest, fits, settings.holds)
+        middle = 0.5 * (fits + fails)
+        value = loss(settings, loop, hand, commands, newest, middle, settings.holds)
+        if value <= budget:
+            fits, low = middle, value
+        else:
+            fails, high = middle, value
+    return abs(fits)
+
+
+def used_by_declared(
+    settings: DeclaredHandSettings,
+    loop: VelocityLoopSettings,
+    hand: DeclaredHand,
+    commands: Buffer,
+    motion: DisplayMotion,
+) -> float:
+    """Returns what the commands that may still act can take, the newest included [J]; inf where it is not known."""
+    if hand.waiting > 0 or hand.up == -inf:
+        return inf
+    before = motion.newest - 1
+    return loss(settings, loop, hand, commands, before, commands[motion.newest], settings.holds)
+
+
+def lightest(settings: DeclaredHandSettings, loop: VelocityLoopSettings, speed: float) -> float:
+    """Returns the virtual mass that keeps a speed with such a hand, pushed by nothing [kg or kg*m^2]."""
+    steady = DeclaredHand(
+        before=speed, slowest=speed, fastest=speed, up=0.0, down=0.0, up_with_mass=0.0, down_with_mass=0.0
+    )
+    commands = [speed] * (settings.holds + 1)
+    return 2.0 * loss(settings, loop, steady, commands, settings.holds, speed, settings.holds) / (speed * speed)

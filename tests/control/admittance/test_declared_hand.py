@@ -1,0 +1,142 @@
+"""The guard with a hand declared as spring, damper and mass, against such hands (AD9 with a controller)."""
+
+from dataclasses import replace
+
+import pytest
+
+from canhaptic.control.admittance.declared_hand import DeclaredHand, declared_hand_settings, go_on, lightest, loss
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters, loop_settings
+from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.errors import ParameterError
+from tools.displays.declared_loop import DeclaredOutcome, DeclaredRig, _follow, _Hold, random_rig, with_true_bounds
+from tools.displays.judge import false_claims
+from tools.displays.random_display import random_display
+from tools.displays.random_display import with_true_bounds as with_true_display
+
+_LIGHT = DeclaredRig(virtual_mass=0.1, stiffness=1000.0, speed=0.3, damping=1.0, mass=0.05, seed=1)
+
+
+@pytest.mark.parametrize("batch", range(4))
+def test_no_hand_as_declared_gets_more_than_it_gave(batch: int) -> None:
+    used = 0
+    for seed in range(5 * batch, 5 * batch + 5):
+        found = with_true_bounds(random_rig(seed), 0.3)
+        if found is not None:
+            assert found[1].least >= -found[0].allowance - 1e-9, seed
+            used += found[1].by_hand
+    assert used > 50
+
+
+@pytest.mark.parametrize("seed", [5, 34])
+def test_a_hand_stiffer_than_declared_takes_more_than_it_gave(seed: int) -> None:
+    rig = random_rig(seed)
+    found = with_true_bounds(replace(rig, share=0.2), 0.4)
+    assert found is not None
+    assert found[1].least < -rig.allowance - 1e-4
+
+
+def test_a_mass_much_lighter_than_the_drive_is_carried() -> None:
+    found = with_true_bounds(_LIGHT, 0.6)
+    assert found is not None
+    rig, outcome = found
+    assert outcome.by_hand > 0.8 * outcome.moving
+    assert outcome.least >= -rig.allowance
+    assert outcome.travel > 0.03
+
+
+def _known(**declared: float | None) -> tuple[GuardedDisplayParameters, DisplayProperties]:
+    properties = DisplayProperties(
+        sample_time=1e-3, delay=1, sampling="mean", force_slew=1e3, handle_acceleration=10.0, speed_limit=2.0,
+        acceleration_limit=500.0,
+    )  # fmt: skip
+    given = {
+        "drive_mass": 2.0,
+        "loop_gain": 628.0,
+        "spread": 0.0,
+        "hand_stiffness": 1000.0,
+        "drive_friction": 0.0,
+        **declared,
+    }
+    return GuardedDisplayParameters.model_validate(given), properties
+
+
+def _worst(speed: float, **declared: float) -> tuple[float, float]:
+    """Returns what one command for one hold costs by the formula, and what the worst hand known takes of it [J]."""
+    known, properties = _known(**declared)
+    loop = loop_settings(known, properties)
+    settings = declared_hand_settings(known, loop, 0)
+    still = DeclaredHand(up=0.0, down=0.0, up_with_mass=0.0, down_with_mass=0.0)
+    said = loss(settings, loop, still, [0.0] * 4, 0, speed, settings.holds)
+    rig = DeclaredRig(
+        moved=2.0, bandwidth=628.0 / (2.0 * 3.141592653589793 * 2.0), stiffness=known.hand_stiffness,
+        speed=known.hand_speed, mass=known.hand_mass, damping=known.hand_damping,
+    )  # fmt: skip
+    half, found, energy = _Hold(rig, 0.5 * rig.time / 10), DeclaredOutcome(), 0.0
+    state = half.matrix[0] * 0.0
+    for hold in range(40):
+        state[5] = speed if hold == settings.holds else 0.0
+        if hold == settings.holds and known.hand_damping == 0.0:
+            state[3] = -known.hand_speed  # the far side draws away as the motion begins
+        energy = _follow(half, state, energy, found)
+    return said, -found.least
+
+
+@pytest.mark.parametrize(
+    ("declared", "share"),
+    [
+        ({"hand_stiffness": 100.0}, 0.98),
+        ({}, 0.9),
+        ({"hand_speed": 0.02}, 0.8),
+        ({"hand_damping": 2.0}, 0.7),
+        ({"hand_mass": 0.05}, 0.7),
+        ({"hand_mass": 0.3}, 0.5),
+    ],
+)
+def test_what_a_command_costs_is_what_a_hand_can_take_and_little_more(declared: dict[str, float], share: float) -> None:
+    said, taken = _worst(0.3, **declared)
+    assert share * said <= taken <= said + 1e-12
+
+
+def test_commands_are_followed_as_a_loop_of_first_order_follows() -> None:
+    known, properties = _known()
+    settings = declared_hand_settings(known, loop_settings(known, properties), 0)
+    hand, speeds = DeclaredHand(), [0.0]
+    for _ in range(10):
+        go_on(settings, hand, speeds, 0.5)
+    assert hand.speed == pytest.approx(0.5 * (1.0 - 2.718281828459045 ** (-10e-3 * 628.0 / 2.0)))
+    assert speeds == [hand.speed]
+
+
+def test_the_lightest_mass_is_that_of_the_spring_for_a_hand_at_rest() -> None:
+    """K_e (nT + aT + l)^2, and little more for what the drive yields."""
+    known, properties = _known()
+    loop = loop_settings(known, properties)
+    way = 2.0 / 628.0 + 2e-3
+    carried = lightest(declared_hand_settings(known, loop, 0), loop, 0.5)
+    assert 1.0 <= carried / (1000.0 * way * way) < 1.1
+
+
+def test_random_displays_use_it_and_claim_nothing_false() -> None:
+    used = 0
+    for seed in (1012, 1024):
+        judged = with_true_display(random_display(seed, "guarded"), 250)
+        if judged is not None:
+            assert not false_claims(*judged), seed
+            used += judged[1].by_declared
+    assert used > 0
+
+
+@pytest.mark.parametrize(
+    ("declared", "jitter", "words"),
+    [
+        ({"hand_stiffness": 0.0, "hand_mass": 1.0}, 0.0, "hand_mass: got 1, expected 0 without hand_stiffness"),
+        ({"max_consecutive_losses": 1}, 0.0, "max_consecutive_losses: got 1, expected 0 with hand_stiffness"),
+        ({"integral_gain": 10.0}, 0.0, "hand_stiffness: got 1000.0, expected 0 with an integral_gain"),
+        ({"drive_friction": None}, 0.0, "drive_friction: got none"),
+        ({}, 0.05, "sync_jitter: got 0.05, expected 0 with hand_stiffness"),
+    ],
+)
+def test_what_contradicts_the_proof_is_refused(declared: dict[str, float | None], jitter: float, words: str) -> None:
+    known, properties = _known(**declared)
+    with pytest.raises(ParameterError, match=words):
+        loop_settings(known, properties.model_copy(update={"jitter": jitter}))
