@@ -10,6 +10,7 @@ pytest.importorskip("numba")
 from tools.attack.climb import Attack
 from tools.attack.holes import HOLES, attack_on, keys_missing, random_attack
 from tools.attack.plant import TAKEN_IN, Rig, V, X, energy_of, hold
+from tools.bench.attack import attack_all
 
 OPEN: frozenset[str] = frozenset()
 """Ways out that no declaration closes yet; each is needed here."""
@@ -54,3 +55,9 @@ def test_the_plant_of_the_attack_conserves_energy():
         work += 1.5 * (state[X] - before)
     assert energy_of(rig, state) - start == pytest.approx(work - state[TAKEN_IN] - state[7], abs=1e-12)
     assert state[7] > 0.01
+
+
+def test_an_attack_goes_on_where_it_was_stopped(tmp_path):
+    kept = tmp_path / "attack_runs.jsonl"
+    kept.write_text("[0, -1e-13]\n[1, 0.0]\n[7, -1.0]\n", encoding="utf-8")
+    assert attack_all(2, kept, jobs=1, minutes=0.0) == {0: -1e-13, 1: 0.0}
