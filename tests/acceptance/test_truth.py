@@ -3,6 +3,7 @@
 `make bench Q=truth` runs thousands of such scenes and makes one with a false claim smaller (`--only SEED`).
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,9 +16,10 @@ from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import LOOP_KEYS
 from canhaptic.sim.plant.effects import EFFECTS
-from tools.bench.truth import fault_table, is_false, outcome_of, outcome_with_fault, table_of
+from tools.bench.truth import false_table, fault_table, is_false, outcome_of, outcome_with_fault, table_of
 from tools.truth.faults import with_fault
 from tools.truth.judge import Outcome, judged
+from tools.truth.known_ways import WAYS, is_closed, row_of
 from tools.truth.scenes import random_scene
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
@@ -147,3 +149,30 @@ def test_losses_that_a_bus_makes_are_declared_and_a_yes_is_due_then():
     assert ended_in_a_loss.says_yes
     beyond = Outcome(**{**outcomes[0].as_json(), "declared_losses": outcomes[0].losses - 1})
     assert not beyond.is_due
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("way", WAYS, ids=lambda way: f"{way.name}: {way.what}")
+def test_a_known_way_out_is_closed_where_it_is_declared_or_follows_from_the_scene(way):
+    row = row_of(way, 10)
+    assert is_closed(row)
+    assert row["yes"] == row["of"]
+
+
+def test_a_late_sync_that_is_declared_falsely_gives_energy_out_and_is_noticed():
+    [way] = [way for way in WAYS if "0.49 T late" in way.what]
+    row = row_of(way, 2)
+    assert is_closed(row)
+    assert not is_closed({**row, "declared [J]": -1e-8})
+    assert not is_closed({**row, "false claims": 1})
+    assert row["noticed"] == row["gave out"]
+
+
+def test_the_table_of_false_declarations_counts_what_a_run_notices():
+    one = replace(outcome_of(0), tags=("false:moving_mass",), status="completed", peak=1.0, least=-1e-3, at_handle="")
+    unseen = replace(one, verdict="yes", certificates=("hand_force",), false_claims=("passive yes",))
+    seen, stopped = replace(one, verdict="no"), replace(unseen, status="stopped")
+    harmless, refused = replace(unseen, least=0.0, false_claims=()), replace(unseen, status="refused")
+    [row] = false_table([unseen, seen, stopped, harmless, refused])
+    assert list(row.values()) == ["moving_mass", 4, 1, 2, 3, 2]

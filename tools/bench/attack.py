@@ -18,7 +18,7 @@ from rich.table import Table
 
 from tools.attack.climb import EVALUATIONS
 from tools.attack.holes import HOLES, attack_on, keys_missing, random_attack
-from tools.bench.report import Row, out_folder, publish, write_result
+from tools.bench.report import Row, kept_folder, out_folder, publish, write_result
 
 _PACKAGES: Final = ("canhaptic", "numpy", "numba")
 _LEAST: Final = -1e-9
@@ -110,13 +110,13 @@ def figures(holes: list[dict[str, Any]], found: dict[int, float]) -> list[Row]:
 def main() -> None:
     """Attacks and publishes."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=20_000)
+    parser.add_argument("--runs", type=int, default=_WANTED)
     parser.add_argument("--hands", type=int, default=40, help="for each known way out")
-    parser.add_argument("--minutes", type=float, default=3.0)
+    parser.add_argument("--minutes", type=float, default=120.0)
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--new", action="store_true", help="forget the loops kept")
     arguments = parser.parse_args()
-    kept = out_folder() / "attack_runs.jsonl"
+    kept = kept_folder() / "attack_runs.jsonl"
     if arguments.new:
         kept.unlink(missing_ok=True)
     holes = table_of_holes(arguments.hands)

@@ -29,6 +29,11 @@ def out_folder() -> Path:
     return Path(os.environ.get(OUT_VARIABLE) or DEFAULT_OUT)
 
 
+def kept_folder() -> Path:
+    """Returns the folder for runs that a later call goes on from; they are no result, and never recorded."""
+    return DEFAULT_OUT if out_folder() == RESULTS else out_folder()
+
+
 def picture_place(name: str) -> Path:
     """Returns where a picture of this run goes: into `docs/images` where results are recorded."""
     folder = IMAGES if out_folder() == RESULTS else out_folder()

@@ -36,7 +36,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
-from tools.bench.report import Row, out_folder, publish, write_result
+from tools.bench.report import Row, kept_folder, out_folder, publish, write_result
 from tools.truth.faults import with_fault
 from tools.truth.judge import ROUNDING, TOUCH, Outcome, judged
 from tools.truth.scenes import random_scene
@@ -45,6 +45,9 @@ from tools.truth.shrink import shrunk, write_scene
 _PACKAGES: Final = ("canhaptic", "numpy")
 _KEPT: Final = {"truth": "truth_runs.jsonl", "truth_faults": "truth_fault_runs.jsonl"}
 _SHRUNK_AT_MOST: Final = 5
+_IN_WORDS: Final = ("named", "fault", "stopped by", "declared falsely")
+_RUNS: Final = 24_000
+"""Seeds by default: of seven, six make a run that counts."""
 
 
 def outcome_of(seed: int) -> Outcome:
@@ -100,6 +103,29 @@ def table_of(outcomes: list[Outcome]) -> list[dict[str, Any]]:
                 "no torque in contact": sum(outcome.is_silent for outcome in those),
                 "declaration false": sum(not outcome.declared for outcome in those),
                 "false claims": sum(map(is_false, those)),
+            }
+        )
+    return rows
+
+
+def false_table(outcomes: list[Outcome]) -> list[dict[str, Any]]:
+    """Returns one row for each kind of false declaration: which of them a run notices.
+
+    A run notices one where its rig stops for it, or where its account does not say yes.
+    """
+    rows = []
+    for name in sorted({tag for outcome in outcomes for tag in outcome.tags if tag.startswith("false:")}):
+        those = [outcome for outcome in outcomes if name in outcome.tags and outcome.status != "refused"]
+        out = [outcome for outcome in those if outcome.least < -ROUNDING]
+        noticed = [outcome for outcome in out if outcome.status == "stopped" or not outcome.says_yes]
+        rows.append(
+            {
+                "declared falsely": name.partition(":")[2],
+                "runs": len(those),
+                "stopped": sum(outcome.status == "stopped" for outcome in those),
+                "say something false": sum(bool(outcome.false_claims) for outcome in those),
+                "gave energy out": len(out),
+                "noticed of these": len(noticed),
             }
         )
     return rows
@@ -176,11 +202,11 @@ def _fault_figures(outcomes: list[Outcome], wrong: int, went_on: int) -> list[Ro
     ]
 
 
-def show(rows: list[dict[str, Any]]) -> None:
-    """Prints the table by what scenes name."""
-    table = Table(title="what the account said, by what the scene names")
-    for heading in rows[0]:
-        table.add_column(heading, justify="left" if heading in ("named", "fault", "stopped by") else "right")
+def show(rows: list[dict[str, Any]], title: str = "what the account said, by what the scene names") -> None:
+    """Prints a table."""
+    table = Table(title=title)
+    for heading in rows[0] if rows else ():
+        table.add_column(heading, justify="left" if heading in _IN_WORDS else "right")
     for row in rows:
         table.add_row(*map(str, row.values()))
     Console(width=150).print(table)
@@ -200,7 +226,7 @@ def explain(seed: int, *, faults: bool = False) -> None:
 def main() -> None:
     """Runs, tells, publishes."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=2000)
+    parser.add_argument("--runs", type=int, default=_RUNS)
     parser.add_argument("--seed", type=int, default=0, help="the first one")
     parser.add_argument(
         "--only", type=int, help="this seed alone, with a smaller scene where it claims something false"
@@ -213,16 +239,18 @@ def main() -> None:
         explain(arguments.only, faults=arguments.faults)
         return
     name, run = ("truth_faults", outcome_with_fault) if arguments.faults else ("truth", outcome_of)
-    kept = out_folder() / _KEPT[name]
+    kept = kept_folder() / _KEPT[name]
     if arguments.new:
         kept.unlink(missing_ok=True)
     outcomes = run_all(range(arguments.seed, arguments.seed + arguments.runs), kept, arguments.jobs, run)
     rows = fault_table(outcomes) if arguments.faults else table_of(outcomes)
     show(rows)
+    false = false_table(outcomes)
+    show(false, "false declarations: which of them a run notices")
     for outcome in list(filter(is_false, outcomes))[:_SHRUNK_AT_MOST]:
         print(f"seed {outcome.seed}: {'; '.join(outcome.false_claims)}; {', '.join(outcome.tags)}")
     publish(name, _figures(outcomes, faults=arguments.faults), _PACKAGES)
-    write_result(out_folder() / f"{name}_table.json", _PACKAGES, {"table": rows})
+    write_result(out_folder() / f"{name}_table.json", _PACKAGES, {"table": rows, "declared falsely": false})
 
 
 if __name__ == "__main__":
