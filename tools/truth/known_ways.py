@@ -138,7 +138,7 @@ def _hand(way: Way, hand: int) -> dict[str, Any]:
 
 
 def row_of(way: Way, hands: int) -> dict[str, Any]:
-    """Returns the row of a way out: the least true sum [J] over all hands, and what a run notices if it is not told.
+    """Returns the row of a way out: the least true sums [J] of all hands, and what a run notices of what is false.
 
     The force of each hand is declared as it was.
     """
