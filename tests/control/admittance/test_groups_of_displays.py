@@ -99,6 +99,19 @@ def test_the_account_of_a_group_without_a_certificate_closes(name: str) -> None:
     assert max(abs(speed) for balance in found for speed in balance.torques) > 0.05
 
 
+@pytest.mark.parametrize("name", ["unprotected", "passivity_observer", "energy_tank", "guarded"])
+def test_a_group_that_starts_elsewhere_than_at_zero_books_nothing_before_it_moves(name: str) -> None:
+    network, given = GroupMass(mass=1.0, damping=1.0), [properties(), properties()]
+    declared = {"guarded": {"drive_mass": 1.0, "loop_gain": 300.0}}.get(name, {})
+    model = load(DISPLAY_GROUP_ALGORITHMS, name, "algorithm").parameters_type
+    controller = build_display_group(network, name, model(**declared), given)
+    start, force = [0.4, -0.7], [-10.0, 10.0]
+    assert controller.step(start, force).torques == (0.0, 0.0)
+    balance = controller.step(start, force)
+    assert -1e-5 < balance.account.h_i <= 0.0
+    assert sum(balance.interactions) == pytest.approx(balance.account.h_i)
+
+
 def test_the_observer_slips_along_the_force_when_it_sees_energy_go_out() -> None:
     _, free = run("unprotected", 400, 0.0, 0.8)
     _, observed = run("passivity_observer", 400, 0.0, 0.8)
