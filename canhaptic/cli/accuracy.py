@@ -11,7 +11,6 @@ from canhaptic.cli.arguments import (
 from canhaptic.cli.output import note_file, write_file, write_json
 from canhaptic.cli.progress import run_progress
 from canhaptic.cli.stop_signal import StopSignal
-from canhaptic.errors import InputError
 from canhaptic.scene.models import Scene
 from canhaptic.study.accuracy.study import UNITS, AccuracyStudy
 from canhaptic.view.energy_table import make_console
@@ -24,14 +23,14 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: A scene, an axis or a file that cannot be used.
     """
     scene = scene_of(arguments, beyond_bus=arguments.beyond_bus)
-    if _is_of_display(scene, arguments.axis):
-        return _study_display(scene, arguments)
     if arguments.png is not None:
         check_picture(arguments.png)
     if arguments.html is not None:
         check_page(arguments.html)
     if arguments.markdown is not None:
         check_folder(arguments.markdown)
+    if _is_of_display(scene, arguments.axis):
+        return _study_display(scene, arguments)
     with StopSignal() as stop, run_progress(UNITS, scene.bus.sample_time, "free", every=1) as progress:
         study = AccuracyStudy(
             scene,
@@ -55,17 +54,30 @@ def _is_of_display(scene: Scene, name: str | None) -> bool:
 
 
 def _study_display(scene: Scene, arguments: argparse.Namespace) -> int:
-    from canhaptic.study.displays.display_accuracy import display_accuracy_report, study_display
+    from canhaptic.study.displays.display_accuracy import study_display
+    from canhaptic.study.displays.display_accuracy_table import display_accuracy_markdown, display_accuracy_report
 
-    given = {"--png": arguments.png, "--html": arguments.html, "--markdown": arguments.markdown}
-    if names := ", ".join(name for name, value in given.items() if value is not None):
-        raise InputError(f"{names}: of impedance displays; the study of an admittance display is a table, or --json")
     with StopSignal() as stop:
         result = study_display(scene, arguments.axis, arguments.duration, stop.requested)
     if arguments.json:
         write_json(result)
     else:
         make_console().print(display_accuracy_report(result))
+    if not result["loop"]:
+        return stop.exit_status  # stopped before anything could be drawn
+    if arguments.png is not None:
+        from canhaptic.study.displays.display_accuracy_picture import draw_display_accuracy
+
+        draw_display_accuracy(result, arguments.png)
+        note_file("picture", arguments.png)
+    if arguments.html is not None:
+        from canhaptic.study.displays.display_accuracy_picture import write_display_accuracy_page
+
+        write_display_accuracy_page(result, arguments.html)
+        note_file("page", arguments.html)
+    if arguments.markdown is not None:
+        write_file(arguments.markdown, display_accuracy_markdown(result))
+        note_file("tables", arguments.markdown)
     return stop.exit_status
 
 

@@ -13,8 +13,6 @@ from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from rich.console import Group, RenderableType
-from rich.text import Text
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.drive.clock import WallClock
@@ -28,8 +26,6 @@ from canhaptic.study.displays.display_figures import figures_of
 from canhaptic.study.displays.display_loop import DisplayRun, run_display
 from canhaptic.study.loop import Array
 from canhaptic.study.scenes import at_rate, parts_of
-from canhaptic.view.si import si
-from canhaptic.view.table_style import FigureTable
 
 _FINEST: Final = 32
 """Most holds of the ideal display in one sample time; half as many in the one that it is compared with."""
@@ -244,49 +240,3 @@ def _ideal(scene: Scene, steps: int) -> Scene:
     finer = at_rate(_under(scene, _PLAIN), steps / scene.bus.sample_time)
     bus = finer.bus.model_copy(update={"rpdo": "event"})  # a command acts at once
     return replace(finer, bus=bus, axes=tuple(changed(axis) for axis in finer.axes))
-
-
-# --- what is shown ----------------------------------------------------------------------------------------------------
-
-_HEADS: Final = ("changed", "to", "position", "energy", "mass felt", "given out", "guard acts", "us")
-
-
-def display_accuracy_report(result: dict[str, Any]) -> RenderableType:
-    """Returns tables of a study for a terminal."""
-    unit, reference = result["unit"], result["reference"]
-    parts: list[RenderableType] = [
-        Text(f" {result['scene']}, {result['axis']}: {result['holds']} sample times at {result['rate']:g} Hz, "
-             f"{result['status']}"),
-        Text(
-            f" against the ideal display: travel {si(reference['travel'], unit)}, "
-            f"energy {si(reference['energy'], 'J')}; with twice its sample time it is "
-            f"{si(reference['apart'], unit, 2)} off"
-        ),
-    ]  # fmt: skip
-    for row in result["plant"]:
-        text = row["status"]
-        if row["status"] == "ok":
-            energy = f", energy {si(row['energy_error'], 'J', 2)}" if "energy_error" in row else ""
-            text = f"position {si(row['position_error'], unit, 2)}{energy} off DOP853"
-        parts.append(Text(f" plant of {row['axis']}: {text}"))
-    table = FigureTable(keys=2, pad_edge=False)
-    for index, head in enumerate(_HEADS):
-        table.add_column(head, justify="left" if index < 2 else "right", no_wrap=index != 1)
-    for row in result["loop"]:
-        table.add_row(*_cells(row, unit))
-    return Group(*parts, table)
-
-
-def _cells(row: dict[str, Any], unit: str) -> list[str]:
-    if "position_error" not in row:
-        return [row["changed"], f"{row['to']}: refused"]
-    return [
-        row["changed"],
-        row["to"] + ("" if row["status"] == "ok" else f" (ended: {row['status'][:40]})"),
-        si(row["position_error"], unit, 2),
-        si(row["energy_error"], "J", 2),
-        "-" if np.isnan(row["mass_felt"]) else si(row["mass_felt"], "kg" if unit == "m" else "kg*m^2", 3),
-        si(row["given_out"], "J", 2),
-        f"{100.0 * row['guard_acts']:.2g} %",
-        f"{row['us_per_cycle']:.0f}",
-    ]

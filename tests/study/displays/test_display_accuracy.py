@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from canhaptic.cli.main import main
+from canhaptic.errors import InputError
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.load import load_scene
 from canhaptic.study.displays.display_accuracy import study_display
+from canhaptic.study.displays.display_accuracy_picture import draw_display_accuracy
 from canhaptic.study.displays.display_equations import integrate, why_no_equations
 from canhaptic.study.displays.display_loop import run_display
 
@@ -59,9 +61,28 @@ def test_a_group_and_what_has_no_equations_are_studied_as_far_as_they_go() -> No
     assert (stopped["status"], stopped["loop"]) == ("stopped", [])
 
 
-@pytest.mark.parametrize(
-    ("words", "text"), [(["--png", "a.png"], "--png: of impedance displays"), (["--axis", "absent"], "expected one of")]
-)
-def test_what_the_study_cannot_do_is_refused(words: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["accuracy", str(NODE), *words]) == 2
-    assert text in capsys.readouterr().err
+def test_an_absent_axis_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["accuracy", str(NODE), "--axis", "absent"]) == 2
+    assert "expected one of" in capsys.readouterr().err
+
+
+def test_picture_page_and_markdown_show_every_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("bokeh")
+    files = {name: tmp_path / f"study.{name}" for name in ("png", "html", "markdown")}
+    words = [word for name, path in files.items() for word in (f"--{name}", str(path))]
+    assert main(["accuracy", str(NODE), "--duration", "0.03", "--json", *words]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert files["png"].read_bytes()[:4] == b"\x89PNG"
+    table = files["markdown"].read_text(encoding="utf-8").splitlines()
+    rows = [line for line in table if line.startswith("| ")]
+    assert len(rows) == 1 + len(found["loop"])
+    assert {line.count(" | ") for line in rows} == {7}
+    page = files["html"].read_text(encoding="utf-8")
+    for row in found["loop"]:
+        assert f"| {row['changed']} | {row['to']}" in "\n".join(rows)
+        assert row["to"] in page
+    assert "position" in page
+    nothing = {**found, "loop": []}
+    with pytest.raises(InputError, match="nothing was measured"):
+        draw_display_accuracy(nothing, tmp_path / "none.png")

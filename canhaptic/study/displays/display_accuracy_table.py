@@ -1,0 +1,70 @@
+"""A study of the accuracy of an admittance display as tables, on a terminal and as Markdown."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from canhaptic.view.si import si
+from canhaptic.view.table_style import FigureTable
+
+Row = Mapping[str, Any]
+
+HEADS: Final = ("changed", "to", "position", "energy", "mass felt", "given out", "guard acts", "us")
+
+
+def display_accuracy_report(result: Row) -> RenderableType:
+    """Returns the tables of a study for a terminal."""
+    table = FigureTable(keys=2, pad_edge=False)
+    for index, head in enumerate(HEADS):
+        table.add_column(head, justify="left" if index < 2 else "right", no_wrap=index != 1)
+    for row in result["loop"]:
+        table.add_row(*cells(row, result["unit"]))
+    return Group(*(Text(f" {line}") for line in heading(result)), table)
+
+
+def display_accuracy_markdown(result: Row) -> str:
+    """Returns the same as Markdown."""
+    lines = [*(f"{line}  " for line in heading(result)), "", "| " + " | ".join(HEADS) + " |", "|---" * len(HEADS) + "|"]
+    lines += ["| " + " | ".join(_whole(cells(row, result["unit"]))) + " |" for row in result["loop"]]
+    return "\n".join(lines) + "\n"
+
+
+def _whole(row: list[str]) -> list[str]:
+    return [cell.replace("|", "\\|") for cell in row] + [""] * (len(HEADS) - len(row))
+
+
+def heading(result: Row) -> list[str]:
+    """Returns what was studied, against what, and how far the plant is from a solver."""
+    unit, reference = result["unit"], result["reference"]
+    lines = [
+        f"{result['scene']}, {result['axis']}: {result['holds']} sample times at {result['rate']:g} Hz, "
+        f"{result['status']}",
+        f"against the ideal display: travel {si(reference['travel'], unit)}, energy {si(reference['energy'], 'J')}; "
+        f"with twice its sample time it is {si(reference['apart'], unit, 2)} off",
+    ]
+    for row in result["plant"]:
+        text = row["status"]
+        if row["status"] == "ok":
+            energy = f", energy {si(row['energy_error'], 'J', 2)}" if "energy_error" in row else ""
+            text = f"position {si(row['position_error'], unit, 2)}{energy} off DOP853"
+        lines.append(f"plant of {row['axis']}: {text}")
+    return lines
+
+
+def cells(row: Row, unit: str) -> list[str]:
+    """Returns a row of the table; one that was refused has two cells."""
+    if "position_error" not in row:
+        return [row["changed"], f"{row['to']}: refused"]
+    return [
+        row["changed"],
+        row["to"] + ("" if row["status"] == "ok" else f" (ended: {row['status'][:40]})"),
+        si(row["position_error"], unit, 3),
+        si(row["energy_error"], "J", 3),
+        "-" if np.isnan(row["mass_felt"]) else si(row["mass_felt"], "kg" if unit == "m" else "kg*m^2", 3),
+        si(row["given_out"], "J", 3),
+        f"{100.0 * row['guard_acts']:.2g} %",
+        f"{row['us_per_cycle']:.0f}",
+    ]
