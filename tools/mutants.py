@@ -5,11 +5,11 @@ copy of the repository. First of all each test of the rooms runs there once, unc
 that it reaches (`tests/mutation/reached.py`); what passes is kept in `--reached` until the package or the test changes.
 A mutant then meets the recordings whose replay reaches its lines, the other tests that do, those that call its function
 and, where it is in no function, those of its module and room: quick ones first, until one fails or their times fill the
-`--budget`. They run in forks of a process that has imported everything (`tools/mutant_server.py`). The one that fails
-must fail again with the mutant and pass without it: then the mutant is killed. One that ends no run of tests within its
-time is killed as well. What has run is kept in `--kept` (JSON lines), so that the same command goes on where it was
-stopped. A survivor is equivalent, or a test is missing: both are for a person to say, in `equivalent_mutants.json` or
-as a test.
+`--budget`. They run in forks of a process that has imported everything (`tools/mutant_server.py`). A test that
+fails must fail again with the mutant and pass without it, but for a replay: then the mutant is killed. One that ends no
+run of tests within its time is killed as well. What has run is kept in `--kept` (JSON lines), so that the same command
+goes on where it was stopped. A survivor is equivalent, or a test is missing: both are for a person to say, in
+`equivalent_mutants.json` or as a test.
 
 Exit status 1 when fewer than `--at-least` of the mutants that are not equivalent were killed. Mutants come in random
 order, so that those run when `--seconds` are over are a sample; `--only PATH:NUMBER` runs one, and `--again` the
@@ -224,9 +224,12 @@ class Campaign:
             failed = self._failure(path, change, text, left)
             if not failed:
                 break
-            again = self._failure(path, change, text, [failed]) if "::" in failed else failed
+            if "::" not in failed or failed.startswith(_RECORDINGS):  # a replay has no time and no chance in it
+                killer = failed
+                break
+            again = self._failure(path, change, text, [failed])
             _put(target, kept)
-            if "::" not in failed or (again and not self._server.run([failed], self._chooser.longest([failed]))):
+            if again and not self._server.run([failed], self._chooser.longest([failed])):
                 killer = failed
             left = [test for test in left if test != failed]
         _put(target, kept)
@@ -292,6 +295,7 @@ def _arguments() -> argparse.Namespace:
         "--rooms", nargs="+", default=["drive", "logs", "replay", "sim", "view", "result.py"],
         help=f"{', '.join(ROOMS)}, or a module inside one of them",
     )  # fmt: skip
+    parser.add_argument("--tests", nargs="+", metavar="PATH", help="inside tests/, in the place of those of the rooms")
     parser.add_argument("--only", metavar="PATH:NUMBER", help="one mutant")
     parser.add_argument("--again", action="store_true", help="runs survivors again")
     parser.add_argument("--seconds", type=float, default=1e9, help="starts no further mutant after that time")
@@ -325,7 +329,8 @@ def main() -> int:
     arguments.kept.parent.mkdir(parents=True, exist_ok=True)
     until = time.monotonic() + arguments.seconds
     rooms = sorted({room_of(path) for path, _, _ in wanted})
-    folders = sorted({f"tests/{folder}" for room in rooms for folder in ROOMS[room]})
+    places = arguments.tests or {place for room in rooms for place in ROOMS[room]}
+    folders = sorted(f"tests/{place}" for place in places)
     with tempfile.TemporaryDirectory() as folder:
         copy = copied(Path(folder).resolve())
         server = TestServer(copy, folders)
