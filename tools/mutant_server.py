@@ -32,7 +32,10 @@ from tests.mutation.reached import PLACE, Watch
 
 _OWN: Final = ("canhaptic", "tests", "tools")
 """Packages of the repository, of which every process imports its own."""
-_PYTEST: Final = ("-q", "-p", "no:cacheprovider", "-m", "not slow", "--no-header", "-o", "timeout=0")
+_IMPORTED: Final = "ignore::pytest.PytestAssertRewriteWarning"  # of plugins, which a cold run finds imported
+_PYTEST: Final = (
+    *("-q", "-p", "no:cacheprovider", "-m", "not slow", "--no-header", "-o", "timeout=0", "-W", _IMPORTED),
+)
 NOT_SWAPPED: Final = "not swapped"
 """What `TestServer.run` returns for a change that takes a cold run."""
 _LONGEST_START: Final = 300.0  # s, until the tests are collected
@@ -355,8 +358,6 @@ def _prepare(copy: Path) -> None:
 
 def _import(name: str) -> None:
     """Imports what the tests import of others, so that a cold run finds it."""
-    if name.partition(".")[0] in ("hypothesis", "_hypothesis_pytestplugin", "xdist", "pytest_timeout"):
-        return  # pytest imports its plugins itself
     try:
         importlib.import_module(name)
     except Exception:  # then a cold run imports it

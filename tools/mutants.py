@@ -224,7 +224,13 @@ class Campaign:
             failed = self._failure(path, change, text, left)
             if not failed:
                 break
-            if "::" not in failed or failed.startswith(_RECORDINGS):  # a replay has no time and no chance in it
+            if failed.startswith(_RECORDINGS):  # a replay has no time and no chance in it
+                killer = failed
+                break
+            if "::" not in failed:
+                _put(target, kept)
+                if without := self._server.run_cold(left[:1], self._chooser.longest(left[:1])):
+                    raise RuntimeError(f"without a mutant: {without}")
                 killer = failed
                 break
             again = self._failure(path, change, text, [failed])

@@ -230,7 +230,7 @@ def test_free_is_what_torques_under_way_in_both_directions_leave_by_the_better_o
         assert same(free_of_late(known, case.bound, case.memory, case.energy), max(ways)), seed
 
 
-def largest(needed, budget: float) -> float:  # type: ignore[no-untyped-def]
+def largest(needed, budget: float) -> float:
     """Returns the end of the torques of which none needs more than a budget, by bisection."""
     low, high = 0.0, 1e-3
     while needed(high) <= budget and high < 1e4:
@@ -290,8 +290,8 @@ def best_of(case: Case, sign: float, speed: float) -> tuple[float, bool]:
         return math.inf, False  # a debt: `test_late_sum` has it
     if hand < math.inf:
         for friction in {0.0, known.friction}:
-            found.append(largest(lambda torque, f=friction: takes(case, motion, torque, hand, f), budget))  # type: ignore[misc]
-        is_tight = (max(found) >= motion.highest or motion.moved >= 0.0)
+            found.append(largest(lambda torque, f=friction: takes(case, motion, torque, hand, f), budget))
+        is_tight = max(found) >= motion.highest or motion.moved >= 0.0
     if budget > 0.0 and known.damping > 0.0:
         rest = 4.0 * known.damping * budget - known.late * older**2
         found.append(known.friction + math.sqrt(max(0.0, rest) / longest))

@@ -1,0 +1,304 @@
+"""What the bound of one axis remembers and doubts, against searches and formulas written anew."""
+
+import itertools
+import math
+import random
+from dataclasses import replace
+
+import pytest
+
+from canhaptic.control.certificates.hold_timing import hold_timing
+from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, WINDOW, displacement_response
+from canhaptic.control.certificates.torque_bound import (
+    Declared,
+    TorqueBound,
+    acted,
+    bound_memory,
+    certain_path,
+    doubt_of_late,
+    end_gap,
+    end_hold,
+    hand_along,
+    keep,
+    outward,
+    shorten,
+    take_late,
+    turn,
+)
+from canhaptic.kernels import list_of_zeros
+
+T, MASS, PULL = 1e-3, 0.25, 5.0
+
+
+def declared_of(draw: random.Random, **given: float) -> Declared:
+    damping = draw.choice([0.0, 2.0])
+    by_force = draw.random() < 0.7
+    timing = hold_timing(T, draw.choice([0.0, 0.02]), draw.choice([0.0, 2e-4]), draw.choice([0.0, 6e-5]))
+    push = draw.choice([9.0, math.inf])
+    response = displacement_response(T, MASS, PULL, damping, 2.0 * damping + 0.4, push, timing)
+    known = Declared(
+        timing.longest, draw.choice([0, 1, 2]), draw.choice([0, 2]), by_force, response if by_force else NO_RESPONSE,
+        damping, draw.choice([0.0, 0.3]), draw.choice([0.0, 1e-6]), timing.late, timing.late / timing.shortest,
+        timing.left, draw.choice([0.0, 0.4]),
+    )  # fmt: skip
+    return replace(known, **given)  # type: ignore[arg-type]
+
+
+def bound_of(draw: random.Random) -> TorqueBound:
+    torque = draw.uniform(-3.0, 3.0)
+    bound = TorqueBound(displacement=draw.uniform(-1e-5, 1e-5), torque=torque, blur=draw.choice([0.0, 3e-7]))
+    bound.highest, bound.lowest = torque + draw.choice([0.0, 0.9]), torque - draw.choice([0.0, 0.7])
+    bound.most, bound.least = torque + draw.uniform(0.0, 0.5), torque - draw.uniform(0.0, 0.5)
+    bound.out, bound.turning = draw.choice([1.0, -1.0, 0.0]), draw.choice([0, 0, 2])
+    bound.dissipated = bound.certain = draw.uniform(0.0, 1e-3)
+    bound.changes, bound.kept, bound.upward, bound.downward = 2e-6, 3, 1.0, 2.0
+    return bound
+
+
+def close(found: float, expected: float) -> bool:
+    return math.isclose(found, expected, rel_tol=1e-9, abs_tol=1e-18)
+
+
+def test_no_motion_within_a_count_of_the_encoder_moves_less_than_the_laziest() -> None:
+    """Searched among all whole positions, of which two are a count."""
+    draw, count = random.Random(1), 2
+    for _ in range(30):
+        places = [0]
+        for _ in range(12):
+            places.append(places[-1] + draw.randint(-4, 4))
+        least = {0: 0}  # place of the motion -> how far it moved
+        for place in places[1:]:
+            within = range(place - count, place + count + 1)
+            least = {end: min(way + abs(end - start) for start, way in least.items()) for end in within}
+        bound, moved = TorqueBound(), 0.0
+        for before, place in itertools.pairwise(places):
+            moved += certain_path(bound, place - before, count)
+        assert moved == min(least.values())
+
+
+def test_a_hold_is_kept_with_what_the_device_dissipated_and_what_the_encoder_leaves_open() -> None:
+    for seed in range(40):
+        draw = random.Random(seed)
+        known, half = declared_of(draw, late=0.0), 0.0
+        half = 0.5 * known.encoder_count
+        bound, memory = TorqueBound(), bound_memory(known, [0.0], list_of_zeros)
+        bound.turning, bound.blur = 2, 1.0
+        holds = [(draw.uniform(-4e-6, 4e-6), draw.uniform(-3.0, 3.0)) for _ in range(draw.choice([3, WINDOW + 5]))]
+        dissipated = changes = before = 0.0
+        lazy = TorqueBound()
+        for moved, torque in holds:
+            bound.upward = bound.downward = 1.0
+            assert end_hold(known, bound, memory, moved, torque) == 0.0
+            dissipated += known.damping / known.sample_time * max(0.0, abs(moved) - known.encoder_count) ** 2
+            dissipated += known.friction * certain_path(lazy, moved, known.encoder_count)
+            changes, before = changes + half * abs(torque - before), torque
+        assert close(bound.dissipated, dissipated)
+        assert close(bound.certain, dissipated)
+        assert (bound.displacement, bound.torque, bound.blur, bound.turning) == (*holds[-1], 0.0, 0)
+        if half:
+            assert close(bound.changes, changes)
+            assert close(bound.unsure, changes + half * abs(before))
+            assert bound.kept == min(len(holds), WINDOW)
+            assert math.isnan(bound.upward)
+            assert math.isnan(bound.downward)
+            for back, (moved, torque) in enumerate(reversed(holds[-bound.kept :])):
+                assert memory.displacements[bound.newest - back] == moved
+                assert memory.torques[bound.newest - back] == torque
+
+
+def test_the_farthest_displacement_is_the_least_that_any_mean_allows() -> None:
+    """Of a true motion that the encoder rounds: each hold goes beyond the one before by no more than forces allow."""
+    used = 0
+    for seed in range(60):
+        draw = random.Random(seed)
+        known = declared_of(draw, by_hand_force=True, encoder_count=1e-4, late=draw.choice([0.0, 1e-4]))
+        if not known.response.before:
+            continue
+        response, count = known.response, known.encoder_count
+        bound, memory = TorqueBound(out=draw.choice([1.0, -1.0])), bound_memory(known, [0.0], list_of_zeros)
+        speed, place, torques, moves = draw.uniform(-0.05, 0.05), 0.0, [], []
+        for _ in range(draw.choice([1, 2, 5, 20])):
+            torque, hand = draw.choice([0.0, draw.uniform(-2.0, 2.0)]), draw.uniform(-PULL, PULL)
+            last, place = place, place + (speed + 0.5 * (torque + hand) / MASS * T) * T
+            speed += (torque + hand) / MASS * T
+            moves.append((math.floor(place / count) - math.floor(last / count)) * count)
+            torques.append(torque)
+            end_hold(known, bound, memory, moves[-1], torque)
+        for sign in (1.0, -1.0):
+            hand = hand_along(known, bound, sign)
+            acting = [max(0.0, sign * torque) for torque in torques]
+            if known.late:
+                rows = memory.torques if sign > 0.0 else memory.against
+                acting = [max(0.0, sign * rows[bound.newest - back]) for back in range(len(moves))][::-1]
+                acting[-1] = max(0.0, acted(known, bound, sign))
+            bounds, total, raised, raises = [], 0.0, 0.0, 0.0
+            for back in range(len(moves)):
+                along = sign * moves[-1 - back]
+                if back:
+                    raised += response.before * acting[-1 - back] + response.during * acting[-back] + hand
+                    raised += (1.0 - response.retained) * max(0.0, count - along)
+                    raised += (response.growth - 1.0) * max(0.0, along + count)
+                total, raises = total + along, raises + raised
+                bounds.append((total + count + raises) / (back + 1))
+                if back and raised * (back + 1) > 2.0 * count:
+                    break
+            expected = min(bounds) if len(moves) > 1 else sign * moves[-1] + count
+            for _ in range(2):  # the second time it is remembered
+                assert close(outward(known, bound, memory, sign), expected), seed
+            used += len(bounds) > 2
+    assert used > 10
+
+
+def test_older_torques_are_left_as_the_timing_says() -> None:
+    for seed in range(30):
+        draw = random.Random(seed)
+        known, bound, torque = declared_of(draw), bound_of(draw), draw.uniform(-3.0, 3.0)
+        above, below = max(0.0, bound.highest - torque), max(0.0, torque - bound.lowest)
+        take_late(known, bound, torque)
+        assert close(bound.most, torque + known.response.late * above)
+        assert close(bound.least, torque - known.response.late * below)
+        assert close(bound.highest, torque + known.left * above)
+        assert close(bound.lowest, torque - known.left * below)
+        for sign in (1.0, -1.0):
+            counts = {1.0: bound.most, -1.0: -bound.least}[sign] if known.late else sign * torque
+            assert acted(known, bound, sign) == (counts if known.late else sign * bound.torque)
+
+
+def test_a_late_torque_leaves_in_doubt_what_it_differs_by_over_how_far_it_is_carried() -> None:
+    ways = set()
+    for seed in range(300):
+        draw = random.Random(seed)
+        known, bound = declared_of(draw, late=draw.choice([1e-4, 3e-4])), bound_of(draw)
+        moved, torque, r = (
+            draw.uniform(-1e-5, 1e-5),
+            draw.choice([bound.torque, draw.uniform(-3.0, 3.0)]),
+            known.response,
+        )
+        change, count = torque - bound.torque, known.encoder_count
+        rest = max(bound.highest - bound.torque, bound.torque - bound.lowest)
+        differs, before = abs(change) + rest, replace(bound)
+        found = doubt_of_late(known, bound, moved, torque)
+        share, b = known.late_share, known.damping
+        for_all = differs * 2.0 * share * (max(abs(moved), abs(before.displacement)) + count)
+        if b:
+            for_all = differs * share * (abs(moved) + count) + differs**2 * known.late / (4.0 * b)
+        if known.by_hand_force:
+            out = -1.0 if before.out < 0.0 else 1.0
+            strongest = max(0.0, out * torque, before.highest if out > 0.0 else -before.lowest)
+            counted = max(0.0, before.most if out > 0.0 else -before.least)
+            up = r.share * max(0.0, out * before.displacement + count + before.blur) + r.tail_before * counted
+            up += r.tail_during * strongest + r.tail_hand * r.hand
+            down = r.share * max(0.0, count - out * moved) + r.tail_before * strongest + r.tail_hand * r.hand
+            down *= r.swing
+            rising = out * change > 0.0
+            less, more = (abs(change) * way for way in ((down, up) if rising else (up, down)))
+            less, more = less + rest * max(up, down), more + rest * max(up, down)
+        elif known.hand_speed:
+            less = more = differs * known.hand_speed * known.late
+        else:
+            less, more = for_all, for_all if b else 0.0
+        ways.add((known.by_hand_force, bool(known.hand_speed), bool(b)))
+        assert close(found, less if differs else 0.0), seed
+        assert close(bound.resolution, less + more if differs else 0.0), seed
+        promised = less - for_all if b and (known.by_hand_force or known.hand_speed) and differs else 0.0
+        assert close(bound.certain, before.certain + promised), seed
+    assert len(ways) == 8
+
+
+@pytest.mark.parametrize("lasted", [1.5, 4.0])
+def test_a_longer_hold_counts_by_its_last_sample_time_give_or_take_what_forces_gain(lasted: float) -> None:
+    for seed in range(60):
+        draw = random.Random(seed)
+        known, bound = declared_of(draw), bound_of(draw)
+        r, before = known.response, replace(bound)
+        shorten(known, bound, lasted)
+        torque = max(abs(before.torque), *((before.most, -before.least) if known.late else (0.0,)))
+        step = (r.before + r.during) * torque + (r.push if r.push < math.inf else r.hand)
+        excursion = abs(before.displacement) + known.encoder_count + lasted**2 * step
+        assert close(bound.displacement, before.displacement / lasted)
+        assert close(bound.blur, 0.5 * (lasted - 1.0) * step + (r.growth - r.retained) * excursion)
+        assert bound.kept == 0
+        path = max(0.0, abs(before.displacement) - known.encoder_count)
+        taken = known.damping / known.sample_time * path**2 * (1.0 - 1.0 / lasted)  # (D/n)^2 n in place of D^2
+        assert close(bound.dissipated, before.dissipated - taken)
+        assert close(bound.certain, before.certain - taken)
+
+
+@pytest.mark.parametrize("holds", [2, 4])
+def test_lost_samples_leave_in_doubt_the_difference_of_torques_over_the_farthest_excursion(holds: int) -> None:
+    ways = set()
+    for seed in range(300):
+        draw = random.Random(seed)
+        known, bound = declared_of(draw), bound_of(draw)
+        moved, torque, sent = draw.uniform(-1e-5, 1e-5), draw.uniform(-3.0, 3.0), draw.uniform(0.0, 3.0)
+        differ, r, count, before = draw.uniform(0.0, 3.0), known.response, known.encoder_count, replace(bound)
+        found = end_gap(known, bound, moved, torque, holds, sent, differ)
+        largest, apart, uncertain = sent, differ, holds - 1
+        if known.losses:
+            largest, apart = max(largest, abs(before.torque)), max(apart, abs(before.torque - torque))
+        if known.late:
+            largest = max(largest, before.highest, -before.lowest)
+            apart = max(apart, before.highest - torque, torque - before.lowest, largest + abs(torque))
+            uncertain = holds
+            assert (bound.most, bound.highest) == (largest, largest)
+            assert (bound.least, bound.lowest) == (
+                -largest,
+                -largest,
+            )
+        for_all, earned, b = 0.0, 0.0, known.damping / known.sample_time
+        if b:
+            earned = b * max(0.0, abs(moved) - count) ** 2 / holds
+            for_all = uncertain * apart * ((abs(moved) + count) / holds + apart / (4.0 * b))
+        doubt = for_all
+        if known.by_hand_force:
+            step = (r.before + r.during) * largest + (r.push if r.push < math.inf else r.hand)
+            begin, grown = abs(before.displacement) + before.blur + count, r.growth**holds
+            excursion = abs(moved) + count + grown * holds * (begin + holds * step)
+            doubt = uncertain * apart * excursion
+            blur = 0.5 * (holds - 1) * step + (1.0 - r.retained) * holds * excursion + (grown - 1.0) * excursion
+            assert close(bound.blur, blur), seed
+        elif known.hand_speed:
+            doubt = uncertain * apart * known.hand_speed * known.sample_time
+        ways.add((known.by_hand_force, bool(known.hand_speed), bool(b), bool(known.losses), known.late > 0.0))
+        assert close(found, doubt), seed
+        assert close(bound.resolution, 2.0 * doubt), seed
+        assert close(bound.dissipated, before.dissipated + earned), seed
+        assert close(bound.certain, before.certain + earned + (doubt - for_all if b else 0.0)), seed
+        assert close(bound.changes, before.changes + holds * count * largest), seed
+        assert close(bound.unsure, before.changes + holds * count * largest + 0.5 * count * abs(torque)), seed
+        assert (bound.displacement, bound.torque) == (moved / holds, torque)
+        assert bound.kept == 0
+        assert math.isnan(bound.upward)
+        assert math.isnan(bound.downward)
+    assert len(ways) == 32
+
+
+def test_torques_of_a_contact_with_another_way_out_act_until_they_have_ended() -> None:
+    draw = random.Random(1)
+    for late in (0.0, 1e-4):
+        for delay in (0, 2):
+            known = declared_of(draw, late=late, delay=delay, by_hand_force=True)
+            known = replace(known, response=replace(known.response, hand=1.0, push=3.0))
+            bound = TorqueBound()
+            turn(known, bound, 1.0)
+            assert (bound.out, bound.turning) == (1.0, 0)
+            assert [hand_along(known, bound, sign) for sign in (1.0, -1.0)] == [1.0, 3.0]
+            turn(known, bound, 1.0)
+            assert bound.turning == 0
+            turn(known, bound, -1.0)
+            holds = delay + 1 + (late > 0.0)
+            memory = bound_memory(known, [0.0] * 3, list_of_zeros)
+            for left in range(holds, 0, -1):
+                assert bound.turning == left
+                assert [hand_along(known, bound, sign) for sign in (1.0, -1.0)] == [3.0, 3.0]
+                end_hold(known, bound, memory, 0.0, 0.0)
+            assert [hand_along(known, bound, sign) for sign in (1.0, -1.0)] == [3.0, 1.0]
+            turn(known, bound, 0.0)
+            assert (bound.out, bound.turning) == (0.0, holds)
+
+
+@pytest.mark.parametrize(("energy", "left"), [(1.0, 4.0), (3.0, 2.0), (6.0, 0.0)])
+def test_what_the_device_dissipated_is_kept_as_far_as_it_is_enough(energy: float, left: float) -> None:
+    bound = TorqueBound(dissipated=4.0)
+    keep(bound, energy, 5.0)
+    assert bound.dissipated == left
