@@ -222,9 +222,9 @@ class _Warm:
             watch, notes = Watch(copy, question["watch"]), copy / "reached_site" / "notes.jsonl"
             found = []
             for test in question["tests"]:
-                begin = time.perf_counter()
+                begin = sum(os.times()[:4])  # of processor, those of the processes that it starts among them
                 failed = run_items(session, [self._items[test]])
-                seconds = time.perf_counter() - begin
+                seconds = sum(os.times()[:4]) - begin
                 session.testsfailed = 0
                 if seconds > question["slowest"]:
                     continue
