@@ -53,8 +53,6 @@ ROOMS: Final[dict[str, tuple[str, ...]]] = {  # part of the package -> folders o
     "control/ledger.py": _ACCOUNT,
     "control/verdict.py": _ACCOUNT,
     "control/running_sum.py": _ACCOUNT,
-    "control/ledger.py": _ACCOUNT,
-    "control/verdict.py": _ACCOUNT,
     "control/axis_meter.py": _ACCOUNT,
     "control/energy_loss.py": ("control", "acceptance/test_energy_loss.py"),
     "meters.py": _ACCOUNT,
