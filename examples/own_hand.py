@@ -25,6 +25,7 @@ if __name__ == "__main__":
     hand = Startled(**axis.simulation.user.model_dump()) if axis.simulation.user else Startled(stiffness=60.0)
     startled = replace(scene, axes=(replace(axis, simulation=replace(axis.simulation, user=hand)),))
     calm, shocked = (canhaptic.simulate(one, duration=2.0) for one in (scene, startled))
-    for _name, result in (("calm", calm), ("startled", shocked)):
+    for name, result in (("calm", calm), ("startled", shocked)):
         port = result.account["handle"]
+        print(f"{name:9} out {port.energy_out:.5f} J, least sum {port.least_interaction:.2e} J, passive {port.passive}")
     calm.plot(shocked).savefig("startled.png")

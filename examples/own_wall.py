@@ -25,3 +25,4 @@ if __name__ == "__main__":
     ENVIRONMENTS["stiff_centre"] = "own_wall:StiffCentre"
     wall = {"type": "stiff_centre", "stiffness": "300 N/m", "damping": 1.0}
     result = canhaptic.simulate(CONFIGS / "demo.yaml", {"environment": wall}, duration=2.0)
+    print(result.account["handle"])

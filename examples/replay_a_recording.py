@@ -10,3 +10,4 @@ scene = load_scene(CONFIGS / "demo.yaml")
 with build(scene, bus_log="recorded.log") as experiment:
     run(experiment.cycle, cycles=1000)
 result = replay_bus_log("recorded.log", scene)
+print(f"{result['status']}: {result['frames']['compared']} frames compared, {result['speed']:.1f} times real time")

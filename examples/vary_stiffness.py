@@ -13,5 +13,6 @@ results = [
 for result in results:
     samples = result.to_numpy()
     depth, force = -0.05 - samples["handle.position"].min(), abs(samples["handle.torque_applied"]).max()
+    print(f"{result.scene.overrides[0]}: {1e3 * depth:.1f} mm deep, {force:.1f} N at most, {result.account.passive}")
 soft, *stiffer = results
 soft.plot(*stiffer).savefig("stiffness.png")
