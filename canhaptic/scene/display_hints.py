@@ -2,6 +2,7 @@
 
 from math import pi, sqrt
 
+from canhaptic.control.admittance.damping_border import damping_border
 from canhaptic.control.admittance.declared_hand import declared_hand_settings, lightest
 from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters, loop_settings
 from canhaptic.control.admittance.port import port_settings
@@ -38,7 +39,8 @@ def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
 
 def _of_guard(axis: AxisScene, known: GuardedDisplayParameters, speed_unit: str, asked: float | None) -> list[Hint]:
     properties, name = display_properties(axis), axis.parameters.name
-    unit = "kg" if axis.parameters.unit == "m" else "kg*m^2"
+    axis_unit = axis.parameters.unit
+    unit, effort = ("kg", "N") if axis_unit == "m" else ("kg*m^2", "N*m")
     time, gain, mass = properties.sample_time, known.loop_gain, known.drive_mass
     holds = properties.delay + 1 + known.max_consecutive_losses
     lag = (properties.delay + 0.5 + properties.latency) * time
@@ -57,6 +59,10 @@ def _of_guard(axis: AxisScene, known: GuardedDisplayParameters, speed_unit: str,
         carried = lightest(declared_hand_settings(known, loop, properties.latency), loop, properties.speed_limit)
         text = "at speed_limit, with a hand as declared (hand_stiffness); heavier at less" + about
         hints.append(Hint(name, "mass carried for the declared hand", carried, None, unit, text))
+        if asked is not None and asked < never:
+            border = damping_border(mass, gain, asked, known.hand_stiffness, lag)
+            text = f"in place of that mass, for the declared hand_stiffness; {asked:g} {unit} asked"
+            hints.append(Hint(name, "damping from which it never acts", border, None, f"{effort}*s/{axis_unit}", text))
     return hints
 
 
