@@ -50,6 +50,7 @@ def test_what_was_mended_stays_mended(seed: int) -> None:
 
 MENDED_FURTHER = {
     3000810: "lost RPDOs where nothing is read back",
+    7002760: "energy_bounding with steps of torque as large as its torques",
     3001843: "the sum at the handle of a group whose wall a mover moves",
 }
 

@@ -48,6 +48,21 @@ def test_energy_bounding_at_its_limit_is_tight():
     assert account - torque * worst + DEVICE_DAMPING / 1e-3 * worst**2 == pytest.approx(0.0, abs=1e-15)
 
 
+@pytest.mark.parametrize("stiffness", [3.0, 1e6])
+def test_energy_bounding_sends_whole_steps_of_torque_that_are_not_above_its_bound(stiffness):
+    loop = LoopProperties(sample_time=1e-3, device_damping=DEVICE_DAMPING)
+    torques = []
+    for quantum in (0.0, 1e-4):
+        of = loop.model_copy(update={"torque_quantum": quantum})
+        made = build_controller(SpringDamperWall(stiffness=stiffness), "energy_bounding", None, of)
+        made.step(0.0, 0.0)
+        torques.append(made.step(-1.1902e-4, 0.0).torque)
+    steps = torques[1] / 1e-4
+    assert steps == pytest.approx(round(steps), abs=1e-9)
+    assert 0.0 < torques[1] <= torques[0] < torques[1] + 1e-4
+    assert torques[0] / 1e-4 % 1.0 > 0.5  # the nearest step is above it
+
+
 @pytest.mark.parametrize("damping", [None, 0.0])
 def test_energy_bounding_without_device_damping_is_refused(damping):
     with pytest.raises(ParameterError, match="device_damping"):

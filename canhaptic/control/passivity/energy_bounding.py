@@ -7,8 +7,8 @@ certificate; what it renders is limited to a stiffness of about 2 b / T.
 
 T is the longest that a hold may be, and of E_n is taken what encoder counts hide: a position is unsure by half a count
 e, so that dx counts as |dx| - 2e in what is dissipated, and e (|F_n| + sum |F_k - F_(k-1)|) of the energy may not have
-come in (`axis_meter`). The proof needs one torque in a hold: where an older one acts in a part of it (window, lag),
-nothing is certified.
+come in (`axis_meter`). A drive takes whole steps of torque, to which the command is rounded towards zero. The proof
+needs one torque in a hold: where an older one acts in a part of it (window, lag), nothing is certified.
 """
 
 from dataclasses import dataclass, field
@@ -29,6 +29,7 @@ from canhaptic.control.passivity.hold_account import (
     hold_settings,
     open_hold,
 )
+from canhaptic.control.passivity.in_flight import towards_zero
 from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.running_sum import RunningSum, add
@@ -49,6 +50,7 @@ class _EnergyBoundingSettings:
     device_damping: float  # certain [N*s/m or N*m*s/rad]
     longest: float  # hold [s]
     count: float  # of the encoder [m or rad]
+    quantum: float  # of the torque command; 0: ideal [N or N*m]
     hold: HoldSettings
 
 
@@ -79,7 +81,7 @@ def settings_of(
     timing = loop.timing
     promised = Certificate.NONE if timing.late else Certificate.DEVICE_DAMPING
     hold = hold_settings(parameters, loop, promised)
-    return _EnergyBoundingSettings(loop.device_damping, timing.longest, loop.encoder_count, hold)
+    return _EnergyBoundingSettings(loop.device_damping, timing.longest, loop.encoder_count, loop.torque_quantum, hold)
 
 
 def step(
@@ -98,8 +100,11 @@ def step(
     hold = open_hold(settings.hold, axis, memory, position, torque_applied)
     energy = known_energy(settings, state, hold, torque_applied)
     branch, h_r, contact, spring, damper = follow(environment, model, position, hold)
-    share = bounded_share(settings, memory.commands.torques, axis.oldest, energy, abs(spring + damper))
+    wanted = abs(spring + damper)
+    share = bounded_share(settings, memory.commands.torques, axis.oldest, energy, wanted)
     gen, leak = settle(environment, model, share, hold.h_i, h_r)
+    if settings.quantum > 0.0 and wanted > 0.0:
+        share = towards_zero(share * wanted, settings.quantum) / wanted
     efforts = spring * share, damper * share, 0.0
     account = new(HoldAccount, (branch, h_r, gen, 0.0, leak))
     rendered = environment.damping * share if contact else 0.0
