@@ -10,6 +10,7 @@ from typing import Final
 
 from canhaptic.drive.profile.display_parameters import DisplayParameters
 from canhaptic.scene.guesses import TO_SET
+from canhaptic.scene.starter_simulation import JITTER, number, simulated_machine
 
 _INERTIA: Final = 0.005  # per torque limit [s^2]
 _BANDWIDTH: Final = 50.0  # of the velocity loop [Hz]
@@ -49,27 +50,12 @@ passivity:
 $integral$timing  energy_allowance: $allowance J # given out at most; motion starts with it
 """)
 
-_SIMULATION: Final = Template("""
-# The machine behind the simulated drive. Remove this section and name the real interface under `bus`.
-simulation:
-  drive:
-    rated_torque: $rated N*m
-$objects  plant:
-    mass: $mass kg*m^2
-    damping: $bearings N*m*s/rad
+_BETWEEN: Final = Template("""\
   admittance:
     loop: {gain: $gain N*m*s/rad, integral_gain: $integral N*m/rad}
     grip: {mass: $grip kg*m^2, stiffness: $grip_stiffness N*m/rad, damping: $grip_damping N*m*s/rad}
     sensor: {noise: $noise N*m}
-  user:                     # a hand that moves to and fro
-    stiffness: $stiffness N*m/rad
-    damping: $hand_damping N*m*s/rad
-    motion: {type: sinusoid, amplitude: 0.15 rad, frequency: 0.5 Hz}
 """)
-
-
-def _number(value: float) -> str:
-    return f"{value:.3g}"
 
 
 def display_axis(display: DisplayParameters, counts: float, limit: float) -> str:
@@ -91,49 +77,41 @@ def display_axis(display: DisplayParameters, counts: float, limit: float) -> str
         source=node
         if named is None
         else f"        object: {named}    # {TO_SET}: the input to which the sensor is wired\n",
-        per_count=_number(2.0 * limit / _COUNTS),
-        range=_number(2.0 * limit),
-        error=_number(4e-4 * limit),
-        slew=_number(25.0 * limit),
+        per_count=number(2.0 * limit / _COUNTS),
+        range=number(2.0 * limit),
+        error=number(4e-4 * limit),
+        slew=number(25.0 * limit),
     )
 
 
 def display_rendered(display: DisplayParameters, limit: float, sample_time: float, *, simulate: bool) -> str:
     """Returns environment and passivity for a torque limit [N*m] and a sample time [s]."""
-    jitter = (
-        f"  sync_jitter: 5 %        # {TO_SET}: every hold lasts 1 / rate, give or take this (canhaptic commission)\n"
-    )
     mass, gain = _INERTIA * limit, _gain(limit)
     is_position = display.mode == "position"
-    line = f"  integral_gain: {_number(_OVER * 10.0 * gain)} N*m/rad # {TO_SET}: position gain times loop_gain\n"
+    line = f"  integral_gain: {number(_OVER * 10.0 * gain)} N*m/rad # {TO_SET}: position gain times loop_gain\n"
     return _RENDERED.substitute(
-        mass=_number(_HELD * (mass + 1.5 * sample_time * gain)),
-        damping=_number(mass),
-        drive_mass=_number(_OVER * mass),
-        gain=_number(_OVER * gain),
+        mass=number(_HELD * (mass + 1.5 * sample_time * gain)),
+        damping=number(mass),
+        drive_mass=number(_OVER * mass),
+        gain=number(_OVER * gain),
         integral=line if is_position else "",
-        timing="" if simulate else jitter,
-        allowance=_number(0.5 * _OVER * gain * sample_time * _START_SPEED**2),
+        timing="" if simulate else JITTER,
+        allowance=number(0.5 * _OVER * gain * sample_time * _START_SPEED**2),
     )
 
 
 def display_simulation(display: DisplayParameters, objects: str, rated: float, limit: float) -> str:
     """Returns the simulated rig; `objects` are lines of `simulation.drive`."""
     mass, gain = _INERTIA * limit, _gain(limit)
-    return _SIMULATION.substitute(
-        rated=f"{rated:g}",
-        objects=objects,
-        mass=_number(mass),
-        bearings=_number(mass),
-        gain=_number(gain),
-        integral=_number(10.0 * gain if display.mode == "position" else 0.0),
-        grip=_number(0.15 * mass),
-        grip_stiffness=_number(1e4 * mass),
-        grip_damping=_number(10.0 * mass),
-        noise=_number(5e-5 * limit),
-        stiffness=_number(3.0 * limit),
-        hand_damping=_number(0.25 * limit),
+    between = _BETWEEN.substitute(
+        gain=number(gain),
+        integral=number(10.0 * gain if display.mode == "position" else 0.0),
+        grip=number(0.15 * mass),
+        grip_stiffness=number(1e4 * mass),
+        grip_damping=number(10.0 * mass),
+        noise=number(5e-5 * limit),
     )
+    return simulated_machine(rated, objects, mass, mass, limit, "a hand that moves to and fro", between)
 
 
 def _gain(limit: float) -> float:

@@ -24,6 +24,7 @@ from canhaptic.scene.eds_path import path_for_scene
 from canhaptic.scene.guesses import TO_SET
 from canhaptic.scene.missing_values import missing_values
 from canhaptic.scene.profiles import profile_values
+from canhaptic.scene.starter_simulation import JITTER, simulated_machine
 
 _CAUTIOUS: Final = 0.05  # part of the rated torque that the first configuration allows
 _GUESSED_RATED_TORQUE: Final = 1.0  # [N*m]
@@ -85,24 +86,10 @@ $timing  hand_force: 0 N*m         # largest torque with which the hand pulls ou
 """)
 
 _TIMING: Final = f"""\
-  sync_jitter: 5 %         # {TO_SET}: every hold lasts 1 / rate, give or take this (canhaptic commission)
+{JITTER}\
   torque_window: 100 us    # {TO_SET}: a torque acts so long after its SYNC at the latest
   current_lag: 500 us      # {TO_SET}: time constant of the current loop at most
 """
-
-_SIMULATION: Final = Template("""
-# The machine behind the simulated drive. Remove this section and name the real interface under `bus`.
-simulation:
-  drive:
-    rated_torque: $rated N*m
-$objects  plant:
-    mass: $mass kg*m^2
-    damping: $damping N*m*s/rad
-  user:                     # a hand that follows a slow sine and meets the wall on the way
-    stiffness: $stiffness N*m/rad
-    damping: $hand_damping N*m*s/rad
-    motion: {type: sinusoid, amplitude: 0.15 rad, frequency: 0.5 Hz}
-""")
 
 
 def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, out: Path | None = None) -> str:
@@ -313,11 +300,5 @@ def _simulation(found: Survey, rated: float, limit: float) -> str:
     given, display = f"    objects:\n{lines}" if objects else "", found.axis.admittance
     if display is not None:
         return display_simulation(display, given, rated, limit)
-    return _SIMULATION.substitute(
-        rated=f"{rated:g}",
-        objects=given,
-        mass=f"{0.0125 * limit:.3g}",
-        damping=f"{0.005 * limit:.3g}",
-        stiffness=f"{3.0 * limit:.3g}",
-        hand_damping=f"{0.25 * limit:.3g}",
-    )
+    hand = "a hand that follows a slow sine and meets the wall on the way"
+    return simulated_machine(rated, given, 0.0125 * limit, 0.005 * limit, limit, hand)

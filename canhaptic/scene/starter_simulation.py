@@ -1,0 +1,47 @@
+"""What starter scenes of both kinds of displays say alike: the guesses of timing, and the machine that is simulated."""
+
+from string import Template
+from typing import Final
+
+from canhaptic.scene.guesses import TO_SET
+
+JITTER: Final = f"  sync_jitter: 5 % # {TO_SET}: every hold lasts 1 / rate, give or take this (canhaptic commission)\n"
+
+_TEXT: Final = Template("""
+# The machine behind the simulated drive. Remove this section and name the real interface under `bus`.
+simulation:
+  drive:
+    rated_torque: $rated N*m
+$objects  plant:
+    mass: $mass kg*m^2
+    damping: $bearings N*m*s/rad
+$between  user: # $hand
+    stiffness: $stiffness N*m/rad
+    damping: $hand_damping N*m*s/rad
+    motion: {type: sinusoid, amplitude: 0.15 rad, frequency: 0.5 Hz}
+""")
+
+
+def number(value: float) -> str:
+    """Returns a number of a starter scene: three digits are enough for a guess."""
+    return f"{value:.3g}"
+
+
+def simulated_machine(
+    rated: float, objects: str, mass: float, bearings: float, limit: float, hand: str, between: str = ""
+) -> str:
+    """Returns the section `simulation`.
+
+    Args:
+        rated: Torque [N*m].
+        objects: Lines of `simulation.drive`.
+        mass: Moved [kg*m^2].
+        bearings: Their damping [N*m*s/rad].
+        limit: Of the torque, to which the hand is scaled [N*m].
+        hand: What the hand does.
+        between: Further lines, ahead of the hand.
+    """
+    return _TEXT.substitute(
+        rated=f"{rated:g}", objects=objects, mass=number(mass), bearings=number(bearings), between=between, hand=hand,
+        stiffness=number(3.0 * limit), hand_damping=number(0.25 * limit),
+    )  # fmt: skip
