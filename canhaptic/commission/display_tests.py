@@ -28,6 +28,7 @@ _TRAVELS: Final = 3.0  # of the limit: it is the hand that pushes the drive away
 _HALF: Final = 5e-3  # half the width of the hat [s]
 _LATEST: Final = 4  # samples by which a force may be late
 _SAFE: Final = 1.1  # over what was measured, for what is to be declared over
+_SAFE_FRICTION: Final = 1.3  # a drive at rest sticks more
 _SLOWEST: Final = 2.0  # [1/s] of an integral that counts as one
 _SURE: Final = 0.1  # largest standard deviation of M and c, as a part of them
 Array = NDArray[np.float64]
@@ -39,6 +40,7 @@ class _Fit(NamedTuple):
     mass: float
     gain: float
     integral: float
+    friction: float  # dry, with half the damping of the bearings at the speed of the chirp [N or N*m]
     doubt: float  # larger standard deviation of mass and gain, as a part of them
     square: float  # of what is left, on average [N^2 or N^2*m^2]
     latency: int
@@ -137,8 +139,8 @@ def _fitted(law: OpenLoop, commands: Array, time: float, *, is_mean: bool) -> _F
         spread = np.sqrt(np.diag(np.linalg.inv(part.T @ part)) * square * alike)
         doubt = max(abs(spread[:2] / found[:2]).tolist())
         if best is None or square < best.square:
-            mass, gain, integral = found[:3].tolist()
-            best = _Fit(mass, gain, integral, doubt, square, latency)
+            mass, gain, integral, friction = found[:4].tolist()
+            best = _Fit(mass, gain, integral, abs(friction) + spread.item(3), doubt, square, latency)
     if best is None:
         raise InputError("commission: got no samples, expected some seconds of them")
     return best
@@ -173,6 +175,9 @@ def _judge(session: Session, axis: int, fit: _Fit) -> None:
         session.propose(axis, "admittance.force.latency", fit.latency)
     known = session.axes[axis].passivity.parameters
     declared = known if isinstance(known, GuardedDisplayParameters) else None
+    has_friction = declared is not None and declared.drive_friction is not None
+    ranged = ("loop_gain", "drive_mass") if has_friction else ("loop_gain",)
+    _judge_friction(session, axis, fit.friction, declared)
     for item, value, key, unit in (
         ("mass of the drive", fit.mass, "drive_mass", mass_unit),
         ("gain of the velocity loop", fit.gain, "loop_gain", gain_unit),
@@ -181,9 +186,24 @@ def _judge(session: Session, axis: int, fit: _Fit) -> None:
         if key == "integral_gain" and fit.integral < _SLOWEST * fit.gain and not getattr(declared, key, 0.0):
             continue
         stated = None if declared is None else float(getattr(declared, key))
-        least = 0.0 if declared is None else (1.0 - declared.spread) * (stated or 0.0)
-        good = stated is not None and value <= stated and (key != "loop_gain" or value >= least)
+        least = 0.0 if declared is None or key not in ranged else (1.0 - declared.spread) * (stated or 0.0)
+        good = stated is not None and least <= value <= stated
         configured = "" if stated is None else f"{stated:.4g} {unit}, an over-estimate"
         session.judged(axis, item, configured, f"{value:.4g} {unit}", good=good, text="paste the value")
         if not good:
             session.propose(axis, f"passivity.{key}", _SAFE * value, unit, "1.1 times what was measured")
+
+
+def _judge_friction(session: Session, axis: int, found: float, declared: GuardedDisplayParameters | None) -> None:
+    """Says what the friction of the drive is; where one is declared, whether that is enough."""
+    unit, item = "N" if session.axes[axis].parameters.unit == "m" else "N*m", "friction of the drive"
+    value = f"{found:.3g} {unit}"
+    if declared is None or declared.drive_friction is None:
+        text = "with drive_friction, an over-estimate, force and motion are compared in every run"
+        session.found(axis, item, "", value, StepVerdict.AGREES, text)
+        return
+    good = found <= declared.drive_friction
+    stated = f"{declared.drive_friction:.3g} {unit}, an over-estimate"
+    session.judged(axis, item, stated, value, good=good, text="paste the value")
+    if not good:
+        session.propose(axis, "passivity.drive_friction", _SAFE_FRICTION * found, unit, "1.3 times: at rest it is more")

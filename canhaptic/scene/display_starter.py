@@ -17,6 +17,7 @@ _BANDWIDTH: Final = 50.0  # of the velocity loop [Hz]
 _OVER: Final = 1.1  # every over-estimate
 _START_SPEED: Final = 0.05  # from which a hand moves it [rad/s]
 _HELD: Final = 2.0  # times M + c tau: passive without a guard
+_FRICTION: Final = 0.02  # of the torque limit: dry friction
 _COUNTS: Final = 16384  # of the sensor up to its range
 
 _AXIS: Final = Template(f"""\
@@ -47,6 +48,9 @@ passivity:
   algorithm: guarded
   drive_mass: $drive_mass kg*m^2 # {TO_SET}: all that the drive moves up to the sensor, an over-estimate
   loop_gain: $gain N*m*s/rad # {TO_SET}: 2 pi bandwidth mass, an over-estimate (canhaptic commission)
+  # Over-estimates with which force and motion are compared: an offset of the sensor, or a ramp in the drive, stops it.
+  # drive_friction: $friction N*m
+  # drive_damping: $bearings N*m*s/rad
 $integral$timing  energy_allowance: $allowance J # given out at most; motion starts with it
 """)
 
@@ -94,6 +98,8 @@ def display_rendered(display: DisplayParameters, limit: float, sample_time: floa
         damping=number(mass),
         drive_mass=number(_OVER * mass),
         gain=number(_OVER * gain),
+        friction=number(_FRICTION * limit),
+        bearings=number(2.0 * mass),
         integral=line if is_position else "",
         timing="" if simulate else JITTER,
         allowance=number(0.5 * _OVER * gain * sample_time * _START_SPEED**2),

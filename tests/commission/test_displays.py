@@ -46,3 +46,11 @@ def test_a_wrong_sign_fails(capsys: pytest.CaptureFixture[str]) -> None:
     assert status == 1
     assert found["sign of the force"]["verdict"] == "failed"
     assert "per_count: -0.01 N" in found["snippet"]
+
+
+def test_friction_is_measured_and_judged_where_it_is_declared(capsys: pytest.CaptureFixture[str]) -> None:
+    rough = "simulation.effects=[{type: coulomb_friction, kinetic: 3 N, static: 3.2 N}]"
+    status, found = _commissioned(capsys, rough, "passivity.drive_friction=0.5")
+    assert status == 1
+    assert float(found["friction of the drive"]["found"].split()[0]) == pytest.approx(3.0, rel=0.1)
+    assert "  drive_friction: 3." in found["snippet"]
