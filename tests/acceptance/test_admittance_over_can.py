@@ -74,6 +74,7 @@ def test_the_same_scene_gives_the_same_frames_and_every_reader_agrees(
     capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_two_displays_on_a_path_have_one_account_and_every_reader_agrees(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -285,6 +286,7 @@ def test_the_json_of_a_run_names_the_port(capsys: pytest.CaptureFixture[str]) ->
     assert port["passive"] == "in doubt"
 
 
+@pytest.mark.slow_for("six_axes")
 @pytest.mark.parametrize("name", ["wall", "two_axes", "cup_and_ball", "six_axes"])
 def test_every_shipped_display_keeps_its_promise(name: str) -> None:
     scene = load_scene(SCENE.with_name(f"{name}.yaml"))

@@ -36,6 +36,7 @@ def test_another_process_gives_the_same_bus_log(words: list[str], tmp_path: Path
     assert here.count(b"080#") >= 400
 
 
+@pytest.mark.slow
 def test_another_seed_gives_another_bus_log(tmp_path: Path) -> None:
     seeded = [in_this_process(tmp_path / f"{n}.log", *NOISY, "--set", f"simulation.seed={n}") for n in (7, 8)]
     assert seeded[0] != seeded[1]

@@ -13,7 +13,7 @@ from tools.displays.random_display import random_display, with_true_bounds
 _CYCLES = 300
 
 
-@pytest.mark.slow_for("0", "2")
+@pytest.mark.slow_for("3", "0", "2")
 @pytest.mark.parametrize("batch", range(4))
 def test_no_account_claims_what_the_plant_denies(batch: int) -> None:
     for seed in range(20 * batch, 20 * batch + 20):
@@ -47,6 +47,7 @@ def test_no_account_of_an_arm_of_two_displays_claims_what_their_plants_deny() ->
     assert moved >= 3
 
 
+@pytest.mark.slow
 def test_the_guard_says_yes_where_it_is_due() -> None:
     said = []
     for seed in range(400, 440):

@@ -39,6 +39,7 @@ def events(folder: Path, *, frozen: bool) -> list[tuple[str, str]]:
         return [(event.kind, event.port) for event in log.events]
 
 
+@pytest.mark.slow
 def test_a_position_that_stays_with_a_torque_is_noted_once(tmp_path: Path) -> None:
     assert events(tmp_path, frozen=True) == [("unchanged", "handle")]
 

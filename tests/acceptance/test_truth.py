@@ -41,6 +41,7 @@ MENDED = {
 }
 
 
+@pytest.mark.slow_for("205488")
 @pytest.mark.parametrize("seed", MENDED)
 def test_what_was_mended_stays_mended(seed: int) -> None:
     _, outcome = judged(random_scene(seed, further=False))

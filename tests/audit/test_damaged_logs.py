@@ -107,7 +107,7 @@ USES: tuple[Callable[[Path, Path], object], ...] = (
 EVERY_EIGHTH_OR_ALL = [8, pytest.param(1, marks=pytest.mark.slow)]  # all of them take 15 s of a processor
 
 
-@pytest.mark.slow_but("cut_in_half-8", "missing-8")
+@pytest.mark.slow_but("missing-8")
 @pytest.mark.parametrize("step", EVERY_EIGHTH_OR_ALL)
 @pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
 def test_a_damaged_column_is_one_error_that_names_it(
@@ -158,6 +158,7 @@ def too_long(file: Any, name: str) -> None:
     file[name].resize((1 << 50,))
 
 
+@pytest.mark.slow
 def test_a_column_that_claims_any_length_is_named_and_repaired_at_once(whole: Path) -> None:
     for name in ("ports/handle/h_i", "timing/sync_index"):
         path = damaged(whole, too_long, name)
@@ -217,6 +218,7 @@ def test_a_log_that_is_being_written_may_be_a_chunk_short_in_some_columns_and_no
         EnergyLog.open(damaged(whole, running(ROWS // 2, 10), "ports/handle/h_i"))
 
 
+@pytest.mark.slow
 def test_a_text_that_is_no_utf8_is_read_and_saved(whole: Path) -> None:
     def put(file: Any, name: str) -> None:
         file.attrs[name] = b"\xff.yaml"

@@ -118,6 +118,7 @@ def test_the_worst_of_a_run_is_in_its_account(log: Path, tmp_path: Path) -> None
     assert (before["certificate"], after["certificate"]) == ("exact", "hand_speed")
 
 
+@pytest.mark.slow
 def test_late_cycles_and_lost_frames_are_counted(tmp_path: Path) -> None:
     write_troubled_run(tmp_path / "run.h5")
     with h5py.File(tmp_path / "run.h5", "r+") as file:

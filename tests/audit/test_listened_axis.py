@@ -60,6 +60,7 @@ def test_every_quirk_that_scales_is_known_to_the_audit() -> None:
         assert dict(table) == {name: changes[field] for name, changes in _QUIRKS.items() if field in changes}
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.integers(-(2**31), 2**31 - 1), min_size=1, max_size=20),
     st.integers(-(2**15), 2**15 - 1),

@@ -179,6 +179,7 @@ def test_a_started_configuration_is_accepted_and_runs_for_every_vendor(
     assert result["ports"]["axis1"]["in"] > 1e-5
 
 
+@pytest.mark.slow_for("cia402_servo")
 @pytest.mark.parametrize("path", [OURS, *(TRAITS / f"{n}_maps.eds" for n in ("fixed", "array"))], ids=lambda p: p.stem)
 def test_a_started_configuration_is_accepted_and_runs(path: Path, tmp_path: Path, capsys: Captured) -> None:
     assert check_and_run(path, tmp_path, capsys)["ports"]["axis1"]["in"] > 1e-5

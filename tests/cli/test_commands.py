@@ -112,6 +112,7 @@ def test_the_scene_names_its_logs_and_options_win(tmp_path: Path, monkeypatch: p
     assert sorted(path.name for path in tmp_path.iterdir()) == ["option.h5", "scene.log"]
 
 
+@pytest.mark.slow
 def test_a_picture_needs_no_log(tmp_path: Path) -> None:
     assert main(["run", *SHORT, "--png", str(tmp_path / "a.png")]) == 0
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
@@ -284,6 +285,7 @@ def test_drives_on_two_buses_are_run_by_a_master_elsewhere() -> None:
             thread.join(5.0)
 
 
+@pytest.mark.slow
 def test_inspect_reads_what_run_wrote(capsys: Captured, tmp_path: Path) -> None:
     log = str(tmp_path / "a.h5")
     assert main(["run", *SHORT, "--json", "--log", log]) == 0
@@ -302,6 +304,7 @@ def test_decode_names_the_frames_that_run_wrote(capsys: Captured, tmp_path: Path
     assert "SYNC" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_schema_knows_every_key_of_every_shipped_configuration(capsys: Captured) -> None:
     assert main(["schema"]) == 0
     schema = json.loads(capsys.readouterr().out)
@@ -340,7 +343,7 @@ def test_a_strict_run_exits_with_one_unless_it_was_passive(capsys):
     assert json.loads(capsys.readouterr().out)["passive"] == "yes"
 
 
-@pytest.mark.slow_for("words0-needed0", "words1-needed1")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "needed"), [(["--json"], set()), ([], {"rich"}), (["--json", "--log", "run.h5"], set())]
 )

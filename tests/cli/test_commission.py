@@ -38,6 +38,7 @@ def test_yes_is_refused_at_a_real_drive(capsys: pytest.CaptureFixture[str]) -> N
     assert "--yes is for drives that are simulated" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_without_a_terminal_it_asks_for_one() -> None:
     words = [sys.executable, "-m", "canhaptic", "commission", DEMO]
     done = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)

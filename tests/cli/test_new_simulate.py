@@ -57,7 +57,13 @@ def runs(eds: Path, folder: Path) -> None:
     assert main(["run", str(scene), "--duration", "0.05", "--json"]) == 0
 
 
-@pytest.mark.slow_for("vendor ID in DeviceInfo, no 0x1018", "0x6072 up to 20", "0x1006 = 1 us, read-only")
+@pytest.mark.slow_for(
+    "SYNC with another COB-ID",
+    "RPDO deadline of 1 ms",
+    "vendor ID in DeviceInfo, no 0x1018",
+    "0x6072 up to 20",
+    "0x1006 = 1 us, read-only",
+)
 @pytest.mark.parametrize("name", GENERATED)
 def test_a_scene_runs_for_what_dictionaries_of_the_field_state(name: str, tmp_path: Path) -> None:
     eds = tmp_path / "drive.eds"
@@ -66,6 +72,7 @@ def test_a_scene_runs_for_what_dictionaries_of_the_field_state(name: str, tmp_pa
     runs(eds, tmp_path)
 
 
+@pytest.mark.slow_for("12", "14", "16", "65")
 @pytest.mark.parametrize("part", sorted({name[:2] for name in WITH_DEFAULTS}))
 def test_a_scene_runs_without_the_values_of_any_part_of_the_dictionary(part: str, tmp_path: Path) -> None:
     """All values of one part missing at once; parts are 0x10xx, 0x14xx and so on."""
@@ -96,12 +103,15 @@ def test_a_scene_runs_for_our_trait_dictionaries(name: str, tmp_path: Path) -> N
     runs(TRAITS / name, tmp_path)
 
 
+@pytest.mark.slow_for("zeroerr*", "kollmorgen*")
 @pytest.mark.parametrize("name", VENDOR_FILES)
 def test_a_scene_runs_for_every_vendor_that_can_serve(name: str, vendor_eds: Path, tmp_path: Path) -> None:
     runs(vendor_eds / name, tmp_path)
 
 
 @pytest.mark.slow_for(
+    "kollmorgen_rgm.eds-position",
+    "maxon_epos4.dcf-position",
     "zeroerr_erob.eds-position",
     "kollmorgen_rgm.eds-velocity",
     "maxon_epos2*",

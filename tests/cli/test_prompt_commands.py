@@ -42,6 +42,7 @@ def cpu(*words: str) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
+@pytest.mark.slow
 def test_help_takes_no_more_than_three_times_the_import_of_numpy() -> None:
     numpy = min(cpu("-c", "import numpy") for _ in range(3))
     assert min(cpu("-m", "canhaptic", "sweep", "--help") for _ in range(3)) <= 3.0 * numpy
@@ -100,7 +101,7 @@ sys.exit(main.main(sys.argv[1:]))
 """
 
 
-@pytest.mark.slow_for("accuracy", "inspect")
+@pytest.mark.slow_for("sweep", "accuracy", "inspect")
 @pytest.mark.parametrize("command", ["accuracy", "sweep", "run", "inspect"])
 def test_ctrl_c_right_after_the_entry_ends_with_130_and_one_line(command: str) -> None:
     words = [command, str(CONFIGS / "demo.yaml")]

@@ -21,6 +21,7 @@ def test_the_account_of_a_run_says_what_was_granted_and_what_was_refused(capsys:
     assert timing["realtime_cpus"].startswith("refused: ")
 
 
+@pytest.mark.slow
 def test_the_timing_line_says_what_was_refused(capsys: Captured) -> None:
     assert main(["run", DEMO, "--pace", "real", "--duration", "0.05", *ASKED]) == 0
     out = " ".join(capsys.readouterr().out.split())

@@ -139,6 +139,7 @@ def test_the_hint_installs_from_where_the_package_came(
     assert install_hint("plot") == hint
 
 
+@pytest.mark.slow
 def test_the_simulated_drive_asks_for_what_the_scene_says_of_its_thread(capsys: pytest.CaptureFixture[str]) -> None:
     before = os.sched_getaffinity(0)
     cpu = min(before)

@@ -88,6 +88,7 @@ def test_wrong_encoder_counts_are_found_and_do_not_spoil_mass_and_scale() -> Non
     assert row(report, "torque scale").verdict is StepVerdict.AGREES
 
 
+@pytest.mark.slow
 def test_a_drive_mounted_the_other_way_round_wants_direction_minus_one() -> None:
     report = commissioned("simulation.drive.direction=-1")
     assert row(report, "encoder direction").verdict is StepVerdict.DIFFERS
@@ -129,6 +130,7 @@ def test_a_drive_that_reports_its_torque_after_the_update_is_told_from_one_that_
     assert not commissioned("simulation.drive.torque_read_back=after_update", "axes.0.demand_reported=after").differs
 
 
+@pytest.mark.slow
 def test_dry_friction_is_measured() -> None:
     report = commissioned(
         "simulation.effects=[{type: coulomb_friction, kinetic: 0.3 N, static: 0.3 N}]",
@@ -256,6 +258,7 @@ def test_the_lag_of_the_torque_is_measured_and_a_declaration_below_it_differs() 
     assert row(commissioned(loop, "passivity.current_lag=100 us"), "torque lag").verdict is StepVerdict.DIFFERS
 
 
+@pytest.mark.slow
 def test_bounds_of_damping_friction_and_jitter_are_proposed_on_the_safe_side() -> None:
     report = commissioned("simulation.effects=[{type: coulomb_friction, kinetic: 0.2, static: 0.3}]")
     assert row(report, "torque lag").verdict is StepVerdict.AGREES  # dry friction is not taken for one

@@ -27,6 +27,7 @@ def test_a_right_configuration_agrees_and_the_drive_is_measured(capsys: pytest.C
     assert found["snippet"] == ""
 
 
+@pytest.mark.slow
 def test_a_late_sensor_with_an_offset_and_a_heavy_drive_are_found(capsys: pytest.CaptureFixture[str]) -> None:
     wrong = (
         "simulation.admittance.sensor.latency=2",

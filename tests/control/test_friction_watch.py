@@ -34,6 +34,7 @@ def excess(friction: float, declared: float, seed: int, *, count: float = 0.0, j
     return watch.excess
 
 
+@pytest.mark.slow_for("0.0-0.01")
 @pytest.mark.parametrize(("count", "jitter"), [(0.0, 0.0), (1e-6, 0.0), (0.0, 0.01)])
 def test_a_run_with_the_friction_that_is_declared_contradicts_nothing(count: float, jitter: float) -> None:
     assert max(excess(0.5, 0.5, seed, count=count, jitter=jitter) for seed in range(4)) == 0.0

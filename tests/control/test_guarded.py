@@ -70,7 +70,7 @@ def test_no_user_within_the_hand_force_takes_out_more_than_came_in(user, delay):
         assert truth.believed_error <= ROUNDING
 
 
-@pytest.mark.slow_for("*-0.01-0", "*-0.1-1")
+@pytest.mark.slow_for("0.0-0.0-*-1", "2e-05-*-0", "*-0.01-0", "*-0.1-1")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.1])
 @pytest.mark.parametrize(("count", "quantum"), [(0.0, 0.0), (2e-5, 0.02), (5e-4, 0.5)])

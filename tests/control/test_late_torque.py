@@ -85,7 +85,7 @@ def test_a_rising_torque_is_kept_to_the_rate_of_the_limiter_and_to_its_power() -
     assert sizes[-1] <= 0.05 / 0.1 + 1e-12
 
 
-@pytest.mark.slow_for("0")
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0, 1])
 def test_no_torque_sticks_beyond_what_is_certified_for_the_push(delay: int) -> None:
     """A hand that never pulls out pushes with up to 60 N: declared as 0 N, and not at all, and as it is."""

@@ -164,6 +164,7 @@ def test_a_real_wait_sleeps_once_for_each_thing_due_and_spins_the_rest(
         assert [tick // 100_000 for tick in far_side.ticks] == ([30, 60, 90] if far_sides else [])
 
 
+@pytest.mark.slow
 def test_a_frame_from_elsewhere_ends_a_real_wait_though_a_drive_lives_in_this_thread(
     pair: tuple[can.BusABC, can.BusABC],
 ) -> None:

@@ -36,6 +36,7 @@ def test_the_list_names_every_example() -> None:
     assert set(SAYS) | {"notebook.ipynb"} == set(listed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in SAYS])
 def test_a_script_runs(name: str, tmp_path: Path) -> None:
     environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONPATH": str(ROOT)}

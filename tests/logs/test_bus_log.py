@@ -61,6 +61,7 @@ def test_python_can_reads_back_every_frame(tmp_path: Path) -> None:
     assert messages[2].timestamp == pytest.approx(1.001e-3, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_more_frames_than_the_ring_holds_all_arrive_in_order_at_free_pace(tmp_path: Path) -> None:
     frames = [(k * 1000, 0x181, k.to_bytes(8, "little"), True) for k in range(150_000)]
     write(tmp_path / "a.log", frames)
@@ -110,6 +111,7 @@ def test_a_channel_with_a_space_is_refused(tmp_path: Path) -> None:
         BusLogWriter(tmp_path / "a.log", "can 0")
 
 
+@pytest.mark.slow_for("trc", "asc")
 @pytest.mark.parametrize("suffix", ["log", "blf", "trc", "asc"])
 def test_each_frame_names_its_bus_in_every_format(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"run.{suffix}"
@@ -129,6 +131,7 @@ def test_each_frame_names_its_bus_in_every_format(tmp_path: Path, suffix: str) -
     ]
 
 
+@pytest.mark.slow_for("asc")
 @pytest.mark.parametrize("suffix", ["log", "blf", "asc"])
 def test_absolute_time_survives_in_the_formats_that_have_it(tmp_path: Path, suffix: str) -> None:
     """ASC has it in its head alone, to the millisecond, and python-can's default reader drops that."""
@@ -144,6 +147,7 @@ def test_names_of_buses_that_cannot_be_told_apart_are_refused(tmp_path: Path, na
         BusLogWriter(tmp_path / "a.log", names)
 
 
+@pytest.mark.slow_for("trc", "asc")
 @pytest.mark.parametrize("suffix", ["blf", "trc", "asc"])
 def test_other_formats_hold_the_same_frames(tmp_path: Path, suffix: str) -> None:
     frames = [

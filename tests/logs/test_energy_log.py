@@ -106,6 +106,7 @@ def test_a_finished_log_is_at_most_a_fifth_larger_than_its_raw_data(finished: Pa
     assert finished.stat().st_size <= 1.2 * raw
 
 
+@pytest.mark.slow
 def test_noise_that_cannot_be_compressed_still_stays_within_the_size_limit(tmp_path: Path) -> None:
     path = tmp_path / "noise.h5"
     noise = np.random.default_rng(1).standard_normal((3000, 13)).tolist()

@@ -37,6 +37,7 @@ def read_bus_log_up_to_the_cut(path: Path) -> Iterator[object]:
     return read_bus_log(whole)
 
 
+@pytest.mark.slow
 def test_a_folder_that_cannot_be_written_is_refused_before_any_frame(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -61,6 +62,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_any_frame(
         assert "cannot write the log" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_scene_names_its_logs_and_bounds_their_size(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     logs = f"log={{energy: {tmp_path / 'run.h5'}, bus: {tmp_path / 'run.log'}, file_size: 30000, files: 3}}"
     assert main(["run", DEMO, "--duration", "1", "--set", logs, "--json"]) == 0

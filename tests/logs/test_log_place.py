@@ -150,6 +150,7 @@ def odd_places(folder: Path) -> dict[str, Path]:
     return {**{kind + name: folder / name for name, kind in names.items()}, "a device": Path("/dev/null")}
 
 
+@pytest.mark.slow_for("bus_log")
 @BOTH
 def test_logs_go_onto_regular_files_alone_and_never_wait_for_one(tmp_path: Path, make: Callable[[Path], Log]) -> None:
     for kind, path in odd_places(tmp_path).items():

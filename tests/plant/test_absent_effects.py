@@ -91,6 +91,7 @@ def test_a_scene_imports_only_the_modules_of_its_effects():
     assert effect_modules(imported([COULOMB, CURRENT])) == {"coulomb_friction", "current_loop"}
 
 
+@pytest.mark.slow
 def test_an_import_that_leaks_is_caught():
     assert effect_modules(imported([], leak="import canhaptic.sim.plant.effects.cogging")) == {"cogging"}
 
@@ -137,6 +138,7 @@ def test_a_clip_or_a_guard_that_this_hold_cannot_reach_adds_no_bytecode(effects)
     assert executed(make_plant(*effects), 60) == executed(make_plant(), 60)
 
 
+@pytest.mark.slow
 def test_a_stop_in_reach_and_a_clip_that_acts_add_bytecodes():
     near = executed(make_plant({**STOP, "position": 1e-6}), 60)
     assert sum(near.values()) > 2 * sum(executed(make_plant(), 60).values())

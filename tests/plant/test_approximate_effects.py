@@ -98,6 +98,7 @@ def test_lugre_bristles_are_stable_at_one_step_a_period_for_any_stiffness():
         assert residual(plant) <= 1e-12 * largest_flow(plant)
 
 
+@pytest.mark.slow
 def test_lugre_before_sliding_is_a_spring_and_sliding_settles_at_its_steady_friction():
     plant = make_plant({**LUGRE, "stribeck_velocity": 1.0}, user=None, damping=0.0)
     positions = run(plant, [0.2 * min(1.0, k / 3000) for k in range(4000)])

@@ -110,6 +110,7 @@ def test_random_scenes_agree_with_an_independent_judge(count):
     assert {scene.seed: told for scene in scenes if (told := judged(scene)[0])} == {}
 
 
+@pytest.mark.slow_for("4", "177")
 @pytest.mark.parametrize("seed", [4, 5, 43, 168, 177])
 def test_the_judge_finds_a_missed_event(monkeypatch, seed):
     """The same judge on a plant that looks at the ends of its steps only."""

@@ -30,6 +30,7 @@ def held_systems(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray, f
     return rates, guards, state, draw(st.floats(0.0, 2.0)), seed
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(80))
 @given(held_systems())
 def test_no_guard_is_reached_in_the_holds_that_are_promised(system):

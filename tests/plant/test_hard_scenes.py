@@ -136,6 +136,7 @@ def test_the_encoder_dither_is_the_parabola_between_two_syncs():
         velocity += torque / 0.25 * period
 
 
+@pytest.mark.slow
 def test_a_current_loop_of_a_four_hundredth_of_the_sample_time_agrees_with_dop853():
     record, plant = recorded("current_loop_400")
     user = plant.user

@@ -21,7 +21,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.slow_for("scene")
+@pytest.mark.slow
 @pytest.mark.slow_for("energy_log")
 @pytest.mark.parametrize("kind", CASES)
 def test_a_short_campaign_finds_nothing(kind: str, recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:

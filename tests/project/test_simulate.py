@@ -34,6 +34,7 @@ def test_the_account_agrees_with_the_samples_and_with_the_plant(stiff: canhaptic
     assert account.energy_in > 1e-3  # the hand was in the wall
 
 
+@pytest.mark.slow
 def test_a_change_reaches_the_wall(stiff: canhaptic.SimulationResult) -> None:
     soft = canhaptic.simulate(DEMO, {"environment.stiffness": 50.0}, duration=INTO_THE_WALL)
     depths = [result.to_numpy()["true.handle.position"].min() for result in (soft, stiff)]
@@ -83,6 +84,7 @@ def test_what_cannot_be_simulated_is_refused_with_the_remedy() -> None:
         canhaptic.simulate(canhaptic.load_scene(DEMO), {"environment.stiffness": 1.0})
 
 
+@pytest.mark.slow
 def test_no_temporary_file_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     result = canhaptic.simulate(DEMO, duration=0.05)

@@ -60,6 +60,7 @@ def test_the_choice_keeps_its_tolerance_and_is_the_cheapest_that_does(tmp_path: 
         assert chosen["products_per_period"] * chosen["holds"] == min(p for e, p in tried if e <= tolerance)
 
 
+@pytest.mark.slow
 def test_the_choice_is_in_the_configuration_and_in_the_log_and_does_not_change_the_hash(tmp_path: Path) -> None:
     scene = scene_with(tmp_path, COGGING, "accuracy={auto: 10 nm}")
     log = tmp_path / "run.h5"

@@ -83,6 +83,7 @@ def test_the_energy_log_tells_what_was_run(tmp_path: Path) -> None:
         assert set(log.truth) == {"handle"}
 
 
+@pytest.mark.slow
 def test_an_error_in_the_block_is_the_status_of_the_log(tmp_path: Path) -> None:
     scene = load_scene(scene_file(tmp_path))
 

@@ -59,6 +59,7 @@ def scene_of(axes: int, buses: int, rate: float, **further: Any) -> Scene:
     )
 
 
+@pytest.mark.slow_for("6-1-400.0", "3-2-1000.0", "2-2-1000.0")
 @pytest.mark.parametrize(
     ("axes", "buses", "rate"),
     [(1, 1, 1000.0), (2, 1, 1000.0), (3, 1, 500.0), (6, 1, 400.0), (2, 2, 1000.0), (3, 2, 1000.0), (6, 2, 500.0)],

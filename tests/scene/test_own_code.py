@@ -178,6 +178,7 @@ class Mine(Unprotected):
 """
 
 
+@pytest.mark.slow
 def test_check_and_readers_leave_own_code_unread(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = folder / "scene.yaml"
     text = scene.read_text().replace("type: spring_damper_wall", "type: my_wall.py:CenteringSpring")
@@ -204,6 +205,7 @@ def test_what_was_left_unread_is_not_built(folder: Path) -> None:
         canhaptic.build(scene)
 
 
+@pytest.mark.slow
 def test_an_own_hand_pulls_at_the_handle(folder: Path) -> None:
     (folder / "my_hand.py").write_text(HAND)
     user = {"type": "my_hand.py:Pull", "strength": 3.0, "stiffness": 60.0, "damping": 5.0}
@@ -242,6 +244,7 @@ def test_the_plant_moves_with_an_own_hand_as_the_textbook_says(folder: Path) -> 
     assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.1)  # second order
 
 
+@pytest.mark.slow
 def test_an_own_wall_has_a_continuous_reference(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("scipy")
     (folder / "my_wall.py").write_text(SPRING)

@@ -91,6 +91,7 @@ def test_the_configuration_in_effect_names_the_bus_only_where_it_has_effects() -
     assert "bus with" not in method_line(ideal)
 
 
+@pytest.mark.slow
 def test_the_schema_knows_the_bus() -> None:
     schema = scene_schema()
     [simulation, _null] = schema["properties"]["simulation"]["anyOf"]
@@ -101,6 +102,7 @@ def test_the_schema_knows_the_bus() -> None:
     assert "Window" in schema["$defs"]
 
 
+@pytest.mark.slow
 def test_an_ideal_bus_imports_nothing_of_this_and_runs_no_line_of_it() -> None:
     program = (
         "import sys\n"

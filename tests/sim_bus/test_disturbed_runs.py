@@ -125,7 +125,7 @@ def assert_ledger_bound_kept(outcome: Outcome) -> None:
     assert outcome.encoder_bound < 1e-3 * outcome.energy_in
 
 
-@pytest.mark.slow_for("internal_dissipation-0.0", "internal_dissipation-0.01", "guarded-0.1")
+@pytest.mark.slow_for("guarded-0.0", "internal_dissipation-0.0", "internal_dissipation-0.01", "guarded-0.1")
 @pytest.mark.parametrize("drop", [0.0, 0.01, 0.1])
 @pytest.mark.parametrize("passivity", [GUARDED, PAPER], ids=["guarded", "internal_dissipation"])
 def test_lost_frames_are_counted_to_the_frame_and_the_ledger_bound_is_kept(passivity: str, drop: float) -> None:
@@ -167,6 +167,9 @@ DISTURBANCES = [
 
 
 @pytest.mark.slow_for(
+    "guarded-reorder*",
+    "internal_dissipation-freeze*",
+    "guarded-bus6",
     "guarded-duplicate*",
     "guarded-freeze*",
     "guarded-jitter: 200*",
@@ -247,6 +250,7 @@ def test_wrong_bits_never_end_in_an_unknown_error_or_in_torque_beyond_the_limit(
         assert drive.state is not DriveState.OPERATION_ENABLED
 
 
+@pytest.mark.slow
 def test_two_runs_of_one_seed_are_the_same_to_the_byte(tmp_path: Path) -> None:
     bus = "drop: 0.05, jitter: 300 us, duplicate: 0.1, reorder: 0.05, foreign_rate: 200, wire_time: true"
     logs = []

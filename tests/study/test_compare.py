@@ -121,7 +121,7 @@ def test_over_can_every_figure_is_the_same_to_the_last_bit(scene):
         assert direct["force_variation"]["value"] > 1.0
 
 
-@pytest.mark.slow_for("hardening_wall", "tremor_on_the_surface", "slot")
+@pytest.mark.slow_for("limit_cycle", "torque_saturation", "hardening_wall", "tremor_on_the_surface", "slot")
 @pytest.mark.parametrize("path", HARD, ids=lambda path: path.stem)
 def test_guarded_gives_out_nothing_on_any_hard_scene(path):
     assert path.read_text().startswith("# ")  # what is hard about it
@@ -218,6 +218,7 @@ def test_without_a_continuous_reference_the_errors_are_left_out(scene):
     assert "position error" not in text_of(result)
 
 
+@pytest.mark.slow
 def test_a_plant_that_switches_has_a_reference_in_any_environment(scene):
     nonlinear = "environment={type: hardening_wall, stiffness: 200, hardening: 1e7}"
     friction = "simulation.effects=[{type: coulomb_friction, kinetic: 0.1, static: 0.2}]"
@@ -256,6 +257,7 @@ def test_a_picture_that_cannot_be_written_or_has_nothing_to_show_is_refused(scen
         draw_comparison(refused, tmp_path / "picture.png")
 
 
+@pytest.mark.slow
 def test_two_axes_are_compared_each_with_its_own_reference(tmp_path):
     second = """- {name: knob, node_id: 2, eds: cia402_servo.eds, unit: rad, counts_per_unit: 1e5, rated_torque: 1,
      torque_limit: 2, environment: {type: viscous_medium, damping: 0.05}}\n"""

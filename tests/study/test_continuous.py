@@ -79,6 +79,7 @@ def test_a_relaxing_medium_is_that_of_an_independent_integration():
     assert np.abs(found.fine_torque[::5] - force).max() < 1e-3 * np.abs(force).max()
 
 
+@pytest.mark.slow
 def test_a_bristle_slides_at_its_limit_and_lets_go_at_the_reversal():
     surface = CoulombSurface(friction=1.5, stiffness=2000.0, damping=0.5)
 
@@ -109,6 +110,7 @@ def test_the_energy_of_plant_and_continuous_environment_closes(environment):
     assert energy.dissipated > 1e-3
 
 
+@pytest.mark.slow
 def test_an_environment_that_is_not_affine_takes_any_plant():
     hard = HardeningWall(stiffness=200.0, hardening=2e6, damping=2.0)
     assert reference(hard, 300).method.startswith("DOP853")

@@ -47,6 +47,7 @@ def test_inspection_gives_the_account_to_the_group_and_counts_frames_once(path: 
     assert result["cycles"] == log_rows == 500
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("port", ["x", "stage"])
 def test_the_truths_of_the_parts_of_a_run_add_up_to_that_of_the_whole(path: Path, port: str) -> None:
     with EnergyLog.open(path) as log:

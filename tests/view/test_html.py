@@ -69,6 +69,7 @@ class Taken:
         return columns
 
 
+@pytest.mark.slow
 def test_late_cycles_and_lost_frames_are_drawn(tmp_path: Path) -> None:
     write_troubled_run(tmp_path / "run.h5")
     with h5py.File(tmp_path / "run.h5", "r+") as file:

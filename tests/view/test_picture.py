@@ -72,6 +72,7 @@ def test_a_run_is_drawn_into_the_kind_of_file_its_suffix_names(
     assert len(content) > 20_000
 
 
+@pytest.mark.slow
 def test_a_picture_names_the_least_margin_the_wall_and_the_faults_and_shades_every_contact(tmp_path: Path) -> None:
     write_run(tmp_path / "run.h5", 3000)
     with EnergyLog.open(tmp_path / "run.h5") as log:
@@ -104,6 +105,7 @@ def test_an_empty_log_is_refused_with_one_message(tmp_path: Path) -> None:
         draw_energy(log, tmp_path / "e.png")
 
 
+@pytest.mark.slow
 def test_the_view_does_not_import_matplotlib_until_it_draws() -> None:
     program = (
         "import sys, canhaptic.view.run_picture, canhaptic.view.energy_table; sys.exit('matplotlib' in sys.modules)"
@@ -144,6 +146,7 @@ def five_bar(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_path_of_a_five_bar_is_drawn_against_its_disc(five_bar: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = next(panel for panel in picture_of(five_bar, monkeypatch).axes if panel.get_aspect() == 1)
     line = next(line for line in path.lines if line.get_label() == "path")

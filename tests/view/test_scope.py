@@ -53,6 +53,7 @@ def test_a_viewer_that_comes_late_takes_the_past_in_pieces(tmp_path: Path, monke
             assert np.allclose(pieces, np.cumsum(log.ports["handle"][column]), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_share_of_tpdos_that_came_is_of_all_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live_log, "_MOST_AT_ONCE", 40)
     write_troubled_run(tmp_path / "run.h5")

@@ -68,6 +68,7 @@ def test_a_page_waits_for_its_log_and_then_shows_the_last_seconds(tmp_path: Path
     assert "SYNC 1500 emcy handle: 0x8130 heartbeat lost" in status_of(document)
 
 
+@pytest.mark.slow
 def test_a_page_looks_again_in_its_period(tmp_path: Path) -> None:
     write_run(tmp_path / "run.h5", cycles=10)
     _, document = page_of(tmp_path / "run.h5")

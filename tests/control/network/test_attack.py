@@ -79,6 +79,8 @@ def search(kind, runs, cycles=150):
 
 
 @pytest.mark.slow_for(
+    "late, frames lost",
+    "three axes, frames lost",
     "a limiter cuts one axis",
     "commands of one axis lost",
     "samples lost",
@@ -261,7 +263,7 @@ FIVE_BARS = {
 }
 
 
-@pytest.mark.slow_for("plane-0", "spring-1", "stiff-1")
+@pytest.mark.slow_for("spring-0", "plane-0", "spring-1", "stiff-1")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("environment", FIVE_BARS)
 def test_a_fast_five_bar_near_its_singular_poses_gives_out_nothing(environment, delay):

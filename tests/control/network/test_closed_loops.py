@@ -195,7 +195,7 @@ ENVIRONMENTS = {
 }
 
 
-@pytest.mark.slow_for("*-0")
+@pytest.mark.slow_for("0.0-[bmp]*-1", "*-0")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("environment", ENVIRONMENTS)
 @pytest.mark.parametrize("hand_force", [0.0, 8.0])
@@ -262,6 +262,7 @@ def test_a_wall_that_moves_pushes_with_the_energy_of_its_mover():
     assert least >= -1e-6
 
 
+@pytest.mark.slow_for("0")
 @pytest.mark.parametrize("delay", [0, 1])
 def test_lost_samples_are_booked_at_their_worst(delay):
     """One position and torque in twenty is lost; the account never believes in more energy than the plant took in."""

@@ -44,7 +44,7 @@ def moved(seed, delay, max_consecutive_losses):
     return least, strongest
 
 
-@pytest.mark.slow_for("1-0", "0-0", "1-1", "2-0")
+@pytest.mark.slow_for("2-1", "1-0", "0-0", "1-1", "2-0")
 @pytest.mark.parametrize("max_consecutive_losses", [0, 1])
 @pytest.mark.parametrize("delay", [0, 1, 2])
 def test_nothing_comes_out_beyond_what_the_mover_gives_though_the_pose_changes(delay, max_consecutive_losses):

@@ -33,6 +33,7 @@ def test_the_motion_is_that_of_two_open_chains_held_together_by_multipliers():
     assert np.abs(np.array(mechanism.velocities) - expected[-1, 4:6]).max() < 2e-6
 
 
+@pytest.mark.slow
 def test_the_error_falls_with_the_declared_order():
     expected = reference(100)[:, :2]
     steps = np.array([1, 2, 4, 8, 16])

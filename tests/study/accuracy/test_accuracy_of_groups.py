@@ -81,7 +81,7 @@ def held_finely(scene: Scene, cycles: int) -> np.ndarray:
     return np.array(rows)
 
 
-@pytest.mark.slow_for("five_bar_sphere-0.0")
+@pytest.mark.slow_for("xy_box-0.0", "five_bar_sphere-0.0")
 @pytest.mark.parametrize(("name", "start"), [("xy_box", 0.0), ("five_bar_sphere", 0.0), ("two_handles", 0.0)])
 def test_the_continuous_group_is_what_ever_finer_holds_come_to(name: str, start: float) -> None:
     quick = "simulation.mechanisms.0.hand.motion.x.frequency=4 Hz"
@@ -157,6 +157,7 @@ ROUGH: dict[str, Any] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_stage_that_sticks_and_slides_is_the_exact_one() -> None:
     model, exact = mechanism_model(XYStage(**{**STAGE, **ROUGH}), HAND), stage(**ROUGH)
     torques = [(1.5 * np.sin(0.06 * k), 0.6 * np.cos(0.09 * k)) for k in range(400)]

@@ -35,6 +35,7 @@ def apart(one, other):
     return difference(one, other, PLANT.mass, SECONDS)
 
 
+@pytest.mark.slow_for("backlash")
 @pytest.mark.parametrize("name", EXACT)
 def test_an_exact_plant_is_where_dop853_has_its_textbook_twin(name):
     scene, torques = simulation(*EFFECTS[name]), random_torques(HOLDS)

@@ -87,6 +87,7 @@ def test_an_arena_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     assert ArenaStore(path, force=True).finished(plan.groups()[0]) == []
 
 
+@pytest.mark.slow
 def test_an_own_entry_runs_where_it_is_allowed_and_counts_as_what_it_is(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(OWN)
     words = ["--algorithms", "unprotected", "--entry", f"{tmp_path / 'mine.py'}:Mine"]

@@ -10,6 +10,7 @@ from canhaptic.study.arena.rig_figures import DAMPINGS, borders, impedances, mas
 RIG = shipped("configs") / "arena_rig.yaml"
 
 
+@pytest.mark.slow
 def test_the_lines_of_theory_begin_where_the_books_say() -> None:
     for delay, colgate in ((0, 200.0), (1, 200.0 / 3.0)):  # 2 b / T, and a third of it one sample late
         found = theory(RIG, delay)

@@ -84,6 +84,7 @@ class _Watched:
         return getattr(self._loops, name)
 
 
+@pytest.mark.slow
 def test_a_loop_has_the_events_of_the_plant(monkeypatch):
     watched = []
 

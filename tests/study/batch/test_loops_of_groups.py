@@ -78,6 +78,7 @@ WITH_EVENTS = {
 }
 
 
+@pytest.mark.slow_for("stage with friction")
 @pytest.mark.parametrize("kind", WITH_EVENTS)
 def test_motors_with_events_do_what_the_plants_do(kind: str) -> None:
     scene = scene_of(*WITH_EVENTS[kind])
@@ -113,6 +114,7 @@ def test_motors_as_one_flow_do_what_the_plants_do(name: str, seed: int) -> None:
     assert by_flow["torque_peak"] > 0.0
 
 
+@pytest.mark.slow
 def test_what_is_held_is_explained_by_spring_and_damper() -> None:
     share, damper = shares(group_meter(group_case(scene_of("xy_box"), explains=True), 1000))
     assert share == pytest.approx(1.0, abs=0.03)

@@ -119,6 +119,7 @@ def test_both_hands_in_one_batch_are_each_hand_in_a_scene_of_its_own(engine):
         assert verdict.least_judged[row] == pytest.approx(min(least), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_wall_on_a_plant_with_friction_is_tried_in_the_loop_of_a_batch_and_in_fewer_places_interpreted():
     scene = load_scene(DEMO, [*RIG, "simulation.effects=[{type: coulomb_friction, kinetic: 0.1 N, static: 0.1 N}]"])
     if importlib.util.find_spec("numba"):

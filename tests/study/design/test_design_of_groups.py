@@ -31,6 +31,7 @@ def test_a_box_passes_until_the_rig_cannot_render_it() -> None:
     assert (verdict.least_interaction[:2] >= -1e-6).all()
 
 
+@pytest.mark.slow
 def test_hands_lean_where_they_pushed_most() -> None:
     trial = trial_of("five_bar_sphere")
     (leaning, _), (moving, time) = trial._hands()

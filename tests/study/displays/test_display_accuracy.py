@@ -34,6 +34,7 @@ def test_the_plant_is_that_of_a_solver_which_shares_nothing_with_it(name: str) -
     assert np.abs(run.columns()[:, 0, 0] - wrong[:, 0]).max() > 1e-7
 
 
+@pytest.mark.slow
 def test_the_loop_is_near_the_ideal_display_and_a_coarser_one_is_further_off(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -138,6 +138,7 @@ def test_no_energy_is_enough_for_a_wall_beyond_the_certificate() -> None:
     assert start_energy(displacement_response(1e-3, 0.25, 0.0), 0, 1e9) == 0.0
 
 
+@pytest.mark.slow
 def test_from_nothing_no_law_holds_what_the_certificate_holds_at_rest_under_a_hand_that_may_pull() -> None:
     leaning = Leaning()
     bound = bound_from_nothing(1e-3, 1, 0.25, 20.0, leaning)

@@ -110,6 +110,7 @@ def test_colgates_condition_is_that_of_the_energy_of_any_motion():
         assert (least >= 0.0) == is_passive
 
 
+@pytest.mark.slow
 def test_abbott_and_okamura_ask_for_friction_over_half_a_count(two_controllers):
     with SweepTable(two_controllers) as table:
         [field, _] = fields_of(table)

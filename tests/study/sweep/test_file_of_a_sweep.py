@@ -103,6 +103,7 @@ def test_ctrl_c_ends_after_the_chunk_under_way_and_says_how_to_go_on(tmp_path, w
     assert path.read_bytes() == whole
 
 
+@pytest.mark.slow
 def test_a_disk_that_fills_up_costs_the_chunk_under_way_alone(demo, tmp_path, monkeypatch):
     path, undisturbed = tmp_path / "full.h5", tmp_path / "whole.h5"
     sweep(demo, VARY, undisturbed, chunk=4, **ONE)
@@ -135,6 +136,7 @@ def test_a_disk_without_room_for_all_results_is_found_out_before_a_scene_runs(de
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_merge_that_fails_leaves_the_chunks_for_the_next(demo, tmp_path, monkeypatch):
     path, undisturbed = tmp_path / "full.h5", tmp_path / "whole.h5"
     sweep(demo, VARY, undisturbed, chunk=4, **ONE)
@@ -190,6 +192,7 @@ def test_a_folder_that_is_not_there_is_named(demo, tmp_path):
         sweep(demo, VARY, tmp_path / "nowhere" / "a.h5")
 
 
+@pytest.mark.slow
 def test_two_sweeps_cannot_write_one_file(demo, tmp_path):
     path = tmp_path / "a.h5"
     sweep(demo, VARY, path, **ONE)

@@ -55,6 +55,7 @@ def test_the_bits_do_not_depend_on_how_scenes_are_dealt_into_chunks(demo, tmp_pa
     assert found[0].tobytes() == found[1].tobytes() == found[2].tobytes()
 
 
+@pytest.mark.slow
 def test_what_the_bus_cannot_carry_is_refused_row_by_row_and_judged_when_asked(demo, tmp_path):
     vary = ["bus.rate=500,2000", "environment.stiffness=100:1000:3"]
     with run(demo, vary, tmp_path / "a.h5", cycles=50) as table:
@@ -110,6 +111,7 @@ def test_controllers_judge_the_same_scene(tmp_path):
     assert found[0] < -1e-3
 
 
+@pytest.mark.slow
 def test_a_short_key_means_every_axis_also_one_with_its_own_section(two_axes, tmp_path):
     both = ["environment.stiffness=300,900", "simulation.plant.mass=0.3,0.6"]
     with run(two_axes(), both, tmp_path / "a.h5", cycles=100) as table:
@@ -133,6 +135,7 @@ def test_a_full_key_means_one_axis_and_leaves_the_other_alone(two_axes, tmp_path
         assert right[0] != right[1]
 
 
+@pytest.mark.slow
 def test_noise_differs_from_scene_to_scene_and_repeats_from_sweep_to_sweep(two_axes, tmp_path):
     noisy = two_axes("simulation.effects=[{type: encoder_noise, deviation: 0.1 mm}]")
     found = []
@@ -195,6 +198,7 @@ def test_medians_and_extremes_of_a_column_read_in_blocks_are_those_of_the_whole(
         assert share == pytest.approx(np.mean(values >= 0.0))
 
 
+@pytest.mark.slow
 def test_the_margin_of_guarded_is_short_by_no_more_than_the_counts_of_the_encoder_can_hide(tmp_path):
     """Booked with true positions it is kept exactly: half a count of error costs that times the torque's travel.
 

@@ -36,6 +36,7 @@ def test_a_group_without_a_bus_has_the_account_of_the_one_over_the_bus(path):
     assert np.isnan(alone["travel"])
 
 
+@pytest.mark.slow
 def test_every_row_of_a_group_is_the_scene_written_by_hand(tmp_path):
     vary = ["groups.0.network.stiffness=500,3000", "groups.0.network.damping=2,20"]
     sweep(load_scene(STAGE), vary, tmp_path / "a.h5", cycles=200)

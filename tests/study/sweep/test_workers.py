@@ -31,6 +31,7 @@ def serial(tmp_path_factory):
     return path.read_bytes()
 
 
+@pytest.mark.slow
 def test_any_executor_of_python_gives_the_same_bits(demo, tmp_path, serial):
     with ThreadPoolExecutor(3) as executor:
         sweep(demo, VARY, tmp_path / "threads.h5", executor, **OPTIONS)
