@@ -1,7 +1,6 @@
 """`canhaptic replay BUSLOG --config CONFIG`: a recorded bus against today's master, every frame compared."""
 
 import argparse
-from typing import Any
 
 from rich.text import Text
 
@@ -11,7 +10,8 @@ from canhaptic.cli.output import write_json
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import describe_skipped
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.replay.replayed_run import replay_bus_log
+from canhaptic.replay.difference import FrameWords
+from canhaptic.replay.replayed_run import ReplayResult, replay_bus_log
 from canhaptic.view.energy_table import energy_report, make_console
 
 
@@ -43,7 +43,7 @@ def execute(arguments: argparse.Namespace) -> int:
     return 0 if result["status"] == "identical" else 1
 
 
-def _replay_report(result: dict[str, Any]) -> list[Text]:
+def _replay_report(result: ReplayResult) -> list[Text]:
     """Returns the outcome of a replay as lines."""
     difference, frames = result["difference"], result["frames"]
     start = "from the boot of the drives" if result["start"] == "boot" else "from the first SYNC with all axes enabled"
@@ -77,7 +77,7 @@ def _replay_report(result: dict[str, Any]) -> list[Text]:
     return lines
 
 
-def _words(frame: dict[str, Any] | None) -> str:
+def _words(frame: FrameWords | None) -> str:
     if frame is None:
         return "nothing more"
     return f"{frame['id']:03X}#{frame['data']:<16} {frame['kind']} {frame['node']}: {frame['text']}".rstrip(" :")

@@ -162,7 +162,7 @@ class _Judged:
         self.findings.append(PreflightFinding(self.channel, item, str(seen), severity, text))
 
 
-def _judge_queue(link: Mapping[str, Any], axes: int, judged: _Judged) -> None:
+def _judge_queue(link: Mapping[str, object], axes: int, judged: _Judged) -> None:
     """Judges the transmit queue: one that is shorter than two cycles refuses frames (ENOBUFS) at the first delay."""
     length, needed = link.get("txqlen"), 2 * (axes + _FRAMES_BESIDE_RPDOS)
     if not isinstance(length, int):
@@ -176,7 +176,7 @@ def _judge_queue(link: Mapping[str, Any], axes: int, judged: _Judged) -> None:
 
 
 def _judge_controller(
-    data: Mapping[str, Any], statistics: Mapping[str, Any], bus: BusSettings, judged: _Judged
+    data: Mapping[str, Any], statistics: Mapping[str, int], bus: BusSettings, judged: _Judged
 ) -> None:
     bitrate = (data.get("bittiming") or {}).get("bitrate", data.get("bittiming_bitrate"))
     if bitrate is None:
@@ -238,7 +238,7 @@ def _judge_restart(restart: object, bus: BusSettings, judged: _Judged) -> None:
         judged.well("restart-ms", f"{restart} ms", "after a bus-off the interface comes back, the run does not")
 
 
-def _judge_errors(counters: Mapping[str, Any], statistics: Mapping[str, Any], judged: _Judged) -> None:
+def _judge_errors(counters: Mapping[str, int], statistics: Mapping[str, int], judged: _Judged) -> None:
     worst = max((int(counters.get(side, 0)) for side in ("tx", "rx")), default=0)
     seen = f"tx {counters.get('tx', '?')}, rx {counters.get('rx', '?')}"
     if worst >= _ALARMING_ERRORS:

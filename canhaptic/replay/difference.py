@@ -1,6 +1,6 @@
 """The first difference of a replay in words: both frames decoded, and what was on the bus before them."""
 
-from typing import Any, Final
+from typing import Final, TypedDict
 
 from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
 from canhaptic.logs.bus_reader import Frame
@@ -15,14 +15,39 @@ _CYCLES_BACK: Final = 2
 _LONGEST_SILENCE: Final = 1.5  # sample times within a recording without gaps
 
 
-def describe(recording: Recording, side: RecordedSide, scene: Scene) -> dict[str, Any] | None:
-    """Returns `{number, time, recorded, sent, before}`; None when the master sent all that was recorded.
+class _FramePlace(TypedDict):
+    number: int  # line of a text, or frame of a binary log
+    time: float  # since the beginning of the log [s]
 
-    `number` is the line of a text, or the frame of a binary log; `time` counts from the beginning of the log [s]. Each
-    frame is `{channel, id, data, kind, node, text}`; `sent` is None when the master sent nothing any more. `gap` is the
-    silence [s] of a recording that lacks frames, else None. `before` are
-    the last frames that were still equal, each with its number, time and direction.
-    """
+
+class FrameWords(TypedDict):
+    """A frame, decoded."""
+
+    channel: str
+    id: int
+    data: str
+    kind: str
+    node: str
+    text: str
+
+
+class FrameBefore(_FramePlace, FrameWords):
+    """One of the last frames that were still equal."""
+
+    direction: str
+
+
+class FirstDifference(_FramePlace):
+    """The first frame in which master and recording differ."""
+
+    recorded: FrameWords
+    sent: FrameWords | None  # None: the master sent nothing any more
+    gap: float | None  # silence of a recording that lacks frames [s]
+    before: list[FrameBefore]
+
+
+def describe(recording: Recording, side: RecordedSide, scene: Scene) -> FirstDifference | None:
+    """Returns the first difference; None when the master sent all that was recorded."""
     departure = side.departure
     index = side.unsent if departure is None else departure.place
     if index < 0:
@@ -30,7 +55,7 @@ def describe(recording: Recording, side: RecordedSide, scene: Scene) -> dict[str
     frames = recording.frames
     nodes = describe_nodes(scene)
     decoders = [BusDecoder([node for node in nodes if node.bus == place]) for place in range(len(scene.buses))]
-    before = []
+    before: list[FrameBefore] = []
     for number, (frame, bus) in enumerate(zip(frames[:index], recording.buses, strict=False)):
         words = _words(frame, decoders[bus])  # of all of them: the maps are learnt from the start
         if number >= index - _SHOWN_BEFORE:
@@ -68,10 +93,11 @@ def _gap(recording: Recording, index: int, sample_time: float) -> float | None:
     return silence if silence > _LONGEST_SILENCE * sample_time else None
 
 
-def _place(recording: Recording, frame: Frame) -> dict[str, Any]:
+def _place(recording: Recording, frame: Frame) -> _FramePlace:
     return {"number": frame.number, "time": (frame.timestamp_ns - recording.frames[0].timestamp_ns) * 1e-9}
 
 
-def _words(frame: Frame, decoder: BusDecoder) -> dict[str, Any]:
-    decoded = decoder.decode(frame.can_id, frame.data)._asdict()
-    return {"channel": frame.channel, "id": frame.can_id, "data": frame.data.hex().upper(), **decoded}
+def _words(frame: Frame, decoder: BusDecoder) -> FrameWords:
+    kind, node, text = decoder.decode(frame.can_id, frame.data)
+    data = frame.data.hex().upper()
+    return {"channel": frame.channel, "id": frame.can_id, "data": data, "kind": kind, "node": node, "text": text}

@@ -2,7 +2,7 @@
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Final
+from typing import Final, Literal, TypedDict
 
 import can
 
@@ -13,13 +13,14 @@ from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import WallClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError, RigError
-from canhaptic.replay.difference import describe
+from canhaptic.logs.bus_reader import SkippedKind
+from canhaptic.replay.difference import FirstDifference, describe
 from canhaptic.replay.joined_rig import JoinedRig
 from canhaptic.replay.recorded_clock import RecordedClock
 from canhaptic.replay.recorded_side import RecordedSide, ReplayOverError
 from canhaptic.replay.recording import Recording
 from canhaptic.replay.roles import roles_of
-from canhaptic.result import run_result
+from canhaptic.result import RunResult, run_result
 from canhaptic.scene.bus import open_bus, private_channel
 from canhaptic.scene.channels import Channels
 from canhaptic.scene.loss_limits import build_loss_meters
@@ -32,12 +33,38 @@ from canhaptic.scene.parts import (
     group_places,
 )
 
-_BUS: Final[dict[str, Any]] = {"interface": "virtual", "channel": None, "options": {}}
+_BUS: Final[dict[str, object]] = {"interface": "virtual", "channel": None, "options": {}}
+
+
+class ReplayedFrames(TypedDict):
+    """Numbers of frames."""
+
+    recorded: int
+    played: int
+    compared: int
+
+
+class ReplayResult(TypedDict):
+    """What a replay found; times in [s]."""
+
+    status: Literal["identical", "different"]
+    recording: str
+    start: Literal["boot", "sync"]
+    skipped: dict[SkippedKind, int]  # frames left out
+    reads_left_out: list[str]  # `axis: object` that the start reads or writes today and the recorded master did not
+    frames: ReplayedFrames
+    cycles: int
+    duration: float
+    elapsed: float
+    speed: float
+    ended: str
+    difference: FirstDifference | None
+    account: RunResult
 
 
 def replay_bus_log(
     bus_log: str | Path, scene: Scene, *, realtime: bool = False, from_sync: bool = False
-) -> dict[str, Any]:
+) -> ReplayResult:
     """Returns whether the master sends today what it sent in a recording.
 
     Boot, SDO answers, TPDOs, heartbeats and EMCYs come from the recording, on python-can's virtual bus; rig,
@@ -49,12 +76,6 @@ def replay_bus_log(
         scene: What ran then; its bus is replaced by a virtual one and nothing is simulated.
         realtime: Keeps the pace of the recording instead of going as fast as the machine allows.
         from_sync: Leaves the start out even if it was recorded.
-
-    Returns:
-        `{status: "identical" | "different", recording, start: "boot" | "sync", skipped (frames left out, by kind),
-        reads_left_out (`axis: object` that the start reads or writes today and the recorded master did not),
-        frames: {recorded, played, compared}, cycles, duration, elapsed, speed, ended, difference, account}`;
-        `difference` as `difference.describe` gives it.
 
     Raises:
         InputError: The recording cannot be read, does not fit the scene, has no SYNC to begin with, or no whole cycle.
@@ -116,7 +137,7 @@ class _Replay:
             )
             self._left_out += [f"{drive.axis.name}: 0x{index:04X}" for index in sorted(drive.left_out)]
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> ReplayResult:
         """Runs to the end of the recording or to the first difference."""
         bus = self._scene.bus
         ramp_cycles = max(1, round(bus.stop_ramp * 1e9) // bus.sample_time_ns)
@@ -135,7 +156,7 @@ class _Replay:
             )
         return self._result(ended, (self._wall.now() - begin) * 1e-9)
 
-    def _result(self, ended: str, elapsed: float) -> dict[str, Any]:
+    def _result(self, ended: str, elapsed: float) -> ReplayResult:
         recording, side, scene = self._recording, self._side, self._scene
         difference = describe(recording, side, scene)
         duration = (recording.frames[-1].timestamp_ns - self._start) * 1e-9

@@ -8,7 +8,7 @@ which are the same on every machine; no time is measured.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class AccuracyChoice:
     holds: int
     setting: Setting
 
-    def as_plain(self) -> dict[str, Any]:
+    def as_plain(self) -> dict[str, object]:
         """Returns the choice as the resolved configuration and the log keep it."""
         error = self.setting.error
         return {

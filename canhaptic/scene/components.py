@@ -1,12 +1,15 @@
 """Fields of the scene whose model is chosen by name from a table, or imported only where the scene has the key."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
+from contextlib import AbstractContextManager
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
-from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
+from canhaptic.axis_units import Motion
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
 from canhaptic.scene.document import MarkedMapping
@@ -17,14 +20,29 @@ READY: Final = "ready"
 """Type of an error of pydantic whose text needs no value in front."""
 
 
+class SceneReading(Protocol):
+    """What the models of a scene know of it while they are validated."""
+
+    @property
+    def code(self) -> OwnCode:
+        """Own code that may be read."""
+
+    @property
+    def displays(self) -> Set[str]:
+        """Names of the axes that are admittance displays."""
+
+    def moving(self, motion: Motion | None) -> AbstractContextManager[object]:
+        """Reads quantities in the units of this motion meanwhile."""
+
+
 class ComponentSpec(NamedTuple):
     """Parameters of a thing chosen by name from a table."""
 
     name: str
     parameters: Parameters
-    own: type[Any] | None = None  # the user's own class; None for an entry of the table
+    own: type | None = None  # the user's own class; None for an entry of the table
 
-    def as_plain(self, selector: str) -> dict[str, Any]:
+    def as_plain(self, selector: str) -> dict[str, object]:
         """Returns the section of a scene, defaults included, as plain values."""
         if isinstance(self.parameters, UnreadParameters):
             return {selector: self.name, **self.parameters.written}
@@ -59,7 +77,7 @@ class ComponentOf:
         """What the section has, in words."""
         return f"{self.selector} (one of {', '.join(sorted(self.table))}) and more"
 
-    def model_of(self, section: Any) -> type[Parameters] | None:
+    def model_of(self, section: object) -> type[Parameters] | None:
         """Returns the model of the table that a section names; None when it names none, or a user's own code."""
         name = section.get(self.selector) if isinstance(section, MarkedMapping) else None
         return self._model(name) if isinstance(name, str) and name in self.table else None
@@ -67,11 +85,11 @@ class ComponentOf:
     def _model(self, name: str) -> type[Parameters]:
         return _parameters_of(load(self.table, name, self.kind))
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+    def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
         plain = core_schema.plain_serializer_function_ser_schema(lambda spec: spec.as_plain(self.selector))
         return core_schema.with_info_plain_validator_function(self.read, serialization=plain)
 
-    def read(self, value: Any, info: ValidationInfo) -> ComponentSpec:
+    def read(self, value: object, info: ValidationInfo[SceneReading]) -> ComponentSpec:
         """Returns what a section names."""
         if isinstance(value, ComponentSpec):
             return value
@@ -103,10 +121,10 @@ class ComponentOf:
         )
         return ValidationError.from_exception_data(self.kind, [fault])
 
-    def __get_pydantic_json_schema__(self, schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         return {"oneOf": [self._choice(name, handler) for name in self.table]}
 
-    def _choice(self, name: str, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def _choice(self, name: str, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         """Returns the schema of one entry of the table, which names itself."""
         model = handler.resolve_ref_schema(handler(self._model(name).__pydantic_core_schema__))
         own = {key: value for key, value in model.get("properties", {}).items() if key != self.selector}
@@ -125,12 +143,18 @@ class OwnModel:
     def __init__(self, kind: str) -> None:
         self._kind = kind
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+    def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
         read = partial(self._read, source)
         plain = core_schema.plain_serializer_function_ser_schema(_with_type)
         return core_schema.with_info_wrap_validator_function(read, handler(source), serialization=plain)
 
-    def _read(self, model: type[Parameters], value: Any, handler: Callable[[Any], Any], info: ValidationInfo) -> Any:
+    def _read(
+        self,
+        model: type[Parameters],
+        value: object,
+        handler: Callable[[object], object],
+        info: ValidationInfo[SceneReading],
+    ) -> object:
         if not isinstance(value, MarkedMapping) or "type" not in value:
             return handler(value)
         name, code = value["type"], _permitted(info)
@@ -148,7 +172,7 @@ class OwnModel:
         return validated(own, value.without("type"), info.context)
 
 
-def _with_type(value: Parameters | None) -> dict[str, Any] | None:
+def _with_type(value: Parameters | None) -> dict[str, object] | None:
     """Returns the values of a model, headed by the name of a class of the user's own."""
     if value is None:
         return None
@@ -168,20 +192,19 @@ class ComponentByDisplay(ComponentOf):
         super().__init__(impedance.table, impedance.kind, impedance.selector, impedance.apart)
         self._admittance = admittance
 
-    def model_of(self, section: Any) -> type[Parameters] | None:
+    def model_of(self, section: object) -> type[Parameters] | None:
         """Returns the model of either table that a section names; None when it names none, or a user's own code."""
         return super().model_of(section) or self._admittance.model_of(section)
 
-    def read(self, value: Any, info: ValidationInfo) -> ComponentSpec:
+    def read(self, value: object, info: ValidationInfo[SceneReading]) -> ComponentSpec:
         """Returns what a section names, from the table of the kind of display that the axis is."""
         axis, names = info.data.get("parameters"), info.data.get("axes")
-        context: Any = info.context
         is_display = getattr(axis, "admittance", None) is not None
         if axis is None and names:
-            is_display = context.displays.issuperset(names)
+            is_display = info.context.displays >= set(names)
         return self._admittance.read(value, info) if is_display else super().read(value, info)
 
-    def __get_pydantic_json_schema__(self, schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         impedance = super().__get_pydantic_json_schema__(schema, handler)["oneOf"]
         return {"anyOf": [*impedance, *self._admittance.__get_pydantic_json_schema__(schema, handler)["oneOf"]]}
 
@@ -196,30 +219,28 @@ class OnDemand:
     def __init__(self, path: str) -> None:
         self._path = path
 
-    def model_of(self, _section: Any = None) -> type[Parameters]:
+    def model_of(self, _section: object = None) -> type[Parameters]:
         """Returns the model."""
         model: type[Parameters] = load({"": self._path}, "", "model")
         return model
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+    def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
         plain = core_schema.plain_serializer_function_ser_schema(lambda value: value and value.model_dump(mode="json"))
         return core_schema.with_info_plain_validator_function(self._read, serialization=plain)
 
-    def _read(self, value: Any, info: ValidationInfo) -> Parameters | None:
+    def _read(self, value: object, info: ValidationInfo[SceneReading]) -> Parameters | None:
         if value is None:
             return None
         if not isinstance(value, MarkedMapping):
             raise ValueError("expected a mapping of keys and values")
         return validated(self.model_of(), value, info.context)
 
-    def __get_pydantic_json_schema__(self, schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         return handler(self.model_of().__pydantic_core_schema__)
 
 
-def _permitted(info: ValidationInfo) -> OwnCode:
-    context: Any = info.context
-    code: OwnCode = context.code
-    return code
+def _permitted(info: ValidationInfo[SceneReading]) -> OwnCode:
+    return info.context.code
 
 
 def _parameters_of(entry: Any) -> type[Parameters]:
@@ -227,7 +248,7 @@ def _parameters_of(entry: Any) -> type[Parameters]:
     return model
 
 
-def _own_parameters(own: Any, name: str) -> type[Parameters]:
+def _own_parameters(own: object, name: str) -> type[Parameters]:
     """Returns the parameter model of a user's class.
 
     Raises:
@@ -239,7 +260,7 @@ def _own_parameters(own: Any, name: str) -> type[Parameters]:
     return model
 
 
-def validated(model: type[Parameters], section: MarkedMapping, context: Any) -> Parameters:
+def validated(model: type[Parameters], section: MarkedMapping, context: SceneReading) -> Parameters:
     """Returns the parameters of a section, in the units of its axis or of what the model itself moves in."""
     with context.moving(section.motion or getattr(model, "motion", None)):
         return model.model_validate(section, context=context)

@@ -3,7 +3,7 @@
 import dataclasses
 import typing
 from collections.abc import Iterable, Iterator
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -41,7 +41,7 @@ _SHAPES: Final = {
 }
 
 
-def read_mapping(value: Any, at: SourceLocation, faults: Diagnostics, what: str) -> MarkedMapping | None:
+def read_mapping(value: object, at: SourceLocation, faults: Diagnostics, what: str) -> MarkedMapping | None:
     """Returns a value that must be a mapping; None, with a fault, when it is something else."""
     if isinstance(value, MarkedMapping):
         return value
@@ -49,7 +49,7 @@ def read_mapping(value: Any, at: SourceLocation, faults: Diagnostics, what: str)
     return None
 
 
-def read_list(value: Any, at: SourceLocation, faults: Diagnostics, what: str) -> MarkedList | None:
+def read_list(value: object, at: SourceLocation, faults: Diagnostics, what: str) -> MarkedList | None:
     """Returns a value that must be a list; None, with a fault, when it is something else."""
     if isinstance(value, MarkedList):
         return value
@@ -88,18 +88,18 @@ class _KeyLocation(NamedTuple):
     """What a location of pydantic means in the scene."""
 
     name: str  # of the key, as written
-    value: Any  # as written
+    value: object  # as written
     value_at: SourceLocation
     key_at: SourceLocation
-    annotation: Any  # of the field; None where no model has it
+    annotation: object  # of the field; None where no model has it
     names: tuple[str, ...]  # of all keys that its mapping may have
     motion: Motion | None
 
 
-def _find(model: type, section: MarkedMapping, location: tuple[int | str, ...], seen: Any) -> _KeyLocation:
+def _find(model: type, section: MarkedMapping, location: tuple[int | str, ...], seen: object) -> _KeyLocation:
     """Walks models and values to a location; what is missing takes its owner's place and `seen` for its value."""
-    owner: Any = model
-    container: Any = section
+    owner: type | None = model
+    container: object = section
     chosen: tuple[str, ...] = ()
     annotation, motion = None, section.motion
     found = _KeyLocation("", section, section.mark, section.mark, None, (), motion)
@@ -132,7 +132,7 @@ def _find(model: type, section: MarkedMapping, location: tuple[int | str, ...], 
 _ABSENT: Final = object()
 
 
-def _entry(container: Any, name: str, part: int | str) -> Any:
+def _entry(container: object, name: str, part: int | str) -> object:
     if isinstance(container, dict):
         return container.get(name, _ABSENT)
     if isinstance(container, list | tuple) and isinstance(part, int) and part < len(container):
@@ -154,7 +154,7 @@ def _is_number(key: str, number: int) -> bool:
         return False
 
 
-def _fields(owner: type | None) -> dict[str, Any]:
+def _fields(owner: type | None) -> dict[str, object]:
     """Returns the annotation of each field of a model or dataclass, with what it is annotated with."""
     if owner is None:
         return {}
@@ -166,7 +166,7 @@ def _fields(owner: type | None) -> dict[str, Any]:
     return {}
 
 
-def _inner(annotation: Any) -> Iterator[Any]:
+def _inner(annotation: object) -> Iterator[object]:
     """Yields an annotation, and the types and annotations inside it."""
     yield annotation
     parts = annotation if isinstance(annotation, tuple) else typing.get_args(annotation)
@@ -174,13 +174,13 @@ def _inner(annotation: Any) -> Iterator[Any]:
         yield from _inner(part)
 
 
-def _named(annotation: Any, kind: int | str) -> type[BaseModel] | None:
+def _named(annotation: object, kind: int | str) -> type[BaseModel] | None:
     """Returns the model of a union whose `type` this is."""
     models = (part for part in _inner(annotation) if isinstance(part, type) and issubclass(part, BaseModel))
     return next((m for m in models if "type" in m.model_fields and m.model_fields["type"].default == kind), None)
 
 
-def _model_in(annotation: Any, section: MarkedMapping, owner: Any) -> tuple[Any, tuple[str, ...]]:
+def _model_in(annotation: object, section: MarkedMapping, owner: type | None) -> tuple[type | None, tuple[str, ...]]:
     """Returns the model of a section in a field of this annotation, `owner` where it has none; and further keys."""
     for part in _inner(annotation):
         if isinstance(part, ComponentOf):

@@ -14,7 +14,7 @@ What a scene says of the loop of all axes is in `passivity` of the group; an axi
 """
 
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from canhaptic.axis_units import Motion
 from canhaptic.control.mechanisms import KINEMATICS
@@ -121,7 +121,7 @@ def mechanism_layout(moved: Members) -> MarkedMapping:
     return section
 
 
-def _moving(value: Any, motion: Motion | None) -> Any:
+def _moving(value: object, motion: Motion | None) -> object:
     """Returns a section whose values are in the units of a motion; what is no mapping as it is."""
     if not isinstance(value, MarkedMapping):
         return value

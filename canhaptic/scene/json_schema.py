@@ -6,13 +6,13 @@ Values that refer to each other (units of an axis, unique names) are beyond a sc
 from collections.abc import Iterator
 from typing import Any, Final
 
-from pydantic.json_schema import GenerateJsonSchema
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 
 from canhaptic.scene.field_words import words_of
 from canhaptic.scene.layout import SCALING_KEYS, SIMULATION_PARTS
 from canhaptic.scene.models import LOOP_KEYS, scene_adapter
 
-Schema = dict[str, Any]
+Schema = JsonSchemaValue
 
 _WORDS: Final = {
     "bus": "One CAN bus, its rate of SYNC, and what happens when frames go missing on it. For several buses it is a"

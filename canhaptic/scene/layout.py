@@ -73,7 +73,7 @@ def _axis_names(written: MarkedMapping) -> list[str]:
     return [str(entry.get("name")) for entry in _entries(written.get("axes"))]
 
 
-def _entries(value: Any) -> list[MarkedMapping]:
+def _entries(value: object) -> list[MarkedMapping]:
     return [entry for entry in value if isinstance(entry, MarkedMapping)] if isinstance(value, MarkedList) else []
 
 

@@ -6,7 +6,7 @@ name. How a scene file is laid out over them (shared sections, profiles, section
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -139,7 +139,7 @@ class GroupMembership(Parameters):
     group: str
 
 
-def _in_its_unit(value: Any, read: Any, info: Info[SceneContext]) -> Any:
+def _in_its_unit(value: object, read: Callable[[object], object], info: Info[SceneContext]) -> object:
     with info.context.moving(value.motion if isinstance(value, MarkedMapping) else None):
         return read(value)
 
@@ -158,13 +158,13 @@ class AxisSimulation:
     admittance: AdmittanceSimulation | None = None
 
 
-def _loop_of(section: Any, info: Info[SceneContext]) -> Any:
+def _loop_of(section: object, info: Info[SceneContext]) -> object:
     """Returns what a scene says of the loop of an axis, and what follows from bus and drive; the rest stays unknown."""
     if not isinstance(section, MarkedMapping):
         return section
     axis: AxisParameters | None = info.data.get("parameters")
     bus = info.context.bus
-    derived: dict[str, Any] = {"sample_time": bus.sample_time_ns * 1e-9 if bus else 1e-3}
+    derived: dict[str, object] = {"sample_time": bus.sample_time_ns * 1e-9 if bus else 1e-3}
     if bus is not None:
         derived["delay"] = bus.delay
     if axis is not None:
@@ -267,7 +267,7 @@ class Scene:
     further_buses: tuple[FurtherBus, ...] = ()
     accuracy: AccuracyParameters = field(default_factory=AccuracyParameters)  # of every simulated plant
     auto_accuracy: AutoAccuracy | None = None  # in its place
-    accuracy_choices: Mapping[str, Any] = field(default_factory=dict)  # axis -> what was chosen for it, and why
+    accuracy_choices: Mapping[str, object] = field(default_factory=dict)  # axis -> what was chosen for it, and why
     groups: tuple[GroupScene, ...] = ()
     mechanisms: tuple[MechanismScene, ...] = ()
     own_code: Mapping[str, str] = field(default_factory=dict)  # file or plug-in -> SHA-256 of what ran

@@ -77,7 +77,7 @@ def _declared_as_then(section: MarkedMapping, is_of_axis: bool) -> str:
 
 def _sections(scene: MarkedMapping) -> Iterator[tuple[MarkedMapping, bool]]:
     """Yields every section `passivity`, and whether its algorithm is one of an axis."""
-    owners: list[tuple[Any, bool]] = [(scene, True)]
+    owners: list[tuple[object, bool]] = [(scene, True)]
     for key in ("axes", "groups"):
         entries = scene.get(key)
         owners += [(entry, key == "axes") for entry in entries] if isinstance(entries, MarkedList) else []

@@ -5,12 +5,13 @@ An encoder may be noisy or coarser than its counts, and a motor may give another
 
 from collections.abc import Mapping
 from math import inf
-from typing import Any, Final
+from typing import Final
 
 from canhaptic.control.axis_meter import Accuracy
 from canhaptic.control.friction_watch import FrictionDeclared
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.scene.models import AxisScene
+from canhaptic.units import Parameters
 
 _SIGMAS: Final = 6.0
 """Standard deviations of a noise beyond which no sample is expected: 2e-9 of them."""
@@ -24,7 +25,7 @@ def loop_as_known(axis: AxisScene) -> LoopProperties:
     """
     effects, loop = _effects(axis), axis.loop
     error, limit = _position_error(effects), _largest_torque(effects)
-    changes: dict[str, Any] = {}
+    changes: dict[str, float] = {}
     if error:
         changes["encoder_count"] = loop.encoder_count + 2.0 * error
     if limit < (inf if loop.torque_limit is None else loop.torque_limit):
@@ -82,26 +83,26 @@ def friction_declared(axis: AxisScene) -> FrictionDeclared | None:
     )
 
 
-def _effects(axis: AxisScene) -> Mapping[str, Any]:
+def _effects(axis: AxisScene) -> Mapping[str, Parameters]:
     if axis.simulation is None:
         return {}
     return {effect.name: effect.parameters for effect in axis.simulation.effects}
 
 
-def _value(effects: Mapping[str, Any], name: str, key: str, otherwise: float) -> float:
+def _value(effects: Mapping[str, Parameters], name: str, key: str, otherwise: float) -> float:
     return float(getattr(effects[name], key)) if name in effects else otherwise
 
 
-def _position_error(effects: Mapping[str, Any]) -> float:
+def _position_error(effects: Mapping[str, Parameters]) -> float:
     count = _value(effects, "encoder_quantisation", "count", 0.0)
     return 0.5 * count + _SIGMAS * _value(effects, "encoder_noise", "deviation", 0.0)
 
 
-def _largest_torque(effects: Mapping[str, Any]) -> float:
+def _largest_torque(effects: Mapping[str, Parameters]) -> float:
     return _value(effects, "torque_saturation", "limit", inf)
 
 
-def _share(effects: Mapping[str, Any]) -> float:
+def _share(effects: Mapping[str, Parameters]) -> float:
     """Returns the part of a torque that may be lacking or added; a hot winding may give none of it."""
     if "thermal_derating" in effects:
         return 1.0

@@ -7,7 +7,7 @@ is derived: there it is measured (`canhaptic commission`) and declared, and unti
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
@@ -74,7 +74,7 @@ def _is_certified(scene: Scene, axis: AxisScene) -> bool:
     return hasattr(scene.passivity_of(axis).parameters, "hand_force")
 
 
-def _effects(scene: Scene, bus: NamedBus) -> Mapping[str, Any]:
+def _effects(scene: Scene, bus: NamedBus) -> Mapping[str, float]:
     """Returns what a scene names of the bus; empty where it is ideal."""
     effects = scene.bus_effects
     if effects is None or (effects.buses is not None and bus.name not in effects.buses):
@@ -82,7 +82,7 @@ def _effects(scene: Scene, bus: NamedBus) -> Mapping[str, Any]:
     return {name: getattr(effects, name) for name in effects.named}
 
 
-def _late(scene: Scene, effects: Mapping[str, Any], cob_id: int | None) -> float:
+def _late(scene: Scene, effects: Mapping[str, float], cob_id: int | None) -> float:
     """Returns how much later than another a frame to the drive may come [s]; `cob_id` None: any of them."""
     whole = scene.bus_effects
     if whole is None or not whole.suffers("to_drive") or (cob_id and whole.ids is not None and cob_id not in whole.ids):

@@ -15,7 +15,7 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import convert
-from canhaptic.replay.replayed_run import replay_bus_log
+from canhaptic.replay.replayed_run import ReplayResult, replay_bus_log
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from tools.record import RECORDINGS
@@ -42,7 +42,7 @@ def flipped(line: str, bit: int) -> str:
     return f"{match[1]}{match[2]}#{data.hex().upper()}{match[4]}\n"
 
 
-def replay_lines(folder: Path, name: str, lines: list[str], **options: Any) -> dict[str, Any]:
+def replay_lines(folder: Path, name: str, lines: list[str], **options: Any) -> ReplayResult:
     path = folder / f"{name}.log"
     path.write_text("".join(lines))
     return replay_bus_log(path, scene_of(name), **options)

@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from canhaptic.errors import EventLimitError
+from canhaptic.kernels import Indices
 from canhaptic.sim.plant import stepper
 from canhaptic.sim.plant.assembly import PlantModel
 from canhaptic.sim.plant.guard_horizon import GuardHorizon
@@ -64,7 +65,7 @@ class HybridAutomaton:
         sines = [name for name in names if name.endswith("_sine")]
         self._oscillators = [(names.index(name), names.index(name[:-4] + "cosine")) for name in sines]
         self._books: list[Any] = self._new_books()
-        self._counts: Any = self._new_counts()
+        self._counts: Indices = self._new_counts()
         self._values: Any = [None, None]
         self._first = self._mode_of(first_key(scene))
         self._whole = self._whole_of(self._modes[self._first])
@@ -74,7 +75,7 @@ class HybridAutomaton:
     def _new_books(self) -> list[Any]:
         return list(stepper.two_buffers(len(self.scene.names), len(self.scene.works)))
 
-    def _new_counts(self) -> Any:
+    def _new_counts(self) -> Indices:
         return [0] * COUNTS
 
     def reset(self) -> None:

@@ -9,11 +9,13 @@ The first six functions are all that touches numbers in bulk. Interpreted, a tab
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from canhaptic.kernels import Indices
 from canhaptic.sim.plant.propagator import LEVELS, TICKS, Array
 
 _ROUNDING: Final = 1e-14  # a guard is broken when it is below zero by more than this part of its largest term
@@ -86,7 +88,7 @@ def two_buffers(size: int, works: int) -> list[StepBuffers]:
     return [books(this, other), books(other, this)]
 
 
-def move(product: Any, state: Array, moved: Array) -> None:
+def move(product: Callable[[Array, Array], object], state: Array, moved: Array) -> None:
     """Writes the product with the state."""
     product(state, moved)
 
@@ -160,7 +162,9 @@ def least(value: float, rate: float, curvature: float, length: float) -> float:
     return min(value, value + (rate + 0.5 * curvature * length) * length)
 
 
-def leave(tables: ModeTables, state: Array, moved: Array, books: Any, counts: Any, guard: int) -> tuple[Array, Array]:
+def leave(
+    tables: ModeTables, state: Array, moved: Array, books: Any, counts: Indices, guard: int
+) -> tuple[Array, Array]:
     """Changes the mode through a guard, with the jump that belongs to it; returns the state and the spare state."""
     mode = counts[MODE]
     after = tables.targets[mode][guard]
@@ -175,7 +179,7 @@ def leave(tables: ModeTables, state: Array, moved: Array, books: Any, counts: An
 
 
 def settle(
-    tables: ModeTables, state: Array, moved: Array, books: Any, counts: Any, values: Any
+    tables: ModeTables, state: Array, moved: Array, books: Any, counts: Indices, values: Any
 ) -> tuple[Array, Array, Any]:
     """Leaves every mode whose guards do not hold at this very state; returns state, spare and the guards' values."""
     for _ in range(_CHAIN):
@@ -208,7 +212,7 @@ def judge(
 
 
 def run_free(
-    tables: ModeTables, state: Array, moved: Array, books: Any, counts: Any, ticks: int
+    tables: ModeTables, state: Array, moved: Array, books: Any, counts: Indices, ticks: int
 ) -> tuple[Array, Array]:
     """Moves by `ticks` ignoring guards: whole sample times, then one step per bit; returns state and spare."""
     mode = counts[MODE]
@@ -231,7 +235,7 @@ def run_free(
 
 
 def run(
-    tables: ModeTables, settings: StepperSettings, state: Array, moved: Array, books: Any, counts: Any, values: Any,
+    tables: ModeTables, settings: StepperSettings, state: Array, moved: Array, books: Any, counts: Indices, values: Any,
     ticks: int,
 ) -> tuple[Array, Array, int]:  # fmt: skip
     """Moves by `ticks` under constant inputs, through every event on the way.
@@ -278,7 +282,7 @@ def run(
 
 
 def run_holds(
-    tables: ModeTables, settings: StepperSettings, state: Array, moved: Array, books: Any, counts: Any, values: Any,
+    tables: ModeTables, settings: StepperSettings, state: Array, moved: Array, books: Any, counts: Indices, values: Any,
     torques: Array, positions: Array,
 ) -> tuple[Array, Array, int, int]:  # fmt: skip
     """Takes one sample time under each torque and writes the position after it.
@@ -301,7 +305,7 @@ def run_holds(
 
 
 def free_holds(
-    tables: ModeTables, state: Array, moved: Array, books: Any, counts: Any, torques: Array, positions: Array
+    tables: ModeTables, state: Array, moved: Array, books: Any, counts: Indices, torques: Array, positions: Array
 ) -> tuple[Array, Array]:
     """The same in a mode without guards, which nothing can leave; returns state and spare."""
     mode = counts[MODE]

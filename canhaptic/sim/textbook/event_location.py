@@ -13,7 +13,7 @@ import numpy as np
 
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
-from canhaptic.sim.textbook.reference_elements import Floats, Transition
+from canhaptic.sim.textbook.reference_elements import Floats, State, Transition
 from canhaptic.sim.textbook.reference_model import Modes
 from canhaptic.sim.textbook.reference_motion import Motion, motion_of
 
@@ -218,7 +218,7 @@ def through(way: Transition, state: Sequence[float], modes: Modes) -> tuple[Floa
 def _event(way: Transition) -> Any:
     """Returns what falls through zero a hair beyond the guard: a guard that stays at zero is no event."""
 
-    def event(time: float, state: Any, torque: Any, _modes: Modes) -> float:
+    def event(time: float, state: State, torque: Any, _modes: Modes) -> float:
         return way.value(time, state, torque) + way.rounding
 
     event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined]

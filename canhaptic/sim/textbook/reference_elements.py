@@ -9,7 +9,15 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple, Protocol
 
 Floats = list[float]
-_Value = Callable[[float, Any, Any], float]
+
+
+class State(Protocol):
+    """A state, as a list or as scipy's array."""
+
+    def __getitem__(self, index: int, /) -> float: ...
+
+
+_Value = Callable[[float, State, Any], float]
 
 POSITION, VELOCITY = 0, 1
 _NEGLIGIBLE: Final = 1e-12  # of a guard's scale: less than that below zero is rounding
@@ -31,7 +39,7 @@ class Place(NamedTuple):
     velocity: int
     terms: tuple[tuple[int, float], ...]
 
-    def position(self, state: Any) -> float:
+    def position(self, state: State) -> float:
         """Returns the position of the body [m or rad]."""
         return sum(factor * float(state[index]) for index, factor in self.terms)
 
@@ -45,7 +53,7 @@ class Element(Protocol):
 
     modes: tuple[str, ...]
 
-    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
         """Adds its forces and the rates of its own states."""
 
     def ways(self, index: int, mode: str) -> Sequence[Transition]:
@@ -68,7 +76,7 @@ class Drag(_Smooth):
     def __init__(self, damping: float) -> None:
         self._damping = damping
 
-    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
         """Adds the friction."""
         forces[0] -= self._damping * state[VELOCITY]
 
@@ -79,7 +87,7 @@ class ReferenceDetents(_Smooth):
     def __init__(self, amplitude: float, pitch: float, phase: float) -> None:
         self._amplitude, self._wave_number, self._phase = amplitude, 2.0 * math.pi / pitch, phase
 
-    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
         """Adds the detent force."""
         forces[0] -= self._amplitude * math.sin(self._wave_number * state[POSITION] + self._phase)
 
@@ -90,7 +98,7 @@ class Shaft(_Smooth):
     def __init__(self, stiffness: float, damping: float, twist: int, load_velocity: int) -> None:
         self._stiffness, self._damping, self._twist, self._load = stiffness, damping, twist, load_velocity
 
-    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
         """Adds the torque of the shaft to both sides."""
         force = self._stiffness * state[self._twist] + self._damping * (state[VELOCITY] - state[self._load])
         forces[0] -= force
@@ -124,7 +132,7 @@ class ReferenceHand(_Smooth):
         """Times at which the grasp changes [s]."""
         return [time for time, _, _ in self._grasps[1:]]
 
-    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
         """Adds the force of the hand and its power."""
         _, stiffness, damping = next(g for g in reversed(self._grasps) if g[0] <= time or g is self._grasps[0])
         place, speed = self._rest, 0.0
@@ -144,7 +152,7 @@ class ReferenceOwnHand(_Smooth):
     def __init__(self, force: Callable[[float, float, float], float]) -> None:
         self._force = force
 
-    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
         """Adds the force and its power."""
         velocity = float(state[VELOCITY])
         force = self._force(time, float(state[POSITION]), velocity)
@@ -158,7 +166,7 @@ class LuGre(_Smooth):
     def __init__(self, friction: Any, deflection: int) -> None:
         self._friction, self._deflection = friction, deflection
 
-    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
         """Adds the friction and the rate of the deflection."""
         p, velocity, bend = self._friction, state[VELOCITY], state[self._deflection]
         ratio = velocity / p.stribeck_velocity
@@ -187,7 +195,7 @@ class ReferenceContact:
         self._sides, self._limit = tuple(sides), limit
         self._stiffness, self._damping, self._depth = stiffness, damping, depth
 
-    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
         """Adds the force while it touches, and the rate of the depth."""
         if mode == "touching":
             rates[self._depth] = self._approach(state)
@@ -211,13 +219,13 @@ class ReferenceContact:
             return (Transition(index, "apart", lambda t, y, u: self._force(y), _NEGLIGIBLE * self._stiffness, reset),)
         return (Transition(index, "touching", lambda t, y, u: y[self._depth] - self._beyond(y), _NEGLIGIBLE, meet),)
 
-    def _beyond(self, state: Any) -> float:
+    def _beyond(self, state: State) -> float:
         return sum(factor * place.position(state) for _, place, factor in self._sides) - self._limit
 
-    def _approach(self, state: Any) -> float:
+    def _approach(self, state: State) -> float:
         return sum(factor * float(state[place.velocity]) for _, place, factor in self._sides)
 
-    def _force(self, state: Any) -> float:
+    def _force(self, state: State) -> float:
         return self._stiffness * float(state[self._depth]) + self._damping * self._approach(state)
 
 
@@ -244,7 +252,7 @@ class ReferenceStickSlip:
         first = "stuck" if velocity == 0.0 else "forward" if velocity > 0.0 else "backward"
         self.modes = (first, *(mode for mode in ("stuck", "forward", "backward") if mode != first))
 
-    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
         """Adds the friction while sliding; stuck, it takes up every other force."""
         if mode == "stuck":
             forces[self._body] = 0.0

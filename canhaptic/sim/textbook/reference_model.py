@@ -27,6 +27,7 @@ from canhaptic.sim.textbook.reference_elements import (
     ReferenceOwnHand,
     ReferenceStickSlip,
     Shaft,
+    State,
     Transition,
 )
 
@@ -178,7 +179,7 @@ class Model:
             self._friction = ReferenceStickSlip(dry.kinetic, dry.static, excess, width, velocity, self._other_forces)
             self._elements.append(self._friction)
 
-    def rates(self, time: float, state: Any, torque: float, modes: Modes) -> Floats:
+    def rates(self, time: float, state: State, torque: float, modes: Modes) -> Floats:
         """Returns the rate of every state."""
         rates = [0.0] * len(self.names)
         forces = self._forces(time, state, torque, modes, rates, len(self._elements))
@@ -188,7 +189,7 @@ class Model:
             rates[index] = sum(factor * float(state[velocity]) for velocity, factor in terms)
         return rates
 
-    def _forces(self, time: float, state: Any, torque: float, modes: Modes, rates: Floats, count: int) -> Floats:
+    def _forces(self, time: float, state: State, torque: float, modes: Modes, rates: Floats, count: int) -> Floats:
         """Returns the force of the first `count` elements on each body, and writes the rates they know."""
         self.evaluations += 1
         forces = [0.0] * len(self._masses)
@@ -205,7 +206,7 @@ class Model:
             element.apply(time, state, mode, forces, rates)
         return forces
 
-    def _held(self, state: Any, torque: float, rates: Floats) -> float:
+    def _held(self, state: State, torque: float, rates: Floats) -> float:
         """Returns what the drive makes of a torque; writes the rate of the winding's temperature."""
         for command in self._commands:
             if command.type == "torque_saturation":
@@ -221,7 +222,7 @@ class Model:
                 rates[self._winding] = (heat - (warmth - command.ambient)) / command.time_constant
         return torque
 
-    def _other_forces(self, time: float, state: Any, torque: float) -> float:
+    def _other_forces(self, time: float, state: State, torque: float) -> float:
         """Returns all forces on the motor but dry friction; the modes are those that `ways` was last asked for."""
         rates = [0.0] * len(self.names)
         return self._forces(time, state, torque, self._asked, rates, len(self._elements) - 1)[0]

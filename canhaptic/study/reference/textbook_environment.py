@@ -6,7 +6,7 @@ are equations, and refuses the others.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.errors import InputError
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.textbook.event_location import states_at
-from canhaptic.sim.textbook.reference_elements import POSITION, VELOCITY, Floats, Transition
+from canhaptic.sim.textbook.reference_elements import POSITION, VELOCITY, Floats, State, Transition
 from canhaptic.sim.textbook.reference_model import Model
 
 _ROUNDING: Final = 1e-12  # [m or rad]
@@ -125,7 +125,7 @@ class _EnvironmentForce:
         else:
             self.modes = ("only",)
 
-    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
         """Adds the force of the environment, its power, and the rate of its strain."""
         velocity = float(state[VELOCITY])
         force = 0.0 if mode == "0" else self._force(state, mode, velocity, rates)
@@ -150,7 +150,7 @@ class _EnvironmentForce:
     def _zone(self, surface: float, side: float) -> str:
         return str(self._environment.contact(math.nextafter(surface, side * math.inf)))
 
-    def _force(self, state: Any, mode: str, velocity: float, rates: Floats) -> float:
+    def _force(self, state: State, mode: str, velocity: float, rates: Floats) -> float:
         environment, damper = self._environment, -self._environment.damping * velocity
         if isinstance(environment, CoulombSurface):
             strain = float(state[self._strain])
@@ -186,10 +186,10 @@ class _EnvironmentForce:
         return (Transition(index, "elastic", lambda t, y, u: sign * float(y[VELOCITY]), _ROUNDING),)
 
 
-def _distance(surface: float, sign: float) -> Callable[[float, Any, float], float]:
+def _distance(surface: float, sign: float) -> Callable[[float, State, float], float]:
     """Returns what falls through zero where the axis crosses the surface towards -sign."""
 
-    def distance(_time: float, state: Any, _torque: float) -> float:
+    def distance(_time: float, state: State, _torque: float) -> float:
         return sign * (float(state[POSITION]) - surface)
 
     return distance
