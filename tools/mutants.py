@@ -3,13 +3,13 @@
 Each mutant is a module with one change that a slip of the hand could make (`tests/mutation/mutator.py`), written into a
 copy of the repository. First of all each test of the rooms runs there once, unchanged, for its time and for the lines
 that it reaches (`tests/mutation/reached.py`); what passes is kept in `--reached` until the package or the test changes.
-A mutant then meets the recordings whose replay reaches its lines, the other tests that do, those that call its function
-and, where it is in no function, those of its module and room: quick ones first, until one fails or their times fill the
-`--budget`. They run in forks of a process that has imported everything (`tools/mutant_server.py`). A test that
-fails must fail again with the mutant and pass without it, but for a replay: then the mutant is killed. One that ends no
-run of tests within its time is killed as well. What has run is kept in `--kept` (JSON lines), so that the same command
-goes on where it was stopped. A survivor is equivalent, or a test is missing: both are for a person to say, in
-`equivalent_mutants.json` or as a test.
+A mutant then meets the recordings whose replay reaches its lines and the other tests that do, those that call its
+function and, where it is in no function, those of its module and room: quick ones first, and those that killed others
+of the module, until one fails or their times fill the `--budget`. They run in forks of a process that has imported
+everything (`tools/mutant_server.py`). A test that fails must fail again with the mutant and pass without it, the first
+times that it kills: then the mutant is killed. One that ends no run of tests within its time is killed as well. What
+has run is kept in `--kept` (JSON lines), so that the same command goes on where it was stopped. A survivor is
+equivalent, or a test is missing: both are for a person to say, in `equivalent_mutants.json` or as a test.
 
 Exit status 1 when fewer than `--at-least` of the mutants that are not equivalent were killed. Mutants come in random
 order, so that those run when `--seconds` are over are a sample; `--only PATH:NUMBER` runs one, and `--again` the
@@ -61,6 +61,8 @@ ROOMS: Final[dict[str, tuple[str, ...]]] = {  # part of the package -> folders o
 EQUIVALENT: Final[dict[str, str]] = json.loads(Path(__file__).with_name("equivalent_mutants.json").read_text("utf-8"))
 """`path: name of the mutant` -> why no test can notice it, or should."""
 _RECORDINGS: Final = "tests/replay/test_replay.py::test_the_master_sends_today_what_it_sent_when_recorded["
+_TRUSTED: Final = 2  # kills that were repeated
+_FORK: Final = 0.02  # s that any test takes at least
 _SITE: Final = f"""import os
 if os.environ.get("{PLACE}") and os.environ.get("PYTEST_CURRENT_TEST"):
     from tests.mutation.reached import watch_process
@@ -189,12 +191,16 @@ class Chooser:
                 left -= test.seconds
         return chosen
 
-    def _order(self, path: str, test: Test) -> tuple[bool, float]:
-        return not test.name.startswith(_RECORDINGS), test.seconds / (1 + self._kills[path, test.name])
+    def _order(self, path: str, test: Test) -> float:
+        return (test.seconds + _FORK) / (1 + self._kills[path, test.name])
 
     def note(self, path: str, killer: str) -> None:
         """Takes a kill, so that the same test comes earlier for other mutants of the module."""
         self._kills[path, killer] += 1
+
+    def trusts(self, test: str) -> bool:
+        """Whether a test failed for mutants alone, as often as it was seen."""
+        return sum(count for (_, name), count in self._kills.items() if name == test) >= _TRUSTED
 
     def longest(self, tests: Sequence[str]) -> float:
         """Returns how long tests may run before they count as endless [s]."""
@@ -225,7 +231,7 @@ class Campaign:
             failed = self._failure(path, change, text, left)
             if not failed:
                 break
-            if failed.startswith(_RECORDINGS):  # a replay has no time and no chance in it
+            if failed.startswith(_RECORDINGS) or self._chooser.trusts(failed):  # a replay has no chance in it
                 killer = failed
                 break
             if "::" not in failed:
@@ -304,6 +310,7 @@ def _arguments() -> argparse.Namespace:
     )  # fmt: skip
     parser.add_argument("--tests", nargs="+", metavar="PATH", help="inside tests/, in the place of those of the rooms")
     parser.add_argument("--only", metavar="PATH:NUMBER", help="one mutant")
+    parser.add_argument("--functions", action="store_true", help="those in functions alone: others take an import each")
     parser.add_argument("--again", action="store_true", help="runs survivors again")
     parser.add_argument("--seconds", type=float, default=1e9, help="starts no further mutant after that time")
     parser.add_argument("--at-least", type=float, default=0.9, help="share that must be killed")
@@ -328,10 +335,15 @@ def _names(wanted: Sequence[tuple[Path, int]]) -> Iterator[tuple[Path, int, str]
         yield path, number, names[path][number]
 
 
+def _is_in_function(name: str) -> bool:
+    scope = name.partition(": ")[0]
+    return scope != "module" and not scope.rpartition(".")[2].lstrip("_")[:1].isupper()
+
+
 def main() -> int:
     """Runs what the arguments ask for; returns the exit status."""
     arguments = _arguments()
-    wanted = list(_names(_wanted(arguments)))
+    wanted = [one for one in _names(_wanted(arguments)) if not arguments.functions or _is_in_function(one[2])]
     done = {} if arguments.only else _read(arguments.kept)
     arguments.kept.parent.mkdir(parents=True, exist_ok=True)
     until = time.monotonic() + arguments.seconds

@@ -19,7 +19,7 @@ from canhaptic.kernels import list_of_zeros
 
 T, MASS = 1e-3, 0.25
 ANY, SENT, HELD_ON = 0, 1, 2
-CASES = range(120)
+CASES = range(80)
 
 
 class Case(NamedTuple):
@@ -253,7 +253,7 @@ def takes(case: Case, motion: Motion, torque: float, hand: float, friction: floa
 def test_the_largest_torque_takes_all_that_is_left_by_the_best_of_the_certificates(sign: float) -> None:
     """Without losses. Below the older torques, while the axis moves inward, some of what is left is not used."""
     tight = 0
-    for seed in range(500):
+    for seed in range(250):
         case = case_of(seed, losses=(0,))
         known = case.known
         by_all, for_all, by_force = largest_of_late(known, case.bound, case.memory, sign, case.energy)
@@ -271,7 +271,7 @@ def test_the_largest_torque_takes_all_that_is_left_by_the_best_of_the_certificat
             assert within(by_all, max(expected, best), is_tight=is_tight and also_tight), seed
         else:
             assert by_all == by_force
-    assert tight > 300
+    assert tight > 150
 
 
 def within(found: float, expected: float, *, is_tight: bool) -> bool:
