@@ -1,0 +1,242 @@
+"""The account of a group between holds, against sums written anew and, for one axis, the formulas of one axis."""
+
+import math
+import random
+from typing import Any, NamedTuple
+
+import pytest
+
+from canhaptic.control.certificates.lost_samples import Gap, doubt_of
+from canhaptic.control.multi_axis.account_memory import AccountMemory, account_memory
+from canhaptic.control.multi_axis.group_account import (
+    AccountSettings,
+    GroupAccount,
+    certain_energy,
+    doubt_of_axis,
+    doubt_of_mover,
+    end_group_gap,
+    end_group_hold,
+    fade,
+    largest_of,
+    quotient,
+)
+from canhaptic.control.multi_axis.group_certificates import axes_of
+from canhaptic.control.multi_axis.group_commands import (
+    GroupHolds,
+    end_holds,
+    no_group_commands,
+    no_group_holds,
+    take_applied,
+    torque_held,
+)
+from canhaptic.control.multi_axis.per_axis_memory import per_axis_limits
+from canhaptic.control.passivity.controller import LoopProperties
+
+T, DELAY = 1e-3, 1
+
+
+class Group(NamedTuple):
+    """Two axes, what is declared of them, and holds that ended."""
+
+    settings: AccountSettings
+    memory: AccountMemory
+    ended: GroupHolds
+    account: GroupAccount
+    loops: tuple[LoopProperties, ...]
+    pull: float
+
+
+def close(found: float, expected: float) -> bool:
+    return math.isclose(found, expected, rel_tol=1e-9, abs_tol=1e-18)
+
+
+def group_of(seed: int, **given: Any) -> Group:
+    """A group whose holds are exact."""
+    draw = random.Random(seed)
+    damped, count, pull = draw.choice([0.0, 2.0]), draw.choice([0.0, 1e-6]), draw.choice([None, 5.0])
+    bound = draw.choice([2.0, 8.0])
+    loops = tuple(
+        LoopProperties(
+            sample_time=T, delay=DELAY, moving_mass=mass, encoder_count=count, device_damping=damped * mass or None,
+            device_damping_bound=bound,
+        )
+        for mass in (0.25, 0.6)
+    )  # fmt: skip
+    speed = draw.choice([None, 0.3])
+    if damped == 0.0 and pull is None and speed is None:
+        pull = 5.0
+    axes = axes_of(loops, pull, speed)
+    limits = per_axis_limits(axes, DELAY, 2)
+    memory, ended = account_memory(limits), no_group_holds(2, DELAY)
+    for i in range(2):
+        memory.displacement[i], memory.torques[i] = draw.uniform(-2e-5, 2e-5), draw.uniform(-3.0, 3.0)
+        memory.blur[i] = draw.choice([0.0, 3e-7])
+        memory.before.highest[i] = memory.torques[i] + draw.choice([0.0, 5.0])
+        memory.before.lowest[i] = memory.torques[i] - draw.choice([0.0, 5.0])
+        ended.displacement[i], ended.applied[i] = draw.uniform(-4e-5, 4e-5), draw.uniform(-3.0, 3.0)
+        for row in ended.lost:
+            row[i] = draw.uniform(-4.0, 4.0)
+    account = GroupAccount(dissipated=draw.uniform(0.0, 1e-3), changes=draw.choice([0.0, 2e-6]))
+    return Group(AccountSettings(axes, limits, moves=False), memory, ended, account, loops, pull or 0.0)
+
+
+def largest(group: Group, missed: int, axis: int) -> float:
+    memory, ended = group.memory, group.ended
+    sizes = [abs(memory.torques[axis]), abs(ended.applied[axis])]
+    sizes += [memory.before.highest[axis], -memory.before.lowest[axis]]
+    return max(*sizes, *(abs(row[axis]) for row in ended.lost[:missed]))
+
+
+def test_a_hold_of_a_group_counts_what_each_device_dissipated_and_each_encoder_leaves_open() -> None:
+    seen = set()
+    for seed in range(40):
+        group = group_of(seed)
+        memory, ended, before = group.memory, group.ended, group.account.dissipated
+        counted, earned, open_ends = group.account.changes, 0.0, 0.0
+        damps, coarse = group.loops[0].device_damping is not None, group.loops[0].encoder_count > 0.0
+        for i in range(2):
+            loop, torque = group.loops[i], ended.applied[i]
+            if damps or coarse:
+                path = max(0.0, abs(ended.displacement[i]) - loop.encoder_count)
+                earned += (loop.device_damping or 0.0) / T * path**2
+                counted += 0.5 * loop.encoder_count * abs(torque - memory.torques[i])
+                open_ends += 0.5 * loop.encoder_count * abs(torque)
+        assert end_group_hold(group.settings, group.account, memory, ended) == 0.0
+        assert close(group.account.dissipated, before + earned)
+        assert close(group.account.changes, counted)
+        assert close(group.account.unsure, counted + open_ends)
+        assert (memory.displacement, memory.torques) == (ended.displacement, ended.applied)
+        assert memory.blur == [0.0, 0.0]
+        seen.add((damps, coarse))
+    assert len(seen) == 4
+
+
+@pytest.mark.parametrize("missed", [1, 2, 4])
+def test_lost_samples_of_a_group_are_in_doubt_by_each_axis_for_itself(missed: int) -> None:
+    seen = set()
+    for seed in range(40):
+        group = group_of(seed)
+        axes, memory, ended, holds = group.settings.axes, group.memory, group.ended, missed + 1
+        norm = math.sqrt(sum((axes.before[i] + axes.during[i]) * largest(group, missed, i) ** 2 for i in range(2)))
+        doubt, unsure, changes, earned, blurs = 0.0, 0.0, group.account.changes, group.account.dissipated, []
+        for i in range(2):
+            loop, moved = group.loops[i], ended.displacement[i]
+            most, count = largest(group, missed, i), loop.encoder_count
+            step = math.sqrt(axes.before[i] + axes.during[i]) * (norm + axes.hand) if group.pull else 0.0
+            gap = Gap(holds, moved, memory.displacement[i], count, memory.blur[i] + count, step, axes.lost[i])
+            doubt += doubt_of_axis(axes, memory, ended, gap, missed, i)
+            excursion = (
+                abs(moved) + count + holds * (abs(memory.displacement[i]) + memory.blur[i] + count + holds * step)
+            )
+            blurs.append(0.5 * missed * step + axes.lost[i] * holds * excursion if group.pull else 0.0)
+            changes += holds * count * most
+            unsure += 0.5 * count * abs(ended.applied[i])
+            earned += (loop.device_damping or 0.0) / T * max(0.0, abs(moved) - count) ** 2 / holds
+            assert largest_of(memory, ended, missed, i) == most
+        found, further = end_group_gap(group.settings, group.account, memory, ended, missed)
+        assert close(found, doubt)
+        assert further == 0.0
+        assert close(group.account.changes, changes)
+        assert close(group.account.unsure, changes + unsure)
+        assert close(group.account.dissipated, earned)
+        assert all(close(one, other) for one, other in zip(memory.blur, blurs, strict=True))
+        assert memory.displacement == [moved / holds for moved in ended.displacement]
+        assert memory.torques == ended.applied
+        seen.add((bool(group.pull), axes.path > 0.0))
+    assert len(seen) == 4
+
+
+@pytest.mark.parametrize("missed", [1, 2, 4])
+def test_in_each_lost_hold_any_torque_sent_until_then_may_have_acted(missed: int) -> None:
+    for seed in range(40):
+        group = group_of(seed)
+        axes, memory, ended = group.settings.axes, group.memory, group.ended
+        gap = Gap(missed + 1, 3e-5, 1e-5, 1e-6, 2e-6, 1e-5, 0.05)
+        for axis in range(2):
+            last, b, total = ended.applied[axis], axes.damping[axis], 0.0
+            for hold in range(1, missed + 1):
+                sent = [memory.torques[axis], *(row[axis] for row in ended.lost[:hold])]
+                apart = [torque - last for torque in sent]
+                if group.pull:
+                    total += max(doubt_of(gap, hold, torque, last) for torque in sent)
+                elif axes.path > 0.0:
+                    total += max(map(abs, apart)) * 0.3 * T
+                else:
+                    total += max(more * gap.moved + abs(more) * gap.error for more in apart) / gap.holds
+                    total += max(more**2 for more in apart) / (4.0 * b)
+            assert close(doubt_of_axis(axes, memory, ended, gap, missed, axis), total), seed
+
+
+def test_a_mover_gives_with_the_torques_that_may_have_acted() -> None:
+    group = group_of(1)
+    memory, ended = group.memory, group.ended
+    memory.passing[:] = [2e-5, -3e-5]
+    for hold in range(3):
+        expected = 0.0
+        for i in range(2):
+            sent = [memory.torques[i], *(row[i] for row in ended.lost[: hold + 1])]
+            expected += max((ended.applied[i] - torque) * memory.passing[i] for torque in sent)
+        assert close(doubt_of_mover(memory, ended, hold), expected)
+
+
+def test_holds_that_ended_book_each_axis_with_the_torque_applied_and_what_was_inside_it() -> None:
+    for seed in range(30):
+        draw = random.Random(seed)
+        commands, ended = no_group_commands(2, 1, 1), no_group_holds(2, 1)
+        for place in range(2):
+            for rows in (commands.torques, commands.dampers, commands.modulated):
+                rows[place][:] = [draw.uniform(-3.0, 3.0), draw.uniform(-3.0, 3.0)]
+            commands.ports[place][0], commands.power[place] = draw.uniform(-3.0, 3.0), draw.uniform(0.0, 1.0)
+        sent = [[*row] for row in commands.torques]
+        dampers, modulated = [[*row] for row in commands.dampers], [[*row] for row in commands.modulated]
+        ports, power = [row[0] for row in commands.ports], [*commands.power]
+        oldest, missed, limit = draw.choice([0, 1]), draw.choice([0, 1, 3]), 1.5
+        ended.position[:] = [1e-3, -2e-3]
+        positions = [draw.uniform(-1e-3, 1e-3), draw.uniform(-1e-3, 1e-3)]
+        queue = [oldest, 1 - oldest]  # places of the commands in their order; the newest goes on
+        acting = queue[0] if missed == 0 else queue[1]
+        applied = [draw.choice([1.0, 0.5, -1.0, 2.0]) * sent[acting][0], sent[acting][1]]
+        place = end_holds(commands, ended, [limit, limit], oldest, missed, positions, applied)
+        assert place == (oldest + missed) % 2
+        for lost in range(min(missed, 2)):
+            assert ended.lost[lost] == [max(-limit, min(limit, torque)) for torque in sent[queue[lost]]]
+        for i in range(2):
+            moved = positions[i] - [1e-3, -2e-3][i]
+            assert close(ended.displacement[i], moved)
+            assert close(ended.interactions[i], -applied[i] * moved)
+            share = max(0.0, min(1.0, applied[i] / sent[acting][i]))
+            assert close(commands.dampers[place][i], share * dampers[acting][i])
+            assert close(commands.modulated[place][i], share * modulated[acting][i])
+            assert torque_held(ended, missed, missed, i) == applied[i]
+            if missed:
+                assert torque_held(ended, missed - 1, missed, i) == ended.lost[min(missed, 2) - 1][i]
+        along = sum(a * b for a, b in zip(applied, sent[acting], strict=True))
+        whole = max(0.0, min(1.0, along / sum(torque**2 for torque in sent[acting])))
+        assert close(commands.ports[place][0], whole * ports[acting])
+        assert close(commands.power[place], whole**2 * power[acting])
+        assert (ended.position, ended.applied, commands.torques[place]) == (positions, applied, applied)
+
+
+def test_of_a_command_without_torque_nothing_is_left() -> None:
+    commands = no_group_commands(1, 1, 0)
+    commands.dampers[0][0], commands.ports[0][0], commands.power[0] = 1.0, 1.0, 1.0
+    take_applied(commands, 0, [2.0])
+    assert (commands.dampers[0][0], commands.ports[0][0], commands.power[0]) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(("kept_back", "left"), [(0.0, 1.5), (0.2, 1.7), (0.9, 2.0)])
+def test_what_encoders_leave_open_is_covered_by_what_was_kept_back(kept_back: float, left: float) -> None:
+    account = GroupAccount(h_s=2.5, h_dis=1.0, unsure=0.5, kept_back=kept_back)
+    assert certain_energy(account, 0.5) == pytest.approx(left)
+
+
+@pytest.mark.parametrize(("dissipated", "left"), [(0.0, 0.0), (2.0, 1.25), (-1.0, -1.0)])
+def test_past_dissipation_fades_with_the_account(dissipated: float, left: float) -> None:
+    account = GroupAccount(h_s=1.5, h_dis=0.5, dissipated=dissipated)
+    fade(account, 0.75)
+    assert account.dissipated == left
+
+
+def test_a_quotient_of_nothing_is_infinite_and_one_without_a_budget_nothing() -> None:
+    assert (quotient(3.0, 2.0), quotient(0.0, 0.0), quotient(-1.0, 0.0)) == (1.5, math.inf, 0.0)
+    assert quotient(math.nan, 1.0) == 0.0
