@@ -1,0 +1,120 @@
+"""The meter of an axis against sums over its holds written anew, and the laziest motion against a search."""
+
+import math
+import random
+
+import pytest
+
+from canhaptic.control.axis_meter import Accuracy, AxisMeter, SilentMeter
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+
+T = 1e-3
+
+
+def close(found: float, expected: float) -> bool:
+    return math.isclose(found, expected, rel_tol=1e-9, abs_tol=1e-18)
+
+
+def accuracy_of(draw: random.Random) -> Accuracy:
+    return Accuracy(
+        sample_time=T,
+        position=draw.choice([0.0, 1e-6]),
+        torque_share=draw.choice([0.0, 0.02]),
+        torque_offset=draw.choice([0.0, 0.1]),
+        torque_limit=draw.choice([1.5, math.inf]),
+        late=draw.choice([0.0, 2e-4]),
+        late_speed=draw.choice([None, 0.4]),
+        device_damping=draw.choice([None, 2.0]),
+    )
+
+
+def test_what_is_left_open_is_the_sum_of_what_position_torque_and_lateness_leave_open() -> None:
+    for seed in range(80):
+        draw = random.Random(seed)
+        known, meter = accuracy_of(draw), None
+        meter = AxisMeter(known)
+        at, place = 0.0, draw.uniform(-1e-4, 1e-4)
+        meter.take(place, 0.0, 0, touches=False)
+        torque = changes = uneven = dissipated = speed = most = 0.0
+        for _ in range(12):
+            lasted = draw.choice([0.2, 1.0, 1.0, 3.0])
+            at, last, before = at + lasted, place, torque
+            place += draw.choice([0.0, draw.uniform(-1e-4, 1e-4), draw.uniform(-3e-6, 3e-6)])
+            torque = draw.choice([0.0, torque, draw.uniform(-3.0, 3.0)])
+            meter.take(place, torque, at, touches=True)
+            holds, moved, blur = max(0.5, lasted), abs(place - last), 2.0 * known.position
+            dissipated += (known.device_damping or 0.0) * max(0.0, moved - blur) ** 2 / (holds * T)
+            mean = moved / holds
+            if torque or before:
+                changes += abs(torque - before)
+                fastest = known.late_speed or 2.0 * (max(mean, speed) + blur) / T
+                uneven += abs(torque - before) * known.late * fastest
+                uneven += max(0.0, abs(torque) - known.torque_limit) * (moved + blur)
+                uneven += (known.torque_share * abs(torque) + known.torque_offset) * (moved + blur)
+                most = max(most, known.position * (changes + abs(torque)) + uneven)
+            speed = mean
+            assert close(meter.resolution, most), seed
+            assert close(meter.dissipated, dissipated), seed
+            assert meter.position == place
+
+
+def test_lost_holds_leave_open_the_torque_at_the_largest_speed_and_what_the_algorithm_took_off() -> None:
+    meter = AxisMeter(Accuracy(sample_time=T, position=1e-6, largest_speed=0.5))
+    meter.leave_open(2.0, 3, 1e-4)
+    meter.leave_open(0.0, 3, 1e-5)
+    lost = 2.0 * 0.5 * 3 * T + 1e-4 + 1e-5
+    assert close(meter.resolution, lost)
+    for place, torque in ((0.0, 0.0), (1e-5, 4.0)):
+        meter.take(place, torque, place * 1e5, touches=True)
+    assert close(meter.resolution, lost + 1e-6 * 8.0)
+    endless = AxisMeter(Accuracy())
+    endless.leave_open(0.0, 3, 1e-5)
+    assert endless.resolution == 1e-5  # no torque is unknown
+    endless.leave_open(1e-9, 1, 0.0)
+    assert endless.resolution == math.inf
+    other = AxisMeter(Accuracy(counts_losses=False, largest_speed=0.5))
+    other.leave_open(2.0, 3, 1e-4)
+    assert other.resolution == 0.0
+
+
+def test_no_motion_within_the_error_of_every_position_goes_less_far_than_what_friction_is_counted_for() -> None:
+    """Searched among whole places within two of every position, from any of those at the first."""
+    for seed in range(40):
+        draw = random.Random(seed)
+        places = [draw.randint(-3, 3)]
+        for _ in range(10):
+            places.append(places[-1] + draw.randint(-6, 6))
+        least = dict.fromkeys(range(places[0] - 2, places[0] + 3), 0)
+        meter = AxisMeter(Accuracy(position=2.0, device_friction=0.5))
+        for at, place in enumerate(places):
+            meter.take(place, 0.0, at, touches=False)
+            within = range(place - 2, place + 3)
+            least = {end: min(way + abs(end - start) for start, way in least.items()) for end in within}
+            assert meter.dissipated == 0.5 * min(least.values())
+
+
+@pytest.mark.parametrize(("damping", "friction"), [(None, None), (0.0, None), (None, 0.0), (1.0, 1.0)])
+def test_a_device_is_damped_as_soon_as_anything_of_it_is_declared(
+    damping: float | None, friction: float | None
+) -> None:
+    meter = AxisMeter(Accuracy(device_damping=damping, device_friction=friction))
+    assert meter.is_damped is (damping is not None or friction is not None)
+
+
+def test_what_was_asked_for_is_the_effort_of_the_wall_at_the_position_in_contact_alone() -> None:
+    meter = AxisMeter(environment=SpringDamperWall(stiffness=500.0, damping=7.0, position=0.0))
+    assert meter.damping_asked == 7.0
+    asked = []
+    for at, (place, touches) in enumerate([(1e-3, True), (-2e-3, True), (-2e-3, False), (-1e-3, True)]):
+        meter.take(place, 0.0, at, touches=touches)
+        asked.append(abs(meter.asked))
+    assert asked == pytest.approx([0.0, 1.0, 0.0, 0.5])
+    assert AxisMeter().damping_asked == 0.0
+
+
+def test_a_silent_meter_knows_the_position_alone() -> None:
+    meter = SilentMeter(Accuracy(position=1.0, largest_speed=1.0))
+    meter.leave_open(1.0, 1, 1.0)
+    meter.take(0.5, 1.0, 0, touches=True)
+    meter.take(0.7, 2.0, 1, touches=True)
+    assert (meter.position, meter.resolution, meter.dissipated) == (0.7, 0.0, 0.0)
