@@ -8,6 +8,7 @@ was attacked is kept in `attack_runs.jsonl`, so that the same command goes on wh
 import argparse
 import json
 import os
+from collections.abc import Iterator, Mapping
 from multiprocessing import Pool
 from pathlib import Path
 from time import perf_counter
@@ -104,7 +105,15 @@ def figures(holes: list[dict[str, Any]], found: dict[int, float]) -> list[Row]:
             met=len(holes) == len(closed)),
         Row("known ways out found again without their mend", sum(v < _LEAST for v in opened), "1",
             target=str(len(holes)), met=all(v < _LEAST for v in opened)),
+        *(row for hole in holes for row in _of_hole(hole)),
     ]  # fmt: skip
+
+
+def _of_hole(hole: Mapping[str, Any]) -> Iterator[Row]:
+    name = f"{hole['']}, {hole['loop']}"
+    yield Row(f"{name}: not declared", hole["not declared [J]"], "J")
+    if hole["declared [J]"] is not None:
+        yield Row(f"{name}: declared", hole["declared [J]"], "J")
 
 
 def main() -> None:

@@ -70,7 +70,10 @@ def held_at(loop: str, hand_force: float, declared: dict[str, float]) -> tuple[f
     limit = displacement_response(1.0 / rate, MASS, hand_force, 0.0, damping, timing=timing)
     certified = renderable_by_hand_force(limit, delay, PUSH)
     stiffest = BEYOND * renderable_by_hand_force(ideal, delay, PUSH)
-    found = largest_held(Bench(case, plant, effects), leaning, max(SOFTEST, _SOFTEST * certified), stiffest)
+    bench, softest = Bench(case, plant, effects), max(SOFTEST, _SOFTEST * certified)
+    found = largest_held(bench, leaning, softest, stiffest)
+    if not found.stiffness:
+        found = largest_held(bench, leaning, SOFTEST, softest)
     return found.stiffness, certified
 
 
