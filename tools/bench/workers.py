@@ -1,16 +1,17 @@
 """How much faster are two workers than one? Interleaved sweeps in pools of one and two processes, both warm.
 
 Warm: every worker has made the batch of the scene before the clock runs, as in a sweep of many chunks. Needs two idle
-cores to say anything: it waits some minutes for them, and a load of the machine that stays is published with the figure.
-16 chunks of some 0.4 s of `guarded` behind an encoder, compiled: what a worker does for a chunk is worth far more than
+cores to say anything: it waits for them some minutes; a load of the machine that stays is published with the figure. 16
+chunks of some 0.4 s of `guarded` behind an encoder, compiled: what a worker does for a chunk is worth far more than
 bringing it there.
 """
 
 import os
 import tempfile
 from pathlib import Path
-from time import perf_counter, sleep
+from time import perf_counter
 
+from canhaptic.drive.clock import WallClock
 from canhaptic.scene.load import load_scene
 from canhaptic.study.sweep import sweep
 from canhaptic.study.sweep.workers import Pool
@@ -43,9 +44,9 @@ def seconds(pool: Pool, out: Path) -> float:
 
 def load_at_rest() -> float:
     """Returns the load of the machine once it is idle, or after a while: what ran before still counts for minutes."""
-    begin = perf_counter()
+    clock, begin = WallClock(spin_margin=0.0), perf_counter()
     while os.getloadavg()[0] >= LOAD and perf_counter() - begin < PATIENCE:
-        sleep(1.0)
+        clock.wait_until(clock.now() + 1_000_000_000)
     return os.getloadavg()[0]
 
 
