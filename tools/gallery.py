@@ -130,6 +130,19 @@ GALLERY: Final[tuple[Entry, ...]] = (
         ),
         ("--duration 0.1", ""),
     ),
+    Entry(
+        "The same map with stiction",
+        "Dry friction of 0.3 N in motion and 0.5 N at rest in the guide, and the same encoder of 1 um. The friction "
+        "damps the walls that rattled: at most rates both algorithms render stiffer ones.",
+        (
+            "canhaptic sweep configs/demo.yaml "
+            "--set simulation.effects='[{type: coulomb_friction, kinetic: 0.3 N, static: 0.5 N}]' "
+            "--vary environment.stiffness=100:1e5:log:16 --vary bus.rate=100:3200:log:6 "
+            "--controllers unprotected,guarded --duration 4 --beyond-bus --out map_stiction.h5",
+            "canhaptic map map_stiction.h5 --png map_stiction.png",
+        ),
+        ("--duration 0.1", ""),
+    ),
 )
 
 
@@ -184,7 +197,10 @@ def page() -> str:
 
 
 def _broken(commands: Sequence[str]) -> str:
-    return "\n".join(commands).replace(" --vary", " \\\n    --vary").replace(" --controllers", " \\\n    --controllers")
+    text = "\n".join(commands)
+    for option in (" --vary", " --controllers", " --set simulation.effects"):
+        text = text.replace(option, f" \\\n   {option}")
+    return text
 
 
 def main() -> int:
