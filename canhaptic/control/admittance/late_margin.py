@@ -33,6 +33,9 @@ def margin_memory(latency: int, make_buffer: MakeBuffer) -> MarginMemory:
 def fall(margin: LateMargin, memory: MarginMemory, change: float, taken: float) -> None:
     """Takes the change of W in the hold that ended [J], and what was taken from the account so far [J]."""
     margin.known += change
+    if len(memory.changes) == 1:  # no force comes late
+        memory.before[0] = margin.known + taken
+        return
     place = margin.place + 1
     if place == len(memory.changes):
         place = 0

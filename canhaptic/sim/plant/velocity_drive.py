@@ -311,9 +311,8 @@ class AdmittancePlant(Plant):
     @property
     def force(self) -> float:
         """True force on the mass at the sensor [N or N*m]."""
-        read, places = self._machine.state.item, self._places
-        yielding = read(places[2]) - read(places[3])
-        return -self._stiffness * read(places[1]) - self._damping * yielding
+        read, (_, twist, near, far) = self._machine.state.item, self._places
+        return -self._stiffness * read(twist) - self._damping * (read(near) - read(far))
 
     @property
     def far_velocity(self) -> float:
@@ -336,9 +335,9 @@ class AdmittancePlant(Plant):
 
     def read_force(self) -> float:
         """Returns what the sensor shows now; `ForceReading.take`."""
-        force = self._machine.state.item(self._force_state) if self._force_state >= 0 else self.force
-        elapsed = self._tick * self.sample_time_ns // TICKS
-        return self.reading.take(elapsed, force, self.impulse)
+        read, elapsed = self._machine.state.item, self._tick * self.sample_time_ns // TICKS
+        force = self.force if self._force_state < 0 else read(self._force_state)
+        return self.reading.take(elapsed, force, read(self._places[0]))
 
     def energy(self) -> PlantEnergy:
         """Returns what went through the sensor since the start [J]; `motor` is what the display gave out."""

@@ -5,7 +5,7 @@ smaller of 0x6083 and 0x60C5 allows in that time, or of 0x6084 and 0x60C6 toward
 """
 
 from math import inf
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from canhaptic.canopen.objects import (
     CYCLIC_SYNC_POSITION,
@@ -23,7 +23,7 @@ from canhaptic.canopen.objects import (
 )
 from canhaptic.errors import ParameterError
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters, parse_place
-from canhaptic.sim.drive.profile.object_store import ObjectStore
+from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
 from canhaptic.sim.drive.profile.servo import Motor, Servo
 from canhaptic.sim.drive.profile.state_machine import STATUSWORD as STATUSWORDS
 from canhaptic.sim.drive.profile.state_machine import DriveState
@@ -64,7 +64,7 @@ class DisplayServo(Servo):
         display = parameters.display
         if display is None:
             raise ParameterError("display: got none, expected scale and object of the force for a motor with a sensor")
-        self._target_velocity = store.entry(TARGET_VELOCITY, DataType.INTEGER32)
+        self._target_velocity: Any = store.entry(TARGET_VELOCITY, DataType.INTEGER32)
         self._target_position = store.entry(TARGET_POSITION, DataType.INTEGER32)
         force = None if display.force_object is None else store.find(*parse_place(display.force_object))
         if force is None and display.force_node is None:
@@ -72,12 +72,14 @@ class DisplayServo(Servo):
         self._force, self._per_count, self._force_offset = force, display.force_per_count, display.force_offset_counts
         self._per_velocity_count = parameters.position_sign / (display.velocity_counts or parameters.counts_per_unit)
         self._per_position_count = parameters.position_sign / parameters.counts_per_unit
+        self._speeding: list[Any]
+        self._slowing: list[Any]
         self._speeding, self._slowing = (
             [entry for index in indices if (entry := store.find(index)) is not None]
             for indices in ((PROFILE_ACCELERATION, MAX_ACCELERATION), (PROFILE_DECELERATION, MAX_DECELERATION))
         )
         self._hidden_ramp = display.ramp or inf
-        self._velocity_offset = store.optional(VELOCITY_OFFSET, DataType.INTEGER32)
+        self._velocity_offset: Any = store.optional(VELOCITY_OFFSET, DataType.INTEGER32)
         self._position_offset = store.optional(POSITION_OFFSET, DataType.INTEGER32)
         self._offset = 0  # of the torque that acts [per mille of the rated torque]
         self._ramped = 0.0  # velocity demanded, at the begin of this hold [m/s or rad/s]
@@ -87,16 +89,19 @@ class DisplayServo(Servo):
         self._sampled_at = 0
         self._period = 0.0
         super().__init__(store, motor, parameters)
-        offsets = (self._velocity_offset, self._position_offset)
-        for commanded in (self._target_velocity, self._target_position, *offsets):
+        for commanded in self._commands():
             commanded.changed = self.obey
-            commanded.value = commanded.number
+
+    def _commands(self) -> tuple[Entry, ...]:
+        """Returns the objects that command motion."""
+        return self._target_velocity, self._target_position, self._velocity_offset, self._position_offset
 
     def reset(self) -> None:
         """Returns to the state after power-on: no power; the motor moves on."""
-        for commanded in (self._target_velocity, self._target_position):
+        for commanded in self._commands():
             commanded.value = commanded.number
         super().reset()
+        self._power(self.machine.state)
 
     def update(self, before: DriveState | None = None) -> None:
         """Sets velocity, power and statusword to what state, mode and target ask for."""
@@ -104,27 +109,34 @@ class DisplayServo(Servo):
         word = STATUSWORDS[state]
         if state is DriveState.OPERATION_ENABLED:
             mode = self._mode_display.value
-            self._feed_forward()
+            if self._torque_offset.value != self._offset or not self.is_running:
+                self._feed_forward()
             if mode == CYCLIC_SYNC_VELOCITY:
-                target = self._target_velocity.number + self._velocity_offset.number
+                target = self._target_velocity.value + self._velocity_offset.value  # numbers since `reset`
                 command, word = self._along_ramp(target), word | _FOLLOWS
             elif mode == CYCLIC_SYNC_POSITION:
                 command, word = self._interpolated(), word | _FOLLOWS
         else:
             self._setpoint, self._ramped = None, 0.0
-        if state in _BRAKING:
-            self._braking_since = self.now if self._braking_since < 0 else self._braking_since
-        else:
-            self._braking_since = -1
-        is_on = state is DriveState.OPERATION_ENABLED or state in _BRAKING
-        if command != self.torque or before is not None:
+        if before is not state:
+            self._power(state)
+        if command != self.torque:
             self._move()
             self.torque = command
-            if self.is_running:
-                self.motor.power(on=is_on)
         if word != self._statusword.value or (before is not None and before is not state):
             self._statusword.value = word
             self.has_event = True
+
+    def _power(self, state: DriveState) -> None:
+        """Switches the power stage, and notes when the drive begins to brake."""
+        is_braking = state in _BRAKING
+        if not is_braking:
+            self._braking_since = -1
+        elif self._braking_since < 0:
+            self._braking_since = self.now
+        if self.is_running:
+            self._move()
+            self.motor.power(on=is_braking or state is DriveState.OPERATION_ENABLED)
 
     def _feed_forward(self) -> None:
         """Lets 0x60B2 act; the limit of the torque, 0x6072, is taken over before the motor begins."""
@@ -143,10 +155,13 @@ class DisplayServo(Servo):
     def _along_ramp(self, target: int) -> float:
         """Returns the velocity demanded in this hold [m/s or rad/s]."""
         wanted, before = target * self._per_velocity_count, self._ramped
-        is_speeding = abs(wanted) > abs(before)
-        counts = min([entry.number for entry in (self._speeding if is_speeding else self._slowing)], default=0)
+        if wanted == before or not self._period:
+            return wanted
+        counts = inf
+        for entry in self._speeding if abs(wanted) > abs(before) else self._slowing:
+            counts = min(counts, entry.value or 0)
         most = min(counts * abs(self._per_velocity_count) if counts else inf, self._hidden_ramp) * self._period
-        if not self._period or abs(wanted - before) <= most:
+        if abs(wanted - before) <= most:
             return wanted
         return before + (most if wanted > before else -most)
 
