@@ -107,7 +107,7 @@ def test_a_hold_is_kept_with_what_the_device_dissipated_and_what_the_encoder_lea
 
 
 def test_the_farthest_displacement_is_the_least_that_any_mean_allows() -> None:
-    """Of a true motion that the encoder rounds: each hold goes beyond the one before by no more than forces allow."""
+    """The encoder rounds a true motion: each hold goes beyond the one before by no more than forces allow."""
     used = 0
     for seed in range(60):
         draw = random.Random(seed)
