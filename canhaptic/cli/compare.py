@@ -3,7 +3,7 @@
 import argparse
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
 from canhaptic.cli.arguments import check_picture, scene_of
 from canhaptic.cli.output import note_file, write_json
@@ -17,6 +17,8 @@ from canhaptic.view.energy_table import make_console
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
+
+_Compared = TypeVar("_Compared")
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -88,8 +90,8 @@ def _over_can(
     scene: Scene,
     arguments: argparse.Namespace,
     names_of: Callable[[Sequence[str] | None], list[str]],
-    compared: Callable[..., dict[str, Any]],
-    report: Callable[[dict[str, Any]], "RenderableType"],
+    compared: Callable[..., _Compared],
+    report: Callable[[_Compared], "RenderableType"],
 ) -> int:
     total = cycles_of(scene, arguments.duration) * len(names_of(arguments.algorithms))
     with run_progress(total, scene.bus.sample_time, "free") as progress:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, TypedDict
 
 from canhaptic.cycle import run
 from canhaptic.errors import CanHapticError, InputError, ParameterError
@@ -54,8 +54,20 @@ def accounts_over_can(
     return found
 
 
-def heading_of(scene: Scene, cycles: int, path: str = "can") -> dict[str, Any]:
-    """Returns what a comparison of groups or displays begins with, as plain values; its path is "can" or "direct"."""
+class Heading(TypedDict):
+    """What every comparison begins with."""
+
+    scene: str
+    config_hash: str
+    path: str  # "can", or "direct" without a bus
+    rate: float  # [Hz]
+    delay: int  # [holds]
+    cycles: int
+    duration: float  # [s]
+
+
+def heading_of(scene: Scene, cycles: int, path: str = "can") -> Heading:
+    """Returns what a comparison begins with."""
     return {
         "scene": scene.source,
         "config_hash": scene.config_hash(),

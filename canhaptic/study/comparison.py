@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.study.accounts_over_can import heading_of
 from canhaptic.study.algorithms import able_under, chosen_algorithms, own_algorithms
 from canhaptic.study.batch.engine import WORTH_COMPILING, Engine, chosen_engine
 from canhaptic.study.batch.rendering import render_by, work_of
@@ -89,7 +90,7 @@ def compare(
         AxisComparison(axis.parameters.name, axis.parameters.unit, reference, run)
         for axis, (reference, _), run in zip(scene.axes, references, runs, strict=True)
     )
-    result = _result(scene, cycles, "can" if over_can else "direct")
+    result: dict[str, Any] = {**heading_of(scene, cycles, "can" if over_can else "direct")}
     result["axes"] = {
         axis.name: _account(scene, axis, index, references[index][1], names, remarks[index], cost[index])
         for index, axis in enumerate(axes)
@@ -212,16 +213,4 @@ def _account(
             "force_variation": None if reference is None else reference.variation,
         },
         "algorithms": accounts,
-    }
-
-
-def _result(scene: Scene, cycles: int, path: str) -> dict[str, Any]:
-    return {
-        "scene": scene.source,
-        "config_hash": scene.config_hash(),
-        "path": path,
-        "rate": 1.0 / scene.bus.sample_time,
-        "delay": scene.bus.delay,
-        "cycles": cycles,
-        "duration": cycles * scene.bus.sample_time,
     }

@@ -2,26 +2,44 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any, Final, TypedDict
 
 from rich.console import Group, RenderableType
 from rich.text import Text
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
+from canhaptic.control.verdict import PortResult
+from canhaptic.result import TruthResult
 from canhaptic.scene.models import Scene
-from canhaptic.study.accounts_over_can import accounts_over_can, heading_of, known_algorithms
+from canhaptic.study.accounts_over_can import Heading, accounts_over_can, heading_of, known_algorithms
 from canhaptic.study.algorithms import display_group_under, display_under
 from canhaptic.study.scenes import cycles_of, parts_of
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable
 
-_ROWS: Final[tuple[tuple[str, Callable[[Mapping[str, Any]], str]], ...]] = (
-    ("status", lambda of: str(of["status"])),
+
+class DisplayRunCompared(TypedDict, total=False):
+    """A display under one algorithm; of one that was refused there are only status and remark."""
+
+    status: str
+    remark: str
+    account: PortResult
+    truth: TruthResult
+
+
+class DisplaysCompared(Heading):
+    """All displays of a scene, by algorithm."""
+
+    axes: dict[str, dict[str, DisplayRunCompared]]
+
+
+_ROWS: Final[tuple[tuple[str, Callable[[DisplayRunCompared], str]], ...]] = (
+    ("status", lambda of: of["status"]),
     ("energy in", lambda of: si(of["account"]["in"], "J")),
     ("energy out", lambda of: si(of["account"]["out"], "J")),
     ("energy resolution", lambda of: si(of["account"]["energy_resolution"], "J")),
-    ("passive (eq. 3)", lambda of: str(of["account"]["passive"])),
-    ("weakest certificate", lambda of: str(of["account"]["certificate"]).replace("_", " ")),
+    ("passive (eq. 3)", lambda of: of["account"]["passive"]),
+    ("weakest certificate", lambda of: of["account"]["certificate"].replace("_", " ")),
     ("true interaction", lambda of: si(of["truth"]["interaction"], "J")),
     ("least true interaction", lambda of: si(of["truth"]["least_interaction"], "J")),
 )
@@ -38,7 +56,7 @@ def compare_displays(
     *,
     duration: float | None = None,
     progress: Callable[[int], None] | None = None,
-) -> dict[str, Any]:
+) -> DisplaysCompared:
     """Returns the account of every axis, and of every group, under each algorithm, as plain values.
 
     Args:
@@ -68,14 +86,14 @@ def _scene_under(scene: Scene, name: str) -> Scene:
     return replace(scene, axes=axes, groups=groups)
 
 
-def _of_axis(axis: str, found: Mapping[str, Any]) -> dict[str, Any]:
+def _of_axis(axis: str, found: Mapping[str, Any]) -> DisplayRunCompared:
     if "ports" not in found:
         return {"status": found["status"], "remark": found["remark"]}
     status = f"{found['status']}: {found['remark']}" if found["remark"] else found["status"]
     return {"status": status, "account": found["ports"][axis], "truth": found["truth"][axis]}
 
 
-def display_comparison_report(result: Mapping[str, Any]) -> RenderableType:
+def display_comparison_report(result: DisplaysCompared) -> RenderableType:
     """Returns one table for each axis, one column for each algorithm."""
     parts: list[RenderableType] = [
         Text(f" {result['cycles']} cycles over CAN at {result['rate']:g} Hz, delay {result['delay']} hold(s)")
@@ -93,7 +111,7 @@ def display_comparison_report(result: Mapping[str, Any]) -> RenderableType:
     return Group(*parts)
 
 
-def _cell(cell: Callable[[Mapping[str, Any]], str], of: Mapping[str, Any]) -> str:
+def _cell(cell: Callable[[DisplayRunCompared], str], of: DisplayRunCompared) -> str:
     try:
         return cell(of)
     except KeyError:

@@ -6,17 +6,17 @@ is judged by the plant's own energies alone.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any, Final, TypedDict, cast
 
 from rich.console import Group, RenderableType
 from rich.text import Text
 
 from canhaptic.axis_units import damping_unit
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
-from canhaptic.control.verdict import PASSIVE_TOLERANCE, passive_verdict
+from canhaptic.control.verdict import PASSIVE_TOLERANCE, PortResult, passive_verdict
 from canhaptic.errors import ParameterError
 from canhaptic.scene.models import Scene
-from canhaptic.study.accounts_over_can import Progress, accounts_over_can, heading_of, known_algorithms
+from canhaptic.study.accounts_over_can import Heading, Progress, accounts_over_can, heading_of, known_algorithms
 from canhaptic.study.algorithms import group_under
 from canhaptic.study.batch.engine import WORTH_COMPILING_GROUPS, Engine, chosen_engine
 from canhaptic.study.batch.group_loop import GroupRecorder
@@ -28,6 +28,38 @@ from canhaptic.view.table_style import FigureTable
 _NOTHING: Final = "-"
 
 
+class TrueEnergies(TypedDict):
+    """True energies of a group [J]."""
+
+    interaction: float
+    least_interaction: float
+    believed_error: float
+
+
+class GroupRun(PortResult, total=False):
+    """The account of a group under one algorithm; of one that was refused there are only the first three."""
+
+    status: str
+    remark: str
+    engine: str | None
+    truth: TrueEnergies | None
+
+
+class GroupCompared(TypedDict):
+    """A group under all algorithms."""
+
+    axes: list[str]
+    network: str
+    unit: str
+    algorithms: dict[str, GroupRun]
+
+
+class GroupsCompared(Heading):
+    """All groups of a scene."""
+
+    groups: dict[str, GroupCompared]
+
+
 def compare_groups(
     scene: Scene,
     algorithms: Sequence[str] | None = None,
@@ -35,7 +67,7 @@ def compare_groups(
     duration: float | None = None,
     engine: Engine = "python",
     progress: Callable[[int], None] | None = None,
-) -> dict[str, Any]:
+) -> GroupsCompared:
     """Returns the accounts of every group of a scene under each algorithm, as plain values.
 
     Args:
@@ -78,7 +110,7 @@ def _scene_under(scene: Scene, name: str) -> Scene:
     return replace(scene, groups=tuple(group_under(group, name) for group in scene.groups))
 
 
-_Accounts = dict[str, dict[str, dict[str, Any]]]
+_Accounts = dict[str, dict[str, GroupRun]]
 """By group and algorithm."""
 
 
@@ -87,11 +119,12 @@ def _over_can(scene: Scene, names: Sequence[str], cycles: int, progress: Progres
     return {group.name: {name: _of_group(group.name, found) for name, found in runs.items()} for group in scene.groups}
 
 
-def _of_group(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
-    account: dict[str, Any] = {"status": found["status"], "remark": found["remark"], "engine": "python"}
-    if "ports" not in found:
-        return account
-    return account | {**found["ports"][name], "truth": found["truth"].get(name)}
+def _of_group(name: str, found: Mapping[str, Any]) -> GroupRun:
+    account: GroupRun = {"status": found["status"], "remark": found["remark"], "engine": "python"}
+    if "ports" in found:
+        account.update(found["ports"][name])
+        account["truth"] = found["truth"].get(name)
+    return account
 
 
 def _without_bus(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> _Accounts:
@@ -106,30 +139,28 @@ def _without_bus(scene: Scene, names: Sequence[str], cycles: int, progress: Prog
     return found
 
 
-def _compiled(scene: Scene, name: str, cycles: int) -> dict[str, Any]:
+def _compiled(scene: Scene, name: str, cycles: int) -> GroupRun:
     """Returns the account of one group; whether it was passive is what the plant's own energies say."""
     try:
         run = render_group_by("numba", _scene_under(scene, name), cycles, GroupRecorder(len(scene.axes)))
     except ParameterError as error:
         return {"status": "refused", "remark": str(error), "engine": None}
-    return {
-        "status": run.ended or "completed",
-        "remark": "; ".join(text for text in (run.reason, run.engine.partition(": ")[2]) if text),
-        "engine": run.engine,
-        **run.summary.as_json(scene.bus.sample_time),
-        "passive": passive_verdict(run.least_interaction),
-        "truth": {
-            "interaction": float(run.interaction[-1]) if run.interaction.size else 0.0,
-            "least_interaction": run.least_interaction,
-            "believed_error": run.believed_error,
-        },
+    account = cast("GroupRun", run.summary.as_json(scene.bus.sample_time))  # it has the keys of both
+    account["status"], account["engine"] = run.ended or "completed", run.engine
+    account["remark"] = "; ".join(text for text in (run.reason, run.engine.partition(": ")[2]) if text)
+    account["passive"] = passive_verdict(run.least_interaction)
+    account["truth"] = {
+        "interaction": float(run.interaction[-1]) if run.interaction.size else 0.0,
+        "least_interaction": run.least_interaction,
+        "believed_error": run.believed_error,
     }
+    return account
 
 
 # --- the table ----------------------------------------------------------------------------------------------------
 
 
-def group_comparison_report(result: Mapping[str, Any]) -> RenderableType:
+def group_comparison_report(result: GroupsCompared) -> RenderableType:
     """Returns one table per group: a column per algorithm, a row per figure."""
     heading = Text(" ")
     heading.append(str(result["scene"]), style="bold")
@@ -147,7 +178,7 @@ def group_comparison_report(result: Mapping[str, Any]) -> RenderableType:
     return Group(*parts)
 
 
-def _table(group: Mapping[str, Any]) -> FigureTable:
+def _table(group: GroupCompared) -> FigureTable:
     table = FigureTable(pad_edge=False, padding=(0, 1, 0, 0))
     table.add_column("", no_wrap=True)
     for name in group["algorithms"]:
@@ -159,7 +190,7 @@ def _table(group: Mapping[str, Any]) -> FigureTable:
     return table
 
 
-def _cell(read: Callable[[Mapping[str, Any], str], str | float], account: Mapping[str, Any], unit: str) -> Text:
+def _cell(read: Callable[[GroupRun, str], str | float], account: GroupRun, unit: str) -> Text:
     try:
         value = read(account, unit)
     except (KeyError, TypeError):  # refused, or nothing to measure
@@ -169,21 +200,28 @@ def _cell(read: Callable[[Mapping[str, Any], str], str | float], account: Mappin
     return Text(si(value, "J", 3), style="red" if value < -PASSIVE_TOLERANCE else "")
 
 
-def _damping(account: Mapping[str, Any], unit: str) -> str:
+def _truth(account: GroupRun) -> TrueEnergies:
+    truth = account["truth"]
+    if truth is None:
+        raise KeyError("truth")
+    return truth
+
+
+def _damping(account: GroupRun, unit: str) -> str:
     rendered = account["damping_rendered"]
     return f"{rendered['least']:.3g}..{rendered['most']:.3g} {damping_unit(unit)}"
 
 
-_ROWS: Final[dict[str, Callable[[Mapping[str, Any], str], str | float]]] = {
-    "": lambda account, _: str(account["status"]),
-    "passive (eq. 3)": lambda account, _: str(account["passive"]),
-    "least true sum(h_i)": lambda account, _: float(account["truth"]["least_interaction"]),
-    "least margin of (4)": lambda account, _: float(account["margin"]["value"]),
-    "believed - true": lambda account, _: float(account["truth"]["believed_error"]),
-    "in": lambda account, _: float(account["in"]),
-    "out": lambda account, _: float(account["out"]),
-    "dissipated": lambda account, _: float(account["dissipated"]),
-    "surplus at most": lambda account, _: float(account["surplus"]["max"]),
+_ROWS: Final[dict[str, Callable[[GroupRun, str], str | float]]] = {
+    "": lambda account, _: account["status"],
+    "passive (eq. 3)": lambda account, _: account["passive"],
+    "least true sum(h_i)": lambda account, _: _truth(account)["least_interaction"],
+    "least margin of (4)": lambda account, _: account["margin"]["value"],
+    "believed - true": lambda account, _: _truth(account)["believed_error"],
+    "in": lambda account, _: account["in"],
+    "out": lambda account, _: account["out"],
+    "dissipated": lambda account, _: account["dissipated"],
+    "surplus at most": lambda account, _: account["surplus"]["max"],
     "damping rendered": _damping,
-    "weakest certificate": lambda account, _: str(account["certificate"]).replace("_", " "),
+    "weakest certificate": lambda account, _: account["certificate"].replace("_", " "),
 }

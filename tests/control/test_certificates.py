@@ -12,7 +12,6 @@ from canhaptic.control.certificates.scalar_bounds import (
     device_damping_bound,
     displacement_response,
     hand_force_bound,
-    hand_speed_bound,
     next_displacement,
     renderable_by_device_damping,
     renderable_by_hand_force,
@@ -106,12 +105,6 @@ def test_under_the_device_damping_bound_no_motion_takes_more_than_there_is(energ
     torque = device_damping_bound(energy, damping, sample_time, under_way**2)
     left = energy - under_way * moves[0] - torque * moves[1] + damping / sample_time * (moves[0] ** 2 + moves[1] ** 2)
     assert left >= -1e-9 * (energy + (under_way + torque))
-
-
-def test_the_hand_speed_bound_is_energy_over_the_longest_path():
-    assert hand_speed_bound(2e-3, 0.5, 1e-3) == pytest.approx(4.0)
-    assert hand_speed_bound(2e-3, 0.5, 1e-3, holds=4) == pytest.approx(1.0)
-    assert hand_speed_bound(-1.0, 0.5, 1e-3) == 0.0
 
 
 @pytest.mark.parametrize(("delay", "share"), [(0, 2.0), (1, 6.0)])

@@ -180,18 +180,6 @@ def device_damping_bound(
     return math.sqrt(square / holds) if square > 0.0 else 0.0
 
 
-def hand_speed_bound(budget: float, speed: float, sample_time: float, holds: int = 1) -> float:
-    """Returns the largest torque [N or N*m] with F v_max T holds <= budget.
-
-    Args:
-        budget: Energy that may be taken out, less the worst of the torques under way [J].
-        speed: Largest outward speed of the hand [m/s or rad/s], > 0.
-        sample_time: [s].
-        holds: Holds for which the torque may act before another one arrives.
-    """
-    return budget / (speed * sample_time * holds) if budget > 0.0 else 0.0
-
-
 def renderable_by_hand_force(response: DisplacementResponse, delay: int, torque: float) -> float:
     """Returns the largest static stiffness [N/m or N*m/rad] that the hand-force certificate holds at a torque.
 

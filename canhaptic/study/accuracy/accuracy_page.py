@@ -1,20 +1,17 @@
 """A study of accuracy as one page that any browser opens without a network; drawn by Bokeh, imported on demand."""
 
 import html
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from canhaptic.errors import InputError
 from canhaptic.study.accuracy.accuracy_picture import GROUPS, STYLES, price_of
-from canhaptic.study.accuracy.accuracy_table import advice_lines, heading
+from canhaptic.study.accuracy.accuracy_table import Row, advice_lines, heading
 from canhaptic.view.html_page import require_bokeh, write_page
 
 if TYPE_CHECKING:
     from bokeh.models import Plot
 
-
-Row = Mapping[str, Any]
 
 _TOOLS: Final = "pan,wheel_zoom,box_zoom,reset,save"
 _MARKERS: Final = {"o": "circle", "v": "inverted_triangle", "s": "square", "^": "triangle", "D": "diamond"}

@@ -3,13 +3,13 @@
 Pareto front ringed and joined; the tolerance as a dashed line; a method that is not stable is named in the legend.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from canhaptic.errors import InputError
 from canhaptic.scene.accuracy_choice import FLOOR
-from canhaptic.study.accuracy.accuracy_table import part_of
+from canhaptic.study.accuracy.accuracy_table import Row, part_of
 from canhaptic.study.accuracy.advice import front
 from canhaptic.study.accuracy.candidates import COMPILED, OURS
 from canhaptic.view.palette import BLUE, GREEN, ORANGE, PALE, PURPLE, SKY, VERMILION
@@ -18,8 +18,6 @@ from canhaptic.view.picture_style import drawing, require_matplotlib, save_pictu
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-
-Row = Mapping[str, Any]
 
 STYLES: Final[dict[str, tuple[str, str]]] = {
     OURS: (GREEN, "o"),

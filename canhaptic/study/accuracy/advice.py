@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from canhaptic.scene.accuracy_choice import LEAST_ORDER
+from canhaptic.study.accuracy.accuracy_table import Row
 from canhaptic.study.accuracy.candidates import OURS
 
 _CLOCK: Final = 0.05
 """Time per period below which a saving is not distinguished from zero [us]."""
-Row = Mapping[str, Any]
 
 
 def meets(row: Row, tolerance: float) -> bool:

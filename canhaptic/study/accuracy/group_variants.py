@@ -125,10 +125,10 @@ def _torques(base: Scene) -> list[Variant]:
     found = []
     for factor in (0.1, 10.0, None):
 
-        def change(axis: AxisScene, factor: float | None = factor) -> Mapping[str, Any]:
+        def change(axis: AxisScene, factor: float | None = factor) -> Mapping[str, float | None]:
             return {"torque_quantum": (axis.loop.torque_quantum or 0.0) * (factor or 0.0)}
 
-        def parameters(axis: AxisScene, factor: float | None = factor) -> Mapping[str, Any]:
+        def parameters(axis: AxisScene, factor: float | None = factor) -> Mapping[str, float | None]:
             return {"rated_torque": None if factor is None else (axis.parameters.rated_torque or 0.0) * factor}
 
         setting = "ideal" if factor is None else f"{(quantum or 0.0) * factor:g} {unit}"
@@ -141,10 +141,10 @@ def _encoders(base: Scene) -> list[Variant]:
     found, given = [], base.axes[0].parameters
     for factor in (0.01, 0.1, 10.0, None):
 
-        def change(axis: AxisScene, factor: float | None = factor) -> Mapping[str, Any]:
+        def change(axis: AxisScene, factor: float | None = factor) -> Mapping[str, float | None]:
             return {"encoder_count": 0.0 if factor is None else axis.loop.encoder_count / factor}
 
-        def parameters(axis: AxisScene, factor: float | None = factor) -> Mapping[str, Any]:
+        def parameters(axis: AxisScene, factor: float | None = factor) -> Mapping[str, float | None]:
             return {"counts_per_unit": axis.parameters.counts_per_unit * (factor or 0.0)}
 
         setting = "ideal" if factor is None else f"{1.0 / (abs(given.counts_per_unit) * factor):.3g} {given.unit}"
@@ -153,7 +153,7 @@ def _encoders(base: Scene) -> list[Variant]:
     return found
 
 
-_Changes = Callable[[AxisScene], Mapping[str, Any]]
+_Changes = Callable[[AxisScene], Mapping[str, float | None]]
 
 
 def _with_loops(scene: Scene, loop: _Changes, parameters: _Changes = lambda _axis: {}) -> Scene:

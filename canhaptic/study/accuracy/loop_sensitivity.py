@@ -273,7 +273,7 @@ def loop_row(
     )
 
 
-def _most(values: Any) -> float:
+def _most(values: Array) -> float:
     return float(np.abs(values).max(initial=0.0))
 
 

@@ -9,11 +9,10 @@ from typing import Any, Final
 
 from canhaptic.errors import InputError
 from canhaptic.host.output_file import replacing
-from canhaptic.study.arena.arena_picture import pictures_of
+from canhaptic.study.arena.arena_picture import Found, pictures_of
 from canhaptic.study.arena.standings import COLUMNS
 from canhaptic.study.field_figures import FIELD_FIGURES
 
-Found = Mapping[str, Any]
 _STYLE: Final = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 1.5em auto; max-width: 80em; padding: 0 1em; color: #202020; }
 table { border-collapse: collapse; font-size: 13px; margin-bottom: 2em; }

@@ -18,6 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError
@@ -58,6 +59,8 @@ _METRICS: Final = (
     "contact",
 )
 
+Booleans = NDArray[np.bool_]
+
 
 @dataclass(frozen=True, slots=True)
 class TrialVerdict:
@@ -67,8 +70,8 @@ class TrialVerdict:
     damping_share: Array  # NaN where no damping is asked
     least_interaction: Array  # true, eq. 3 [J]
     least_judged: Array  # that, with what declared damping of the device dissipates at least where it is declared [J]
-    passed: Any
-    nearly: Any  # whether it passes with the tolerance wider by `_SLACK`
+    passed: Booleans
+    nearly: Booleans  # whether it passes with the tolerance wider by `_SLACK`
 
     def last(self) -> "TrialVerdict":
         """Returns that of the last wall alone."""
@@ -210,7 +213,7 @@ def _hand(axis: AxisScene) -> dict[str, float]:
     return {"stiffness": user.stiffness, "damping": user.damping or _HAND["damping"]}
 
 
-def _with_user(scene: Scene, user: dict[str, Any]) -> Scene:
+def _with_user(scene: Scene, user: dict[str, object]) -> Scene:
     """Returns the scene with a wall at the origin, the handle in front of it, and another hand."""
     [axis] = scene.axes
     overrides = [*scene.overrides]

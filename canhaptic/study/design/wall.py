@@ -22,7 +22,16 @@ from canhaptic.study.batch.engine import Engine
 from canhaptic.study.comparison import compare
 from canhaptic.study.design.felt_walls import felt_of
 from canhaptic.study.design.group_trial import GroupTrial
-from canhaptic.study.design.trial import ALGORITHM, DAMPING, DURATION, STIFFEST, STIFFNESS, Trial, TrialVerdict
+from canhaptic.study.design.trial import (
+    ALGORITHM,
+    DAMPING,
+    DURATION,
+    STIFFEST,
+    STIFFNESS,
+    Booleans,
+    Trial,
+    TrialVerdict,
+)
 from canhaptic.study.loop import Array
 from canhaptic.study.sweep.places import places_of
 from canhaptic.study.sweep.workers import Pool
@@ -185,12 +194,12 @@ class _WallSearch:
         """
         walls = np.broadcast_arrays(stiffnesses[:, None, None] * np.array(_BELOW), dampings[:, :, None])
         verdict = self._verdict(*(wall.ravel() for wall in walls))
-        passed, nearly = (found.reshape(walls[0].shape).all(axis=2) for found in (verdict.passed, verdict.nearly))
+        passed, nearly = (np.all(found.reshape(walls[0].shape), axis=2) for found in (verdict.passed, verdict.nearly))
         edges = np.array([_edges(*row) for row in zip(passed, nearly, strict=True)]).clip(0, dampings.shape[1] - 1)
         rows = np.arange(len(dampings))
         return dampings[rows, edges[:, 0]], dampings[rows, edges[:, 1]]
 
-    def below_and_at(self, stiffness: float, damping: float) -> tuple[Any, TrialVerdict]:
+    def below_and_at(self, stiffness: float, damping: float) -> tuple[Booleans, TrialVerdict]:
         """Returns which of some walls below a wall pass, all for one without hidden weakness, and its own verdict.
 
         The walls below are tried with the factor, the wall itself without.
@@ -208,7 +217,7 @@ class _WallSearch:
         return found
 
 
-def _edges(passed: Any, nearly: Any) -> tuple[int, int]:
+def _edges(passed: Booleans, nearly: Booleans) -> tuple[int, int]:
     """Returns the last that passes before any that does not even nearly, -1 for none, and the first that does not."""
     first = int(np.logical_and.accumulate(nearly).sum())
     return int(np.flatnonzero(np.append(True, passed[:first]))[-1]) - 1, first

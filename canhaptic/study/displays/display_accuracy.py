@@ -10,17 +10,20 @@ far it is from one with twice its sample time says how sure it is.
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.drive.clock import WallClock
+from canhaptic.drive.profile.display_parameters import ForceParameters
 from canhaptic.errors import CanHapticError, InputError, ParameterError
 from canhaptic.scene.accuracy_choice import holds_of, simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.sim.plant.force_sensor import SimulatedForceSensor
+from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation
 from canhaptic.study.algorithms import display_group_under, display_under
+from canhaptic.study.displays.display_accuracy_table import ChangeRow, DisplayStudy, PlantRow
 from canhaptic.study.displays.display_equations import integrate, why_no_equations
 from canhaptic.study.displays.display_figures import figures_of
 from canhaptic.study.displays.display_loop import DisplayRun, run_display
@@ -46,7 +49,7 @@ class _Variant(NamedTuple):
     steps: int  # holds of the ideal display in one of its holds
 
 
-def study_display(scene: Scene, name: str | None, duration: float | None, stop: Stop) -> dict[str, Any]:
+def study_display(scene: Scene, name: str | None, duration: float | None, stop: Stop) -> DisplayStudy:
     """Returns the study of one display, or group of displays, as plain values.
 
     Args:
@@ -65,8 +68,8 @@ def study_display(scene: Scene, name: str | None, duration: float | None, stop: 
     alone, holds, steps = parts[name], holds_of(scene, duration), _steps(scene)
     ideal = run_display(_ideal(alone, steps), holds * steps)
     nearly = run_display(_ideal(alone, steps // 2), holds * steps // 2)
-    rows: list[dict[str, Any]] = []
-    found: dict[str, Any] = {
+    rows: list[ChangeRow] = []
+    found: DisplayStudy = {
         "scene": scene.source,
         "axis": name,
         "unit": alone.axes[0].parameters.unit,
@@ -111,18 +114,20 @@ def _apart(run: DisplayRun, ideal: DisplayRun, steps: int) -> tuple[float, float
     return float(position), float(np.abs(np.array(run.energies[:common]) - energies[:common]).max(initial=0.0))
 
 
-def _row(variant: _Variant, ideal: DisplayRun, cycles: int) -> dict[str, Any]:
-    row: dict[str, Any] = {"changed": variant.changed, "to": variant.to}
+def _row(variant: _Variant, ideal: DisplayRun, cycles: int) -> ChangeRow:
+    row: ChangeRow = {"changed": variant.changed, "to": variant.to}
     clock = WallClock()
     begin = clock.now()
     try:
         run = run_display(variant.scene, cycles)
     except CanHapticError as error:
-        return {**row, "status": f"refused: {str(error).splitlines()[0]}"}
+        row["status"] = f"refused: {str(error).splitlines()[0]}"
+        return row
     figures = figures_of(run, variant.scene)
     position, energy = _apart(run, ideal, variant.steps)
     return {
-        **row,
+        "changed": variant.changed,
+        "to": variant.to,
         "status": run.ended or "ok",
         "position_error": position,
         "energy_error": energy,
@@ -134,16 +139,17 @@ def _row(variant: _Variant, ideal: DisplayRun, cycles: int) -> dict[str, Any]:
     }
 
 
-def _plant_row(scene: Scene, axis: AxisScene, holds: int) -> dict[str, Any]:
+def _plant_row(scene: Scene, axis: AxisScene, holds: int) -> PlantRow:
     """Returns how far the plant is from a solver under the commands of the scene's own controller."""
     simulation = simulation_of(axis)
-    row: dict[str, Any] = {"axis": axis.parameters.name}
+    row: PlantRow = {"axis": axis.parameters.name}
     if reason := why_no_equations(simulation):
-        return {**row, "status": f"not compared: no equations for {reason}"}
+        row["status"] = f"not compared: no equations for {reason}"
+        return row
     run, place = run_display(scene, holds), scene.axes.index(axis)
     held = run.held[place :: run.axes]
     exact = integrate(simulation, held, scene.bus.sample_time)
-    row |= {"status": "ok", "position_error": float(np.abs(_positions(run)[:, place] - exact[:, 0]).max())}
+    row["status"], row["position_error"] = "ok", float(np.abs(_positions(run)[:, place] - exact[:, 0]).max())
     if run.axes == 1:
         row["energy_error"] = float(np.abs(np.array(run.energies) - exact[:, 1]).max())
     return row
@@ -183,7 +189,7 @@ def _under(scene: Scene, name: str) -> Scene:
     return replace(scene, axes=tuple(display_under(axis, name) for axis in scene.axes))
 
 
-def _sensed(scene: Scene, **values: Any) -> Scene:
+def _sensed(scene: Scene, **values: float | str) -> Scene:
     """Returns a scene with other properties of the simulated sensor; its sampling is declared too."""
 
     def changed(axis: AxisScene) -> AxisScene:
@@ -198,12 +204,15 @@ def _sensed(scene: Scene, **values: Any) -> Scene:
     return replace(scene, axes=tuple(changed(axis) for axis in scene.axes))
 
 
-def _with(axis: AxisScene, *, force: Any, admittance: Any, counts: float = 1.0, delay: int | None = None) -> AxisScene:
+def _with(
+    axis: AxisScene, *, force: ForceParameters | None, admittance: AdmittanceSimulation | None, counts: float = 1.0,
+    delay: int | None = None,
+) -> AxisScene:  # fmt: skip
     given, simulation = axis.parameters, simulation_of(axis)
     display = given.admittance and given.admittance.model_copy(update={"force": force})
     update = {"admittance": display, "counts_per_unit": counts * given.counts_per_unit}
     drive = simulation.drive
-    if drive.display is not None:
+    if drive.display is not None and force is not None:
         scales = {"force_per_count": force.per_count, "force_offset_counts": force.offset_counts}
         drive = drive.model_copy(update={"display": drive.display.model_copy(update=scales)})
     loop = axis.loop if delay is None else axis.loop.model_copy(update={"delay": delay})

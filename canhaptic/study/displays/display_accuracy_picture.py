@@ -6,17 +6,19 @@ the energy that was given out.
 
 import html
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from canhaptic.errors import InputError
-from canhaptic.study.displays.display_accuracy_table import HEADS, cells, heading
+from canhaptic.study.displays.display_accuracy_table import HEADS, ChangeRow, DisplayStudy, cells, heading
 from canhaptic.view.html_page import require_bokeh, write_page
 from canhaptic.view.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from canhaptic.view.picture_style import drawing, save_picture
 
-Row = Mapping[str, Any]
+if TYPE_CHECKING:
+    from bokeh.models import Plot
+
 
 _COLOURS: Final = {
     "the scene": "#000000", "rate": BLUE, "algorithm": GREEN, "sampling": ORANGE, "sensor": PURPLE, "encoder": SKY,
@@ -29,21 +31,21 @@ class _Figure(NamedTuple):
     """One column of the picture."""
 
     title: str
-    value: Callable[[Row], float]
+    value: Callable[[ChangeRow], float]
     is_steep: bool
 
 
 def _figures(unit: str) -> tuple[_Figure, ...]:
     mass = "kg" if unit == "m" else "kg*m^2"
     return (
-        _Figure(f"largest error of the position [{unit}]", lambda row: float(row["position_error"]), True),
-        _Figure("largest error of the energy [J]", lambda row: float(row["energy_error"]), True),
-        _Figure(f"mass felt [{mass}]", lambda row: float(row["mass_felt"]), False),
-        _Figure("energy given out [J]", lambda row: max(0.0, float(row["given_out"])), False),
+        _Figure(f"largest error of the position [{unit}]", lambda row: row["position_error"], True),
+        _Figure("largest error of the energy [J]", lambda row: row["energy_error"], True),
+        _Figure(f"mass felt [{mass}]", lambda row: row["mass_felt"], False),
+        _Figure("energy given out [J]", lambda row: max(0.0, row["given_out"]), False),
     )
 
 
-def _drawn(result: Row) -> list[Row]:
+def _drawn(result: DisplayStudy) -> list[ChangeRow]:
     """Returns the rows that have figures.
 
     Raises:
@@ -55,12 +57,12 @@ def _drawn(result: Row) -> list[Row]:
     return rows
 
 
-def _name(row: Row) -> str:
+def _name(row: ChangeRow) -> str:
     ended = "" if row["status"] == "ok" else " (ended early)"
     return f"{row['changed']}: {row['to']}".rstrip(": ").replace("_", " ") + ended
 
 
-def draw_display_accuracy(result: Row, path: str | Path) -> None:
+def draw_display_accuracy(result: DisplayStudy, path: str | Path) -> None:
     """Draws a study into a file; its suffix says how (.png, .svg, .pdf).
 
     Raises:
@@ -69,7 +71,7 @@ def draw_display_accuracy(result: Row, path: str | Path) -> None:
     rows, columns = _drawn(result), _figures(result["unit"])
     places = list(range(len(rows)))[::-1]
     with drawing() as figure_type:
-        figure: Any = figure_type(figsize=(14.5, 2.2 + 0.3 * len(rows)), dpi=110, layout="constrained")
+        figure = figure_type(figsize=(14.5, 2.2 + 0.3 * len(rows)), dpi=110, layout="constrained")
         for panel, column in zip(figure.subplots(1, len(columns), sharey=True), columns, strict=True):
             values = [column.value(row) for row in rows]
             for place, row, value in zip(places, rows, values, strict=True):
@@ -86,7 +88,7 @@ def draw_display_accuracy(result: Row, path: str | Path) -> None:
         save_picture(figure, path)
 
 
-def write_display_accuracy_page(result: Row, path: Path) -> None:
+def write_display_accuracy_page(result: DisplayStudy, path: Path) -> None:
     """Writes a study as one self-contained page: the same columns with hover and zoom, and the table.
 
     Raises:
@@ -109,12 +111,12 @@ def write_display_accuracy_page(result: Row, path: Path) -> None:
     write_page(layout, f"{result['scene']} - accuracy", path)
 
 
-def _panel(rows: list[Row], one: _Figure, *, shows_names: bool) -> Any:
+def _panel(rows: list[ChangeRow], one: _Figure, *, shows_names: bool) -> "Plot":
     from bokeh.models import ColumnDataSource, HoverTool
     from bokeh.plotting import figure
 
     names, values = [_name(row) for row in rows], [one.value(row) for row in rows]
-    panel: Any = figure(
+    panel = figure(
         width=480 if shows_names else 300, height=110 + 22 * len(rows), y_range=names[::-1], x_axis_label=one.title,
         x_axis_type="log" if one.is_steep else "linear", tools="pan,wheel_zoom,box_zoom,reset,save",
     )  # fmt: skip

@@ -1,7 +1,6 @@
 """A study of the accuracy of an admittance display as tables, on a terminal and as Markdown."""
 
-from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final, TypedDict
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -10,12 +9,58 @@ from rich.text import Text
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable
 
-Row = Mapping[str, Any]
+
+class DisplayReference(TypedDict):
+    """The ideal display."""
+
+    ended: str
+    travel: float  # [m or rad]
+    energy: float  # [J]
+    apart: float  # with twice its sample time [m or rad]
+
+
+class PlantRow(TypedDict, total=False):
+    """How far the plant of an axis is from a solver."""
+
+    axis: str
+    status: str
+    position_error: float  # [m or rad]
+    energy_error: float  # [J]
+
+
+class ChangeRow(TypedDict, total=False):
+    """A display with one thing changed, against the ideal one; of a refused one no figures."""
+
+    changed: str
+    to: str
+    status: str
+    position_error: float  # [m or rad]
+    energy_error: float  # [J]
+    mass_felt: float  # [kg or kg*m^2]
+    given_out: float  # [J]
+    guard_acts: float  # part of the holds
+    energy_unsure: float  # [J]
+    us_per_cycle: float
+
+
+class DisplayStudy(TypedDict):
+    """The accuracy of one display, or group of displays."""
+
+    scene: str
+    axis: str
+    unit: str
+    rate: float  # [Hz]
+    holds: int
+    reference: DisplayReference
+    plant: list[PlantRow]
+    loop: list[ChangeRow]
+    status: str
+
 
 HEADS: Final = ("changed", "to", "position", "energy", "mass felt", "given out", "guard acts", "us")
 
 
-def display_accuracy_report(result: Row) -> RenderableType:
+def display_accuracy_report(result: DisplayStudy) -> RenderableType:
     """Returns the tables of a study for a terminal."""
     table = FigureTable(keys=2, pad_edge=False)
     for index, head in enumerate(HEADS):
@@ -25,7 +70,7 @@ def display_accuracy_report(result: Row) -> RenderableType:
     return Group(*(Text(f" {line}") for line in heading(result)), table)
 
 
-def display_accuracy_markdown(result: Row) -> str:
+def display_accuracy_markdown(result: DisplayStudy) -> str:
     """Returns the same as Markdown."""
     lines = [*(f"{line}  " for line in heading(result)), "", "| " + " | ".join(HEADS) + " |", "|---" * len(HEADS) + "|"]
     lines += ["| " + " | ".join(_whole(cells(row, result["unit"]))) + " |" for row in result["loop"]]
@@ -36,7 +81,7 @@ def _whole(row: list[str]) -> list[str]:
     return [cell.replace("|", "\\|") for cell in row] + [""] * (len(HEADS) - len(row))
 
 
-def heading(result: Row) -> list[str]:
+def heading(result: DisplayStudy) -> list[str]:
     """Returns what was studied, against what, and how far the plant is from a solver."""
     unit, reference = result["unit"], result["reference"]
     lines = [
@@ -54,7 +99,7 @@ def heading(result: Row) -> list[str]:
     return lines
 
 
-def cells(row: Row, unit: str) -> list[str]:
+def cells(row: ChangeRow, unit: str) -> list[str]:
     """Returns a row of the table; one that was refused has two cells."""
     if "position_error" not in row:
         return [row["changed"], f"{row['to']}: refused"]

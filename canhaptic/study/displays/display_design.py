@@ -6,7 +6,7 @@ A mass passes where every hand feels it within the tolerance, and no more energy
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final, TypedDict
 
 import numpy as np
 import yaml
@@ -19,6 +19,7 @@ from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameter
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import CheckFailedError, InputError
 from canhaptic.scene.accuracy_choice import simulation_of
+from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import display_properties
 from canhaptic.study.displays.display_figures import display_figures
@@ -35,11 +36,35 @@ _METRICS: Final = ("mass_felt", "mass_felt.share", "least_interaction", "guard_a
 
 Progress = Callable[[int, int], None]
 _Figures = dict[str, float]
+_Shares = TypedDict("_Shares", {"mass_felt.share": list[float]}, total=False)
+
+
+class DisplayDesign(_Shares, total=False):
+    """The lightest mass of a display, and what it costs with the worst of all hands."""
+
+    mass: float
+    unit: str
+    never_acts: float  # mass from which the guard never acts
+    least_interaction: float  # [J]
+    energy_allowance: float  # [J]
+    guard_acts: float  # part of the holds
+    uncertified: float  # part of the holds
+    hands: int
+    passes: list[float]  # least and largest mass that passes
+
+
+class DisplayDesigns(TypedDict):
+    """The designs of all displays of a scene."""
+
+    scene: str
+    margin: float
+    tolerance: float
+    displays: dict[str, DisplayDesign]
 
 
 def design_displays(
     scene: Scene, margin: float, tolerance: float, progress: Progress = lambda _tried, _most: None
-) -> dict[str, Any]:
+) -> DisplayDesigns:
     """Returns the lightest mass for each display, and group of displays, of a scene, as plain values.
 
     Args:
@@ -104,7 +129,7 @@ class _Trial:
         return 1e9 if np.isnan(shares).any() else max(shares)
 
 
-def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, dict[str, Any]]]:
+def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, DisplayDesign]]:
     """Yields (masses tried so far, what is known of the lightest), from heavy to light.
 
     Raises:
@@ -112,7 +137,7 @@ def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, dict[str, Any]]
     """
     low, high = (share * trial.never_acts for share in _RANGE)
     tried, most, nearest = 0, 0.0, (1e9, low, [_Figures()])
-    found: dict[str, Any] = {}
+    found: DisplayDesign = {}
     for places in _PLACES:
         passed = 0.0
         for mass in np.geomspace(low, high, places)[::-1].tolist():
@@ -130,7 +155,9 @@ def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, dict[str, Any]]
             raise CheckFailedError(f"{trial.name}: {_why(nearest[2], nearest[1], trial)}")
         high = passed or high
     mass = _rounded_up(high * (1.0 + margin))
-    yield tried + 1, _account(trial, mass, trial.figures(mass)) | {"passes": [high, most]}
+    found = _account(trial, mass, trial.figures(mass))
+    found["passes"] = [high, most]
+    yield tried + 1, found
 
 
 def _why(figures: list[_Figures], mass: float, trial: _Trial) -> str:
@@ -143,7 +170,7 @@ def _why(figures: list[_Figures], mass: float, trial: _Trial) -> str:
     )
 
 
-def _account(trial: _Trial, mass: float, figures: list[_Figures]) -> dict[str, Any]:
+def _account(trial: _Trial, mass: float, figures: list[_Figures]) -> DisplayDesign:
     """Returns what a mass is and costs; the worst of all hands."""
     shares = [of["mass_felt.share"] for of in figures]
     return {
@@ -194,7 +221,7 @@ def _held(axis: AxisScene, grip: float, stiffness: float) -> AxisSimulation:
 
 
 def _with_mass(scene: Scene, mass: float) -> Scene:
-    def heavier(spec: Any) -> Any:
+    def heavier(spec: ComponentSpec) -> ComponentSpec:
         return spec._replace(parameters=spec.parameters.model_copy(update={"mass": mass}))
 
     if scene.groups:
@@ -209,13 +236,13 @@ def _rounded_up(value: float) -> float:
     return float(f"{np.ceil(value / unit * (1.0 - 1e-12)) * unit:.{_DIGITS}g}")
 
 
-def display_snippet(found: dict[str, Any]) -> str:
+def display_snippet(found: DisplayDesign) -> str:
     """Returns the mass as YAML for a scene."""
     environment = {"type": "virtual_mass", "mass": f"{found['mass']:g} {found['unit']}"}
     return str(yaml.safe_dump({"environment": environment}, sort_keys=False))
 
 
-def display_design_report(result: dict[str, Any]) -> RenderableType:
+def display_design_report(result: DisplayDesigns) -> RenderableType:
     """Returns what a terminal shows of a design; `result` as `design_displays` returns it."""
     heading = Text(" ")
     heading.append(str(result["scene"]), style="bold")

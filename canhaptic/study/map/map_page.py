@@ -3,10 +3,11 @@
 import html
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from canhaptic.study.loop import Array
 from canhaptic.study.map.panel import Cells, Lines, Panel, common_limits
 from canhaptic.view.html_page import require_bokeh, write_page
 
@@ -109,7 +110,7 @@ def _cells(place: "Plot", panel: Cells, limits: tuple[float, float]) -> None:
     place.add_layout(ColorBar(color_mapper=mapper, title=panel.value_label, title_text_font_size="8pt"), "right")
 
 
-def _quads(panel: Cells) -> dict[str, Any]:
+def _quads(panel: Cells) -> dict[str, Array]:
     x, y = panel.edges()
     rows, columns = panel.values.shape
     return {

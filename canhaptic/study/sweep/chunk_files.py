@@ -9,15 +9,15 @@ import os
 import shutil
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 from zipfile import BadZipFile
 
 import numpy as np
-from numpy.typing import NDArray
 
 from canhaptic.errors import LogFormatError, LogWriteError
+from canhaptic.logs import hdf5
 
-Columns = dict[str, NDArray[Any]]
+Columns = dict[str, hdf5.Array]
 """Path of a column in the file of the sweep -> its part in a chunk."""
 
 KEPT: Final = "what was finished is kept, --resume goes on"
@@ -63,7 +63,7 @@ class ChunkFiles:
             ) from error
         return descriptor
 
-    def read(self, chunk: int, column: str) -> NDArray[Any]:
+    def read(self, chunk: int, column: str) -> hdf5.Array:
         """Returns a column of a chunk.
 
         Raises:

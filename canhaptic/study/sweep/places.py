@@ -3,8 +3,6 @@
 A key that names its place in full (`axes.0.environment.stiffness`, `bus.rate`) is that place alone.
 """
 
-from typing import Any
-
 from canhaptic.scene.diagnostics import Diagnostics
 from canhaptic.scene.document import MarkedList, MarkedMapping, parse_yaml
 from canhaptic.scene.layout import OWN_SECTIONS, SIMULATION_PARTS
@@ -63,14 +61,14 @@ def _places(document: MarkedMapping, key: str) -> tuple[str, ...]:
     return (key,)
 
 
-def _shared(owner: Any, name: str, key: str, own: list[str]) -> tuple[str, ...]:
+def _shared(owner: object, name: str, key: str, own: list[str]) -> tuple[str, ...]:
     """Returns the shared place where there is one, or where no axis has one of its own."""
     return (key,) if _has(owner, name) or not own else ()
 
 
-def _entries(value: Any) -> list[Any]:
+def _entries(value: object) -> list[object]:
     return list(value) if isinstance(value, MarkedList) else []
 
 
-def _has(value: Any, name: str) -> bool:
+def _has(value: object, name: str) -> bool:
     return isinstance(value, MarkedMapping) and isinstance(value.get(name), MarkedMapping)

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.errors import InputError, LogFormatError, LogWriteError
+from canhaptic.logs import hdf5
 from canhaptic.study.loop import Array
 from canhaptic.study.sweep.chunk import ENGINES, SLOTS, STATUS, ChunkResult
 from canhaptic.study.sweep.chunk_files import KEPT, ChunkFiles, write_error
@@ -133,7 +134,7 @@ class SweepTable:
         """Returns the texts that a key may be; `numbers` are indices in them."""
         return [str(text) for text in json.loads(self._file[f"values/{_name(key)}"].attrs["texts"])]
 
-    def numbers(self, key: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+    def numbers(self, key: str, start: int = 0, stop: int | None = None) -> hdf5.Array:
         """Returns the index of every scene's text of a key whose values are texts, shape (n,)."""
         return np.asarray(self._file[f"values/{_name(key)}"][start:stop])
 
@@ -174,7 +175,7 @@ class SweepTable:
         Raises:
             LogWriteError: The disk refuses; what was finished before stays.
         """
-        columns: dict[str, NDArray[Any]] = {_path_of(name): values for name, values in result.figures.items()}
+        columns: dict[str, hdf5.Array] = {_path_of(name): values for name, values in result.figures.items()}
         columns |= {"status": result.status, "engine": result.engine, "remark": result.remark}
         texts = np.zeros(SLOTS, dtype=f"S{_TEXT_BYTES}")
         texts[: len(result.texts)] = [_cut(text) for text in result.texts]
@@ -199,7 +200,7 @@ class SweepTable:
         self._file = _opened(self.path)
         self._chunks.clear()
 
-    def _column(self, path: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+    def _column(self, path: str, start: int = 0, stop: int | None = None) -> hdf5.Array:
         """Returns a column, with what is not merged yet."""
         found = np.asarray(self._file[path][start:stop])
         places = {"texts": SLOTS, "done": 1}.get(path, self.chunk)  # of a chunk
@@ -288,16 +289,16 @@ def _flush(path: Path) -> None:
         os.close(descriptor)
 
 
-def _made(path: Path) -> Any:
+def _made(path: Path) -> h5py.File:
     return h5py.File(path, "w", libver=("earliest", "v110"), locking=False)
 
 
-def _copy_attributes(source: Any, target: Any) -> None:
+def _copy_attributes(source: h5py.Group, target: h5py.Group) -> None:
     for name in sorted(source.attrs):
         target.attrs[name] = source.attrs[name]
 
 
-def _lay_out(file: Any, points: Points, chunk: int, columns: Columnset) -> None:
+def _lay_out(file: h5py.File, points: Points, chunk: int, columns: Columnset) -> None:
     """Makes all columns: the values, and empty ones for the results, which take no room yet."""
     count, chunks = len(points), -(-len(points) // chunk)
     file.attrs["format"], file.attrs["format_version"], file.attrs["chunk"] = _FORMAT, _VERSION, chunk
@@ -319,7 +320,7 @@ def _lay_out(file: Any, points: Points, chunk: int, columns: Columnset) -> None:
     _write_values(file, points)
 
 
-def _write_values(file: Any, points: Points) -> None:
+def _write_values(file: h5py.File, points: Points) -> None:
     for start in range(0, len(points), _BLOCK):
         stop = min(len(points), start + _BLOCK)
         for (key, column), varied in zip(points.columns(start, stop).items(), points.varied, strict=True):
@@ -328,7 +329,7 @@ def _write_values(file: Any, points: Points) -> None:
             file[f"values/{_name(key)}"][start:stop] = np.asarray(values)
 
 
-def _opened(path: Path) -> Any:
+def _opened(path: Path) -> h5py.File:
     try:
         file = h5py.File(path, "r", locking=False)
     except (OSError, RuntimeError) as error:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing.connection import wait
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
@@ -25,7 +25,7 @@ _CONNECT: Final = 10.0
 class SerialExecutor(Executor):
     """Runs what is submitted at once, in this thread."""
 
-    def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+    def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
         """Returns a future that is done."""
         future: Future[T] = Future()
         try:

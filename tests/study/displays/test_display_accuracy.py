@@ -84,6 +84,7 @@ def test_picture_page_and_markdown_show_every_change(tmp_path: Path, capsys: pyt
         assert f"| {row['changed']} | {row['to']}" in "\n".join(rows)
         assert row["to"] in page
     assert "position" in page
-    nothing = {**found, "loop": []}
+    nothing = found.copy()
+    nothing["loop"] = []
     with pytest.raises(InputError, match="nothing was measured"):
         draw_display_accuracy(nothing, tmp_path / "none.png")
