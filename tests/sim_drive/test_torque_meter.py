@@ -111,11 +111,10 @@ def test_the_energy_of_a_measured_torque_is_known_to_its_bound(lag: float, quirk
             assert 0.0 < experiment.cycle.judge.believed_error[0] <= drive.read_back_bound
 
 
-_LOSE_RPDOS = "simulation.bus={drop: 0.1, direction: to_drive, ids: [0x201]}"
-
-
-def test_where_nothing_is_read_back_lost_commands_are_within_the_bound() -> None:
-    overrides = ["axes.0.read_back=none", _LOSE_RPDOS, "environment.side=above", "environment.stiffness=400"]
+@pytest.mark.parametrize("lost", ["direction: to_drive, ids: [0x201]", "ids: [0x181, 0x201]"])
+def test_where_nothing_is_read_back_lost_commands_are_within_the_bound(lost: str) -> None:
+    overrides = ["axes.0.read_back=none", "environment.side=above", "environment.stiffness=400"]
+    overrides += [f"simulation.bus={{drop: 0.1, {lost}}}"]
     with build(load_scene(DEMO, [*overrides, "passivity={algorithm: unprotected}"])) as experiment:
         errors = []
 
