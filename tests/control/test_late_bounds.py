@@ -7,6 +7,7 @@ from typing import NamedTuple
 import pytest
 
 from canhaptic.control.certificates.hold_timing import hold_timing
+from canhaptic.control.certificates.late_reach import LateMotion, by_reach_of_late
 from canhaptic.control.certificates.late_torque import (
     for_every_hand,
     free_of_late,
@@ -298,3 +299,42 @@ def best_of(case: Case, sign: float, speed: float) -> tuple[float, bool]:
     if budget > 0.0 and speed > 0.0:
         found.append(known.friction + (budget / speed - known.late * older) / longest)
     return max(found), is_tight
+
+
+@pytest.mark.parametrize("losses", [1, 3])
+def test_a_torque_that_may_be_held_on_takes_what_is_left_in_the_worst_number_of_holds(losses: int) -> None:
+    """n sum(D) + g (X_1 + c sum(X)) + n x and the tail (n + c g) X, for as many holds as it may act in."""
+    used = 0
+    for seed in range(150):
+        case = case_of(seed, losses=(losses,))
+        known, r, draw = case.known, case.known.response, random.Random(seed)
+        if not known.by_hand_force:
+            continue
+        motion = LateMotion(draw.uniform(-6e-5, 3e-5), draw.uniform(0.0, 2.0), draw.uniform(0.0, 3.0), 0.0)
+        friction, energy, hand = draw.choice([0.0, 0.7]), draw.uniform(0.0, 3e-3), r.hand
+        older, inward_now = max(0.0, motion.highest - friction), max(0.0, -motion.displacement)
+        base = after(case, motion.displacement, motion.counted, r.late * motion.highest, hand)
+        falls = (1.0 - r.retained) * max(0.0, -base)
+        first = r.share * max(0.0, motion.displacement) + r.tail_before * motion.counted + r.tail_hand * hand
+        first += r.tail_during * motion.highest
+
+        def needs(net: float, holds: int) -> float:
+            torque, moved, rise, whole, ahead, gains = net + friction, base, r.during, 0.0, 0.0, 0.0  # noqa: B023
+            for number in range(holds):
+                if number:
+                    moved = moved * (r.growth if moved > 0.0 else 1.0) + hand + falls  # noqa: B023
+                    rise = r.growth * rise + r.before + r.during  # noqa: B023
+                whole, ahead, gains = whole + moved + rise * torque, ahead + max(0.0, moved), gains + rise
+            late = r.behind * (inward_now + known.left * (holds - 1) * max(0.0, -base))  # noqa: B023
+            reach = r.share * (ahead + gains * torque) + r.tail_hand * hand  # noqa: B023
+            reach += (r.tail_before + r.tail_during) * (motion.highest + torque)  # noqa: B023
+            early = older * (first + r.tail_during * torque)  # noqa: B023
+            return net * (whole + late) + early + (net + known.left * older * holds) * reach  # noqa: B023
+
+        if max(needs(0.0, holds) for holds in range(1, losses + 2)) > energy:
+            continue
+        expected = largest(lambda net: max(needs(net, holds) for holds in range(1, losses + 2)), energy)
+        found = by_reach_of_late(known, hand, motion, friction, energy)
+        assert found == pytest.approx(expected, rel=1e-6, abs=1e-9), seed
+        used += 1
+    assert used > 30
