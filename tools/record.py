@@ -137,6 +137,17 @@ RECORDINGS: Final = {
         (*_GROUP_AT_A_BOUND, "groups.0.passivity.max_consecutive_losses=1"),
         loses=lambda number: number % 23 == 11,
     ),
+    "bound_late_lossy_group": Plan(
+        "configs/xy_box.yaml",
+        1.0,
+        (
+            *_GROUP_AT_A_BOUND,
+            "bus.rpdo=event",
+            *(f"groups.0.passivity.{key}={value}" for key, value in _LATE.items()),
+            "groups.0.passivity.max_consecutive_losses=1",
+        ),
+        loses=lambda number: number % 23 == 11,
+    ),
     "bound_display": Plan("configs/admittance/virtual_mass.yaml", 0.8, _LIGHT_DISPLAY),
     "bound_display_force": Plan(
         "configs/admittance/virtual_mass.yaml", 0.8, (*_LIGHT_DISPLAY, "passivity.largest_hand_force=40")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from canhaptic.control.balance import AT_REST, Certificate
+from canhaptic.control.certificates.certified_torque import free_energy, largest_torques
 from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, displacement_response, next_displacement
 from canhaptic.control.certificates.sum_of_certificates import largest_in_sum, taken
 from canhaptic.control.certificates.torque_bound import BoundMemory, Declared, TorqueBound, bound_memory
@@ -63,6 +64,40 @@ def test_the_largest_torque_is_where_what_is_taken_meets_what_is_left(seed):
     for torque, is_left in ((0.999 * largest, True), (1.001 * largest + 1e-6, False)):
         left = energy + bound.dissipated - needed(known, bound, memory, torque)
         assert (left >= -ROUNDING) is is_left or (is_left and torque <= known.friction)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_by_the_hand_force_alone_the_largest_torque_is_that_of_the_sum(sign):
+    for seed in range(150):
+        draw = random.Random(seed)
+        known = declared(hand_force=draw.choice([0.0, 5.0]), delay=draw.choice([0, 1, 3]))
+        known = replace(known, response=replace(known.response, push=draw.choice([7.0, math.inf])))
+        bound = TorqueBound(displacement=draw.uniform(-2e-4, 2e-4), torque=draw.uniform(-3.0, 3.0), blur=1e-6)
+        bound.out, bound.turning = draw.choice([1.0, -1.0]), draw.choice([0, 0, 1])
+        memory = bound_memory(known, [draw.uniform(-1.0, 1.0) for _ in range(4)], list_of_zeros)
+        energy = draw.uniform(-1e-4, 2e-3)
+        expected = largest_in_sum(known, bound, memory, sign, energy)
+        found = largest_torques(replace(known, by_hand_force_alone=True), bound, memory, sign, energy)
+        assert found == pytest.approx(expected, rel=1e-9), seed
+        assert found[1] == 0.0
+
+
+def test_free_is_what_torques_under_way_in_both_directions_leave():
+    for seed in range(80):
+        draw = random.Random(seed)
+        known = declared(hand_force=5.0, damping=draw.choice([0.0, 0.5]), delay=2)
+        bound = TorqueBound(displacement=draw.uniform(-2e-4, 2e-4), torque=draw.uniform(-3.0, 3.0), dissipated=1e-4)
+        under_way = [draw.uniform(-1.0, 1.0) for _ in range(3)]
+        memory, left = bound_memory(known, under_way, list_of_zeros), 1e-3 + 1e-4
+        for sign in (1.0, -1.0):
+            hand = known.response.push if sign * bound.out < 0.0 else known.response.hand
+            way, before, total, worst = sign * bound.displacement, sign * bound.torque, 0.0, 0.0
+            for torque in under_way[:2]:
+                way = next_displacement(way, before, sign * torque, known.response, hand)
+                total += taken(known, sign * torque, way) if sign * torque > 0.0 else 0.0
+                before, worst = sign * torque, max(worst, total)
+            left -= worst
+        assert free_energy(known, bound, memory, 1e-3) == pytest.approx(max(0.0, left))
 
 
 def needed(known: Declared, bound: TorqueBound, memory: BoundMemory, torque: float) -> float:
