@@ -13,7 +13,8 @@ from canhaptic.control.environments.damper_wall import DamperWall
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
-from canhaptic.control.passivity.hold_account import Axis, Hold, HoldAccount, surplus_after
+from canhaptic.control.passivity.hold_account import Axis, Hold, HoldAccount, let_samples_pass, surplus_after
+from canhaptic.control.passivity.in_flight import Commands
 from canhaptic.control.passivity.settlement import settle
 
 T, MASS, PULL = 1e-3, 0.25, 5.0
@@ -148,3 +149,13 @@ def test_a_torque_that_was_cut_has_as_much_less_of_its_damper_in_it(share: float
         torque = balance.torque
     assert torque > 0.5
     assert dissipated == pytest.approx([0.0] * 6, abs=1e-9)
+
+
+def test_lost_samples_let_the_commands_pass_as_far_as_the_limit_lets_them_act() -> None:
+    """Of each hold lost, the difference of its torque from the last one over the whole way and that before."""
+    commands = Commands([5.0, 1.0], [0.5, 0.1], [0.0, 0.0])
+    axis = Axis(oldest=0, missed=3, moved=-2e-4)
+    found = let_samples_pass(axis, commands, 1e-4, -1.0, 3.0)
+    assert found == pytest.approx(((3.0 + 1.0) + (1.0 + 1.0) + (1.0 + 1.0)) * (1e-4 + 3 * 2e-4))
+    assert (axis.missed, axis.oldest) == (0, 1)
+    assert (commands.torques, commands.dampers) == ([1.0, 1.0], [0.1, 0.1])

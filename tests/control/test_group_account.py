@@ -51,14 +51,15 @@ def close(found: float, expected: float) -> bool:
 
 
 def group_of(seed: int, **given: Any) -> Group:
-    """A group whose holds are exact."""
+    """A group whose torques are never late."""
     draw = random.Random(seed)
+    jitter = draw.choice([0.0, 0.03])
     damped, count, pull = draw.choice([0.0, 2.0]), draw.choice([0.0, 1e-6]), draw.choice([None, 5.0])
     bound = draw.choice([2.0, 8.0])
     loops = tuple(
         LoopProperties(
             sample_time=T, delay=DELAY, moving_mass=mass, encoder_count=count, device_damping=damped * mass or None,
-            device_damping_bound=bound,
+            device_damping_bound=bound, sync_jitter=jitter,
         )
         for mass in (0.25, 0.6)
     )  # fmt: skip
@@ -98,7 +99,7 @@ def test_a_hold_of_a_group_counts_what_each_device_dissipated_and_each_encoder_l
             loop, torque = group.loops[i], ended.applied[i]
             if damps or coarse:
                 path = max(0.0, abs(ended.displacement[i]) - loop.encoder_count)
-                earned += (loop.device_damping or 0.0) / T * path**2
+                earned += (loop.device_damping or 0.0) / loop.timing.longest * path**2
                 counted += 0.5 * loop.encoder_count * abs(torque - memory.torques[i])
                 open_ends += 0.5 * loop.encoder_count * abs(torque)
         assert end_group_hold(group.settings, group.account, memory, ended) == 0.0
@@ -123,15 +124,17 @@ def test_lost_samples_of_a_group_are_in_doubt_by_each_axis_for_itself(missed: in
             loop, moved = group.loops[i], ended.displacement[i]
             most, count = largest(group, missed, i), loop.encoder_count
             step = math.sqrt(axes.before[i] + axes.during[i]) * (norm + axes.hand) if group.pull else 0.0
-            gap = Gap(holds, moved, memory.displacement[i], count, memory.blur[i] + count, step, axes.lost[i])
+            start, growth = abs(memory.displacement[i]) + memory.blur[i] + count, axes.timing.growth
+            excursion = abs(moved) + count + holds * (start * growth + holds * step)
+            uneven = (growth - 1.0) * excursion
+            error, blur = count + holds * uneven, memory.blur[i] + count + uneven
+            gap = Gap(holds, moved, memory.displacement[i], error, blur, step, axes.lost[i])
             doubt += doubt_of_axis(axes, memory, ended, gap, missed, i)
-            excursion = (
-                abs(moved) + count + holds * (abs(memory.displacement[i]) + memory.blur[i] + count + holds * step)
-            )
-            blurs.append(0.5 * missed * step + axes.lost[i] * holds * excursion if group.pull else 0.0)
+            lost = axes.lost[i] * holds * excursion + uneven
+            blurs.append(0.5 * missed * step + lost if group.pull else 0.0)
             changes += holds * count * most
             unsure += 0.5 * count * abs(ended.applied[i])
-            earned += (loop.device_damping or 0.0) / T * max(0.0, abs(moved) - count) ** 2 / holds
+            earned += axes.damping[i] * max(0.0, abs(moved) - count) ** 2 / holds
             assert largest_of(memory, ended, missed, i) == most
         found, further = end_group_gap(group.settings, group.account, memory, ended, missed)
         assert close(found, doubt)
@@ -160,7 +163,7 @@ def test_in_each_lost_hold_any_torque_sent_until_then_may_have_acted(missed: int
                 if group.pull:
                     total += max(doubt_of(gap, hold, torque, last) for torque in sent)
                 elif axes.path > 0.0:
-                    total += max(map(abs, apart)) * 0.3 * T
+                    total += max(map(abs, apart)) * 0.3 * group.loops[0].timing.longest
                 else:
                     total += max(more * gap.moved + abs(more) * gap.error for more in apart) / gap.holds
                     total += max(more**2 for more in apart) / (4.0 * b)

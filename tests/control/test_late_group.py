@@ -2,6 +2,7 @@
 
 import math
 import random
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import pytest
@@ -62,7 +63,7 @@ def group_of(seed: int) -> Group:
     return Group(axes, memory, rows, [draw.uniform(-3.0, 3.0), draw.choice([0.0, draw.uniform(-3.0, 3.0)])])
 
 
-def passed(axes: AxisLimits, older: Range, held: list[float]) -> Range:
+def passed(axes: AxisLimits, older: tuple[Sequence[float], Sequence[float]], held: Sequence[float]) -> Range:
     """The range of torques after a hold: of what exceeds the torque held, c is left."""
     pairs = list(zip(axes.timing.left, held, strict=True))
     high = [f + c * max(0.0, g - f) for (c, f), g in zip(pairs, older[0], strict=True)]
