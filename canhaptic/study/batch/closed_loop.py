@@ -7,9 +7,11 @@ by the exact flow of one hold, its rows summed term by term; for one with events
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import inf, isfinite
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
+from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.environment import Environment
+from canhaptic.control.passivity.hold_account import Axis
 from canhaptic.kernels import Buffer, new
 from canhaptic.sim.plant.effects.encoder_noise import noise, uniform
 from canhaptic.sim.plant.propagator import TICKS
@@ -95,6 +97,12 @@ class Interruption:
     lost_to_master: bool = False
 
 
+class AxisState(Protocol):
+    """What every algorithm remembers of its axis."""
+
+    axis: Axis
+
+
 class LinearPlant(NamedTuple):
     """A plant that moves by one flow."""
 
@@ -112,14 +120,14 @@ class LinearPlants(NamedTuple):
     moved: Buffer
 
 
-def begin_plant(plants: Any, row: int) -> None:
+def begin_plant(plants: LinearPlants, row: int) -> None:
     """Puts the plant of a loop to its start."""
     start = plants.starts[row % len(plants.starts)]
     for place in range(len(plants.state)):
         plants.state[place] = start[place]
 
 
-def plant_at(plants: Any, row: int) -> Any:
+def plant_at(plants: LinearPlants, row: int) -> LinearPlant:
     """Returns the plant of a loop."""
     return LinearPlant(plants.flows[row % len(plants.flows)], plants.state, plants.moved)
 
@@ -190,20 +198,20 @@ def is_lost(losses: Losses, was_lost: bool, tick: int) -> bool:
 
 
 def step(
-    environment: Environment, settings: Any, state: Any, memory: Any, position: float, torque_applied: float
-) -> Any:
+    environment: Environment, settings: object, state: AxisState, memory: object, position: float, torque_applied: float
+) -> EnergyBalance:
     """Placeholder of the kernel of an algorithm; the caller of `run_loop` gives another in its place."""
     raise NotImplementedError
 
 
 def run_loop(
     environment: Environment,
-    settings: Any,
+    settings: object,
     loop: LoopSettings,
-    state: Any,
-    memory: Any,
+    state: AxisState,
+    memory: object,
     meter: Meter,
-    plant: Any,
+    plant: LinearPlant,
     place: Interruption,
     continuous: ReferenceSettings,
     reference: ReferenceState,
@@ -255,7 +263,7 @@ def run_loop(
     return MOVED
 
 
-def advance(loop: LoopSettings, plant: Any, place: Interruption, cycle: int) -> int:
+def advance(loop: LoopSettings, plant: LinearPlant, place: Interruption, cycle: int) -> int:
     """Moves the plant to a SYNC; returns what `move_plant` does."""
     if place.cycle != cycle:
         place.acting = place.held
@@ -268,7 +276,7 @@ def advance(loop: LoopSettings, plant: Any, place: Interruption, cycle: int) -> 
 
 
 def answer(
-    environment: Environment, settings: Any, loop: LoopSettings, state: Any, memory: Any, meter: Meter,
+    environment: Environment, settings: object, loop: LoopSettings, state: AxisState, memory: object, meter: Meter,
     place: Interruption, true_position: float, cycle: int,
 ) -> bool:  # fmt: skip
     """Lets the controller answer a SYNC; returns False where it gets or gives a number that is not finite."""
@@ -303,7 +311,7 @@ def states_in(moved: Buffer) -> int:
     return len(moved)
 
 
-def move_plant(plant: Any, torque: float, cycle: int) -> int:
+def move_plant(plant: LinearPlant, torque: float, cycle: int) -> int:
     """Moves a linear plant to a SYNC under a constant torque [N or N*m]; returns MOVED."""
     flow, state, moved = plant.flow, plant.state, plant.moved
     states = states_in(moved)
@@ -318,6 +326,6 @@ def move_plant(plant: Any, torque: float, cycle: int) -> int:
     return MOVED
 
 
-def work_in(plant: Any, interaction: float, torque: float, travel: float) -> float:
+def work_in(plant: LinearPlant, interaction: float, torque: float, travel: float) -> float:
     """Returns the energy that has come in [J], after a hold of constant torque [N or N*m] along a way [m or rad]."""
     return interaction - torque * travel

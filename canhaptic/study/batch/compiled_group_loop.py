@@ -30,20 +30,20 @@ def run_records(
 
 
 @lru_cache(maxsize=16)
-def _compiled_loop(kernel: GroupKernel, parts: tuple[type, ...], replaced: tuple[tuple[Any, Any], ...]) -> Any:
+def _compiled_loop(kernel: GroupKernel, parts: tuple[type, ...], replaced: tuple[tuple[object, object], ...]) -> Any:
     """Returns `run_records` compiled once in a process for each size of group."""
     instead = {step: kernel.step, noise: compiled_noise, uniform: compiled_uniform, **dict(replaced)}
     return compiled(run_records, instead, keep=True, parts=parts)
 
 
-def _motors(motors: Any) -> tuple[Any, dict[Any, Any]]:
+def _motors(motors: Any) -> tuple[Any, dict[object, object]]:
     """Returns the motors at their start, and what the loop calls anew for them."""
     if isinstance(motors, LinearMotors):
         return record_of(motors), {}
     return (motors.made(listed=False),), motors.replacements()
 
 
-def run_compiled(case: GroupCase, cycles: int, rows: Array, instead: Mapping[Any, Any]) -> GroupMeter:
+def run_compiled(case: GroupCase, cycles: int, rows: Array, instead: Mapping[object, object]) -> GroupMeter:
     """Returns the sums of a loop after its cycles, or when it diverged.
 
     Args:

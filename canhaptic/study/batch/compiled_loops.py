@@ -1,13 +1,15 @@
 """Loops of a batch compiled by numba, the controller, the plant and the figures in one; needs the extra `fast`."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from operator import attrgetter
 from typing import Any, Final
 
 import numpy as np
 from numba.core.errors import NumbaError
+from numpy.typing import NDArray
 
+from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.plain import tuple_type
 from canhaptic.kernels import Buffer, Kernel
 from canhaptic.kernels.compiler import compiled, fixed_tuple
@@ -15,15 +17,23 @@ from canhaptic.kernels.records import Records, records_of
 from canhaptic.sim.plant.effects.encoder_noise import gaussian, noise, uniform
 from canhaptic.study.batch.batch_case import NotBatchableError
 from canhaptic.study.batch.batch_reference import ContinuousModes
-from canhaptic.study.batch.closed_loop import MOVED, Interruption, begin_plant, plant_at, run_loop, states_in, step
-from canhaptic.study.batch.event_plants import CALLS
+from canhaptic.study.batch.closed_loop import (
+    MOVED,
+    Interruption,
+    LinearPlants,
+    begin_plant,
+    plant_at,
+    run_loop,
+    states_in,
+    step,
+)
+from canhaptic.study.batch.event_plants import CALLS, Interrupted, Plants
 from canhaptic.study.batch.meter import Meter
 from canhaptic.study.batch.reference_kernel import TERMS, ReferenceMemory, ReferenceState, length_of
 from canhaptic.study.batch.rows import SceneRow
 from canhaptic.study.loop import Array
 
-Interrupted = Callable[[Any, int, Any, int], Any]
-"""(plants, number of a scene, its place, why) -> plants to go on with; None ends that scene."""
+Numbers = NDArray[np.int64]
 _GAMMA: Final = np.uint64(0x9E3779B97F4A7C15)  # as in `encoder_noise`
 _WHOLE: Final = 2.0**64
 
@@ -31,16 +41,16 @@ WIDTH = STATES = LENGTH = 0
 """Numbers of an environment, states of a plant and of a continuous run; bound anew for each kind of loop."""
 
 
-def new_environment(*_numbers: float) -> Any:
+def new_environment(*_numbers: float) -> Environment:
     """Placeholder of the NamedTuple of an environment."""
     raise NotImplementedError
 
 
 def run_loops(
-    table: Array, settings: Records, loops: Records, rest: Records, states: Records, memory: Any, zeros: Array,
-    meters: Records, plants: Any, rest_place: Records, places: Records, continuous: Records, references: Records,
-    mode_flows: Array, mode_rates: Array, mode_starts: Array, state: Any, moved_state: Any, series: Any,
-    outcomes: Any, cycles: int,
+    table: Array, settings: Records, loops: Records, rest: Records, states: Records, memory: object, zeros: Array,
+    meters: Records, plants: LinearPlants, rest_place: Records, places: Records, continuous: Records,
+    references: Records, mode_flows: Array, mode_rates: Array, mode_starts: Array, state: Buffer,
+    moved_state: Buffer, series: Array, outcomes: Numbers, cycles: int,
 ) -> int:  # fmt: skip
     """Runs one loop after the other, from the place in `outcomes`, see `run_loop`; returns how many are over.
 
@@ -80,7 +90,9 @@ def known_length(_state: Buffer) -> int:
 
 
 @lru_cache(maxsize=64)
-def compiled_loops(kind: Any, kernel: Kernel, states: int, length: int, replaced: tuple[tuple[Any, Any], ...]) -> Any:
+def compiled_loops(
+    kind: Any, kernel: Kernel, states: int, length: int, replaced: tuple[tuple[object, object], ...]
+) -> Any:
     """Returns `run_loops` compiled.
 
     Args:
@@ -106,7 +118,12 @@ class CompiledLoops:
     """
 
     def __init__(
-        self, kernel: Kernel, rows: Sequence[SceneRow], modes: ContinuousModes, cycles: int, instead: Mapping[Any, Any]
+        self,
+        kernel: Kernel,
+        rows: Sequence[SceneRow],
+        modes: ContinuousModes,
+        cycles: int,
+        instead: Mapping[object, object],
     ) -> None:
         self._kernel, self._rows, self._modes, self._cycles = kernel, rows, modes, cycles
         self._settings, self._loops = records_of([row.settings for row in rows]), records_of([row.loop for row in rows])
@@ -121,19 +138,20 @@ class CompiledLoops:
         size = modes.starts.shape[1]
         self._state, self._moved, self._series = np.empty(size), np.empty(size), np.zeros((TERMS, size))
 
-    def run(self, some: Sequence[int], plants: Any, interrupted: Interrupted) -> None:
+    def run(self, some: Sequence[int], plants: Plants, interrupted: Interrupted) -> None:
         """Runs some of the scenes; see `InterpretedLoops.run`."""
         for numbers in _alike(self._kernel, [self._rows[i] for i in some]):
             self._run_alike(np.asarray(some)[numbers], numbers, plants, interrupted)
 
-    def _run_alike(self, some: Any, numbers: Any, plants: Any, interrupted: Interrupted) -> None:
+    def _run_alike(self, some: Numbers, numbers: Numbers, plants: Plants, interrupted: Interrupted) -> None:
         memory, zeros = _memory(self._kernel, self._rows[some[0]].settings)
         meters, references, modes = self.meters[some], self.references[some], self._modes
         states, places, outcomes = self._rest.copy(), self._place.copy(), np.zeros(3, dtype=np.int64)
-        linear = getattr(plants, "moved", ())
-        if len(linear):
+        linear = 0
+        if isinstance(plants, LinearPlants):
+            linear = len(plants.moved)
             plants = plants._replace(flows=_of(plants.flows, numbers), starts=_of(plants.starts, numbers))
-        run = compiled_loops(self._kind, self._kernel, len(linear), len(self._state), self._instead)
+        run = compiled_loops(self._kind, self._kernel, linear, len(self._state), self._instead)
         fixed = (
             self._table[some], self._settings[some], self._loops[some], self._rest, states, memory, zeros, meters,
         )  # fmt: skip
@@ -158,30 +176,30 @@ class CompiledLoops:
         self.meters[some], self.references[some] = meters, references
 
 
-def compiled_noise(deviation: Any, seed: Any, tick: Any) -> Any:
+def compiled_noise(deviation: float, seed: int, tick: int) -> float:
     """Takes the place of `encoder_noise.noise`, in 64 bits."""
     base = _mixed(np.uint64(seed) * _GAMMA + np.uint64(tick))
     first, second = _mixed(base + _GAMMA), _mixed(base + _GAMMA + _GAMMA)
     return gaussian(deviation, (np.float64(first) + 1.0) / _WHOLE, np.float64(second) / _WHOLE)
 
 
-def compiled_uniform(seed: Any, tick: Any) -> Any:
+def compiled_uniform(seed: int, tick: int) -> float:
     """Takes the place of `encoder_noise.uniform`, in 64 bits."""
     return np.float64(_mixed(_mixed(np.uint64(seed) * _GAMMA + np.uint64(tick)) + _GAMMA)) / _WHOLE
 
 
-def _mixed(value: Any) -> Any:
+def _mixed(value: np.uint64) -> np.uint64:
     value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return value ^ (value >> np.uint64(31))
 
 
-def _of(values: Array, some: Any) -> Array:
+def _of(values: Array, some: Numbers) -> Array:
     """Returns what belongs to some scenes; all of it where they share it."""
     return values if len(values) == 1 else values[some]
 
 
-def _alike(kernel: Kernel, rows: Sequence[SceneRow]) -> list[Any]:
+def _alike(kernel: Kernel, rows: Sequence[SceneRow]) -> list[Numbers]:
     """Returns the numbers of the rows whose buffers have the same lengths, together."""
     lengths: dict[int, tuple[int, ...]] = {}
     found: dict[tuple[int, ...], list[int]] = {}
@@ -193,7 +211,7 @@ def _alike(kernel: Kernel, rows: Sequence[SceneRow]) -> list[Any]:
     return [np.array(some) for some in found.values()]
 
 
-def _lengths(kernel: Kernel, settings: Any) -> tuple[int, ...]:
+def _lengths(kernel: Kernel, settings: object) -> tuple[int, ...]:
     asked: list[int] = []
 
     def make_buffer(length: int) -> Buffer:
@@ -204,11 +222,11 @@ def _lengths(kernel: Kernel, settings: Any) -> tuple[int, ...]:
     return tuple(asked)
 
 
-def _memory(kernel: Kernel, settings: Any) -> tuple[Any, Array]:
+def _memory(kernel: Kernel, settings: object) -> tuple[object, Array]:
     """Returns the buffers of an algorithm, and the one array in which all of them lie."""
     whole, used = np.zeros(sum(_lengths(kernel, settings))), 0
 
-    def make_buffer(length: int) -> Any:
+    def make_buffer(length: int) -> Array:
         nonlocal used
         used += length
         return whole[used - length : used]

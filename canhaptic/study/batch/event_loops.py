@@ -7,8 +7,9 @@ import numpy as np
 
 from canhaptic.errors import EventLimitError
 from canhaptic.kernels.records import number_in, records_of
+from canhaptic.study.batch.closed_loop import Interruption
 from canhaptic.study.batch.event_plant import INCOMPLETE, EventState
-from canhaptic.study.batch.event_plants import EventModes, PlantValues, replacements
+from canhaptic.study.batch.event_plants import EventModes, Interrupted, Plants, PlantValues, replacements
 from canhaptic.study.loop import Array
 
 
@@ -33,8 +34,8 @@ def run_event_plants(
         )
 
 
-def _going_on(modes: EventModes, stopped: dict[int, EventLimitError]) -> Any:
-    def interrupted(plants: Any, loop: int, place: Any, outcome: int) -> Any:
+def _going_on(modes: EventModes, stopped: dict[int, EventLimitError]) -> Interrupted:
+    def interrupted(plants: Any, loop: int, place: Interruption, outcome: int) -> Plants | None:
         if outcome == INCOMPLETE:
             return modes.completed(plants)
         stopped[loop] = modes.error(plants, int(number_in(place, "cycle")))
@@ -43,10 +44,10 @@ def _going_on(modes: EventModes, stopped: dict[int, EventLimitError]) -> Any:
     return interrupted
 
 
-def uninterrupted(*_what: Any) -> None:
+def uninterrupted(*_what: object) -> None:
     """Is called by no loop of a linear plant."""
 
 
-def loop_replacements(plants: Sequence[PlantValues]) -> dict[Any, Any]:
+def loop_replacements(plants: Sequence[PlantValues]) -> dict[object, object]:
     """Returns what takes the place of functions of the loop for plants with events; nothing for linear ones."""
     return replacements(plants[0].scene()) if plants else {}

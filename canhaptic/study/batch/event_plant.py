@@ -5,12 +5,15 @@ mode that is not compiled yet interrupts the loop: the state goes back to the st
 the mode, and the hold is taken again, with the same bits.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
 from typing import Any, Final, NamedTuple
 
-from canhaptic.kernels import Buffer
-from canhaptic.sim.plant.mode_arrays import move
+from canhaptic.kernels import Buffer, Indices
+from canhaptic.kernels.records import Records
+from canhaptic.sim.plant.effort_forces import Bristle, Effort
+from canhaptic.sim.plant.mode_arrays import Books, move
 from canhaptic.sim.plant.propagator import TICKS
 from canhaptic.sim.plant.stepper import EVENTS, LIMIT, MISSING, MODE, NONE, ModeTables, StepperSettings, run
 from canhaptic.study.batch.closed_loop import MOVED
@@ -63,17 +66,19 @@ class EventPlant(NamedTuple):
     settings: StepperSettings
     state: Any  # z = [states..., torque, 1]
     spare: Any
-    began: Any  # z at the start of the hold
-    books: Any  # (Books,), the first work of which is that of the motor
-    counts: Any  # see `stepper`
-    values: Any  # two buffers for the values of guards
-    sines: Any  # places of the hand's oscillators in the state: a cosine follows each sine
-    change_ticks: Any  # of the timetable, in order
-    change_targets: Any  # by change and mode: the mode that it leads to, or NONE when that is not compiled yet
-    now: Any  # (EventState,)
-    saved: Any  # z at the start of the substep
-    efforts: Any  # `Effort` of each force that is solved over substeps
-    bristles: Any  # `Bristle` of each, and once more at the start of the hold
+    began: Buffer  # z at the start of the hold
+    books: tuple[Books]  # (Books,), the first work of which is that of the motor
+    counts: Indices  # see `stepper`
+    values: tuple[Buffer, Buffer]  # two buffers for the values of guards
+    sines: Indices  # places of the hand's oscillators in the state: a cosine follows each sine
+    change_ticks: Indices  # of the timetable, in order
+    change_targets: Sequence[
+        Indices
+    ]  # by change and mode: the mode that it leads to, or NONE when that is not compiled yet
+    now: Sequence[EventState] | Records  # (EventState,)
+    saved: Buffer  # z at the start of the substep
+    efforts: Sequence[Effort] | Records  # `Effort` of each force that is solved over substeps
+    bristles: Sequence[Bristle] | Records  # `Bristle` of each, and once more at the start of the hold
     substep_ticks: int
     torque_place: int  # in z: of the torque of the motor,
     travel_place: int  # of the way in the substep,
@@ -84,7 +89,7 @@ class EventPlants(NamedTuple):
     """One plant that many loops have, one after the other."""
 
     plant: EventPlant
-    start: Any  # state at the first SYNC, shape (n,)
+    start: Buffer  # state at the first SYNC, shape (n,)
     first: int  # number of the mode there
 
 
@@ -194,11 +199,11 @@ def interrupt(plant: EventPlant, guard: int, change: int) -> int:
     return INCOMPLETE
 
 
-def book_nothing(works: Any, state: Buffer, books: Any) -> None:
+def book_nothing(works: Any, state: Buffer, books: tuple[Books]) -> None:
     """Takes the place of `stepper.book` where the motor's work is its torque times the way."""
 
 
-def book_motor(works: Any, state: Buffer, books: Any) -> None:
+def book_motor(works: Any, state: Buffer, books: tuple[Books]) -> None:
     """Takes the place of `stepper.book`: the work of the motor alone; `works` has shape (n, 2 n)."""
     only, size = books[0], len(state)
     move(works, state, only.rows)

@@ -3,14 +3,14 @@
 Scenes that differ in nothing of the plant share its modes, which cost some milliseconds each.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.errors import EventLimitError
-from canhaptic.kernels.records import number_in, records_of
+from canhaptic.kernels.records import Records, number_in, records_of
 from canhaptic.scene.models import AxisSimulation
 from canhaptic.scene.parts import effect_of
 from canhaptic.sim.plant import splitting, stepper
@@ -25,6 +25,7 @@ from canhaptic.study.batch import closed_loop, event_plant
 from canhaptic.study.batch.event_plant import (
     EventPlant,
     EventPlants,
+    EventState,
     begin_events,
     book_motor,
     book_nothing,
@@ -42,6 +43,12 @@ _PRODUCTS: Final = {
 
 CALLS: Final = (stepper.run, splitting.fixed_point, residual_of_plant)
 """Long functions, called from several places."""
+
+
+Plants = closed_loop.LinearPlants | EventPlants
+"""What a loop of a batch moves."""
+Interrupted = Callable[[Plants, int, closed_loop.Interruption, int], Plants | None]
+"""(plants, number of a scene, its place, why) -> plants to go on with; None ends that scene."""
 
 
 class PlantValues(NamedTuple):
@@ -105,7 +112,7 @@ class EventModes:
         self._change_targets: list[dict[int, int]] = [{} for _ in changes]
         self._form: Callable[[Any], Any] = (lambda array: array.tolist()) if listed else np.ascontiguousarray
 
-    def plants(self, now: Any) -> EventPlants:
+    def plants(self, now: Sequence[EventState] | Records) -> EventPlants:
         """Returns the plant at its start.
 
         Args:
@@ -178,7 +185,7 @@ class EventModes:
         return self._form(np.zeros(width)), self._form(np.zeros(width))
 
 
-def by_its_way() -> dict[Any, Any]:
+def by_its_way() -> dict[object, object]:
     """Returns what a loop calls in the place of other functions where the motor's work is its torque times the way."""
     return {**_PRODUCTS, stepper.book: book_nothing}
 
@@ -188,13 +195,13 @@ def works_are_booked(scene: PlantModel) -> bool:
     return scene.motor_torque != "torque" or any(effort.account == "motor" for effort in scene.efforts)
 
 
-def replacements(scene: PlantModel) -> dict[Any, Any]:
+def replacements(scene: PlantModel) -> dict[object, object]:
     """Returns what a loop of plants with events calls in the place of other functions.
 
     Args:
         scene: One of the plants.
     """
-    found: dict[Any, Any] = {
+    found: dict[object, object] = {
         **by_its_way(), closed_loop.move_plant: move_events, closed_loop.begin_plant: begin_events,
         closed_loop.plant_at: events_at,
     }  # fmt: skip

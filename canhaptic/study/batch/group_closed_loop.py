@@ -84,14 +84,14 @@ class GroupMeter:
 
 
 def step(
-    world: World, settings: Any, state: Any, memory: Any, missed: int, positions: Buffer, torques_applied: Buffer
+    world: World, settings: object, state: Any, memory: Any, missed: int, positions: Buffer, torques_applied: Buffer
 ) -> GroupHold:
     """Takes the place of the kernel of an algorithm, which a caller of `run_group` binds."""
     raise NotImplementedError
 
 
 def run_group(
-    world: World, settings: Any, state: Any, memory: Any, rig: GroupRig, motors: Any, room: GroupRoom,
+    world: World, settings: object, state: Any, memory: Any, rig: GroupRig, motors: Any, room: GroupRoom,
     followed: GroupMotion, meter: GroupMeter, rows: Matrix, cycles: int,
 ) -> None:  # fmt: skip
     """Runs a loop until its last SYNC or until it diverges, which a number that is not finite does too.

@@ -67,9 +67,9 @@ class EventMotorsPlan(NamedTuple):
         """Whether the work of a motor is more than its torque times the way."""
         return any(works_are_booked(model()) for model in self.models)
 
-    def replacements(self) -> dict[Any, Any]:
+    def replacements(self) -> dict[object, object]:
         """Returns what the loop of a group calls in the place of other functions."""
-        found: dict[Any, Any] = {**by_its_way(), move_motors: move_event_motors}
+        found: dict[object, object] = {**by_its_way(), move_motors: move_event_motors}
         if any(model().efforts for model in self.models):
             found |= {event_plant.run_ticks: run_with_efforts, splitting.residual: residual_of_plant}
         return found | {stepper.book: book_motor, work_over: booked_over} if self.is_booked else found

@@ -39,7 +39,7 @@ class FiveBarPlan(NamedTuple):
             return FiveBarMotors(settings, state, stack, self.left, self.right)
         return FiveBarMotors(records_of(settings), records_of(state), arrays_of(stack), self.left, self.right)
 
-    def replacements(self) -> dict[Any, Any]:
+    def replacements(self) -> dict[object, object]:
         """Returns what the loop of a group calls in the place of other functions."""
         return {move_motors: move_five_bar}
 

@@ -62,7 +62,7 @@ def group_meter(case: GroupCase, cycles: int, engine: ChosenEngine = "python") -
     return meter
 
 
-def _in_python(case: GroupCase) -> tuple[Any, GroupRig, dict[Any, Any]]:
+def _in_python(case: GroupCase) -> tuple[Any, GroupRig, dict[object, object]]:
     """Returns the motors at their start, what lies between them and the controller, and what the loop calls anew."""
     motors = case.motors
     if isinstance(motors, LinearMotors):
@@ -74,7 +74,7 @@ def _in_python(case: GroupCase) -> tuple[Any, GroupRig, dict[Any, Any]]:
 
 
 @lru_cache(maxsize=16)
-def _python_loop(kernel: GroupKernel, replaced: tuple[tuple[Any, Any], ...]) -> Callable[..., None]:
+def _python_loop(kernel: GroupKernel, replaced: tuple[tuple[object, object], ...]) -> Callable[..., None]:
     found: Callable[..., None] = bound(run_group, {step: kernel.step, **dict(replaced)})
     return found
 

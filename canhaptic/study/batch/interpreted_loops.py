@@ -1,6 +1,6 @@
 """Loops of a batch run by Python, one after the other: where numba is not installed, and to judge compiled ones by."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -8,6 +8,7 @@ from canhaptic.kernels import Kernel, list_of_zeros
 from canhaptic.kernels.binding import bound
 from canhaptic.study.batch.batch_reference import ContinuousModes
 from canhaptic.study.batch.closed_loop import MOVED, Interruption, begin_plant, plant_at, run_loop, step
+from canhaptic.study.batch.event_plants import Interrupted, Plants
 from canhaptic.study.batch.meter import Meter
 from canhaptic.study.batch.reference_kernel import TERMS, ReferenceMemory, ReferenceState
 from canhaptic.study.batch.rows import SceneRow
@@ -29,14 +30,19 @@ class InterpretedLoops:
     """
 
     def __init__(
-        self, kernel: Kernel, rows: Sequence[SceneRow], modes: ContinuousModes, cycles: int, instead: Mapping[Any, Any]
+        self,
+        kernel: Kernel,
+        rows: Sequence[SceneRow],
+        modes: ContinuousModes,
+        cycles: int,
+        instead: Mapping[object, object],
     ) -> None:
         self._kernel, self._rows, self._modes, self._cycles = kernel, rows, modes, cycles
         self._begin, self._at, self._run = _functions(kernel, tuple(instead.items()))
         self.meters = [Meter() for _ in rows]
         self.references = [ReferenceState() for _ in rows]
 
-    def run(self, some: Sequence[int], plants: Any, interrupted: Callable[[Any, int, Interruption, int], Any]) -> None:
+    def run(self, some: Sequence[int], plants: Plants, interrupted: Interrupted) -> None:
         """Runs some of the scenes.
 
         Args:
@@ -64,7 +70,7 @@ class InterpretedLoops:
 
 
 @lru_cache(maxsize=64)
-def _functions(kernel: Kernel, instead: tuple[tuple[Any, Any], ...]) -> tuple[Any, Any, Any]:
+def _functions(kernel: Kernel, instead: tuple[tuple[object, object], ...]) -> tuple[Any, Any, Any]:
     replaced = {**dict(instead), step: kernel.step}
     begin, at = (replaced.get(function, function) for function in (begin_plant, plant_at))
     return begin, at, bound(run_loop, replaced)

@@ -58,7 +58,12 @@ def diverge_silently(rows: Matrix) -> None:
     """Takes the place of `meter.diverge`: the rows end."""
 
 
-_KEEPING: Final = {take: keep, miss: miss_nothing, compare: compare_nothing, diverge: diverge_silently}
+_KEEPING: Final[dict[object, object]] = {
+    take: keep,
+    miss: miss_nothing,
+    compare: compare_nothing,
+    diverge: diverge_silently,
+}
 
 
 def render_compiled(
@@ -95,7 +100,8 @@ def render_compiled(
 def _rows(case: LoopCase, cycles: int) -> Array:
     """Returns the rows of all SYNCs, those behind the end of the loop left out."""
     batch, kernel = replace(loop_alone(case), furthest=inf), cast(Kernel, kernel_of(case.algorithm))
-    rows, instead = [*scene_rows(batch, kernel, batch.numbers, 1)], {**_KEEPING, **loop_replacements(batch.plants)}
+    rows = [*scene_rows(batch, kernel, batch.numbers, 1)]
+    instead: dict[object, object] = {**_KEEPING, **loop_replacements(batch.plants)}
     loops = CompiledLoops(kernel, rows, no_modes(1), cycles, instead)
     loops.meters = np.full((1, cycles, _OWN + len(EnergyBalance._fields)), np.nan)
     if batch.plants:
