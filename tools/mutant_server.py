@@ -34,7 +34,7 @@ _OWN: Final = ("canhaptic", "tests", "tools")
 """Packages of the repository, of which every process imports its own."""
 _IMPORTED: Final = "ignore::pytest.PytestAssertRewriteWarning"  # of plugins, which a cold run finds imported
 _PYTEST: Final = (
-    *("-q", "-p", "no:cacheprovider", "-m", "not slow", "--no-header", "-o", "timeout=0", "-W", _IMPORTED),
+    *("-q", "-p", "no:cacheprovider", "-m", "not slow", "--no-header", "--tb=no", "-o", "timeout=0", "-W", _IMPORTED),
 )
 NOT_SWAPPED: Final = "not swapped"
 """What `TestServer.run` returns for a change that takes a cold run."""
