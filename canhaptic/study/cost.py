@@ -4,12 +4,13 @@ Times are of this machine at this moment: for comparing the columns of one table
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 from canhaptic.drive.clock import WallClock
 from canhaptic.study.loop import Case, LoopRun
 
-_Block = list[tuple[Any, Any]]
+_Block = list[tuple[float, float]]
+"""(position, torque applied) of each step; of a group a list of each."""
 
 _STEPS: Final = 2000
 """Steps of one timing, from the middle of a run, where contacts are."""
@@ -34,7 +35,7 @@ def microseconds_per_step(cases: Mapping[str, tuple[Case, LoopRun]], repeats: in
     return {name: sum(times) * 1e-3 / steps[name] for name, times in best.items()}
 
 
-def _times(step: Callable[[Any, Any], object], blocks: Sequence[_Block]) -> list[int]:
+def _times(step: Callable[[float, float], object], blocks: Sequence[_Block]) -> list[int]:
     clock, times = WallClock(), []
     for block in blocks:
         begin = clock.now()

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from canhaptic.control.admittance.display_environment import DisplayEnvironment
-from canhaptic.control.admittance.group_environment import PathMass
+from canhaptic.control.admittance.group_environment import GroupMass, PathMass
 from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
 from canhaptic.errors import InputError
 from canhaptic.scene.accuracy_choice import simulation_of
@@ -74,7 +74,7 @@ def display_plane(scene: Scene, name: str) -> TouchScene:
     )  # fmt: skip
 
 
-def _side(passivity: Any, axes: tuple[str, ...], group: str = "") -> Side:
+def _side(passivity: ComponentSpec, axes: tuple[str, ...], group: str = "") -> Side:
     allowance = float(getattr(passivity.parameters, "energy_allowance", 0.0))
     return Side(passivity.name, axes, group, allowance)
 
@@ -126,7 +126,7 @@ def _walls(environment: DisplayEnvironment, shown: tuple[float, float]) -> tuple
     return tuple((low, high) for low, high in spans if low < high)
 
 
-def _box(network: Any) -> tuple[tuple[float, float], ...]:
+def _box(network: GroupMass) -> tuple[tuple[float, float], ...]:
     """Returns where each direction is between its walls [m or rad]; nothing without walls."""
     if not network.lower and not network.upper:
         return ()
@@ -134,7 +134,7 @@ def _box(network: Any) -> tuple[tuple[float, float], ...]:
     return tuple(zip(network.lower or far[0], network.upper or far[1], strict=True))
 
 
-def _path(network: Any) -> tuple[tuple[float, ...], ...]:
+def _path(network: GroupMass) -> tuple[tuple[float, ...], ...]:
     if not isinstance(network, PathMass):
         return ()
     points: Sequence[tuple[float, ...]] = network.points

@@ -4,14 +4,25 @@ import multiprocessing
 import signal
 from dataclasses import replace
 from multiprocessing.connection import Connection
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from canhaptic.drive.clock import WallClock
 from canhaptic.scene.models import Scene
 from canhaptic.study.loop import Array
-from canhaptic.touch.hand_process import ARRIVED, RUN, SHARED, TOKEN, TouchJob, TouchPace, TouchStatus, columns, work
+from canhaptic.touch.hand_process import (
+    ARRIVED,
+    RUN,
+    SHARED,
+    TOKEN,
+    SharedNumbers,
+    TouchJob,
+    TouchPace,
+    TouchStatus,
+    columns,
+    work,
+)
 from canhaptic.touch.touch_scene import TouchScene
 
 _END: Final = 2.0  # [s] until a process that does not end is ended
@@ -47,7 +58,7 @@ class TouchHand:
         self.touched: TouchScene = self._job.touched()
         self._clock = WallClock()
         context = multiprocessing.get_context("spawn")
-        self._shared: Any = context.Array("d", SHARED, lock=False)
+        self._shared: SharedNumbers = context.Array("d", SHARED, lock=False)
         self._pipe, far_end = context.Pipe()
         self._process = context.Process(target=work, args=(far_end, self._shared), daemon=True)
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited: Ctrl-C is for the page, not for the process

@@ -16,7 +16,7 @@ import select
 import signal
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, MutableSequence
 from dataclasses import dataclass
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
@@ -81,6 +81,10 @@ class TouchJob:
         return two_sides(scene, self.axis)
 
 
+SharedNumbers = MutableSequence[float]
+"""Memory that both processes see: places, token, time of arrival and number of the run."""
+
+
 class TouchStatus(NamedTuple):
     """How a run does; energies in [J], times in [s]."""
 
@@ -108,7 +112,7 @@ def columns(touched: TouchScene) -> list[str]:
     return names
 
 
-def work(pipe: Connection, shared: Any) -> None:
+def work(pipe: Connection, shared: SharedNumbers) -> None:
     """Runs what the pipe asks for, one job after the other, until it closes; the target of the process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_follow_parent, daemon=True).start()
@@ -130,7 +134,7 @@ def _follow_parent() -> None:
 class _HandRun:
     """One run of both sides."""
 
-    def __init__(self, job: TouchJob, pipe: Connection, shared: Any) -> None:
+    def __init__(self, job: TouchJob, pipe: Connection, shared: SharedNumbers) -> None:
         self._job, self._pipe, self._shared = job, pipe, shared
         self._clock = WallClock(spin_margin=0.0)
         self._rows: list[tuple[float, ...]] = []

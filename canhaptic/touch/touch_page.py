@@ -1,9 +1,11 @@
 """The page of `canhaptic touch`: two handles at one pointer, with live force, energy and verdict, and sliders."""
 
 import html
-from typing import Any, Final
+from collections.abc import Callable
+from typing import Final
 
 import numpy as np
+from bokeh.document import Document
 from bokeh.events import Pan, PanStart
 from bokeh.layouts import column, row
 from bokeh.models import (
@@ -64,12 +66,12 @@ class TouchPage:
         period: Between two looks [s].
     """
 
-    def __init__(self, document: Any, hand: TouchHand, period: float) -> None:
+    def __init__(self, document: Document, hand: TouchHand, period: float) -> None:
         self._hand, self._document = hand, document
         touched = hand.touched
         self._pointer = ColumnDataSource({"x": [0.0], "y": [0.0], "token": [0.0]}, name="pointer")
         self._pointer.on_change("data", self._take_pointer)
-        self._status: Any = Div(text="the drives start ...", name="status", sizing_mode="stretch_width")
+        self._status = Div(text="the drives start ...", name="status", sizing_mode="stretch_width")
         self._sides = [_SideView(hand, number, self._pointer) for number in range(2)]
         self._handles = self._sides[-1].handle
         self._drawn = ColumnDataSource({"frame": [0]}, name="drawn")
@@ -134,7 +136,7 @@ def _share_range(sides: list["_SideView"]) -> None:
 class _SideView:
     """Handle, force, energy and verdict of one side."""
 
-    def __init__(self, hand: TouchHand, number: int, pointer: Any) -> None:
+    def __init__(self, hand: TouchHand, number: int, pointer: CustomJS) -> None:
         touched = hand.touched
         self._waiting: list[dict[str, Array]] = []
         self._name, self._number = touched.sides[number].name, number
@@ -156,7 +158,7 @@ class _SideView:
         self._columns = {f"{vector} {d}": f"{number}.{vector}.{d}" for vector in vectors for d in self._directions}
         self._columns["energy"] = f"{number}.energy"
         self._lines = ColumnDataSource({name: [] for name in ("time", *self._columns)}, name=f"lines {number}")
-        self._verdict: Any = Div(text="", name=f"verdict {number}", sizing_mode="stretch_width")
+        self._verdict = Div(text="", name=f"verdict {number}", sizing_mode="stretch_width")
         self.scene = self._new_scene(touched, pointer)
         self.panels = self._panels(touched)
         self.panels[-1].add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_dash="dashed"))
@@ -164,7 +166,7 @@ class _SideView:
         parts = (title, self._verdict, self.scene, *self.panels)
         self.layout = column(*parts, sizing_mode="stretch_width")
 
-    def _new_scene(self, touched: TouchScene, pointer: Any) -> Any:
+    def _new_scene(self, touched: TouchScene, pointer: CustomJS) -> figure:
         """Returns the place where the handle is dragged."""
         (low, high), *rest = touched.shown
         across = rest[0] if rest else (-1.0, 1.0)
@@ -190,7 +192,7 @@ class _SideView:
             plane.js_on_event(event, CustomJS(args={"pointer": pointer}, code=_SEND))
         return plane
 
-    def _draw_solid(self, plane: Any, touched: TouchScene, shown: tuple[float, float]) -> None:
+    def _draw_solid(self, plane: figure, touched: TouchScene, shown: tuple[float, float]) -> None:
         look = {"fill_color": GREY, "fill_alpha": 0.25, "line_color": GREY}
         if touched.path:
             x, y = zip(*touched.path, strict=True)
@@ -206,7 +208,7 @@ class _SideView:
             edges |= {"right": high} if high < shown[1] else {}
             plane.add_layout(BoxAnnotation(**edges, **look))
 
-    def _panels(self, touched: TouchScene) -> list[Any]:
+    def _panels(self, touched: TouchScene) -> list[figure]:
         """Returns force, of an admittance display velocity too, and energy, each against time."""
         linear = touched.unit == "m"
         force, speed = ("N", "m/s") if linear else ("N*m", "rad/s")
@@ -215,9 +217,9 @@ class _SideView:
             panels.append(self._panel("velocity", speed, ["command", "velocity"]))
         return [*panels, self._panel("energy", "J", ["energy"])]
 
-    def _panel(self, title: str, unit: str, vectors: list[str]) -> Any:
+    def _panel(self, title: str, unit: str, vectors: list[str]) -> figure:
         # A range of its own: a shared one stands still while any of its panels is scrolled out of sight.
-        time: Any = DataRange1d(follow="end", follow_interval=_WINDOW, range_padding=0.0)
+        time = DataRange1d(follow="end", follow_interval=_WINDOW, range_padding=0.0)
         panel = new_panel(title, unit, time, 150)
         shown = [name for vector in vectors for name in self._columns if name.split()[0] == vector]
         for name in shown:
@@ -241,7 +243,7 @@ class _SideView:
     def take(self, news: TouchNews, frame: int) -> None:
         """Takes rows; `frame` comes back when they are drawn."""
         rows, number = news.rows, self._number
-        last: dict[str, Any] = {"token": rows["token"][-1:], "frame": [frame]}
+        last: dict[str, object] = {"token": rows["token"][-1:], "frame": [frame]}
         for name, prefix in (("", f"{number}.position."), ("hand_", "hand.")):
             for d in ("x", "y"):
                 last[name + d] = rows[prefix + d][-1:] if d in self._directions else np.zeros(1)
@@ -278,20 +280,20 @@ class _SideView:
 class _Controls:
     """Sliders of what is rendered and of the loop; a change begins a run anew."""
 
-    def __init__(self, hand: TouchHand, begin: Any) -> None:
+    def __init__(self, hand: TouchHand, begin: Callable[[dict[str, str]], object]) -> None:
         self._begin = begin
         bus, touched = hand.touched.scene.bus, hand.touched
-        self._sliders: list[tuple[TouchSlider, Any]] = [(one, _slider(one)) for one in touched.sliders]
+        self._sliders: list[tuple[TouchSlider, Slider]] = [(one, _slider(one)) for one in touched.sliders]
         rate = f"{bus.rate:g}"
         self._rates = sorted({*_RATES, rate}, key=float)
-        self._rate: Any = RadioButtonGroup(
+        self._rate = RadioButtonGroup(
             labels=[f"{rate} Hz" for rate in self._rates], active=self._rates.index(rate), name="rate"
         )
-        self._delay: Any = RadioButtonGroup(
+        self._delay = RadioButtonGroup(
             labels=list(_DELAYS.values()), active=list(_DELAYS).index(bus.rpdo), name="delay",
             disabled=touched.is_display,
         )  # fmt: skip
-        again: Any = Button(label="start again", name="again")
+        again = Button(label="start again", name="again")
         again.on_click(self._changed)
         widgets = [widget for _, widget in self._sliders]
         for slider in widgets:
@@ -310,7 +312,7 @@ class _Controls:
         self._begin(changes)
 
 
-def _slider(one: TouchSlider) -> Any:
+def _slider(one: TouchSlider) -> Slider:
     """Returns the widget of a value of the scene."""
     if not one.decades:
         most, step = max(20.0, 5.0 * one.value), max(0.1, one.value / 20.0)

@@ -8,6 +8,7 @@ from canhaptic.scene.further_bus import FurtherBus
 from canhaptic.scene.models import AxisScene, GroupScene, MechanismScene, Scene
 from canhaptic.sim.plant.pointer_hand import PointerHand
 from canhaptic.sim.plant.user import UserParameters
+from canhaptic.units import Parameters
 
 PLAIN: Final = "unprotected"
 _PATIENCE: Final = 10.0  # [s] until a silent peer counts as lost
@@ -82,7 +83,7 @@ class TouchScene:
         return ("x", "y") if self.is_plane else ("x",)
 
 
-def sliders_of(section: str, values: Any, names: Sequence[str], unit: str) -> tuple[TouchSlider, ...]:
+def sliders_of(section: str, values: Parameters, names: Sequence[str], unit: str) -> tuple[TouchSlider, ...]:
     """Returns sliders for those parameters of a section that are there.
 
     Args:

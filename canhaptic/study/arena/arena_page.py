@@ -5,7 +5,7 @@ import html
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Final
 
 from canhaptic.errors import InputError
 from canhaptic.host.output_file import replacing
@@ -109,12 +109,12 @@ def _pictures(found: Found) -> list[str]:
     return parts
 
 
-def _plain(rows: Sequence[Mapping[str, Any]]) -> str:
+def _plain(rows: Sequence[Mapping[str, object]]) -> str:
     heads = list(rows[0]) if rows else []
     return _table(heads, [[row[key] for key in heads] for row in rows])
 
 
-def _table(heads: Sequence[str], rows: Sequence[Sequence[Any]], small: Sequence[Sequence[Any]] = ()) -> str:
+def _table(heads: Sequence[str], rows: Sequence[Sequence[object]], small: Sequence[Sequence[object]] = ()) -> str:
     """Returns a table; its cells carry their plain values, by which they are sorted."""
     head = "".join(f"<th>{html.escape(text.replace('_', ' '))}</th>" for text in heads)
     lines = []
@@ -126,7 +126,7 @@ def _table(heads: Sequence[str], rows: Sequence[Sequence[Any]], small: Sequence[
     return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
 
 
-def _cell_of(value: Any, note: Any) -> str:
+def _cell_of(value: object, note: object) -> str:
     plain = "" if value is None else str(value)
     shown = f"{value:.4g}" if isinstance(value, float) else plain
     rank = f" <small>{note}</small>" if note != "" else ""

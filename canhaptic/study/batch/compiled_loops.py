@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.plain import tuple_type
-from canhaptic.kernels import Buffer, Kernel
+from canhaptic.kernels import Buffer, Kernel, Matrix
 from canhaptic.kernels.compiler import compiled, fixed_tuple
 from canhaptic.kernels.records import Records, records_of
 from canhaptic.sim.plant.effects.encoder_noise import gaussian, noise, uniform
@@ -50,7 +50,7 @@ def run_loops(
     table: Array, settings: Records, loops: Records, rest: Records, states: Records, memory: object, zeros: Array,
     meters: Records, plants: LinearPlants, rest_place: Records, places: Records, continuous: Records,
     references: Records, mode_flows: Array, mode_rates: Array, mode_starts: Array, state: Buffer,
-    moved_state: Buffer, series: Array, outcomes: Numbers, cycles: int,
+    moved_state: Buffer, series: Matrix, outcomes: Numbers, cycles: int,
 ) -> int:  # fmt: skip
     """Runs one loop after the other, from the place in `outcomes`, see `run_loop`; returns how many are over.
 

@@ -6,11 +6,12 @@ turns round, and only there, it is done again from its Taylor series in pieces t
 missed: the end of a piece is bracketed and found by a few safeguarded Newton steps. Nothing is kept but the state.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
-from canhaptic.kernels import Buffer
+from canhaptic.kernels import Buffer, Matrix
 
 OUTSIDE, LOWER, UPPER = 0, 1, 2
 TERMS: Final = 14  # of the series: 0.5^14 / 14! is below 1e-15
@@ -55,11 +56,11 @@ class ReferenceState:
 class ReferenceMemory(NamedTuple):
     """Matrices and buffers of a continuous run, y = [states of the plant..., 1] of length k."""
 
-    flows: Any  # by mode: y after a step, shape (3, k, k)
-    rates: Any  # by mode: y' = F y, shape (3, k, k) [1/s]
+    flows: Sequence[Matrix]  # by mode: y after a step, shape (3, k, k)
+    rates: Sequence[Matrix]  # by mode: y' = F y, shape (3, k, k) [1/s]
     state: Buffer  # y
     moved: Buffer  # y after a step
-    series: Any  # Taylor coefficients of y, shape (TERMS, k)
+    series: Matrix  # Taylor coefficients of y, shape (TERMS, k)
 
 
 def follow(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory, cycle: int) -> float:
@@ -191,15 +192,15 @@ def expand(memory: ReferenceMemory, mode: int) -> None:
             series[order][row] = total / order
 
 
-def value_at(series: Any, row: int, at: float) -> float:
+def value_at(series: Matrix, row: int, at: float) -> float:
     """Returns a polynomial at a time [s]."""
-    total: float = series[TERMS - 1][row]
+    total = series[TERMS - 1][row]
     for order in range(TERMS - 2, -1, -1):
         total = total * at + series[order][row]
     return total
 
 
-def root(series: Any, row: int, constant: float, until: float, end: float) -> float:
+def root(series: Matrix, row: int, constant: float, until: float, end: float) -> float:
     """Returns where a polynomial that moves one way passes through zero before `until` [s].
 
     Args:
