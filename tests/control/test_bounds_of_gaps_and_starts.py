@@ -152,10 +152,22 @@ def test_a_torque_that_was_cut_has_as_much_less_of_its_damper_in_it(share: float
 
 
 def test_lost_samples_let_the_commands_pass_as_far_as_the_limit_lets_them_act() -> None:
-    """Of each hold lost, the difference of its torque from the last one over the whole way and that before."""
+    """For each hold lost, the difference of its torque from the last one over the whole way and that before."""
     commands = Commands([5.0, 1.0], [0.5, 0.1], [0.0, 0.0])
     axis = Axis(oldest=0, missed=3, moved=-2e-4)
     found = let_samples_pass(axis, commands, 1e-4, -1.0, 3.0)
     assert found == pytest.approx(((3.0 + 1.0) + (1.0 + 1.0) + (1.0 + 1.0)) * (1e-4 + 3 * 2e-4))
     assert (axis.missed, axis.oldest) == (0, 1)
     assert (commands.torques, commands.dampers) == ([1.0, 1.0], [0.1, 0.1])
+
+
+def test_over_lost_samples_no_effort_inside_a_torque_is_known() -> None:
+    loop = LoopProperties(sample_time=T, delay=0, moving_mass=MASS, device_damping_bound=0.2)
+    one = Guarded(DamperWall(damping=20.0, position=0.0), GuardedParameters(hand_force=0.0), loop)
+    torque = 0.0
+    for place in (1e-4, -1e-4, -2e-4):
+        torque = one.step(place, torque).torque
+    one.hold()
+    balance = one.step(-4e-4, torque)
+    assert torque > 0.5
+    assert (balance.h_pas, balance.h_r) == (0.0, 0.0)

@@ -67,6 +67,7 @@ def test_the_reach_is_attained_by_the_hand_that_pulls_with_all_its_force():
 def test_without_damping_the_reach_has_the_known_coefficients():
     response = displacement_response(1e-3, 0.25, 20.0)
     assert astuple(response)[:4] == pytest.approx((1.0, 2e-6, 2e-6, 8e-5))
+    assert (response.swing, response.growth) == (1.0, 1.0)
 
 
 @pytest.mark.parametrize("y", [0.9e-3, 1.1e-3])

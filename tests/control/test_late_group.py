@@ -8,8 +8,10 @@ from typing import NamedTuple
 import pytest
 
 from canhaptic.control.multi_axis.account_memory import AccountMemory, account_memory
+from canhaptic.control.multi_axis.group_account import AccountSettings, GroupAccount
 from canhaptic.control.multi_axis.group_certificates import AxisLimits, axes_of, pass_range, response_to_late
 from canhaptic.control.multi_axis.group_commands import no_group_holds
+from canhaptic.control.multi_axis.group_shares import UnderWay, shares
 from canhaptic.control.multi_axis.late_group import (
     doubt_of_late_gap,
     doubt_of_late_group,
@@ -233,3 +235,32 @@ def test_torques_at_the_last_sync_need_damping_and_way_for_their_tail_alone() ->
         (LoopProperties(sample_time=T, delay=1, moving_mass=0.25, device_damping_bound=4.0),) * 2, 5.0, None
     )
     assert older_needs(ideal, group.memory) == (0.0, 0.0)
+
+
+def test_where_axes_act_apart_damping_and_speed_pay_for_all_that_may_act_and_its_tail() -> None:
+    """The share that meets the budget, as a square by damping and as it is by the hand's speed."""
+    used = set()
+    for seed in range(60):
+        group, draw = group_of(seed), random.Random(3000 + seed)
+        axes, apart = group.axes, per_axis_limits(group.axes, 1, 1)
+        memory, account = account_memory(apart), GroupAccount(dissipated=draw.uniform(0.0, 1e-2))
+        for name in ("displacement", "torques"):
+            getattr(memory, name)[:] = getattr(group.memory, name)
+        memory.before.highest[:], memory.before.lowest[:] = group.memory.before
+        settings, energy = AccountSettings(axes, apart, moves=False), draw.uniform(0.0, 2e-2)
+        damped, paths = older_needs(axes, memory)
+        found = shares(settings, account, memory, UnderWay(group.under_way, 0, 1), group.asked, energy)
+        sent = [[memory.torques[i], group.under_way[0][i]] for i in range(2)]
+        strongest = [max(map(abs, row)) for row in sent]
+        for i in range(2):  # any of both acts in the next two holds, the new one in the two after the first
+            assert max(memory.apart.along[0][i], memory.apart.against[0][i]) == pytest.approx(strongest[i])
+        if axes.by_damping:
+            needs = sum(old / q for old, q in zip(memory.apart.old, axes.squares, strict=True))
+            grown = sum(new / q for new, q in zip(memory.apart.new, axes.squares, strict=True))
+            left = energy + account.dissipated - needs - damped
+            assert found[1] ** 2 * grown == pytest.approx(max(0.0, left))
+        if axes.path:
+            left = energy - axes.path * sum(memory.apart.old) - paths
+            assert found[2] * axes.path * sum(memory.apart.new) == pytest.approx(max(0.0, left))
+        used.add((axes.by_damping, axes.path > 0.0))
+    assert len(used) == 2

@@ -8,6 +8,7 @@ import pytest
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate
 from canhaptic.control.ledger import Ledger
+from canhaptic.control.verdict import handle_verdict, passive_verdict
 
 
 def hold(h_i=0.0, h_r=0.0, **more):
@@ -91,3 +92,19 @@ def hold_cached(h_i):
     if h_i not in _cache:
         _cache[h_i] = hold(h_i)
     return _cache[h_i]
+
+
+@pytest.mark.parametrize(
+    ("least", "resolution", "expected"),
+    [(-1e-3, 1e-2, "in doubt"), (-1e-2, 1e-3, "no"), (0.0, 1e-7, "yes"), (-1e-3, 0.0, "no"), (0.0, 1.0, "in doubt")],
+)
+def test_a_sum_is_below_zero_for_certain_only_beyond_its_resolution(
+    least: float, resolution: float, expected: str
+) -> None:
+    assert passive_verdict(least, resolution, energy_in=1.0) == expected
+
+
+@pytest.mark.parametrize(("least", "expected"), [(None, None), (0.0, "yes"), (-1.0, "in doubt")])
+def test_at_the_handle_a_sum_below_zero_is_a_doubt(least: float | None, expected: str | None) -> None:
+    account = {"in": 1.0, "least_at_handle": least, "energy_resolution": 1e-9, "certificate": "none"}
+    assert handle_verdict(account) == expected  # type: ignore[arg-type]
