@@ -7,6 +7,8 @@
 Only the syntax trees of the files are read; nothing is imported. Definitions:
 
 code             lines with a token that is not a comment, without strings that are statements (docstrings)
+long files       files of more than 400 lines
+long functions   functions of more than 40 lines, their docstring left out
 names            classes and functions at the top level of a module whose own name has no leading underscore, also
                  in modules and packages whose name has one; constants (top-level assignments) are counted apart
 names twice      names of top-level classes, and of files (`__init__.py` and `__main__.py` left out), found twice
@@ -31,6 +33,7 @@ from typing import Any
 import yaml
 
 _NO_CODE = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
+_LONGEST_FILE, _LONGEST_FUNCTION = 400, 40  # lines
 _FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 
 
@@ -59,6 +62,8 @@ def count(top: Path, package: str = "canhaptic") -> dict[str, Any]:
     return {
         "files": len(modules),
         "code": sum(lines.values()),
+        "long_files": [module.name for module in modules if module.text.count("\n") > _LONGEST_FILE],
+        "long_functions": [name for module in modules for name in _long_functions(module)],
         "names": len(names),
         "constants": sum(len(_public_constants(module)) for module in modules),
         "names_by_room": dict(Counter(module.room for module in modules for _ in _public_definitions(module))),
@@ -88,6 +93,19 @@ def _code_lines(module: _Module) -> int:
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
             found.difference_update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
     return len(found)
+
+
+def _long_functions(module: _Module) -> list[str]:
+    functions = (node for node in ast.walk(module.tree) if isinstance(node, _FUNCTIONS))
+    return [f"{module.name}.{node.name}" for node in functions if _length(node) > _LONGEST_FUNCTION]
+
+
+def _length(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Returns the lines of a function without its docstring."""
+    first, length = node.body[0], (node.end_lineno or node.lineno) - node.lineno + 1
+    if ast.get_docstring(node, clean=False) is None:
+        return length
+    return length - ((first.end_lineno or first.lineno) - first.lineno + 1)
 
 
 def _classes(module: _Module) -> list[ast.ClassDef]:
@@ -211,6 +229,8 @@ def _rows(counts: Mapping[str, Any]) -> dict[str, str]:
     return {
         "files": f"{counts['files']:,}",
         "lines of code": f"{counts['code']:,}",
+        "files over 400 lines": str(len(counts["long_files"])),
+        "functions over 40 lines": str(len(counts["long_functions"])),
         "public classes and functions": f"{counts['names']:,}",
         "public constants": f"{counts['constants']:,}",
         "class names used twice": str(len(counts["class_names_twice"])),

@@ -10,12 +10,9 @@ from canhaptic.cli.value_texts import budget, count, delays, length, port, rate,
 
 BUDGET: Final = 12.0
 """Time for timings [s]; as `study.accuracy.study.DEFAULT_BUDGET`, which is imported when the study begins."""
-TORQUE: Final = 0.1
-TRAVEL: Final = 0.02
-SPEED: Final = 0.5
+TORQUE, TRAVEL, SPEED = 0.1, 0.02, 0.5
 """As in `commission.laws.CommissioningLimits`, which is imported when commissioning begins."""
-TOLERANCE: Final = 0.05
-MARGIN: Final = 0.2
+TOLERANCE, MARGIN = 0.05, 0.2
 """As in `study.design.wall`, which is imported when the search begins."""
 JUDGEMENTS: Final = ("stable", "passive", "margin", "settled", "covered")
 """As in `study.map.z_width`, which is imported when a map is drawn."""

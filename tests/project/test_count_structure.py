@@ -66,6 +66,17 @@ def test_lines_names_and_doubles_of_a_small_tree_are_counted_by_their_definition
     assert counts["key_places"] == {"stiffness": 2, "axes": 0, "wall": 0}
 
 
+def test_files_and_functions_that_are_too_long_are_named(tree: Path) -> None:
+    body = "    pass\n" * 39
+    for name, lines in (("fits", 400), ("long", 401)):
+        functions = f'def at_most():\n    """A\n    b."""\n{body}\n\ndef beyond():\n{body}    pass\n'
+        rest = "# a comment\n" * (lines - functions.count("\n"))
+        (tree / "canhaptic" / f"{name}.py").write_text(functions + rest, encoding="utf-8")
+    counts = count(tree)
+    assert counts["long_files"] == ["canhaptic.long"]
+    assert counts["long_functions"] == ["canhaptic.fits.beyond", "canhaptic.long.beyond"]
+
+
 def test_circles_are_found_between_modules_and_between_siblings(tree: Path) -> None:
     counts = count(tree)
     assert counts["module_circles"] == [["canhaptic.first", "canhaptic.room.second"]]

@@ -209,14 +209,9 @@ def _square(settings: DeclaredHandSettings, lead: float) -> float:
 
 
 def loss(
-    settings: DeclaredHandSettings,
-    loop: VelocityLoopSettings,
-    hand: DeclaredHand,
-    commands: Buffer,
-    newest: int,
-    speed: float,
-    holds: int,
-) -> float:
+    settings: DeclaredHandSettings, loop: VelocityLoopSettings, hand: DeclaredHand, commands: Buffer, newest: int,
+    speed: float, holds: int,
+) -> float:  # fmt: skip
     """Returns the largest fall of A at any time, by commands under way and a new one [J].
 
     Args:
@@ -244,14 +239,13 @@ def loss(
         bent = command - lead * settings.decay
         top = max(top, abs(bent))
     square = _square(settings, 1.0) * square + 0.5 * lag * bent * bent
-    way, stiffness = forth + back, settings.stiffness
+    way, stiffness, share = forth + back, settings.stiffness, settings.unsure
     unsure = stiffness * stiffness * way * late + settings.damping * settings.damping * top * way
     fixed = stiffness * settings.speed * late + (2.0 * settings.damping * settings.speed + settings.friction) * way
     fixed += 0.25 * settings.viscous * top * way + _OF_WAY * unsure / loop.gain_least
     yielding = settings.damping * (top - hand.slowest), settings.damping * (top + hand.fastest)
     push = 0.5 * stiffness * forth - hand.up + max(0.0, yielding[0])
     pull = 0.5 * stiffness * back - hand.down + max(0.0, yielding[1])
-    share = settings.unsure
     largest = max(0.0, push * forth) + max(0.0, pull * back)
     largest += _OF_COMMANDS * share * share / loop.gain_least * square
     if settings.mass > 0.0:

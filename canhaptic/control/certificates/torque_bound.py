@@ -264,14 +264,9 @@ def reach_of_late(
 
 
 def end_gap(
-    declared: Declared,
-    bound: TorqueBound,
-    displacement: float,
-    torque: float,
-    holds: int,
-    largest: float,
+    declared: Declared, bound: TorqueBound, displacement: float, torque: float, holds: int, largest: float,
     apart: float,
-) -> float:
+) -> float:  # fmt: skip
     """Takes several holds of which only the whole displacement is known; returns the energy in doubt [J].
 
     In all but the last hold, whose torque was read back, any torque sent may have acted, and the one before them where

@@ -94,13 +94,9 @@ class TorqueAxis(ABC):
     """Target of a drive at rest, in words."""
 
     def __init__(
-        self,
-        axis: TorqueAxisParameters,
-        dictionary: Dictionary,
-        sdo: ObjectAccess,
-        rules: CycleRules,
+        self, axis: TorqueAxisParameters, dictionary: Dictionary, sdo: ObjectAccess, rules: CycleRules,
         read_back: ReadBack,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.axis, self.dictionary, self.sdo = axis, dictionary, sdo
         self.quirks = quirks_of(axis.quirks)
         self.read_back: ReadBack = read_back
