@@ -46,6 +46,7 @@ _PACKAGES: Final = ("canhaptic", "numpy")
 _KEPT: Final = {"truth": "truth_runs.jsonl", "truth_faults": "truth_fault_runs.jsonl"}
 _SHRUNK_AT_MOST: Final = 5
 _IN_WORDS: Final = ("named", "fault", "stopped by", "declared falsely")
+_WANTED: Final = 20_000
 _RUNS: Final = 24_000
 """Seeds by default: of seven, six make a run that counts."""
 
@@ -171,7 +172,13 @@ def _figures(outcomes: list[Outcome], *, faults: bool) -> list[Row]:
     ratios = [o.resolution / o.error for o in counted if o.error > 1e-9]
     ratio = median(ratios) if ratios else 0.0
     return [
-        Row("runs of at least 1 s with a contact of 0.5 N", len(counted), "1", target=">= 20000"),
+        Row(
+            "runs of at least 1 s with a contact of 0.5 N",
+            len(counted),
+            "1",
+            target=">= 20000",
+            met=len(counted) >= _WANTED,
+        ),
         Row("false claims", wrong, "1", target="0", met=wrong == 0),
         Row("runs that lost more than declared and went on", went_on, "1", target="0", met=went_on == 0),
         Row("passive runs of algorithms that promise", len(promised), "1"),
