@@ -3,6 +3,7 @@
 `make bench Q=truth` runs thousands of such scenes and makes one with a false claim smaller (`--only SEED`).
 """
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import LOOP_KEYS
 from canhaptic.sim.plant.effects import EFFECTS
-from tools.bench.truth import false_table, fault_table, is_false, outcome_of, outcome_with_fault, table_of
+from tools.bench.truth import false_table, fault_table, is_false, outcome_of, outcome_with_fault, run_all, table_of
 from tools.truth.faults import with_fault
 from tools.truth.judge import Outcome, judged
 from tools.truth.known_ways import WAYS, is_closed, row_of
@@ -178,3 +179,11 @@ def test_the_table_of_false_declarations_counts_what_a_run_notices():
     harmless, refused = replace(unseen, least=0.0, false_claims=()), replace(unseen, status="refused")
     [row] = false_table([unseen, seen, stopped, harmless, refused])
     assert list(row.values()) == ["moving_mass", 4, 1, 2, 3, 2]
+
+
+def test_a_campaign_goes_on_where_it_was_stopped(tmp_path):
+    first, second = replace(outcome_of(0), seed=1), replace(outcome_of(0), seed=2)
+    lines = [json.dumps(one.as_json()) for one in (first, second)]
+    kept = tmp_path / "truth_runs.jsonl"
+    kept.write_text(f"{lines[0]}\n{lines[1][:50]}{lines[1]}\n{lines[1]}\n", encoding="utf-8")
+    assert run_all([1, 2], kept, 1) == [first, second]

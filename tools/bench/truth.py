@@ -28,6 +28,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from multiprocessing import Pool
 from pathlib import Path
 from statistics import median
@@ -70,15 +71,19 @@ def run_all(seeds: Iterable[int], kept: Path, jobs: int, run: Callable[[int], Ou
         for number, outcome in enumerate(pool.imap_unordered(run, missing, chunksize=8), 1):
             done[outcome.seed] = outcome
             file.write(json.dumps(outcome.as_json()) + "\n")
+            file.flush()
             if number % 500 == 0:
                 print(f"{number} of {len(missing)}", flush=True)
     return [done[seed] for seed in wanted]
 
 
 def _read(kept: Path) -> list[Outcome]:
-    """Returns the outcomes of earlier calls; JSON knows no tuples."""
+    """Returns the outcomes of earlier calls; JSON knows no tuples. A line that a stop cut off is left out."""
     lines = kept.read_text(encoding="utf-8").splitlines() if kept.exists() else []
-    found: list[Any] = [json.loads(line) for line in lines]
+    found: list[Any] = []
+    for line in lines:
+        with suppress(json.JSONDecodeError):
+            found.append(json.loads(line))
     for one in found:
         one.update({name: tuple(value) for name, value in one.items() if isinstance(value, list)})
     return [Outcome(**one) for one in found]
