@@ -14,7 +14,7 @@ _COUNTS: Final = frozenset({"uncommanded"})
 """Columns that count from the beginning of a run; a recomputation does not have them."""
 
 
-class Finding(TypedDict):
+class ImpossibleValue(TypedDict):
     """A column with such values."""
 
     dataset: str
@@ -23,7 +23,7 @@ class Finding(TypedDict):
     cycle: int  # the first
 
 
-def impossible_values(log: EnergyLog) -> list[Finding]:
+def impossible_values(log: EnergyLog) -> list[ImpossibleValue]:
     """Returns each column with such values.
 
     Raises:
@@ -31,7 +31,7 @@ def impossible_values(log: EnergyLog) -> list[Finding]:
     """
     groups = {f"ports/{name}": port for name, port in log.ports.items()}
     groups |= {f"truth/{name}": truth for name, truth in log.truth.items()}
-    found: list[Finding] = []
+    found: list[ImpossibleValue] = []
     for group, quantities in groups.items():
         for name in quantities:
             rows, first, before = 0, -1, 0

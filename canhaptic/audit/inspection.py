@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Final, NotRequired, TypedDict
 import numpy as np
 
 from canhaptic.audit.extent import contacts, rows_between
-from canhaptic.audit.impossible_values import Finding, impossible_values
-from canhaptic.audit.log_difference import Comparison
+from canhaptic.audit.impossible_values import ImpossibleValue, impossible_values
+from canhaptic.audit.log_difference import LogComparison
 from canhaptic.audit.port_record import PortRecord
 from canhaptic.audit.recompute import Recomputed
 from canhaptic.audit.user_checks import Outcome
@@ -59,7 +59,7 @@ class Inspection(_Inspected):
     config_hash: str
     cycles: int
     rate: float  # [Hz]
-    findings: list[Finding]
+    findings: list[ImpossibleValue]
     passive: Verdict
     passive_at_handle: NotRequired[Verdict]
     ports: dict[str, PortResult]
@@ -69,7 +69,7 @@ class Inspection(_Inspected):
     contacts: dict[str, list[ContactStretch]]
     events: list[LoggedEvent]
     checks: NotRequired[list[Outcome]]
-    comparison: NotRequired[Comparison]
+    comparison: NotRequired[LogComparison]
     recomputed: NotRequired[list[Recomputed]]
     rederived: NotRequired["Rederived"]
 

@@ -20,7 +20,7 @@ class Difference(TypedDict):
     largest: float  # in any cycle
 
 
-class Comparison(TypedDict):
+class LogComparison(TypedDict):
     """Two runs against each other."""
 
     identical: bool
@@ -29,7 +29,7 @@ class Comparison(TypedDict):
     differences: list[Difference]
 
 
-def compare(first: EnergyLog, second: EnergyLog) -> Comparison:
+def compare(first: EnergyLog, second: EnergyLog) -> LogComparison:
     """Returns how two runs differ; times of the cycles are left out, they differ in every run.
 
     Args:

@@ -36,7 +36,7 @@ class TrueEnergies(TypedDict):
     believed_error: float
 
 
-class GroupRun(PortResult, total=False):
+class ComparedGroup(PortResult, total=False):
     """The account of a group under one algorithm; of one that was refused there are only the first three."""
 
     status: str
@@ -51,7 +51,7 @@ class GroupCompared(TypedDict):
     axes: list[str]
     network: str
     unit: str
-    algorithms: dict[str, GroupRun]
+    algorithms: dict[str, ComparedGroup]
 
 
 class GroupsCompared(Heading):
@@ -110,7 +110,7 @@ def _scene_under(scene: Scene, name: str) -> Scene:
     return replace(scene, groups=tuple(group_under(group, name) for group in scene.groups))
 
 
-_Accounts = dict[str, dict[str, GroupRun]]
+_Accounts = dict[str, dict[str, ComparedGroup]]
 """By group and algorithm."""
 
 
@@ -119,8 +119,8 @@ def _over_can(scene: Scene, names: Sequence[str], cycles: int, progress: Progres
     return {group.name: {name: _of_group(group.name, found) for name, found in runs.items()} for group in scene.groups}
 
 
-def _of_group(name: str, found: Mapping[str, Any]) -> GroupRun:
-    account: GroupRun = {"status": found["status"], "remark": found["remark"], "engine": "python"}
+def _of_group(name: str, found: Mapping[str, Any]) -> ComparedGroup:
+    account: ComparedGroup = {"status": found["status"], "remark": found["remark"], "engine": "python"}
     if "ports" in found:
         account.update(found["ports"][name])
         account["truth"] = found["truth"].get(name)
@@ -139,13 +139,13 @@ def _without_bus(scene: Scene, names: Sequence[str], cycles: int, progress: Prog
     return found
 
 
-def _compiled(scene: Scene, name: str, cycles: int) -> GroupRun:
+def _compiled(scene: Scene, name: str, cycles: int) -> ComparedGroup:
     """Returns the account of one group; whether it was passive is what the plant's own energies say."""
     try:
         run = render_group_by("numba", _scene_under(scene, name), cycles, GroupRecorder(len(scene.axes)))
     except ParameterError as error:
         return {"status": "refused", "remark": str(error), "engine": None}
-    account = cast("GroupRun", run.summary.as_json(scene.bus.sample_time))  # it has the keys of both
+    account = cast("ComparedGroup", run.summary.as_json(scene.bus.sample_time))  # it has the keys of both
     account["status"], account["engine"] = run.ended or "completed", run.engine
     account["remark"] = "; ".join(text for text in (run.reason, run.engine.partition(": ")[2]) if text)
     account["passive"] = passive_verdict(run.least_interaction)
@@ -190,7 +190,7 @@ def _table(group: GroupCompared) -> FigureTable:
     return table
 
 
-def _cell(read: Callable[[GroupRun, str], str | float], account: GroupRun, unit: str) -> Text:
+def _cell(read: Callable[[ComparedGroup, str], str | float], account: ComparedGroup, unit: str) -> Text:
     try:
         value = read(account, unit)
     except (KeyError, TypeError):  # refused, or nothing to measure
@@ -200,19 +200,19 @@ def _cell(read: Callable[[GroupRun, str], str | float], account: GroupRun, unit:
     return Text(si(value, "J", 3), style="red" if value < -PASSIVE_TOLERANCE else "")
 
 
-def _truth(account: GroupRun) -> TrueEnergies:
+def _truth(account: ComparedGroup) -> TrueEnergies:
     truth = account["truth"]
     if truth is None:
         raise KeyError("truth")
     return truth
 
 
-def _damping(account: GroupRun, unit: str) -> str:
+def _damping(account: ComparedGroup, unit: str) -> str:
     rendered = account["damping_rendered"]
     return f"{rendered['least']:.3g}..{rendered['most']:.3g} {damping_unit(unit)}"
 
 
-_ROWS: Final[dict[str, Callable[[GroupRun, str], str | float]]] = {
+_ROWS: Final[dict[str, Callable[[ComparedGroup, str], str | float]]] = {
     "": lambda account, _: account["status"],
     "passive (eq. 3)": lambda account, _: account["passive"],
     "least true sum(h_i)": lambda account, _: _truth(account)["least_interaction"],

@@ -33,7 +33,7 @@ from canhaptic.view.bokeh_style import finished, new_panel
 from canhaptic.view.decimate import decimate
 from canhaptic.view.palette import BLUE, GREY, PALE, VERMILION
 from canhaptic.view.si import si
-from canhaptic.view.verdict import verdict_bar
+from canhaptic.view.verdict_bar import verdict_bar
 
 _WINDOW: Final = 3.0  # [s]
 _POINTS: Final = 3000  # kept per line

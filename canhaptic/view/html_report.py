@@ -19,7 +19,7 @@ from canhaptic.view.html_page import require_bokeh, write_page
 from canhaptic.view.series import PortSeries, losses
 from canhaptic.view.si import si
 from canhaptic.view.task_plane import task_plane
-from canhaptic.view.verdict import verdict_bar
+from canhaptic.view.verdict_bar import verdict_bar
 
 if TYPE_CHECKING:
     from bokeh.plotting import figure

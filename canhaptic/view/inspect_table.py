@@ -7,9 +7,9 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from canhaptic.audit.impossible_values import Finding
+from canhaptic.audit.impossible_values import ImpossibleValue
 from canhaptic.audit.inspection import ContactStretch, Inspection, LoggedEvent
-from canhaptic.audit.log_difference import Comparison
+from canhaptic.audit.log_difference import LogComparison
 from canhaptic.audit.recompute import Recomputed
 from canhaptic.audit.user_checks import Outcome
 from canhaptic.axis_units import effort_unit
@@ -88,7 +88,7 @@ def checks_table(checks: list[Outcome]) -> Table:
     return table
 
 
-def _finding_line(finding: Finding) -> Text:
+def _finding_line(finding: ImpossibleValue) -> Text:
     rows = f"{finding['rows']} row{'s are' if finding['rows'] != 1 else ' is'}"
     words = f" {finding['dataset']}: {rows} {finding['what']}, first in cycle {finding['cycle']}"
     return Text(words, style="bold red")
@@ -117,7 +117,7 @@ def _rederived_line(rederived: "Rederived") -> Text:
     return Text("\n".join(lines), style="bold red")
 
 
-def comparison_report(comparison: Comparison) -> RenderableType:
+def comparison_report(comparison: LogComparison) -> RenderableType:
     """Returns the difference of two runs as `compare` found it."""
     first, second = comparison["rows"]
     if comparison["identical"]:
@@ -131,7 +131,7 @@ def comparison_report(comparison: Comparison) -> RenderableType:
     return Group(*parts)
 
 
-def _differences_table(title: str, comparison: Comparison) -> Table:
+def _differences_table(title: str, comparison: LogComparison) -> Table:
     table = FigureTable(title=title)
     table.add_column("quantity", no_wrap=True)
     for column in ("cycle", "first log", "second log", "largest difference"):

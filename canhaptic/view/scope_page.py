@@ -19,7 +19,7 @@ from canhaptic.view.live_log import LiveLog, News
 from canhaptic.view.port_panels import OPTIONAL, PortPanels, fault_columns, is_empty
 from canhaptic.view.series import FAULTS
 from canhaptic.view.si import si
-from canhaptic.view.verdict import verdict_bar
+from canhaptic.view.verdict_bar import verdict_bar
 
 _POINTS: Final = 6000  # kept per line
 _BUCKETS: Final = 250  # per look; about twice as many rows

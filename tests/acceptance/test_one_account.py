@@ -12,7 +12,7 @@ from canhaptic.cli.main import main
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import with_groups
 from canhaptic.view.live_log import LiveLog
-from canhaptic.view.verdict import verdict_bar
+from canhaptic.view.verdict_bar import verdict_bar
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 WALL = ["environment.stiffness=2000", "environment.damping=4", "passivity.device_damping=0.05"]

@@ -184,14 +184,14 @@ class PlantModel:
         return (*self.states, *extra, "torque", "one")
 
 
-class _Source(Protocol):
+class _PlantPart(Protocol):
     """What a scene names: the moving mass, the user, an effect."""
 
     def add_to(self, scene: PlantModel) -> None:
         """Adds what it consists of."""
 
 
-class _Effect(_Source, Protocol):
+class _Effect(_PlantPart, Protocol):
     """An effect of the scene."""
 
     rank: ClassVar[int]
@@ -201,7 +201,7 @@ class _Effect(_Source, Protocol):
         """Its name in a scene."""
 
 
-def collect(axis: _Source, user: _Source | None, effects: Sequence[_Effect], sample_time: float) -> PlantModel:
+def collect(axis: _PlantPart, user: _PlantPart | None, effects: Sequence[_Effect], sample_time: float) -> PlantModel:
     """Returns the scene of a plant: body, shaft and motor first, then the hand, then the other effects.
 
     Raises:

@@ -33,7 +33,7 @@ class Transition(NamedTuple):
     reset: Callable[[Floats], None] | None = None
 
 
-class Place(NamedTuple):
+class BodyPlace(NamedTuple):
     """Where a body is in the state: the sum of factor times state."""
 
     velocity: int
@@ -118,7 +118,7 @@ class ReferenceHand(_Smooth):
 
     def __init__(
         self,
-        place: Place,
+        place: BodyPlace,
         grasps: Sequence[tuple[float, float, float]],
         push: float,
         rest: float,
@@ -190,7 +190,7 @@ class ReferenceContact:
     modes: tuple[str, ...] = ("apart", "touching")
 
     def __init__(
-        self, sides: Sequence[tuple[int, Place, float]], limit: float, stiffness: float, damping: float, depth: int
+        self, sides: Sequence[tuple[int, BodyPlace, float]], limit: float, stiffness: float, damping: float, depth: int
     ) -> None:
         self._sides, self._limit = tuple(sides), limit
         self._stiffness, self._damping, self._depth = stiffness, damping, depth

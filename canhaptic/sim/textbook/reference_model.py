@@ -16,11 +16,11 @@ from canhaptic.sim.plant.user import UserParameters
 from canhaptic.sim.textbook.reference_elements import (
     POSITION,
     VELOCITY,
+    BodyPlace,
     Drag,
     Element,
     Floats,
     LuGre,
-    Place,
     ReferenceContact,
     ReferenceDetents,
     ReferenceHand,
@@ -71,7 +71,7 @@ class Model:
         self.names = ["position", "velocity"]
         self.start = [parameters.initial_position, parameters.initial_velocity]
         self._masses = [parameters.mass]
-        self._places = [Place(VELOCITY, ((POSITION, 1.0),))]
+        self._places = [BodyPlace(VELOCITY, ((POSITION, 1.0),))]
         self._kinematics: dict[int, tuple[tuple[int, float], ...]] = {POSITION: ((VELOCITY, 1.0),)}
         self._elements: list[Element] = []
         self.breaks: list[float] = []
@@ -122,7 +122,7 @@ class Model:
         if shaft:
             twist, load = self.add_state("twist"), self.add_state("load_velocity", self.start[VELOCITY])
             self._masses.append(shaft.load_mass)
-            self._places.append(Place(load, ((POSITION, 1.0), (twist, -1.0))))
+            self._places.append(BodyPlace(load, ((POSITION, 1.0), (twist, -1.0))))
             self._kinematics[twist] = ((VELOCITY, 1.0), (load, -1.0))
             if not self._one("backlash"):
                 self._elements.append(Shaft(shaft.stiffness, shaft.damping, twist, load))

@@ -155,14 +155,14 @@ def commanded(loop: LoopSettings, torque: float) -> float:
     return torque if loop.torque_quantum == 0.0 else round(torque / loop.torque_quantum) * loop.torque_quantum
 
 
-class Acting(NamedTuple):
+class ActingTorque(NamedTuple):
     """What reaches a motor of a torque during the hold to come."""
 
     torque: float  # [N or N*m]
     temperature: float  # of the winding at its end [K]
 
 
-def acting(signals: Signals, temperature: float, torque: float) -> Acting:
+def acting(signals: Signals, temperature: float, torque: float) -> ActingTorque:
     """Returns what reaches the motor of a torque [N or N*m] where its winding has a temperature [K]."""
     winding = signals.winding
     if not signals.saturates_last:
@@ -175,7 +175,7 @@ def acting(signals: Signals, temperature: float, torque: float) -> Acting:
         torque = min(max(torque, -signals.saturation), signals.saturation)
     if signals.torque_step != 0.0:
         torque = round(torque / signals.torque_step) * signals.torque_step
-    return new(Acting, (torque, temperature))
+    return new(ActingTorque, (torque, temperature))
 
 
 def pass_frames(losses: Losses, place: Interruption, cycle: int) -> None:
