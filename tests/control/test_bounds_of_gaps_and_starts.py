@@ -10,11 +10,12 @@ from canhaptic.control.certificates.lost_samples import Gap, doubt_of, farthest
 from canhaptic.control.certificates.scalar_bounds import displacement_response, hand_force_bound
 from canhaptic.control.certificates.start_energy import energy_for_any_hand, start_energy
 from canhaptic.control.environments.damper_wall import DamperWall
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.control.passivity.hold_account import Axis, Hold, HoldAccount, let_samples_pass, surplus_after
-from canhaptic.control.passivity.in_flight import Commands
+from canhaptic.control.passivity.in_flight import Commands, efforts_inside
 from canhaptic.control.passivity.settlement import settle
 
 T, MASS, PULL = 1e-3, 0.25, 5.0
@@ -54,7 +55,7 @@ def test_the_farthest_hold_of_a_gap_leaves_no_less_than_was_moved_in_all(lost: f
 
 def test_what_a_torque_more_or_less_in_a_lost_hold_gives_out_is_its_difference_over_the_farthest_way() -> None:
     gap = Gap(3, 4e-5, 1e-5, 1e-6, 2e-6, 1e-5, 0.1)
-    for torque in (-3.0, -0.5, 0.5, 3.0):
+    for torque in (-3.0, -0.5, 0.0, 0.5, 3.0):
         for last in (-1.0, 0.0, 1.0, torque):
             more = torque - last
             sign = 1.0 if more > 0.0 else -1.0
@@ -135,20 +136,41 @@ def test_a_hold_is_settled_without_giving_up_what_the_certificates_need() -> Non
         assert paid == pytest.approx(min(leak, owed))
 
 
-@pytest.mark.parametrize("share", [1.0, 0.25])
-def test_a_torque_that_was_cut_has_as_much_less_of_its_damper_in_it(share: float) -> None:
-    """A pure damper dissipates what comes in: its part of the torque applied, times the displacement."""
-    loop = LoopProperties(sample_time=T, delay=0, moving_mass=MASS, device_damping_bound=0.2)
-    one = Guarded(DamperWall(damping=20.0, position=0.0), GuardedParameters(hand_force=0.0), loop)
-    place, torque, dissipated = 1e-4, 0.0, []
-    for _ in range(6):
-        place -= 1e-4
-        balance = one.step(place, share * torque)
-        assert balance.h_i == pytest.approx(share * torque * 1e-4)
-        dissipated.append(balance.h_r - balance.h_i)
-        torque = balance.torque
-    assert torque > 0.5
-    assert dissipated == pytest.approx([0.0] * 6, abs=1e-9)
+def test_a_torque_that_was_cut_has_as_much_less_of_its_damper_in_it() -> None:
+    """What the damper of a wall dissipates in a hold is its part of the torque applied, times the displacement."""
+    lost = []
+    for share in (1.0, 0.25):
+        loop = LoopProperties(sample_time=T, delay=0, moving_mass=MASS, device_damping_bound=0.2)
+        wall = SpringDamperWall(stiffness=500.0, damping=4.0, position=0.0)
+        one, torque = Guarded(wall, GuardedParameters(hand_force=0.0), loop), 0.0
+        for place in (1e-4, -1e-3, -2e-3):
+            torque = one.step(place, torque).torque
+        lost.append(one.step(-2.2e-3, share * torque).h_r)
+    assert lost[0] > 1e-5
+    assert lost[1] == pytest.approx(0.25 * lost[0])
+
+
+def test_a_torque_against_its_command_has_nothing_of_its_damper_in_it() -> None:
+    commands = Commands([2.0, 0.0], [0.5, 0.3], [0.2, 0.1])
+    assert efforts_inside(commands, 0, 2.0) == (0.5, 0.2)
+    assert efforts_inside(commands, 0, 1.0) == (0.25, 0.1)
+    assert efforts_inside(commands, 0, 9.0) == (0.5, 0.2)
+    assert efforts_inside(commands, 0, -1.0) == (0.0, 0.0)
+    assert efforts_inside(commands, 1, 1.0) == (0.0, 0.0)
+
+
+def test_the_timing_of_holds_is_what_is_declared_of_them() -> None:
+    timing = hold_timing(T, 0.02, 1e-4, 5e-5)
+    assert (timing.shortest, timing.longest) == pytest.approx((0.98 * T, 1.02 * T))
+    assert timing.late == pytest.approx(1.5e-4)
+    assert timing.left == pytest.approx(math.exp(-(0.98e-3 - 1e-4) / 5e-5))
+    assert hold_timing(T, 0.02, 1e-4, 0.0).left == 0.0
+
+
+def test_beyond_half_a_time_constant_the_torque_before_counts_as_without_damping() -> None:
+    for damping, is_damped in ((0.4 * MASS / T, True), (0.6 * MASS / T, False), (1.4 * MASS / T, False)):
+        before = displacement_response(T, MASS, PULL, damping, damping).before
+        assert (before < 0.5 * T * T / MASS) is is_damped
 
 
 def test_lost_samples_let_the_commands_pass_as_far_as_the_limit_lets_them_act() -> None:

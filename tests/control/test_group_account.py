@@ -26,6 +26,7 @@ from canhaptic.control.multi_axis.group_commands import (
     end_holds,
     no_group_commands,
     no_group_holds,
+    send_nothing,
     take_applied,
     torque_held,
 )
@@ -243,3 +244,13 @@ def test_past_dissipation_fades_with_the_account(dissipated: float, left: float)
 def test_a_quotient_of_nothing_is_infinite_and_one_without_a_budget_nothing() -> None:
     assert (quotient(3.0, 2.0), quotient(0.0, 0.0), quotient(-1.0, 0.0)) == (1.5, math.inf, 0.0)
     assert quotient(math.nan, 1.0) == 0.0
+
+
+def test_a_command_of_nothing_has_no_effort_of_any_kind() -> None:
+    commands = no_group_commands(2, 1, 1)
+    for rows in (commands.torques, commands.dampers, commands.modulated, commands.ports):
+        rows[1][:] = [1.0] * len(rows[1])
+    commands.power[1] = 1.0
+    assert send_nothing(commands, 1) == 0
+    assert (commands.torques[1], commands.dampers[1], commands.modulated[1]) == ([0.0] * 2, [0.0] * 2, [0.0] * 2)
+    assert (commands.ports[1], commands.power[1]) == ([0.0], 0.0)

@@ -93,6 +93,10 @@ def test_the_timing_of_a_group_is_that_of_its_axes() -> None:
     assert timing.tail_path == pytest.approx(0.3 * late)
     assert axes.path == pytest.approx(0.3 * (longest + late))
     assert axes.lost == pytest.approx([1.0 - math.exp(-y) for y in fading])
+    damped = axes_of((loop.model_copy(update={"device_damping": 2.0}),) * 2, None, None)
+    assert damped.squares == pytest.approx([4.0 * 2.0 / (longest + late)] * 2)
+    free = axes_of((loop.model_copy(update={"device_damping_bound": None}),), None, None)
+    assert free.timing.swing == [1.0]
     assert axes_of(
         (loop.model_copy(update={"sync_jitter": 0.0, "torque_window": 0.0, "current_lag": 0.0}),), 5.0, None
     ).timing.is_ideal

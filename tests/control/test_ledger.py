@@ -108,3 +108,17 @@ def test_a_sum_is_below_zero_for_certain_only_beyond_its_resolution(
 def test_at_the_handle_a_sum_below_zero_is_a_doubt(least: float | None, expected: str | None) -> None:
     account = {"in": 1.0, "least_at_handle": least, "energy_resolution": 1e-9, "certificate": "none"}
     assert handle_verdict(account) == expected  # type: ignore[arg-type]
+
+
+def test_a_hold_without_torque_has_no_certificate_but_none_for_energy_that_nothing_bounded() -> None:
+    for certificate, expected in ((Certificate.HAND_FORCE, ()), (Certificate.NONE, (Certificate.NONE,))):
+        ledger = Ledger()
+        ledger.add(AT_REST._replace(h_i=1.0, certificate=certificate.value), 0)
+        assert ledger.summary().certificates == expected
+
+
+@pytest.mark.parametrize("branch", Branch)
+def test_a_run_ends_with_an_open_hold_where_the_last_was_held_on(branch: Branch) -> None:
+    ledger = Ledger()
+    ledger.add(AT_REST._replace(branch=branch.value), 0)
+    assert ledger.summary().has_open_hold is (branch is Branch.HELD)

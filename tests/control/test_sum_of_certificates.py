@@ -45,12 +45,12 @@ def test_no_displacement_within_reach_takes_more(torque, damping, friction, reac
         assert found == pytest.approx(most, abs=1e-7)
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(120))
 def test_the_largest_torque_is_where_what_is_taken_meets_what_is_left(seed):
     draw = random.Random(seed)
     known = declared(
         hand_force=draw.choice([None, 0.0, 5.0]),
-        damping=draw.choice([0.0, 0.5, 20.0]),
+        damping=draw.choice([0.0, 0.5, 20.0, 2000.0]),
         friction=draw.choice([0.0, 0.5]),
         speed=draw.choice([0.0, 0.3]),
     )
@@ -98,6 +98,12 @@ def test_free_is_what_torques_under_way_in_both_directions_leave():
                 before, worst = sign * torque, max(worst, total)
             left -= worst
         assert free_energy(known, bound, memory, 1e-3) == pytest.approx(max(0.0, left))
+
+
+def test_in_debt_the_speed_of_the_hand_allows_no_torque_beyond_friction():
+    known = declared(damping=20.0, friction=0.5, speed=0.3, delay=0)
+    memory = bound_memory(known, [0.0], list_of_zeros)
+    assert largest_in_sum(known, TorqueBound(), memory, 1.0, -1e-6)[0] == 0.5
 
 
 def needed(known: Declared, bound: TorqueBound, memory: BoundMemory, torque: float) -> float:

@@ -116,7 +116,7 @@ def test_the_farthest_displacement_is_the_least_that_any_mean_allows() -> None:
             continue
         response, count = known.response, known.encoder_count
         bound, memory = TorqueBound(out=draw.choice([1.0, -1.0])), bound_memory(known, [0.0], list_of_zeros)
-        speed, place, torques, moves = draw.uniform(-0.05, 0.05), 0.0, [], []
+        speed, place, torques, moves, counted = draw.uniform(-0.05, 0.05), 0.0, [], [], []
         for _ in range(draw.choice([1, 2, 5, 20])):
             torque, hand = draw.choice([0.0, draw.uniform(-2.0, 2.0)]), draw.uniform(-PULL, PULL)
             last, place = place, place + (speed + 0.5 * (torque + hand) / MASS * T) * T
@@ -124,13 +124,12 @@ def test_the_farthest_displacement_is_the_least_that_any_mean_allows() -> None:
             moves.append((math.floor(place / count) - math.floor(last / count)) * count)
             torques.append(torque)
             end_hold(known, bound, memory, moves[-1], torque)
+            counted.append((bound.most, -bound.least))
         for sign in (1.0, -1.0):
             hand = hand_along(known, bound, sign)
             acting = [max(0.0, sign * torque) for torque in torques]
             if known.late:
-                rows = memory.torques if sign > 0.0 else memory.against
-                acting = [max(0.0, sign * rows[bound.newest - back]) for back in range(len(moves))][::-1]
-                acting[-1] = max(0.0, acted(known, bound, sign))
+                acting = [max(0.0, both[0] if sign > 0.0 else both[1]) for both in counted]
             bounds, total, raised, raises = [], 0.0, 0.0, 0.0
             for back in range(len(moves)):
                 along = sign * moves[-1 - back]
