@@ -173,7 +173,14 @@ def _judge(session: Session, axis: int, fit: _Fit) -> None:
     session.judged(axis, "latency of the force", f"{late} samples", found, good=late == fit.latency, text=text)
     if late != fit.latency:
         session.propose(axis, "admittance.force.latency", fit.latency)
-    known = session.axes[axis].passivity.parameters
+    _judge_drive(session, axis, fit, mass_unit, gain_unit)
+
+
+def _judge_drive(session: Session, axis: int, fit: _Fit, mass_unit: str, gain_unit: str) -> None:
+    """Judges mass, gains and friction against what the axis declares, or the group that renders on it."""
+    group = next((one for one in session.scene.groups if one.name == session.axes[axis].group), None)
+    known = (session.axes[axis] if group is None else group).passivity.parameters
+    of_group = "" if group is None else f"; in the group {group.name}, the largest of its axes"
     declared = known if isinstance(known, GuardedDisplayParameters) else None
     has_friction = declared is not None and declared.drive_friction is not None
     ranged = ("loop_gain", "drive_mass") if has_friction else ("loop_gain",)
@@ -191,7 +198,7 @@ def _judge(session: Session, axis: int, fit: _Fit) -> None:
         configured = "" if stated is None else f"{stated:.4g} {unit}, an over-estimate"
         session.judged(axis, item, configured, f"{value:.4g} {unit}", good=good, text="paste the value")
         if not good:
-            session.propose(axis, f"passivity.{key}", _SAFE * value, unit, "1.1 times what was measured")
+            session.propose(axis, f"passivity.{key}", _SAFE * value, unit, f"1.1 times what was measured{of_group}")
 
 
 def _judge_friction(session: Session, axis: int, found: float, declared: GuardedDisplayParameters | None) -> None:

@@ -55,3 +55,12 @@ def test_friction_is_measured_and_judged_where_it_is_declared(capsys: pytest.Cap
     assert status == 1
     assert float(found["friction of the drive"]["found"].split()[0]) == pytest.approx(3.0, rel=0.1)
     assert "  drive_friction: 3." in found["snippet"]
+
+
+@pytest.mark.slow
+def test_the_axes_of_a_group_are_compared_with_what_the_group_declares(capsys: pytest.CaptureFixture[str]) -> None:
+    scene = str(Path(SCENE).with_name("guided_path.yaml"))
+    assert main(["commission", scene, "--yes", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["snippet"] == ""
+    assert main(["commission", scene, "--yes", "--json", "--set", "simulation.plant.mass=3"]) == 1
+    assert "in the group stage" in json.loads(capsys.readouterr().out)["snippet"]
