@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Final
 
 from canhaptic.canopen import objects as od
-from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.bus_reader import Frame, SkippedKind, read_bus_log
 from canhaptic.replay.roles import Address, Roles
 from canhaptic.scene.channels import Channels
 
-_SYNC: Final[Address] = (0, SYNC_FRAME_COB_ID)
+_SYNC: Final[Address] = (0, od.SYNC_FRAME_COB_ID)
 
 
 class Recording:

@@ -142,14 +142,14 @@ def build_group(scene: Scene, group: GroupScene) -> GroupController:
     """
     if any(scene.axis(name).parameters.admittance is not None for name in group.axes):
         return _build_display_group(scene, group)
-    check_group(scene, group)
+    check_group(group)
     loops = [loop_as_known(scene.axis(name)) for name in group.axes]
     kinematics = cast(Kinematics, group.kinematics.parameters)  # every class of KINEMATICS is one
     network = cast(NetworkEnvironment, group.network.parameters)  # every class of NETWORKS is one
     return build_group_controller(network, kinematics, group.passivity.name, group.passivity.parameters, loops)
 
 
-def check_group(scene: Scene, group: GroupScene) -> None:
+def check_group(group: GroupScene) -> None:
     """Refuses a group whose parts do not fit its axes.
 
     Raises:
@@ -170,7 +170,7 @@ def _build_display_group(scene: Scene, group: GroupScene) -> GroupController:
         raise ParameterError(
             f"group {group.name!r} has admittance displays and {', '.join(others)}, which is none; expected one kind"
         )
-    check_group(scene, group)
+    check_group(group)
     properties, kinematics = [display_properties(axis) for axis in axes], cast(Kinematics, group.kinematics.parameters)
     return build_display_group(
         group.network.parameters, group.passivity.name, group.passivity.parameters, properties, kinematics

@@ -58,7 +58,9 @@ def test_a_drive_that_is_no_cia_402_device_is_refused(bench: MakeBench, device_t
 
 @pytest.mark.parametrize("device_type", [0x00020192, 0x00420192, 0x00060192, 0x00000192])
 def test_the_high_word_of_the_device_type_does_not_matter(bench: MakeBench, device_type: int) -> None:
-    bench(objects={0x1000: device_type}).rig.start()
+    b = bench(objects={0x1000: device_type})
+    b.rig.start()
+    assert b.drives[0].state is DriveState.OPERATION_ENABLED
 
 
 def test_a_dictionary_whose_modes_lack_bit_9_is_refused_with_all_others(tmp_path: Path) -> None:

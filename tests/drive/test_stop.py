@@ -156,6 +156,9 @@ def test_an_emcy_that_says_the_error_is_gone_stops_nothing(bench: MakeBench) -> 
     b, _ = running(bench)
     b.buses[1].send(can.Message(arbitration_id=0x085, is_extended_id=False, data=bytes(8)))
     b.run(3, torque=4.0)
+    assert b.rig.is_running
+    assert b.drives[0].state is DriveState.OPERATION_ENABLED
+    assert b.drives[0].torque == 4.0
 
 
 def test_a_lost_heartbeat_stops_the_rig_though_tpdos_still_come(bench: MakeBench) -> None:

@@ -66,7 +66,7 @@ def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
         ParameterError: The group cannot be built.
     """
     (group,) = scene.groups
-    check_group(scene, group)
+    check_group(group)
     axes = [scene.axis(name) for name in group.axes]
     loops = tuple(loop_as_known(axis) for axis in axes)
     environment, kinematics = (cast(Any, part.parameters) for part in (group.network, group.kinematics))
