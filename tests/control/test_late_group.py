@@ -129,23 +129,28 @@ def reach(group: Group, i: int, sign: float, hold: int, norm: float) -> float:
     return s * max(0.0, moved + (hold - 1) * step) + s * (0.5 + s) * step
 
 
+def norms(group: Group, holds: int, size: float) -> tuple[float, float]:
+    """N of the torques that may act, with the hand, and what a part of those asked for adds to it."""
+    memory, timing = group.memory, group.axes.timing
+    sizes = [
+        max(abs(memory.torques[i]), memory.before.highest[i], -memory.before.lowest[i],
+            *(abs(row[i]) for row in group.under_way[:holds]))
+        for i in range(2)
+    ]  # fmt: skip
+    least = math.sqrt(sum((r * f) ** 2 for r, f in zip(timing.roots, sizes, strict=True))) + timing.hand
+    grown = [max(0.0, (size * w) ** 2 - f**2) for w, f in zip(group.asked, sizes, strict=True)]
+    return least, math.sqrt(sum(r**2 * extra for r, extra in zip(timing.roots, grown, strict=True)))
+
+
 @pytest.mark.parametrize("holds", [0, 1, 2])
 def test_older_torques_give_out_no_more_than_a_parabola_of_the_share(holds: int) -> None:
     """Between no share and all of it what they exceed the torque by is its chord, and so is the norm that acts."""
     for seed in range(60):
         group, size = group_of(seed), 0.7 if seed % 2 else 1.0
         axes, memory, timing = group.axes, group.memory, group.axes.timing
-        sizes = [
-            max(abs(memory.torques[i]), memory.before.highest[i], -memory.before.lowest[i],
-                *(abs(row[i]) for row in group.under_way[:holds]))
-            for i in range(2)
-        ]  # fmt: skip
-        least = math.sqrt(sum((r * f) ** 2 for r, f in zip(timing.roots, sizes, strict=True))) + timing.hand
-        grown = [max(0.0, (size * w) ** 2 - f**2) for w, f in zip(group.asked, sizes, strict=True)]
-        more = math.sqrt(sum(r**2 * extra for r, extra in zip(timing.roots, grown, strict=True)))
-        norms = norms_of(axes, memory, group.under_way, 0, holds, group.asked, size)
-        assert close(norms.least, least)
-        assert close(norms.more, more)
+        least, more = norms(group, holds, size)
+        found_norms = norms_of(axes, memory, group.under_way, 0, holds, group.asked, size)
+        assert found_norms == pytest.approx((least, more))
         older = passed(axes, (memory.before.highest, memory.before.lowest), memory.torques)
         given = 0.0
         for number in range(1, holds + 1):

@@ -223,6 +223,17 @@ def test_a_longer_hold_counts_by_its_last_sample_time_give_or_take_what_forces_g
         assert close(bound.certain, before.certain - taken)
 
 
+def acting_in(known: Declared, before: TorqueBound, torque: float, sent: float, differ: float) -> tuple[float, float]:
+    """The largest torque that may have acted in a lost hold, and the most by which one differs from the last."""
+    largest, apart = sent, differ
+    if known.losses:
+        largest, apart = max(largest, abs(before.torque)), max(apart, abs(before.torque - torque))
+    if known.late:
+        largest = max(largest, before.highest, -before.lowest)
+        apart = max(apart, before.highest - torque, torque - before.lowest, largest + abs(torque))
+    return largest, apart
+
+
 @pytest.mark.parametrize("holds", [2, 4])
 def test_lost_samples_leave_in_doubt_the_difference_of_torques_over_the_farthest_excursion(holds: int) -> None:
     ways = set()
@@ -232,18 +243,10 @@ def test_lost_samples_leave_in_doubt_the_difference_of_torques_over_the_farthest
         moved, torque, sent = draw.uniform(-1e-5, 1e-5), draw.uniform(-3.0, 3.0), draw.uniform(0.0, 3.0)
         differ, r, count, before = draw.uniform(0.0, 3.0), known.response, known.encoder_count, replace(bound)
         found = end_gap(known, bound, moved, torque, holds, sent, differ)
-        largest, apart, uncertain = sent, differ, holds - 1
-        if known.losses:
-            largest, apart = max(largest, abs(before.torque)), max(apart, abs(before.torque - torque))
+        largest, apart = acting_in(known, before, torque, sent, differ)
+        uncertain = holds if known.late else holds - 1
         if known.late:
-            largest = max(largest, before.highest, -before.lowest)
-            apart = max(apart, before.highest - torque, torque - before.lowest, largest + abs(torque))
-            uncertain = holds
-            assert (bound.most, bound.highest) == (largest, largest)
-            assert (bound.least, bound.lowest) == (
-                -largest,
-                -largest,
-            )
+            assert (bound.most, bound.highest, bound.least, bound.lowest) == (largest, largest, -largest, -largest)
         for_all, earned, b = 0.0, 0.0, known.damping / known.sample_time
         if b:
             earned = b * max(0.0, abs(moved) - count) ** 2 / holds
