@@ -22,6 +22,14 @@ def test_no_account_claims_what_the_plant_denies(batch: int) -> None:
             assert not false_claims(*judged), seed
 
 
+def test_energy_that_the_encoder_proves_leaves_the_error_of_the_encoder_open() -> None:
+    """A count as large as the motion: the account was 5 uJ too high at the first count after the start."""
+    judged = with_true_bounds(random_display(502004), 60)
+    assert judged is not None
+    assert judged[0].properties.encoder_count == 1e-5
+    assert not false_claims(*judged)
+
+
 def test_no_account_of_two_displays_claims_what_their_plants_deny() -> None:
     exchanged = 0.0
     for seed in range(8, 14):

@@ -23,7 +23,7 @@ from canhaptic.control.admittance.motion import (
     sent,
     whole,
 )
-from canhaptic.control.admittance.port import BookedHold, Port, port_settings
+from canhaptic.control.admittance.port import BookedHold, Port, port_settings, reopen
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.admittance.sampled_group import DisplayGroup, GroupAxis, GroupMotion, require_alike
 from canhaptic.control.admittance.velocity_loop import (
@@ -221,7 +221,12 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
             for axis, hold in zip(self._each, holds, strict=True)
         ]
         rise(self._margin, self._memory, then, free + energy - sum(kept), self._taken)
-        return holds, max(free + energy, self._memory.before[then] - self._taken) - free
+        proved = self._memory.before[then] - self._taken
+        if proved <= free + energy:
+            return holds, energy
+        for axis in self._each:
+            reopen(axis.port)
+        return holds, proved - free
 
     def _require_agreement(self, holds: Sequence[BookedHold], forces: Sequence[float], *, is_first: bool) -> None:
         """Compares every force with the motion; each drive has its own loop, so that each axis says it for itself.

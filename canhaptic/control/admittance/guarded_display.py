@@ -55,7 +55,7 @@ from canhaptic.control.admittance.motion import (
     sent,
     whole,
 )
-from canhaptic.control.admittance.port import Port, PortSettings, begin_port, book, port_settings
+from canhaptic.control.admittance.port import Port, PortSettings, begin_port, book, port_settings, reopen
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.admittance.velocity_loop import (
     LoopState,
@@ -278,7 +278,11 @@ def _take(
     if settings.hand.force > 0.0:
         kept = held_back(settings.hand, settings.loop, hold.speed)
         rise(state.hand, memory.hand, oldest(state.hand, memory.hand), late - kept, state.taken)
-    return max(late, memory.margin.before[then] - state.taken) - free, velocity
+    proved = memory.margin.before[then] - state.taken
+    if proved <= late:
+        return late - free, velocity
+    reopen(port)
+    return proved - free, velocity
 
 
 def _fall(settings: _GuardedSettings, state: _GuardedDisplayState, memory: GuardedMemory, change: float) -> None:

@@ -13,7 +13,8 @@ bounded slope. For the second, F differs from its chord by e(t) with e = 0 at bo
 integral abs(e) <= (L^2 H^2 - dF^2) / 4L; the chord's slope dF / H against v is the first bound again.
 A filter of first order, F = F_f + F_f' / w_f, adds dF_f dq / (w_f H), off by at most L A H^2 / 4 w_f.
 An error eps of the force costs eps abs(dq). The encoder's error of half a count at each end, summed by parts, costs
-half a count times the change of the force; its share of the last force is part of the account until the next.
+half a count times the change of the force; its share of the last force is part of the account until the next. Where an
+energy that was proved otherwise takes the place of the account, that share is open again: see `reopen`.
 """
 
 from dataclasses import dataclass
@@ -89,6 +90,11 @@ def begin_port(port: Port, positions: Buffer, position: float, force: float) -> 
     port.moved = port.mean = port.doubt = 0.0
     for place in range(len(positions)):
         positions[place] = position
+
+
+def reopen(port: Port) -> None:
+    """Lets the encoder's error at the last SYNC booked cost in full: the energy there is not the account's any more."""
+    port.mean = 0.0
 
 
 def book(settings: PortSettings, port: Port, positions: Buffer, position: float, force: float) -> BookedHold:
