@@ -14,7 +14,17 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
-from canhaptic.control.passivity.hold_account import Axis, Hold, HoldAccount, let_samples_pass, surplus_after
+from canhaptic.control.passivity.hold_account import (
+    Axis,
+    AxisMemory,
+    Hold,
+    HoldAccount,
+    HoldSettings,
+    begin,
+    let_samples_pass,
+    open_hold,
+    surplus_after,
+)
 from canhaptic.control.passivity.in_flight import Commands, efforts_inside
 from canhaptic.control.passivity.settlement import settle
 
@@ -193,3 +203,13 @@ def test_over_lost_samples_no_effort_inside_a_torque_is_known() -> None:
     balance = one.step(-4e-4, torque)
     assert torque > 0.5
     assert (balance.h_pas, balance.h_r) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 1e-6])
+def test_the_velocity_of_a_hold_is_its_own_or_that_of_a_window(tolerance: float) -> None:
+    settings = HoldSettings(T, 0, math.inf, tolerance, 8 if tolerance else 0, 4)
+    axis, memory = Axis(), AxisMemory([0.0] * (9 if tolerance else 0), Commands([0.0], [0.0], [0.0]))
+    begin(axis, memory, 0.0)
+    for place in (0.4e-6, 0.8e-6, 1.0e-6):
+        found = open_hold(settings, axis, memory, place, 0.0)
+    assert found.velocity == pytest.approx(1.0e-6 / (3 * T) if tolerance else 0.2e-6 / T)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canhaptic.control.certificates.scalar_bounds import (
-    device_damping_bound,
+    NO_RESPONSE,
     displacement_response,
     hand_force_bound,
     next_displacement,
@@ -18,6 +18,8 @@ from canhaptic.control.certificates.scalar_bounds import (
     renderable_by_hand_speed,
     start_speed,
 )
+from canhaptic.control.certificates.sum_of_certificates import for_any_hand
+from canhaptic.control.certificates.torque_bound import Declared
 from tests.control.guarded_users import Mass
 from tests.drawn import examples
 
@@ -103,7 +105,8 @@ def test_under_the_device_damping_bound_no_motion_takes_more_than_there_is(energ
     sample_time = 1e-2
     if 4.0 * damping * energy / sample_time < under_way**2:
         return
-    torque = device_damping_bound(energy, damping, sample_time, under_way**2)
+    known = Declared(sample_time, 1, 0, False, NO_RESPONSE, damping, 0.0, 0.0)
+    torque = for_any_hand(known, energy - sample_time * under_way**2 / (4.0 * damping))
     left = energy - under_way * moves[0] - torque * moves[1] + damping / sample_time * (moves[0] ** 2 + moves[1] ** 2)
     assert left >= -1e-9 * (energy + (under_way + torque))
 

@@ -20,12 +20,13 @@ from canhaptic.control.multi_axis.group_account import (
     largest_of,
     quotient,
 )
-from canhaptic.control.multi_axis.group_certificates import axes_of
+from canhaptic.control.multi_axis.group_certificates import axes_of, damping_need, path_need, taken_by_mover
 from canhaptic.control.multi_axis.group_commands import (
     GroupHolds,
     end_holds,
     no_group_commands,
     no_group_holds,
+    norm,
     send_nothing,
     take_applied,
     torque_held,
@@ -254,3 +255,17 @@ def test_a_command_of_nothing_has_no_effort_of_any_kind() -> None:
     assert send_nothing(commands, 1) == 0
     assert (commands.torques[1], commands.dampers[1], commands.modulated[1]) == ([0.0] * 2, [0.0] * 2, [0.0] * 2)
     assert (commands.ports[1], commands.power[1]) == ([0.0], 0.0)
+
+
+def test_what_torques_need_and_a_mover_takes_are_sums_over_the_axes() -> None:
+    loops = tuple(
+        LoopProperties(sample_time=T, delay=1, moving_mass=0.25, device_damping=b, device_damping_bound=8.0)
+        for b in (1.0, 4.0)
+    )
+    axes = axes_of(loops, 5.0, 0.3)
+    assert damping_need(axes, [2.0, -3.0]) == pytest.approx(T / 4.0 * (4.0 / 1.0 + 9.0 / 4.0))
+    assert path_need(axes, [2.0, -3.0]) == pytest.approx(0.3 * T * 5.0)
+    assert taken_by_mover([2.0, -3.0], [1e-3, 2e-3]) == pytest.approx(4e-3)
+    assert norm([3.0, -4.0]) == 5.0
+    assert axes.during == pytest.approx([0.5 * T * T / 0.25] * 2)  # damping on one axis may push another
+    assert axes_of(loops[:1], 5.0, 0.3).during[0] < 0.5 * T * T / 0.25

@@ -8,7 +8,7 @@ import pytest
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate
 from canhaptic.control.ledger import Ledger
-from canhaptic.control.verdict import handle_verdict, passive_verdict
+from canhaptic.control.verdict import account_verdict, handle_verdict, passive_verdict
 
 
 def hold(h_i=0.0, h_r=0.0, **more):
@@ -122,3 +122,9 @@ def test_a_run_ends_with_an_open_hold_where_the_last_was_held_on(branch: Branch)
     ledger = Ledger()
     ledger.add(AT_REST._replace(branch=branch.value), 0)
     assert ledger.summary().has_open_hold is (branch is Branch.HELD)
+
+
+@pytest.mark.parametrize(("certificate", "expected"), [("hand_force", "yes"), ("none", "in doubt")])
+def test_what_a_certificate_promises_no_resolution_makes_a_doubt(certificate: str, expected: str) -> None:
+    account = {"in": 1.0, "least_interaction": -1e-3, "energy_resolution": 1.0, "certificates": [certificate]}
+    assert account_verdict({**account, "certificate": certificate}) == expected

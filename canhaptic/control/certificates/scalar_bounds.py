@@ -164,22 +164,6 @@ def hand_force_bound(budget: float, base: float, gain: float) -> float:
     return 2.0 * budget / (root + base) if budget > 0.0 else 0.0  # the form without cancellation
 
 
-def device_damping_bound(
-    budget: float, damping: float, sample_time: float, squares_under_way: float, holds: int = 1
-) -> float:
-    """Returns the largest torque [N or N*m] with F^2 holds <= 4 b E_d / T - sum(f^2) of the torques under way.
-
-    Args:
-        budget: E_d, stored energy less surplus plus (b/T) sum(D^2) [J].
-        damping: Certain viscous damping of the device [N*s/m or N*m*s/rad].
-        sample_time: [s].
-        squares_under_way: Sum of the squares of the torques that act before this one [N^2 or N^2*m^2].
-        holds: Holds for which the torque may act before another one arrives.
-    """
-    square = 4.0 * damping * budget / sample_time - squares_under_way
-    return math.sqrt(square / holds) if square > 0.0 else 0.0
-
-
 def renderable_by_hand_force(response: DisplacementResponse, delay: int, torque: float) -> float:
     """Returns the largest static stiffness [N/m or N*m/rad] that the hand-force certificate holds at a torque.
 
