@@ -63,6 +63,12 @@ def _of_guard(axis: AxisScene, known: GuardedDisplayParameters, speed_unit: str,
             border = damping_border(mass, gain, asked, known.hand_stiffness, lag)
             text = f"in place of that mass, for the declared hand_stiffness; {asked:g} {unit} asked"
             hints.append(Hint(name, "damping from which it never acts", border, None, f"{effort}*s/{axis_unit}", text))
+    if asked is not None and properties.speed_quantum:
+        least = asked * properties.speed_quantum / time
+        text = (
+            "mass times the smallest step of the speed, over T; in mode 8 a step is one count per T: use a fine encoder"
+        )
+        hints.append(Hint(name, "least force that moves it", least, None, effort, text))
     return hints
 
 
