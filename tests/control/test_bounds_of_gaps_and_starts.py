@@ -108,6 +108,7 @@ def test_a_wall_for_any_hand_needs_what_device_and_wall_do_not_have() -> None:
     assert found > 0.0
     assert energy_for_any_hand(damping, 20.0, T, 1, stiffness, push) == 0.0
     assert energy_for_any_hand(damping, friction, T, 0, 10.0, push) == 0.0
+    assert energy_for_any_hand(damping, 9.5, T, 1, 1e12, push) == 0.0
 
 
 @pytest.mark.parametrize("gain", [0.0, 2e-6])
@@ -167,6 +168,7 @@ def test_a_torque_against_its_command_has_nothing_of_its_damper_in_it() -> None:
     assert efforts_inside(commands, 0, 9.0) == (0.5, 0.2)
     assert efforts_inside(commands, 0, -1.0) == (0.0, 0.0)
     assert efforts_inside(commands, 1, 1.0) == (0.0, 0.0)
+    assert efforts_inside(Commands([2.0], [0.0], [-0.2]), 0, 1.0) == (0.0, -0.1)
 
 
 def test_the_timing_of_holds_is_what_is_declared_of_them() -> None:
@@ -180,7 +182,8 @@ def test_the_timing_of_holds_is_what_is_declared_of_them() -> None:
 def test_beyond_half_a_time_constant_the_torque_before_counts_as_without_damping() -> None:
     for damping, is_damped in ((0.4 * MASS / T, True), (0.6 * MASS / T, False), (1.4 * MASS / T, False)):
         before = displacement_response(T, MASS, PULL, damping, damping).before
-        assert (before < 0.5 * T * T / MASS) is is_damped
+        undamped = pytest.approx(0.5 * T * T / MASS)
+        assert (before < 0.95 * 0.5 * T * T / MASS) if is_damped else (before == undamped)
 
 
 def test_lost_samples_let_the_commands_pass_as_far_as_the_limit_lets_them_act() -> None:

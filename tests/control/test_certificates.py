@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from canhaptic.control.certificates.hold_timing import hold_timing
 from canhaptic.control.certificates.scalar_bounds import (
     NO_RESPONSE,
     displacement_response,
@@ -144,3 +145,18 @@ def test_with_a_coarse_encoder_the_start_speed_no_longer_falls_with_the_rate():
     count, force = 1e-4, 5.0
     speeds = [start_speed(displacement_response(1.0 / rate, 0.25, force), 1.0 / rate, 0, count) for rate in (4e3, 8e3)]
     assert speeds == pytest.approx([math.sqrt(2.0 * count * force / 0.25)] * 2, rel=0.15)
+
+
+def test_a_torque_that_pulls_in_counts_as_none_in_the_hold_before_and_in_its_own():
+    response = displacement_response(1e-3, 0.25, 10.0)
+    free = next_displacement(-1e-5, 0.0, 0.0, response, response.hand)
+    assert next_displacement(-1e-5, -0.5, -0.5, response, response.hand) == free
+
+
+def test_what_comes_late_of_a_torque_at_rest_counts_with_the_stiffness_that_a_hand_force_can_hold():
+    response = displacement_response(1e-3, 0.25, 5.0, timing=hold_timing(1e-3, 0.0, 2e-4, 0.0))
+    assert renderable_by_hand_force(response, 0, 8.0) < renderable_by_hand_force(
+        displacement_response(1e-3, 0.25, 5.0), 0, 8.0
+    )
+    stiffness = renderable_by_hand_speed(0.5, 1e-3, 1, 8.0)
+    assert 8.0**2 / (2.0 * stiffness) == pytest.approx(2.0 * 8.0 * 0.5 * 1e-3)

@@ -128,3 +128,22 @@ def test_a_run_ends_with_an_open_hold_where_the_last_was_held_on(branch: Branch)
 def test_what_a_certificate_promises_no_resolution_makes_a_doubt(certificate: str, expected: str) -> None:
     account = {"in": 1.0, "least_interaction": -1e-3, "energy_resolution": 1.0, "certificates": [certificate]}
     assert account_verdict({**account, "certificate": certificate}) == expected
+
+
+def test_what_is_taken_out_beyond_the_store_and_when_the_margin_was_least_are_in_the_summary() -> None:
+    ledger = Ledger()
+    assert (ledger.summary().damping_least, ledger.summary().damping_most) == (0.0, 0.0)
+    ledger.add(AT_REST._replace(deficit=0.25), 0)
+    ledger.add(AT_REST._replace(h_i=-1.0, deficit=0.5), 1, 7)
+    assert ledger.summary().deficit == 0.75
+    assert ledger.summary().as_json(0.5)["margin"] == {"value": -1.0, "cycle": 1, "time": 3.5}
+
+
+def test_a_log_without_a_resolution_is_judged_by_counts_and_at_the_motor_no_damping_promises() -> None:
+    account = {"in": 1.0, "certificate": "hand_force", "certificates": ["none"], "unsure": 0.0}
+    assert account_verdict({**account, "least_interaction": -5e-7}) == "yes"
+    assert account_verdict({**account, "least_interaction": -1e-5}) == "no"
+    promised = {**account, "certificates": ["hand_force"], "least_interaction": -1e-3, "energy_resolution": 1.0}
+    assert account_verdict({**promised}) == "yes"
+    assert account_verdict({**promised, "least_at_handle": 0.0}) == "in doubt"
+    assert account_verdict({**promised, "energy_allowance": 1e-3}) == "in doubt"

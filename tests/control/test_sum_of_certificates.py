@@ -50,7 +50,7 @@ def test_the_largest_torque_is_where_what_is_taken_meets_what_is_left(seed):
     draw = random.Random(seed)
     known = declared(
         hand_force=draw.choice([None, 0.0, 5.0]),
-        damping=draw.choice([0.0, 0.5, 20.0, 2000.0]),
+        damping=draw.choice([0.0, 0.5, 20.0, 250.0, 2000.0]),
         friction=draw.choice([0.0, 0.5]),
         speed=draw.choice([0.0, 0.3]),
     )
@@ -98,6 +98,7 @@ def test_free_is_what_torques_under_way_in_both_directions_leave():
                 before, worst = sign * torque, max(worst, total)
             left -= worst
         assert free_energy(known, bound, memory, 1e-3) == pytest.approx(max(0.0, left))
+        assert free_energy(known, bound, memory, -1.0) == 0.0
 
 
 def test_in_debt_the_speed_of_the_hand_allows_no_torque_beyond_friction():
