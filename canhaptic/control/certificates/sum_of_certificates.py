@@ -108,10 +108,16 @@ def taken_along(
 
 def free_in_sum(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
     """Returns how much of `energy`, with what the device dissipated, the torques under way do not need [J]."""
-    free, speed = energy + bound.dissipated, declared.hand_speed
+    free = energy + bound.dissipated
     if declared.delay:
-        free -= taken_along(declared, bound, memory, 1.0, speed)[1]
-        free -= taken_along(declared, bound, memory, -1.0, speed)[1]
+        pushes = pulls = False
+        for place in range(bound.first, bound.first + declared.delay):
+            pushes = pushes or memory.under_way[place] > 0.0
+            pulls = pulls or memory.under_way[place] < 0.0
+        if pushes:  # else they take nothing that way
+            free -= taken_along(declared, bound, memory, 1.0, declared.hand_speed)[1]
+        if pulls:
+            free -= taken_along(declared, bound, memory, -1.0, declared.hand_speed)[1]
     return free if free > 0.0 else 0.0
 
 
