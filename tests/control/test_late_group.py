@@ -11,7 +11,7 @@ from canhaptic.control.multi_axis.account_memory import AccountMemory, account_m
 from canhaptic.control.multi_axis.group_account import AccountSettings, GroupAccount
 from canhaptic.control.multi_axis.group_certificates import AxisLimits, axes_of, pass_range, response_to_late
 from canhaptic.control.multi_axis.group_commands import no_group_holds
-from canhaptic.control.multi_axis.group_shares import UnderWay, shares
+from canhaptic.control.multi_axis.group_shares import UnderWay, free_energy, shares
 from canhaptic.control.multi_axis.late_group import (
     doubt_of_late_gap,
     doubt_of_late_group,
@@ -271,5 +271,39 @@ def test_where_axes_act_apart_damping_and_speed_pay_for_all_that_may_act_and_its
         if axes.path:
             left = energy - axes.path * sum(memory.apart.old) - paths
             assert found[2] * axes.path * sum(memory.apart.new) == pytest.approx(max(0.0, left))
+        used.add((axes.by_damping, axes.path > 0.0))
+    assert len(used) == 2
+
+
+@pytest.mark.parametrize("losses", [0, 1])
+def test_free_and_share_are_what_torques_under_way_leave_of_damping_and_of_the_way_of_the_hand(losses: int) -> None:
+    used = set()
+    for seed in range(80):
+        group, draw = group_of(seed), random.Random(4000 + seed)
+        axes, limits = group.axes, per_axis_limits(group.axes, 1, losses)
+        if axes.by_hand:
+            continue
+        memory, account = account_memory(limits), GroupAccount(dissipated=draw.uniform(0.0, 3e-3))
+        for name in ("displacement", "torques"):
+            getattr(memory, name)[:] = getattr(group.memory, name)
+        memory.before.highest[:], memory.before.lowest[:] = group.memory.before
+        settings, energy = AccountSettings(axes, limits, moves=False), draw.uniform(-1e-3, 1e-2)
+        damped, paths = older_needs(axes, memory)
+        before, acting = [*map(abs, memory.torques)], [*map(abs, group.under_way[0])]
+        held = [
+            [one, other] if losses else [other] for one, other in zip(map(max, before, acting), acting, strict=True)
+        ]
+        squares = sum(sum(f * f for f in row) / q for row, q in zip(held, axes.squares, strict=True) if q) + damped
+        ways = axes.path * sum(map(sum, held)) + paths
+        under_way = UnderWay(group.under_way, 0, 1)
+        left_damped, left_way = energy + account.dissipated - squares, energy - ways
+        free = max(left_damped if axes.by_damping else 0.0, left_way if axes.path else 0.0, 0.0)
+        assert free_energy(settings, account, memory, under_way, energy) == pytest.approx(free), seed
+        if losses == 0:
+            _, by_damping, by_speed = shares(settings, account, memory, under_way, group.asked, energy)
+            need = sum(w * w / q for w, q in zip(group.asked, axes.squares, strict=True) if q)
+            assert by_damping == pytest.approx(math.sqrt(max(0.0, left_damped) / need) if axes.by_damping else 0.0)
+            way = axes.path * sum(map(abs, group.asked))
+            assert by_speed == pytest.approx(max(0.0, left_way) / way if axes.path else 0.0)
         used.add((axes.by_damping, axes.path > 0.0))
     assert len(used) == 2
