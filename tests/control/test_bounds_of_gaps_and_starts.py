@@ -216,3 +216,12 @@ def test_the_velocity_of_a_hold_is_its_own_or_that_of_a_window(tolerance: float)
     for place in (0.4e-6, 0.8e-6, 1.0e-6):
         found = open_hold(settings, axis, memory, place, 0.0)
     assert found.velocity == pytest.approx(1.0e-6 / (3 * T) if tolerance else 0.2e-6 / T)
+
+
+def test_the_velocity_over_lost_samples_is_the_mean_of_all_of_them() -> None:
+    settings = HoldSettings(T, 0, math.inf, 0.0, 0, 4)
+    axis, memory = Axis(), AxisMemory([], Commands([0.0], [0.0], [0.0]))
+    begin(axis, memory, 0.0)
+    axis.missed = 2
+    found = open_hold(settings, axis, memory, 3e-4, 0.0)
+    assert (found.elapsed, found.velocity) == pytest.approx((3 * T, 1e-4 / T))

@@ -31,7 +31,8 @@ from canhaptic.control.multi_axis.group_commands import (
     take_applied,
     torque_held,
 )
-from canhaptic.control.multi_axis.per_axis_memory import per_axis_limits
+from canhaptic.control.multi_axis.per_axis_certificates import taken_at_most
+from canhaptic.control.multi_axis.per_axis_memory import per_axis_limits, per_axis_memory
 from canhaptic.control.passivity.controller import LoopProperties
 
 T, DELAY = 1e-3, 1
@@ -269,3 +270,20 @@ def test_what_torques_need_and_a_mover_takes_are_sums_over_the_axes() -> None:
     assert norm([3.0, -4.0]) == 5.0
     assert axes.during == pytest.approx([0.5 * T * T / 0.25] * 2)  # damping on one axis may push another
     assert axes_of(loops[:1], 5.0, 0.3).during[0] < 0.5 * T * T / 0.25
+
+
+def test_a_mover_takes_of_the_torque_that_gives_it_most_in_each_hold_and_of_a_new_one_what_is_more() -> None:
+    """Delay 1 and one loss: both torques sent may act in the next hold, the later one in the hold after it."""
+    limits = per_axis_limits(group_of(0).settings.axes, 1, 1)
+    memory, draw = per_axis_memory(limits), random.Random(1)
+    for _ in range(40):
+        for row in memory.sent:
+            row[:] = [draw.uniform(-3.0, 3.0), draw.uniform(-3.0, 3.0)]
+        coming = [[draw.uniform(-1e-4, 1e-4), draw.uniform(-1e-4, 1e-4)] for _ in range(3)]
+        asked, old, new = [draw.uniform(-6.0, 6.0), draw.uniform(-6.0, 6.0)], 0.0, 0.0
+        for number, places in enumerate(((0, 1), (1,), ())):
+            for i in range(2):
+                held = max(0.0, *(-memory.sent[place][i] * coming[number][i] for place in places), 0.0)
+                old += held
+                new += max(0.0, -asked[i] * coming[number][i] - held) if number >= 1 else 0.0
+        assert taken_at_most(limits, memory, coming, asked) == pytest.approx((old, new))
