@@ -42,6 +42,7 @@ class GroupOutcome:
 
 _NO_HAND = {
     "largest_hand_force": 0.0, "hand_stiffness": 0.0, "hand_speed": 0.0, "hand_damping": 0.0,
+    "drive_friction": None, "drive_damping": 0.0,
 }  # fmt: skip
 
 
