@@ -193,9 +193,9 @@ def with_groups(accounts: Mapping[str, PortResult], groups: Mapping[str, Sequenc
     """Returns the accounts of axes and groups with the verdict of each, and with what each says of the other.
 
     Args:
-        accounts: By name, as if every port were alone.
-        groups: Names of the axes of each group. Alone an axis of a group proves nothing: of its account is left what
-            came in and went out by it.
+        accounts: Accounts by the name of the port, each formed as if the port were alone.
+        groups: Names of the axes of each group. An axis of a group alone proves nothing: its account keeps only the
+            energy that came in and went out through it.
     """
     found = {name: account.copy() for name, account in accounts.items()}
     for account in found.values():

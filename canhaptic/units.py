@@ -189,7 +189,7 @@ def quantity(linear: str, rotary: str | None = None, **limits: float) -> Any:
 
 
 class _ParametersMeta(_ModelMetaclass):
-    """Turns pydantic's error into ours when a model is made by hand; nested validation keeps pydantic's."""
+    """Raises ParameterError for pydantic's error when a model is built directly; nested models keep pydantic's."""
 
     def __call__(self, *args: Any, **values: Any) -> Any:
         try:

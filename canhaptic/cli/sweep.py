@@ -61,7 +61,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 def _check(arguments: argparse.Namespace) -> None:
     if arguments.out is None and (arguments.resume or arguments.force):
-        raise InputError("--resume and --force are about a file; name it with --out FILE.h5")
+        raise InputError("--resume and --force need a file; name it with --out FILE.h5")
     if (arguments.workers or 1) > _MOST_WORKERS:
         raise InputError(f"--workers: got {arguments.workers}, expected 1 to {_MOST_WORKERS}")
 

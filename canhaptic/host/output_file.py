@@ -36,10 +36,10 @@ def why_not_written(path: Path) -> str:
 
 
 def require_writable_place(path: Path) -> None:
-    """Returns where a path is free or a regular file.
+    """Returns if the path is free or a regular file.
 
     Raises:
-        InputError: It is something else.
+        InputError: The path is something else.
     """
     if reason := why_not_written(path):
         raise InputError(reason)

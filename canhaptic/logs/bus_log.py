@@ -127,4 +127,4 @@ def _check_files(path: Path, file_size: int, files: int, last: float, is_convert
     if is_converted and (file_size or last):
         raise ParameterError(f"{path}: only candump text (.log) can be a series of files or the last seconds")
     if last < 0.0 or (last and file_size):
-        raise ParameterError(f"{path}: last {last} s, expected >= 0 and no series of files with it")
+        raise ParameterError(f"{path}: got last {last} s, expected >= 0, and no series of files with it")

@@ -1,7 +1,7 @@
 """The power state that a statusword (0x6041) shows, read bit by bit as IEC 61800-7-201, 6.3, words it.
 
-Written apart from the table of the master (`canhaptic.drive.profile.power_states`): who reads a log must not share a
-mistake with who wrote the frames.
+Independent of the table of the master (`canhaptic.drive.profile.power_states`): the reader of a log must not share a
+mistake with the writer of its frames.
 """
 
 from typing import Final

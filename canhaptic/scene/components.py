@@ -32,7 +32,7 @@ class SceneReading(Protocol):
         """Names of the axes that are admittance displays."""
 
     def moving(self, motion: Motion | None) -> AbstractContextManager[object]:
-        """Reads quantities in the units of this motion meanwhile."""
+        """Reads quantities in the units of this motion until the context ends."""
 
 
 class ComponentSpec(NamedTuple):

@@ -88,9 +88,9 @@ def estimated_error(simulation: AxisSimulation, torques: Sequence[float], sample
     """Returns the estimated largest error of the position at any SYNC; None where the plant is exact to rounding.
 
     Args:
-        simulation: With the accuracy to be judged.
-        torques: Of each hold [N or N*m].
-        sample_time_ns: Of a hold [ns].
+        simulation: Plant, effects and the accuracy to be judged.
+        torques: Torque of each hold [N or N*m].
+        sample_time_ns: Length of a hold [ns].
     """
     accuracy = simulation.accuracy
     plant = build_plant(replace(simulation, compiled=False), sample_time_ns)

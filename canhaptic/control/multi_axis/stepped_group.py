@@ -21,7 +21,7 @@ _HELD = Branch.HELD.value
 
 
 def interpreted_run(kernel: GroupKernel, world: World, settings: Any) -> Callable[[], GroupRun]:
-    """Returns what begins a run in Python."""
+    """Returns the function that begins an interpreted run."""
     fixed = with_quick_fields(world), with_quick_fields(settings)
 
     def begin() -> GroupRun:

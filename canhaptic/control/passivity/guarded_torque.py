@@ -104,10 +104,10 @@ def permitted_size(
 
 
 def certain_energy(state: GuardedState, energy: float) -> float:
-    """Returns what of an energy the next torques may take out with an encoder of finite counts [J].
+    """Returns how much of an energy the next torques may give out with an encoder of finite resolution [J].
 
-    What was dissipated or leaked is not available again, but it covers what the encoder leaves unsure: (4) holds
-    for the energy as booked, (3) for the true one.
+    Energy that was dissipated or leaked cannot be given out again, but it covers the uncertainty of the encoder: (4)
+    holds for the energy of the account, (3) for the true one.
     """
     lacking = state.bound.unsure - state.kept_back
     return energy - lacking if lacking > 0.0 else energy

@@ -123,7 +123,7 @@ def propose(
 
 
 def place_state(tables: NetworkTables, memory: NetworkMemory, coordinates: Buffer, into: Buffer) -> None:
-    """Writes the state that only the ports have moved, free of rounding: where they are."""
+    """Writes the state of a network that only its ports have moved: from their positions, free of rounding."""
     for i in range(len(into)):
         row, total = tables.gain[i], memory.begun[i]
         for j in range(len(coordinates)):

@@ -250,7 +250,7 @@ class SdoLine:
         self._answers.append(bytes(data))
 
     def _look(self, request: _Request) -> None:
-        """Goes on with the answer if it has come, or asks again when it is overdue."""
+        """Continues with the answer if it has arrived, or asks again when it is overdue."""
         while self._answers:
             answer = self._answers.popleft()
             if len(answer) != FRAME_LENGTH:

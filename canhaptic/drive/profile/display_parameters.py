@@ -1,4 +1,4 @@
-"""What a configuration says of an axis that is an admittance display: velocity commands, a force sensor, limits."""
+"""Parameters of an axis that is an admittance display: velocity commands, force sensor, limits."""
 
 import re
 from typing import Annotated, Final, Literal

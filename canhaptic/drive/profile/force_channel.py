@@ -13,7 +13,7 @@ class ForceChannel:
         sample_time: T [s].
 
     Attributes:
-        force: The last one [N or N*m].
+        force: Last force [N or N*m].
         same: SYNCs in a row with one count, beyond the error of the sensor.
         is_wrong: Whether it is beyond the range, or the sensor has shown one count for too long.
     """

@@ -186,10 +186,10 @@ class Plant:
         return position
 
     def set_states(self, values: Mapping[str, float]) -> None:
-        """Sets states of the hand for the holds to come; between two holds only.
+        """Sets states of the hand for the following holds; allowed between two holds only.
 
         Args:
-            values: By name of state, of a `GuidedHand` or a `PointerHand`.
+            values: New values by the name of the state, for a `GuidedHand` or a `PointerHand`.
         """
         for name, value in values.items():
             self._machine.state[self.scene.names.index(name)] = value
@@ -197,7 +197,7 @@ class Plant:
             self._free_torque = -1.0  # what was known ahead rested on the old place
 
     def move_hand(self, place: float) -> None:
-        """Puts a `PointerHand` at a place [m or rad] for the holds to come; between two holds only."""
+        """Moves a `PointerHand` to a position [m or rad] for the following holds; allowed between two holds only."""
         self.set_states({PLACE: place})
 
     @property

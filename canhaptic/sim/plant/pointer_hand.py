@@ -1,7 +1,7 @@
-"""A hand whose place is given from outside while the plant runs: by the pointer of `canhaptic touch`.
+"""A hand whose position is set from outside while the plant runs: by the pointer of `canhaptic touch`.
 
-The place is a state that nothing moves, so that the plant stays as exact as with any other hand; `Plant.move_hand` sets
-it between two holds. Without a word from outside the hand stays where it is.
+The position is a state that nothing else moves, so that the plant stays as exact as with any other hand.
+`Plant.move_hand` sets it between two holds; until it is set again the hand stays where it is.
 """
 
 from typing import Annotated, Final

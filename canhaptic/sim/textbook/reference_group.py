@@ -38,7 +38,7 @@ class GroupModel(SwitchedModel, Protocol):
 
     @property
     def evaluations(self) -> int:
-        """Times that the forces were worked out."""
+        """Number of evaluations of the forces."""
 
     def positions(self, state: State) -> Floats:
         """Returns the positions of the motors [m or rad]."""
@@ -69,7 +69,7 @@ class AxesModel:
 
     @property
     def evaluations(self) -> int:
-        """Times that the forces were worked out."""
+        """Number of evaluations of the forces."""
         return max(model.evaluations for model in self._models)
 
     def positions(self, state: State) -> Floats:

@@ -58,7 +58,7 @@ class Model:
         start: State at time 0.
         first: Mode of each element at time 0.
         breaks: Times at which the equations change by the clock [s].
-        evaluations: Times that the forces were worked out.
+        evaluations: Number of evaluations of the forces.
         switches: Whether anything may leave its mode.
     """
 

@@ -1,4 +1,4 @@
-"""The whole study of one axis or group: references, both ladders, times, advice; can be stopped with what is there.
+"""The whole study of one axis or group: references, both ladders, times and advice; a stopped study keeps its rows.
 
 torques of the scene's own controller -> every method, every setting, every effect left out   against DOP853
 every rate, delay, algorithm, filter and resolution                                           against the continuous run

@@ -52,10 +52,10 @@ class CaseGroup:
 
 
 def scenes_named(names: Sequence[str] | None) -> list[Path]:
-    """Returns scenes by name of `configs/hard` or by file; for None those that render something.
+    """Returns scenes by their names in `configs/hard` or by file; None means all that render something.
 
     Raises:
-        InputError: There is none of that name.
+        InputError: No scene has that name.
     """
     folder = shipped("configs") / "hard"
     hard = {path.stem: path for path in sorted(folder.glob("*.yaml"))}

@@ -187,9 +187,9 @@ def _account(trial: _Trial, mass: float, figures: list[_Figures]) -> DisplayDesi
 
 
 def never_acts(scene: Scene) -> float:
-    """Returns the mass from which a display is passive without a guard, M + c tau [kg or kg*m^2]; the largest of all.
+    """Returns the mass above which every display is passive without a guard, M + c tau [kg or kg*m^2].
 
-    As declared for `guarded`; of another algorithm as the plant is simulated.
+    For `guarded` the declared values count, for another algorithm those of the simulated plant.
     """
     return max(_of_axis(axis, scene) for axis in scene.axes)
 

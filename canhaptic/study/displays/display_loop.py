@@ -1,4 +1,4 @@
-"""Admittance displays in a loop without a bus: plants, sensors, encoders and a controller, and what the plants say.
+"""Admittance displays in a loop without a bus: plants, sensors, encoders, a controller, and the energies of the plants.
 
 One axis, or one group of axes with one account. Encoder and force are whole counts, commands whole quanta, and act as
 many holds late as the bus of the scene makes them; what would stop the rig ends the run.

@@ -180,7 +180,7 @@ class DisplayServo(Servo):
         return step * self._per_position_count / self._period
 
     def settle(self) -> bool:
-        """Does the transitions that need no command; a drive that brakes stays until it is still."""
+        """Makes the transitions that need no command; a drive that brakes stays until it is still."""
         if self._braking_since >= 0 and self.is_running:
             self._move()
             is_late = self.now - self._braking_since >= _LONGEST_BRAKING

@@ -211,7 +211,7 @@ class Servo:
             self.has_event = True
 
     def settle(self) -> bool:
-        """Does the transitions that need no command; returns whether there was one."""
+        """Makes the transitions that need no command; returns whether it made one."""
         has_moved = self.machine.settle(self._quick_stop_option.number)
         self.update()
         return has_moved

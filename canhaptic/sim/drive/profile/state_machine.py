@@ -117,12 +117,12 @@ class StateMachine:
         return self.state is not state
 
     def quick_stop(self, quick_stop_option: int) -> None:
-        """Does transition 11, as the abort connection option asks (0x6007 = 3)."""
+        """Makes transition 11, as the abort connection option asks (0x6007 = 3)."""
         if self.state is DriveState.OPERATION_ENABLED:
             self.state = DriveState.QUICK_STOP_ACTIVE if quick_stop_option else DriveState.SWITCH_ON_DISABLED
 
     def disable_voltage(self) -> None:
-        """Does transition 7, 9, 10 or 12, as the abort connection option asks (0x6007 = 2)."""
+        """Makes transition 7, 9, 10 or 12, as the abort connection option asks (0x6007 = 2)."""
         self.state = _TRANSITIONS.get((self.state, PowerCommand.DISABLE_VOLTAGE), self.state)
 
     def fault(self) -> None:

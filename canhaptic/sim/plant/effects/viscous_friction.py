@@ -11,7 +11,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class ViscousFriction(Parameters):
-    """Force against the velocity, in proportion to it."""
+    """Force against the velocity, proportional to it."""
 
     order: ClassVar[int | None] = None
     rank: ClassVar[int] = 1

@@ -78,7 +78,7 @@ class TaskHand(Parameters):
 
 
 class PointerTaskHand(TaskHand):
-    """A hand whose place is given from outside while the mechanism runs; `rest` at the start."""
+    """A hand whose position is set from outside while the mechanism runs; `rest` at the start."""
 
 
 def _ellipse(along: float, across: float | None, angle: float) -> Ellipse:
