@@ -58,9 +58,11 @@ class _GroupVariant(Variant):
         return render_group_by(engine, self.case.scene, cycles, GroupRecorder(motion.shape[1], furthest, tick))
 
     def work(self, cycles: int) -> tuple[str, float]:
-        """Returns the algorithm, and the cost of a run; see `Variant`."""
-        (group,) = self.case.scene.groups
-        return group.passivity.name, cycles * WORTH_COMPILING / WORTH_COMPILING_GROUPS
+        """Returns the algorithm with what decides the lengths of its buffers, and the cost of a run; see `Variant`."""
+        (group,), bus = self.case.scene.groups, self.bus
+        is_coarse = any(axis.loop.encoder_count for axis in self.case.scene.axes)
+        compiled = f"{group.passivity.name} {bus.sample_time_ns} {bus.delay} {is_coarse}"
+        return compiled, cycles * WORTH_COMPILING / WORTH_COMPILING_GROUPS
 
 
 def finely_solved(scene: Scene, factor: float = 1.0) -> Scene:

@@ -24,6 +24,8 @@ from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
 from canhaptic.sim.textbook.event_location import located_states
 from canhaptic.sim.textbook.reference_group import mechanism_model
+from canhaptic.study.accuracy.group_variants import group_variants
+from canhaptic.study.accuracy.loop_sensitivity import engines_of
 from canhaptic.study.accuracy.study import AccuracyStudy
 from canhaptic.study.batch.group_loop import GroupRecorder, motors_of, render_group
 from canhaptic.study.reference.continuous_group import continuous_group, group_model
@@ -173,3 +175,14 @@ def test_a_stage_that_sticks_and_slides_is_the_exact_one() -> None:
     assert np.abs(states[:, :4] - found).max() < 1e-9
     works = [sum(getattr(exact.energy(axis), of) for axis in (0, 1)) for of in ("motor", "user")]
     assert model.works(states[-1]) == pytest.approx(works, abs=1e-9)
+
+
+def test_a_group_is_compiled_where_one_size_of_it_runs_long_enough() -> None:
+    pytest.importorskip("numba")
+    every = group_variants(scene_of("xy_box"))
+    second = 10**9
+    assert set(engines_of(every, second, "auto")) == {"python"}
+    assert set(engines_of(every, second, "numba")) == {"numba"}
+    chosen = {of.group: engine for of, engine in zip(every, engines_of(every, 200 * second, "auto"), strict=True)}
+    assert chosen["as it is"] == chosen["torque step"] == "numba"  # one compiled loop for several variants
+    assert chosen["RPDO"] == "python"  # the only one with rings of its lengths
