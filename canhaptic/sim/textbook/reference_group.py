@@ -12,7 +12,6 @@ from typing import Any, Protocol
 from canhaptic.errors import InputError
 from canhaptic.sim.plant.mechanism import MechanismParameters
 from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
-from canhaptic.sim.plant.mechanism.hand_force import force_of_hand, hand_pull
 from canhaptic.sim.plant.mechanism.linkage import (
     Inertia,
     LinkagePose,
@@ -24,6 +23,7 @@ from canhaptic.sim.plant.mechanism.linkage import (
     solved,
     span_rates,
 )
+from canhaptic.sim.plant.mechanism.plane_force import force_of_hand, hand_pull
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
 from canhaptic.sim.textbook.event_location import SwitchedModel

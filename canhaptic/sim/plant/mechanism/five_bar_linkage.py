@@ -16,8 +16,8 @@ from canhaptic.sim.plant.mechanism.five_bar_motion import (
     place_at,
     stored,
 )
-from canhaptic.sim.plant.mechanism.hand_force import force_of_hand
 from canhaptic.sim.plant.mechanism.linkage import Linkage, linkage_of, singular, solved
+from canhaptic.sim.plant.mechanism.plane_force import force_of_hand
 from canhaptic.sim.plant.mechanism.sample_clock import SampleClock
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.units import Parameters, quantity

@@ -15,7 +15,6 @@ from math import inf
 from typing import Final, NamedTuple
 
 from canhaptic.kernels import Buffer, Indices, list_of_zeros, new
-from canhaptic.sim.plant.mechanism.hand_force import HandForce, hand_slope, mean_pull
 from canhaptic.sim.plant.mechanism.linkage import (
     Inertia,
     Linkage,
@@ -29,6 +28,7 @@ from canhaptic.sim.plant.mechanism.linkage import (
     solved,
     span_rates,
 )
+from canhaptic.sim.plant.mechanism.plane_force import HandForce, hand_slope, mean_pull
 from canhaptic.sim.plant.propagator import TICKS
 
 _ITERATIONS: Final = 60
@@ -84,7 +84,7 @@ class FiveBarStack(NamedTuple):
     depths: Indices  # halvings
 
 
-class Place(NamedTuple):
+class FiveBarPlace(NamedTuple):
     """A pose with its inertia."""
 
     left: float
@@ -97,7 +97,7 @@ class Solved(NamedTuple):
     """What a solver found for a substep."""
 
     is_found: bool
-    after: Place
+    after: FiveBarPlace
     momentum: Pair  # [N*m*s]
     hand: Pair  # torques of the hand [N*m]
 
@@ -108,16 +108,16 @@ def five_bar_stack() -> FiveBarStack:
     return FiveBarStack(list_of_zeros(room), list_of_zeros(room), [0] * room)
 
 
-def place_at(links: Linkage, left: float, right: float) -> Place:
+def place_at(links: Linkage, left: float, right: float) -> FiveBarPlace:
     """Returns pose and inertia at two motor angles [rad]; the inertia means nothing where the pose is not regular."""
     pose = pose_at(links, left, right)
-    return new(Place, (left, right, pose, inertia_in(links, pose)))
+    return new(FiveBarPlace, (left, right, pose, inertia_in(links, pose)))
 
 
 def advance_five_bar(
-    settings: FiveBarSettings, state: FiveBarState, stack: FiveBarStack, place: Place, begin: int, ticks: int,
+    settings: FiveBarSettings, state: FiveBarState, stack: FiveBarStack, place: FiveBarPlace, begin: int, ticks: int,
     torques: Pair,
-) -> Place:  # fmt: skip
+) -> FiveBarPlace:  # fmt: skip
     """Moves under torques [N*m]; returns the place then, or that where it got stuck.
 
     Args:
@@ -139,9 +139,9 @@ def advance_five_bar(
 
 
 def take_substep(
-    settings: FiveBarSettings, state: FiveBarState, stack: FiveBarStack, place: Place, time: float, step: float,
+    settings: FiveBarSettings, state: FiveBarState, stack: FiveBarStack, place: FiveBarPlace, time: float, step: float,
     torques: Pair,
-) -> Place:  # fmt: skip
+) -> FiveBarPlace:  # fmt: skip
     """Takes one substep, in halves where the solver does not converge."""
     stack.times[0], stack.steps[0], stack.depths[0], top = time, step, 0, 0
     while top >= 0:
@@ -162,7 +162,7 @@ def take_substep(
 
 
 def book_substep(
-    settings: FiveBarSettings, state: FiveBarState, place: Place, found: Solved, step: float, torques: Pair
+    settings: FiveBarSettings, state: FiveBarState, place: FiveBarPlace, found: Solved, step: float, torques: Pair
 ) -> None:
     """Takes down the works of a substep, and where it ends."""
     left, right = found.after.left - place.left, found.after.right - place.right
@@ -176,13 +176,13 @@ def book_substep(
     state.left_momentum, state.right_momentum = found.momentum
 
 
-def is_near_singular(settings: FiveBarSettings, place: Place) -> bool:
+def is_near_singular(settings: FiveBarSettings, place: FiveBarPlace) -> bool:
     """Returns whether a singular pose is close."""
     distal = settings.links.distal
     return not _NEAR * distal < place.pose.span < (2.0 - _NEAR * _NEAR) * distal
 
 
-def stored(settings: FiveBarSettings, state: FiveBarState, place: Place) -> float:
+def stored(settings: FiveBarSettings, state: FiveBarState, place: FiveBarPlace) -> float:
     """Returns the kinetic energy, and that in the elbow stop, from the state [J]."""
     v_left, v_right = solved(place.inertia, state.left_momentum, state.right_momentum)
     kinetic = 0.5 * (state.left_momentum * v_left + state.right_momentum * v_right)
@@ -190,7 +190,7 @@ def stored(settings: FiveBarSettings, state: FiveBarState, place: Place) -> floa
 
 
 def solve(
-    settings: FiveBarSettings, state: FiveBarState, before: Place, time: float, step: float, torques: Pair
+    settings: FiveBarSettings, state: FiveBarState, before: FiveBarPlace, time: float, step: float, torques: Pair
 ) -> Solved:
     """Returns what a substep leads to, by a simplified Newton iteration on the displacement."""
     p_left, p_right = state.left_momentum, state.right_momentum
@@ -233,7 +233,7 @@ def balance(
     return torque - gradient - settings.damping / step * change + hand
 
 
-def momentum_after(state: FiveBarState, before: Place, after: Place, change: Pair, step: float) -> Pair:
+def momentum_after(state: FiveBarState, before: FiveBarPlace, after: FiveBarPlace, change: Pair, step: float) -> Pair:
     """Returns p+ of q+ - q = h Wm (p + p+) / 2."""
     w0, w1 = before.inertia, after.inertia
     det0, det1 = w0.a * w0.c - w0.b * w0.b, w1.a * w1.c - w1.b * w1.b
@@ -245,8 +245,8 @@ def momentum_after(state: FiveBarState, before: Place, after: Place, change: Pai
 
 
 def discrete_gradient(
-    settings: FiveBarSettings, state: FiveBarState, before: Place, middle: Place, after: Place, momentum: Pair,
-    change: Pair,
+    settings: FiveBarSettings, state: FiveBarState, before: FiveBarPlace, middle: FiveBarPlace, after: FiveBarPlace,
+    momentum: Pair, change: Pair,
 ) -> Pair:  # fmt: skip
     """Returns G: the discrete gradient of the kinetic energy at given momenta, and of the stop's potential."""
     by_left, by_right = (inertia_rate(settings.links, middle.pose, 0), inertia_rate(settings.links, middle.pose, 1))
@@ -307,7 +307,7 @@ def potential(settings: FiveBarSettings, pose: LinkagePose) -> float:
     return 0.5 * settings.stop * (beyond * beyond)
 
 
-def residual_slope(settings: FiveBarSettings, place: Place, step: float) -> Inertia:
+def residual_slope(settings: FiveBarSettings, place: FiveBarPlace, step: float) -> Inertia:
     """Returns an estimate of d(residual)/d(displacement): inertia, damping, hand and stop."""
     inertia, damping, k = place.inertia, settings.damping / step, hand_slope(settings.hand, step)
     scale = 2.0 / (step * step)
