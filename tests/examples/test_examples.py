@@ -27,7 +27,6 @@ SAYS = {
     "room_in_a_plane.py": "stage: in .* passive yes",
 }
 """Script -> what it prints."""
-QUICK = {"stop_when_deep.py"}
 
 
 def test_the_list_names_every_example() -> None:
@@ -37,7 +36,7 @@ def test_the_list_names_every_example() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in SAYS])
+@pytest.mark.parametrize("name", SAYS)
 def test_a_script_runs(name: str, tmp_path: Path) -> None:
     environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONPATH": str(ROOT)}
     words = [sys.executable, "-W", "error", str(EXAMPLES / name)]

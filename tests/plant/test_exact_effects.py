@@ -239,10 +239,16 @@ def test_a_winding_warms_exponentially_and_holds_the_torque_it_can_stand():
     assert 0.5 < held < 2.0
 
 
-def test_noise_comes_from_splitmix64():
-    """The published first numbers of that generator, begun with 1234567."""
-    numbers = [encoder_noise._mix(1234567 + step * encoder_noise._GAMMA) for step in (1, 2, 3)]
-    assert numbers == [6457827717110365317, 3203168211198807973, 9817491932198370423]
+@pytest.mark.parametrize(
+    ("seed", "published"),
+    [
+        (0, [0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4, 0x06C45D188009454F]),
+        (1234567, [6457827717110365317, 3203168211198807973, 9817491932198370423]),
+    ],
+)
+def test_noise_comes_from_splitmix64(seed, published):
+    """The published first numbers of that generator."""
+    assert [encoder_noise._mix(seed + step * encoder_noise._GAMMA) for step in (1, 2, 3)] == published
 
 
 def test_the_encoder_reads_steps_and_repeatable_noise():

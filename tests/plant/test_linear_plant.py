@@ -141,7 +141,7 @@ def test_rounding_does_not_grow_with_the_length_of_a_run():
     assert plant.position == pytest.approx(steady.imag - 0.25 / 300, abs=2e-6)  # 2e-6: ripple of the torque itself
 
 
-def test_tidying_keeps_the_oscillator_at_unit_amplitude_and_the_sums_whole():
+def test_tidying_keeps_the_sums_whole():
     plant = plant_of(user_s())
     plant.begin(0)
     energies = []

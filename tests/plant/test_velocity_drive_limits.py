@@ -79,5 +79,5 @@ def test_the_start_writes_the_limit_and_takes_the_offsets_away() -> None:
         run(experiment.cycle, 20)
         assert isinstance(plant, AdmittancePlant)
         assert plant.display.loop.torque_limit == 30.0
-        assert [drive.store.entry(index, 0x03).value for index in (0x60B2,)] == [0]
+        assert drive.store.entry(0x60B2, 0x03).value == 0
         assert drive.store.entry(0x60B1, 0x04).value == 0

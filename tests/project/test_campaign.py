@@ -22,7 +22,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.slow_for("energy_log")
 @pytest.mark.parametrize("kind", CASES)
 def test_a_short_campaign_finds_nothing(kind: str, recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert campaign.campaign(kind, range(RECORDED), 1, recorded, time.monotonic() + 60.0) == 0

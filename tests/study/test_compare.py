@@ -270,3 +270,4 @@ def test_two_axes_are_compared_each_with_its_own_reference(tmp_path):
     assert comparison.axes[1].reference.travel > 0.1
     assert "mrad" in text_of(comparison.result)
     draw_comparison(comparison, tmp_path / "two.png")
+    assert (tmp_path / "two.png").stat().st_size > 10_000

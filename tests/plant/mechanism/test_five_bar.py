@@ -95,12 +95,13 @@ def test_a_hand_that_stands_still_gives_back_what_it_got_and_never_more():
     mechanism = five_bar(hand, damping=0.0)
     mechanism.begin(0)
     start = np.array(mechanism.handle) - hand.rest
-    energy = []
+    energy, stored = [], []
     for k in range(3000):
         mechanism.advance_to((k + 1) * MS, (0.0, 0.0))
         apart = np.array(mechanism.handle) - hand.rest
+        stored.append(mechanism.stored)
         energy.append(mechanism.stored + 100.0 * (apart @ apart) - 100.0 * (start @ start))
-    assert max(mechanism.stored, 0.01) > 0.009
+    assert max(stored) > 0.5 * 100.0 * (start @ start)  # most of the energy of the hand is in the links for a while
     assert np.abs(energy).max() < 1e-11  # of 0.05 J: the solver stops at 1e-15 rad
 
 

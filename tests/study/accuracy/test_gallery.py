@@ -12,6 +12,7 @@ from canhaptic.scene.accuracy_choice import (
     FLOOR,
     choose,
     holds_of,
+    ladder,
     observed,
     simulation_of,
     textbook_model,
@@ -163,6 +164,7 @@ def test_the_committed_gallery_shows_everything_that_was_asked(name):
 def test_the_ladder_of_auto_and_of_the_study_are_one():
     scene = load_scene(FOLDER / "stiff_stop.yaml")
     rungs = {row["accuracy"]["event_bits"] for row in committed("stiff_stop")["plant"] if row["method"] == OURS}
-    assert rungs == {4, 8, 12, 16, 20, 24}
+    of_auto = ladder(simulation_of(scene.axes[0]), scene.bus.sample_time_ns)
+    assert rungs == {setting.event_bits for setting in of_auto} == {4, 8, 12, 16, 20, 24}
     assert AccuracyParameters().event_bits in rungs
     assert holds_of(scene) == committed("stiff_stop")["holds"]

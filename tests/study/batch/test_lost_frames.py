@@ -41,7 +41,7 @@ def test_frames_are_lost_as_often_as_they_are_said_to_be(bus):
 
 @pytest.mark.slow_for("synchronous")
 @pytest.mark.parametrize("rpdo", ["synchronous", "event"])
-def test_a_controller_that_declares_losses_gives_out_nothing_and_one_that_does_not_books_wrong(rpdo):
+def test_a_controller_that_declares_losses_gives_out_nothing_although_its_account_is_further_off(rpdo):
     declared = figures(scene_of(LOSSY, "passivity.max_consecutive_losses=3", rpdo=rpdo))
     assert (declared["least_interaction"] >= -1e-6).all()
     assert (declared["cycles"] == 2000).all()

@@ -129,7 +129,8 @@ def test_linear_effects_fit():
         found = run_batch(scene, varied, CYCLES, engine="python", metrics=["interaction", "torque_peak"])
         for i in range(2):
             one = run_scalar(scene_with(scene, {key: float(values[i]) for key, values in varied.items()}), CYCLES)
-            assert found["interaction"][i] == pytest.approx(one["interaction"], rel=1e-6), effect
+            for name, values in found.items():
+                assert values[i] == pytest.approx(one[name], rel=1e-6), (effect, name)
 
 
 def test_what_does_not_fit_for_other_reasons_is_named():

@@ -57,8 +57,8 @@ ROOM = "{type: anisotropic_spring, stiffness: [[900, 300], [300, 400]], centre: 
     [
         ROOM % "",
         CORNER % DAMPED,
-        pytest.param(ROOM % ", damping: [[4, 0], [0, 2]]", marks=pytest.mark.slow),
-        pytest.param(CORNER % "", marks=pytest.mark.slow),
+        ROOM % ", damping: [[4, 0], [0, 2]]",
+        CORNER % "",
     ],
 )
 def test_a_network_of_several_springs_passes_until_the_rig_cannot_render_it(network: str) -> None:

@@ -87,7 +87,7 @@ def test_a_group_of_displays_is_swept(capsys: pytest.CaptureFixture[str]) -> Non
     assert found["figures"]["stage"]["of the scene"]["scenes"] == 2
 
 
-def test_every_figure_is_told_and_found() -> None:
+def test_every_figure_is_measured_and_a_heavy_mass_is_felt_as_it_is() -> None:
     scene = load_scene(MASS)
     assert set(display_figures(scene, 40)) == set(DISPLAY_METRICS)
     heavy = display_figures(load_scene(NODE, ["environment.mass=6 kg", "environment.lower_wall=-1 m"]), 600)
