@@ -83,10 +83,14 @@ def kept_code(sources: Iterable[str]) -> Iterator[bool]:
     if folder is None:
         yield False
         return
+    place = folder / code_key(sources)
+    try:
+        place.mkdir(mode=_PRIVATE, exist_ok=True)
+    except OSError:  # read-only, or no room: the code is compiled and not kept
+        yield False
+        return
     config = cast(_Config, numba.config)
-    place, before = folder / code_key(sources), config.CACHE_DIR
-    place.mkdir(mode=_PRIVATE, exist_ok=True)
-    config.CACHE_DIR = str(place)
+    before, config.CACHE_DIR = config.CACHE_DIR, str(place)
     try:
         yield True
     finally:

@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("numba")
 
-from canhaptic.kernels.code_cache import cache_folder, code_key
+from canhaptic.kernels.code_cache import cache_folder, code_key, kept_code
 from canhaptic.kernels.compiler import compiled
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -143,3 +143,14 @@ def test_no_name_of_machine_code_is_that_of_another_process(tmp_path: Path) -> N
         found.append(set(done.stdout.split()))
     assert found[0]
     assert found[0].isdisjoint(found[1])
+
+
+def test_where_no_folder_can_be_made_the_code_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    folder = cache_folder()
+    assert folder is not None
+    (folder / code_key(["source"])).touch()  # a file where the folder would be
+    with kept_code(["source"]) as is_kept:
+        assert not is_kept
+    with kept_code(["another"]) as is_kept:
+        assert is_kept
