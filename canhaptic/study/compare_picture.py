@@ -39,7 +39,7 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
         InputError: matplotlib is not installed, the file cannot be written, or no algorithm ran.
     """
     require_matplotlib()
-    columns = max(len(axis.runs) for axis in comparison.axes)
+    columns = max(len(_drawn(axis)) for axis in comparison.axes)
     if columns == 0:
         raise InputError("no algorithm ran, there is nothing to draw; the table says why")
     rows = 3 * len(comparison.axes)
@@ -60,10 +60,19 @@ def _caption(comparison: Comparison) -> str:
     return f"{result['scene']}   {si(result['rate'], 'Hz', 3)}, delay {result['delay']}, {path}   grey: continuous"
 
 
+def _drawn(axis: AxisComparison) -> dict[str, LoopRun]:
+    """Returns the runs of an axis that were not ended before their first SYNC."""
+    return {name: run for name, run in axis.runs.items() if run.position.size}
+
+
 def _draw_axis(axis: AxisComparison, comparison: Comparison, panels: NDArray[Any]) -> None:
     """Draws one axis into three rows of panels."""
     unit = axis.unit
-    runs, reference, period = axis.runs, axis.reference, comparison.sample_time
+    runs, reference, period = _drawn(axis), axis.reference, comparison.sample_time
+    for panel in panels[:, len(runs) :].flat:
+        panel.set_visible(False)
+    if not runs:
+        return
     calm = [run for run in runs.values() if not run.ended] or list(runs.values())
     scales = (
         _scale(reference.position if reference else calm[0].true_position),
@@ -83,8 +92,6 @@ def _draw_axis(axis: AxisComparison, comparison: Comparison, panels: NDArray[Any
         scale, prefix, (low, high) = scales[row]
         panels[row, 0].set_ylim(low / scale, high / scale)
         panels[row, 0].set_ylabel(f"{what} [{prefix}{symbol}]")
-    for panel in panels[:, len(runs) :].flat:
-        panel.set_visible(False)
 
 
 _Scale = tuple[float, str, tuple[float, float]]

@@ -22,14 +22,14 @@ def microseconds_per_step(cases: Mapping[str, tuple[Case, LoopRun]], repeats: in
     """Returns the time of a step [us]: each block of steps at its least over interleaved repeats.
 
     Args:
-        cases: Algorithm -> what it is and the run that it is fed with.
+        cases: Algorithm -> what it is and the run that it is fed with; one that has no step is left out.
         repeats: Of each, in turn A B C A B C, so that a drifting machine hits all alike.
     """
-    blocks = {name: _blocks(run) for name, (_, run) in cases.items()}
+    blocks = {name: _blocks(run) for name, (_, run) in cases.items() if run.position.size}
     best = {name: [float("inf")] * len(of_run) for name, of_run in blocks.items()}
     for _ in range(repeats):
-        for name, (case, _) in cases.items():
-            times = _times(case.controller().step, blocks[name])
+        for name, of_run in blocks.items():
+            times = _times(cases[name][0].controller().step, of_run)
             best[name] = [min(pair) for pair in zip(best[name], times, strict=True)]
     steps = {name: sum(len(block) for block in of_run) for name, of_run in blocks.items()}
     return {name: sum(times) * 1e-3 / steps[name] for name, times in best.items()}

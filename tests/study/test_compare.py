@@ -19,10 +19,11 @@ from canhaptic.study.algorithms import _with_known_plant, with_algorithm
 from canhaptic.study.compare_picture import draw_comparison
 from canhaptic.study.compare_table import comparison_report
 from canhaptic.study.comparison import compare
+from canhaptic.study.cost import microseconds_per_step
 from canhaptic.study.figures import figures
-from canhaptic.study.loop import LoopRun
+from canhaptic.study.loop import LoopRun, Recorder
 from canhaptic.study.reference.continuous_reference import ContinuousReference
-from canhaptic.study.scenes import at_rate
+from canhaptic.study.scenes import at_rate, loop_case
 from tests.control.reference_loop import USER_S, continuous, sampled
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -255,6 +256,19 @@ def test_a_picture_that_cannot_be_written_or_has_nothing_to_show_is_refused(scen
     refused = compare(scene("simulation.plant.damping=0", "passivity={algorithm: unprotected}"), ["energy_bounding"])
     with pytest.raises(InputError, match="nothing to draw"):
         draw_comparison(refused, tmp_path / "picture.png")
+
+
+def test_a_run_that_ended_before_its_first_sync_is_left_out_of_times_and_pictures(scene, tmp_path):
+    comparison = compare(scene(), ["unprotected"], duration=0.1, repeats=0)
+    [axis] = comparison.axes
+    ended = Recorder().run("stopped", "the drive did not start")
+    case = loop_case(scene().axes[0], scene())
+    assert list(microseconds_per_step({"ended": (case, ended), "ran": (case, axis.runs["unprotected"])}, 1)) == ["ran"]
+    both = replace(axis, runs={"ended": ended, **axis.runs})
+    draw_comparison(replace(comparison, axes=(both,)), tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 0
+    with pytest.raises(InputError, match="nothing to draw"):
+        draw_comparison(replace(comparison, axes=(replace(axis, runs={"ended": ended}),)), tmp_path / "none.png")
 
 
 @pytest.mark.slow
