@@ -72,7 +72,7 @@ def _ladder(result: Row, price: str, price_label: str, error: str, error_label: 
     best = [point for k, point in enumerate(edge) if all(point[1] < other[1] for other in edge[:k])]
     panel.step([x for x, _ in best], [y for _, y in best], mode="after", line_color="black", line_dash="dashed",
                legend_label="Pareto front")  # fmt: skip
-    if error == "position_error":
+    if error == "position_error" and edge:
         panel.line([min(x for x, _ in edge), max(x for x, _ in edge)], result["tolerance"], line_color="#CC0000",
                    line_dash="dotted", line_width=2, legend_label="tolerance")  # fmt: skip
     panel.add_tools(HoverTool(tooltips=[("", "@name"), ("error", "@error"), ("price", "@price"), ("", "@pareto")]))

@@ -73,19 +73,27 @@ class _OwnPlants:
     def __init__(self, scene: Scene, torques: Array, stop: Callable[[], bool], with_compiled: bool) -> None:
         axes = [scene.axis(name) for name in scene.groups[0].axes]
         period = scene.bus.sample_time_ns
-        settings = max((ladder(simulation_of(axis), period) for axis in axes), key=len)
+        ladders = [ladder(simulation_of(axis), period) for axis in axes]
+        lead = max(range(len(axes)), key=lambda place: len(ladders[place]))  # names the settings
         self._names = [axis.parameters.name for axis in axes]
         self._sides = [
             PlantSide(
-                axis, scene, len(torques), stop, with_compiled=with_compiled, torques=column.tolist(), settings=settings
+                axis,
+                scene,
+                len(torques),
+                stop,
+                with_compiled=with_compiled,
+                torques=column.tolist(),
+                settings=ladders[lead],
             )
             for axis, column in zip(axes, torques.T, strict=True)
         ]
-        first, *others = [{c.name: c for c in side.candidates} for side in self._sides]
-        own = {
-            name: [c, *(other[name] for other in others)] for name, c in first.items() if all(name in o for o in others)
-        }
-        self.candidates = [replace(of[0], spend=partial(_spend, of)) for of in own.values()]
+        rungs = [{_rung(candidate): candidate for candidate in side.candidates} for side in self._sides]
+        self.candidates = [
+            replace(candidate, spend=partial(_spend, [of[rung] for of in rungs]))
+            for rung, candidate in rungs[lead].items()
+            if all(rung in of for of in rungs)
+        ]
         self.travel, self.energy = (max(getattr(side, name) for side in self._sides) for name in ("travel", "energy"))
         self.evaluations = sum(side.evaluations for side in self._sides)
         self.rows: list[Row] = []
@@ -94,12 +102,13 @@ class _OwnPlants:
 
     def measure(self) -> Iterator[str]:
         """Runs every rung once on every plant; yields the name of each before it is run."""
-        rows: list[dict[str, Row]] = []
+        rows: list[dict[object, Row]] = []
         for axis, side in zip(self._names, self._sides, strict=True):
             for name in side.measure():
                 yield f"{axis}: {name}"
-            rows.append({f"{row['method']}, {row['setting']}": row for row in side.rows})
-        self.rows += [_worst([of[candidate.name] for of in rows]) for candidate in self.candidates]
+            rows.append({_rung(of): row for of, row in zip(side.candidates, side.rows, strict=True)})
+        for candidate in self.candidates:
+            self.rows.append({**_worst([of[_rung(candidate)] for of in rows]), "setting": candidate.setting})
 
     def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
         """Runs every plant without each of its effects; yields the name of each before it is run."""
@@ -107,7 +116,7 @@ class _OwnPlants:
             for name in side.measure_effects(accuracy):
                 yield f"{axis}: {name}"
             self.effects += [{**row, "effect": f"{axis}: {row['effect']}"} for row in side.effects]
-            self.without |= {f"{axis}: {name}" if name else "": of for name, of in side.without.items()}
+            self.without |= {f"{axis}: {name}".rstrip(): of for name, of in side.without.items()}
 
     def orders(self) -> list[Row]:
         """Returns the order of every method with a step, by the worst plant."""
@@ -117,6 +126,11 @@ class _OwnPlants:
             return min((order for order in found if order is not None), default=None)
 
         return orders_of(self.candidates, self.rows, self.travel, declared)
+
+
+def _rung(candidate: Candidate) -> tuple[str, object]:
+    """Returns what a rung is on every plant; a setting of ours names only what matters to one of them."""
+    return candidate.method, candidate.accuracy or candidate.setting
 
 
 def _spend(parts: Sequence[Candidate]) -> None:

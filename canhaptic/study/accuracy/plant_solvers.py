@@ -80,11 +80,6 @@ class PlantSide:
         self.rows: list[Row] = []
         self.effects: list[Row] = []
 
-    @property
-    def linear(self) -> bool:
-        """Whether nothing in it switches or has to be split off: there is one setting, and it is exact."""
-        return len(ladder(self._simulation, self._period)) == 1
-
     def measure(self) -> Iterator[str]:
         """Runs every rung once for its errors and evaluations; yields the name of each before it is run."""
         for candidate in self.candidates:

@@ -119,7 +119,7 @@ class AccuracyStudy:
         for number, _name in enumerate(steps):
             self._check()
             if part:
-                self._advance(part, number / count)
+                self._advance(part, min(1.0, number / count))  # every plant of a group runs each of them
 
     def _check(self) -> None:
         if self._stop():
@@ -182,7 +182,7 @@ class AccuracyStudy:
             "energy_uncertainty": row.run.believed_error,
             "energy_given_out": -row.run.least_interaction,
             "wall_per_second": row.seconds / (self.holds * self.scene.bus.sample_time),
-            "bytecodes_per_second": round(executed_bytecodes(work) / len(positions) * variant.bus.rate),
+            "bytecodes_per_second": round(executed_bytecodes(work) / max(1, len(positions)) * variant.bus.rate),
             "rate": variant.bus.rate,
             **bus_figures(variant, self.scene),
         }
@@ -260,8 +260,11 @@ class AccuracyStudy:
         }
 
     def _effect_rows(self, plant: Plants) -> list[Row]:
-        base, rows = self._wall("without ")["us_per_period"], []
+        """Returns the effects with their times; "AXIS: EFFECT" of a group is compared with that axis as it is."""
+        rows = []
         for row in plant.effects:
+            whole, _, _ = row["effect"].rpartition(" ")
+            base = self._wall(f"without {whole}")["us_per_period"]
             mine = self._wall(f"without {row['effect']}")["us_per_period"]
             saved = None if base is None or mine is None else base - mine
             error = row.get("position_error")

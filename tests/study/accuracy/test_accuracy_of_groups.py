@@ -19,11 +19,14 @@ from canhaptic.control.multi_axis.group_motion import (
 from canhaptic.control.multi_axis.group_motion import GroupMotion as MotionState
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.dry_friction import DryFriction
 from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
 from canhaptic.sim.textbook.event_location import located_states
 from canhaptic.sim.textbook.reference_group import mechanism_model
+from canhaptic.study.accuracy.candidates import OURS
+from canhaptic.study.accuracy.cycle_timing import WallTime
 from canhaptic.study.accuracy.group_variants import group_variants
 from canhaptic.study.accuracy.loop_sensitivity import engines_of
 from canhaptic.study.accuracy.study import AccuracyStudy
@@ -186,3 +189,33 @@ def test_a_group_is_compiled_where_one_size_of_it_runs_long_enough() -> None:
     chosen = {of.group: engine for of, engine in zip(every, engines_of(every, 200 * second, "auto"), strict=True)}
     assert chosen["as it is"] == chosen["torque step"] == "numba"  # one compiled loop for several variants
     assert chosen["RPDO"] == "python"  # the only one with rings of its lengths
+
+
+@pytest.mark.slow
+def test_an_effect_of_one_plant_of_a_group_is_priced_against_that_plant() -> None:
+    scene = rough("two_handles")
+    study = AccuracyStudy(scene, budget=0.0, duration=0.02)
+    plants = study.part.plants(20, lambda: False, with_compiled=False)
+    assert list(plants.measure_effects(AccuracyParameters()))
+    first, second = scene.groups[0].axes
+    seconds = {
+        f"{first}:": 5.0,
+        f"{first}: coulomb_friction": 4.0,
+        f"{second}:": 9.0,
+        f"{second}: coulomb_friction": 7.0,
+    }
+    assert set(plants.without) == set(seconds)
+    study._times = {f"without {name}": WallTime(time, 0.0, 1) for name, time in seconds.items()}
+    saved = [row["us_saved_per_period"] * study.holds * 1e-6 for row in study._effect_rows(plants)]
+    assert saved == pytest.approx([1.0, 2.0])
+
+
+@pytest.mark.slow
+def test_our_settings_are_tried_where_only_one_plant_of_a_group_has_friction() -> None:
+    friction = "simulation.axes.second.effects=[{type: coulomb_friction, kinetic: 2 N, static: 3 N}]"
+    plants = AccuracyStudy(scene_of("two_handles", friction)).part.plants(20, lambda: False, with_compiled=False)
+    assert list(plants.measure())
+    ours = [row["setting"] for row in plants.rows if row["method"] == OURS]
+    assert len(set(ours)) == len(ours) > 1
+    assert all("bits" in setting for setting in ours)
+    assert all(row["status"] == "ok" for row in plants.rows if row["method"] == OURS)
