@@ -220,11 +220,11 @@ def m_width(mass: float, damping: float, sample_time: float, delay: int = 0, cut
 
 def _moved_in_a_hold(mass: float, damping: float, sample_time: float) -> Array:
     """Returns the numerator of position over held force, (x1 z + x0) / (z - 1)(z - p), highest power first."""
-    if damping * sample_time < 1e-6 * mass:
-        return np.full(2, 0.5 * sample_time**2 / mass)
     ratio = damping * sample_time / mass
-    decay = math.exp(-ratio)
-    return np.array([ratio - 1.0 + decay, 1.0 - decay - ratio * decay]) * mass / damping**2
+    if ratio < 1e-6:
+        return np.full(2, 0.5 * sample_time**2 / mass)
+    lost = -math.expm1(-ratio)  # 1 - exp(-ratio) would round a small ratio away
+    return np.array([ratio - lost, lost - ratio * (1.0 - lost)]) * mass / damping**2
 
 
 def _last_stable(is_stable: Callable[[float], bool], step: float) -> float:

@@ -12,6 +12,7 @@ from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.study.field_figures import (
     FIELD_FIGURES,
+    _moved_in_a_hold,
     asked_impedance,
     drag,
     energy_beyond_device,
@@ -91,6 +92,14 @@ def test_the_m_width_of_a_free_mass_is_that_of_its_polynomial(delay, most):
     found = m_width(0.25, 0.0, 1e-3, delay)
     assert found.most == pytest.approx(0.25 * most, rel=1e-5)
     assert found.least == pytest.approx(-0.25, rel=1e-5)
+
+
+@pytest.mark.parametrize("ratio", [1.1e-6, 1e-5, 1e-4])
+def test_what_a_force_moves_in_a_hold_is_exact_where_the_damping_is_small(ratio):
+    # x1 = exp(-r) - 1 + r and x0 = 1 - exp(-r) - r exp(-r), over r^2, as series in r = b T / m
+    series = 0.5 - ratio / 6.0 + ratio**2 / 24.0, 0.5 - ratio / 3.0 + ratio**2 / 8.0
+    found = _moved_in_a_hold(1.0, ratio, 1.0)
+    assert found == pytest.approx(series, rel=1e-8)
 
 
 def test_a_virtual_mass_within_the_m_width_comes_to_rest_and_one_beyond_does_not():
