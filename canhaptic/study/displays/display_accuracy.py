@@ -123,6 +123,7 @@ def _row(variant: _Variant, ideal: DisplayRun, cycles: int) -> ChangeRow:
     except CanHapticError as error:
         row["status"] = f"refused: {str(error).splitlines()[0]}"
         return row
+    spent = clock.now() - begin
     figures = figures_of(run, variant.scene)
     position, energy = _apart(run, ideal, variant.steps)
     return {
@@ -135,7 +136,7 @@ def _row(variant: _Variant, ideal: DisplayRun, cycles: int) -> ChangeRow:
         "given_out": -run.least_interaction,
         "guard_acts": figures["guard_acts"],
         "energy_unsure": run.resolution,
-        "us_per_cycle": (clock.now() - begin) * 1e-3 / max(1, run.cycles),
+        "us_per_cycle": spent * 1e-3 / max(1, run.cycles),
     }
 
 

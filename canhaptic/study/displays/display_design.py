@@ -136,7 +136,8 @@ def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, DisplayDesign]]
         CheckFailedError: None passes.
     """
     low, high = (share * trial.never_acts for share in _RANGE)
-    tried, most, nearest = 0, 0.0, (1e9, low, [_Figures()])
+    tried, most = 0, 0.0
+    nearest: tuple[float, float, list[_Figures]] = (np.inf, low, [])
     found: DisplayDesign = {}
     for places in _PLACES:
         passed = 0.0
@@ -150,7 +151,7 @@ def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, DisplayDesign]]
                 low = mass
                 break
             else:
-                nearest = min(nearest, (trial.off(figures), mass, figures))
+                nearest = min(nearest, (trial.off(figures), mass, figures), key=lambda one: one[:2])
         if not most:
             raise CheckFailedError(f"{trial.name}: {_why(nearest[2], nearest[1], trial)}")
         high = passed or high

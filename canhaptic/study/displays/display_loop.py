@@ -29,7 +29,7 @@ _NONE: Final = Certificate.NONE.value
 _STILL: Final = 1e-9  # command that counts as none [m/s or rad/s]
 _COLUMNS: Final = 3  # of one axis in `DisplayRun.motion`
 _FREE_MASS: Final = "virtual_mass"
-_FIRST: Final = 20  # SYNCs at the begin that are left out of the mass felt
+_FIRST: Final = 20  # SYNCs at the beginning that are left out of the mass felt
 _BRAKING: Final = 10e-3  # time that a drive takes to stop at a wall, at most [s]
 _FEWEST: Final = 30  # SYNCs of which the mass felt is taken
 
@@ -49,7 +49,6 @@ class DisplayRun:
     interaction: float = 0.0  # true, through all sensors
     least_interaction: float = 0.0  # true, after any hold
     believed: float = 0.0
-    least_believed: float = 0.0
     believed_error: float = 0.0
     resolution: float = 0.0  # that the account took off
     surplus: float = 0.0  # at the end
@@ -199,7 +198,6 @@ def _take(motors: list[_Motor], commands: list[float], account: EnergyBalance, f
     found.energies.append(true)
     found.interaction, found.least_interaction = true, min(found.least_interaction, true)
     found.believed += account.h_i
-    found.least_believed = min(found.least_believed, found.believed)
     found.believed_error = max(found.believed_error, abs(found.believed - true))
     found.surplus = account.h_dis
     is_cut = account.certificate in _CUTS

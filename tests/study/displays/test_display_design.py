@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from canhaptic.cli.main import main
+from canhaptic.errors import CheckFailedError
 from canhaptic.scene.load import load_scene
 from canhaptic.study.displays import display_design
 from canhaptic.study.displays.display_design import design_displays
@@ -51,6 +52,13 @@ def test_what_cannot_be_designed_for_is_refused_in_words(
     changes = [word for override in overrides for word in ("--set", override)]
     assert main(["design", str(SCENES / f"{name}.yaml"), *changes]) == status
     assert words in capsys.readouterr().err
+
+
+def test_masses_that_no_run_is_long_enough_to_feel_are_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(display_design, "_PLACES", (2,))
+    monkeypatch.setattr(display_design, "_DURATION", 0.02)
+    with pytest.raises(CheckFailedError, match="no mass is felt as asked by every hand"):
+        design_displays(load_scene(NODE), 0.0, 0.3)
 
 
 def test_progress_counts_up_to_what_is_said_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
