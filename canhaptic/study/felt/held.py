@@ -111,8 +111,10 @@ def largest_held(bench: Bench, leaning: Leaning, softest: float, stiffest: float
         bench: Device and loop.
         leaning: How walls are leant on.
         softest: Stiffness tried first [N/m or N*m/rad].
-        stiffest: Largest that is tried.
+        stiffest: Largest that is tried; below the softest none is.
     """
+    if stiffest < softest:
+        return LargestHeld(0.0, 0, 0)
     walls = np.geomspace(softest, stiffest, 2 + int(leaning.per_decade * np.log10(stiffest / softest))).tolist()
     passed = [held(bench, stiffness, leaning).passed for stiffness in walls]
     if True not in passed:

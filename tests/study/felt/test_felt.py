@@ -160,3 +160,7 @@ def test_friction_and_damping_hold_a_wall_for_every_hand_with_what_friction_took
     stored = energy + push**2 / 2.0 / stiffness + friction * push / stiffness
     assert friction + math.sqrt(4.0 * damping * stored / 1e-3 / 2.0) == pytest.approx(push)
     assert energy_for_any_hand(damping, friction, 1e-3, 1, stiffness, friction) == 0.0
+
+
+def test_no_wall_is_held_where_the_stiffest_to_try_is_below_the_softest() -> None:
+    assert largest_held(device("guarded", 100.0, 0.1), Leaning(), 1000.0, 100.0) == (0.0, 0, 0)
