@@ -1,9 +1,11 @@
 """Sweeps: any keys of a scene, on a grid or a Latin hypercube, on one core, a process pool or a cluster.
 
-points   which scenes there are, by global index            vary     what `--vary` says
-recipe   a row of values to a scene, or why it is refused   chunk    the figures of consecutive scenes
-table    the file: fixed layout, one flag per chunk         workers  where chunks run
-sweep    chunks to workers, results to the table            summary  what a file holds, in words
+vary          what `--vary` says                places        where a varied key is in a scene
+points        the scenes, by global index       recipe        a row of values to a scene, or why it is refused
+chunk         the figures of some scenes        workers       where chunks run
+run_sweep     chunks to workers and to a file   chunk_files   chunks that are not in the file yet
+sweep_table   the file, its layout              selected      shares and medians of a file
+summary       what a file holds, in words
 """
 
 from canhaptic.study.sweep.run_sweep import sweep

@@ -230,13 +230,13 @@ class _Chunk:
             if built.scene is None:
                 self._note(row, REFUSED, 0, built.remark)
                 continue
-            status, engine, remark = COMPLETED, _SCALAR, _joined(reason, _remark_of(built))
+            failure, engine, remark = "", _SCALAR, _joined(reason, _remark_of(built))
             for name in self._recipe.axes:
                 scene = seeded(self._recipe, _alone(built, name), self._start + row)
                 try:
                     figures, is_compiled, why_not = _figures_alone(self._recipe, scene, asked)
                 except CanHapticError as error:
-                    status, remark = _FAILED, str(error).splitlines()[0]
+                    failure = str(error).splitlines()[0]
                     continue
                 if is_compiled:
                     engine, remark = ENGINES.index("numba"), _remark_of(built)
@@ -244,7 +244,7 @@ class _Chunk:
                     remark = _joined(f"not compiled: {why_not}", _remark_of(built))
                 for metric in asked:
                     self._figures[f"{name}/{metric}"][row] = figures[metric]
-            self._note(row, status, engine, remark)
+            self._note(row, _FAILED if failure else COMPLETED, engine, failure or remark)
 
     def _note_all(self, rows: _Rows, engine: int, remark: str) -> None:
         self._status[rows], self._engine[rows], self._remark[rows] = COMPLETED, engine, self._slot(remark)

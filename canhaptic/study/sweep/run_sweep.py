@@ -91,8 +91,8 @@ def sweep(
         executor: Any `concurrent.futures.Executor`, or a `Pool`; None: in this thread.
         resume: Whether to go on with a file that is there; one that is not there is made.
         force: Whether to replace a file that is there.
-        pool_if_long: Whether a long sweep that Python runs gets a process on each core where no executor is given.
         in_flight: Chunks submitted and not yet written, at most.
+        pool_if_long: Whether a long sweep that Python runs gets a process on each core where no executor is given.
         progress: Called now and then with how far it is.
         stop_requested: Asked now and then; True ends the sweep after the chunks under way.
         options: As for `_make_sweep`.
