@@ -1,4 +1,4 @@
-"""An axis under another algorithm: what the two have in common is kept, and the plant tells what the scene does not."""
+"""An axis under another algorithm: it keeps what both have in common, and takes from the plant what is not declared."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,7 +24,7 @@ class _AbleAxis(NamedTuple):
     """An axis whose algorithm has what it needs."""
 
     axis: AxisScene
-    told: tuple[str, ...] = ()  # properties of its loop that the scene does not say and the plant does
+    told: tuple[str, ...] = ()  # properties of its loop that the scene does not declare, taken from the plant
 
     @property
     def remark(self) -> str:

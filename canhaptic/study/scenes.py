@@ -21,7 +21,7 @@ _PER_MILLE: Final = 1e-3
 
 
 def cycles_of(scene: Scene, duration: float | None) -> int:
-    """Returns the SYNCs of one run [s] of a scene; for None as long as the scene says."""
+    """Returns the SYNCs of a run of a duration [s], at least 2; for None as long as the scene says."""
     return max(2, round((duration or scene.run.duration or _DEFAULT_DURATION) / scene.bus.sample_time))
 
 

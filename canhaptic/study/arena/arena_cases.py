@@ -12,12 +12,7 @@ from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import load_scene, scene_from_text
 from canhaptic.scene.models import Scene
 from canhaptic.study.algorithms import able_under
-from canhaptic.study.field_figures import (
-    drag,
-    energy_beyond_device,
-    energy_given_out,
-    rate_hardness,
-)
+from canhaptic.study.field_figures import drag, energy_beyond_device, energy_given_out, rate_hardness
 from canhaptic.study.figures import figures
 from canhaptic.study.loop import LoopRun, Recorder, render
 from canhaptic.study.reference.continuous_reference import ContinuousReference, continuous_reference

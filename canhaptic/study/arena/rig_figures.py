@@ -55,7 +55,7 @@ def borders(rig: Path, algorithm: str, delay: int, per_decade: int, *, allow_cod
         rig: Scene of one axis with a wall.
         algorithm: Name, or `FILE.py:Class`.
         delay: Whole holds, 0 or 1.
-        per_decade: Stiffnesses.
+        per_decade: Stiffnesses in a decade.
         allow_code: Whether the file may run.
     """
     stiffnesses = tried_stiffnesses(per_decade)

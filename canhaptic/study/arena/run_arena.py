@@ -22,7 +22,7 @@ RATES: Final = (100.0, 300.0, 1000.0, 3000.0, 8000.0)  # [Hz]
 DELAYS: Final = (0, 1)
 LONGEST: Final = 2.0  # [s] of one run
 PER_DECADE: Final = 12
-"""Walls of the K-B plot."""
+"""Stiffnesses in a decade of the K-B plot."""
 _FEW: Final = 4
 """Groups under way at once."""
 _LOOK: Final = 0.2  # [s] between two looks at a request to stop
@@ -39,7 +39,7 @@ class ArenaPlan:
         delays: Whole holds, 0 or 1.
         longest: Duration of a run at most [s].
         rig: Scene of the K-B plot.
-        per_decade: Walls of the K-B plot; 0: nothing is measured on the rig.
+        per_decade: Stiffnesses in a decade of the K-B plot; 0: nothing is measured on the rig.
         allow_code: Whether the files named may run.
     """
 

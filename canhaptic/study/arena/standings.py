@@ -27,18 +27,14 @@ def _count(cases: Iterable[CaseFigures], figure: str) -> float:
     return float(sum(case[figure] > PASSIVE_TOLERANCE for case in cases))
 
 
-def _median(figure: str) -> Callable[[Sequence[CaseFigures]], float | None]:
+def _combined(
+    figure: str, by: Callable[[Sequence[float]], Any] = np.median
+) -> Callable[[Sequence[CaseFigures]], float | None]:
+    """Returns the function from cases to one number: a figure of those that were completed, combined."""
+
     def of(cases: Sequence[CaseFigures]) -> float | None:
         values = [case[figure] for case in cases if case["status"] == "completed" and case[figure] is not None]
-        return rounded(float(np.median(values))) if values else None
-
-    return of
-
-
-def _mean(figure: str) -> Callable[[Sequence[CaseFigures]], float | None]:
-    def of(cases: Sequence[CaseFigures]) -> float | None:
-        values = [case[figure] for case in cases if case["status"] == "completed" and case[figure] is not None]
-        return rounded(float(np.mean(values))) if values else None
+        return rounded(float(by(values))) if values else None
 
     return of
 
@@ -55,12 +51,12 @@ COLUMNS: Final[dict[str, Column]] = {
     ),
     "most_given_out": Column("most energy given out, completed runs", "J", _most_given_out),
     "diverged": Column("runs that diverged", "1", lambda c: float(sum(case["status"] == "diverged" for case in c))),
-    "position_error": Column("position error rms over travel, median", "1", _median("position_error")),
-    "force_variation": Column("force variation over the continuous one, median", "1", _median("force_variation")),
-    "stiffness_error": Column("stiffness rendered less 1, median size", "1", _median("stiffness_error")),
-    "limit_cycle": Column("limit cycle, mean", "m", _mean("limit_cycle")),
-    "rate_hardness": Column("rate-hardness over stiffness, median", "1", _median("rate_hardness"), is_ranked=False),
-    "drag": Column("drag in free motion, mean", "N", _mean("drag")),
+    "position_error": Column("position error rms over travel, median", "1", _combined("position_error")),
+    "force_variation": Column("force variation over the continuous one, median", "1", _combined("force_variation")),
+    "stiffness_error": Column("stiffness rendered less 1, median size", "1", _combined("stiffness_error")),
+    "limit_cycle": Column("limit cycle, mean", "m", _combined("limit_cycle", np.mean)),
+    "rate_hardness": Column("rate-hardness over stiffness, median", "1", _combined("rate_hardness"), is_ranked=False),
+    "drag": Column("drag in free motion, mean", "N", _combined("drag", np.mean)),
 }  # fmt: skip
 """Key -> figure; in each that is ranked less is better."""
 

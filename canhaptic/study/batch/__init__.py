@@ -78,7 +78,7 @@ def run_batch(
 
     Raises:
         ParameterError: A key that cannot vary inside a batch, a value out of its range, an unknown metric.
-        NotBatchableError: The scene cannot run in arrays.
+        NotBatchableError: The scene cannot run in a batch.
     """
     names = list(METRICS) if metrics is None else list(metrics)
     unknown = [name for name in names if name not in ALL]

@@ -29,7 +29,7 @@ _MOST_STEPS: Final = 4096
 
 
 def why_not_continuous(case: BatchCase) -> str:
-    """Returns "" where many continuous runs can be marched in arrays, else the reason."""
+    """Returns "" where continuous runs can be followed next to their loops, else the reason."""
     if not isinstance(case.environment, CLOSED_FORM):
         return f"{type(case.environment).__name__} has no flow in closed form"
     return "" if f"rate.1.{case.size - 2}" in case.numbers else "the plant has effects that are not in arrays"

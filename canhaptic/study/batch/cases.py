@@ -1,4 +1,4 @@
-"""From a scene and the keys in which many scenes differ to loops that can run in arrays."""
+"""From a scene and the keys in which many scenes differ to the loops of a batch."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -30,7 +30,7 @@ _PLANT_DAMPING: Final = "simulation.plant.damping"
 
 
 def why_not_batchable(scene: Scene) -> str:
-    """Returns "" when the whole loop of a scene can run in arrays, else the reason by name.
+    """Returns "" when the whole loop of a scene can run in a batch, else the reason by name.
 
     "effect coulomb_friction has events", "scene has 2 axes, expected one", ...
 

@@ -86,7 +86,7 @@ class GroupMeter:
 def step(
     world: World, settings: object, state: Any, memory: Any, missed: int, positions: Buffer, torques_applied: Buffer
 ) -> GroupHold:
-    """Takes the place of the kernel of an algorithm, which a caller of `run_group` binds."""
+    """Placeholder of the kernel of an algorithm; the caller of `run_group` gives another in its place."""
     raise NotImplementedError
 
 

@@ -14,9 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.control.multi_axis.group_kernel import GroupKernel
-from canhaptic.control.multi_axis.group_motion import (
-    GroupMotion,
-)
+from canhaptic.control.multi_axis.group_motion import GroupMotion
 from canhaptic.errors import CanHapticError
 from canhaptic.kernels import with_quick_fields
 from canhaptic.kernels.binding import bound

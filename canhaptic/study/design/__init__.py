@@ -1,1 +1,4 @@
-"""The stiffest and most damped wall that a rig renders: `trial` judges walls, `wall` searches, `report` says it."""
+"""The stiffest and most damped wall that a rig renders.
+
+`trial` judges walls, `wall` searches, `design_report` shows what was found.
+"""
