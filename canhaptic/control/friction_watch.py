@@ -7,8 +7,9 @@ falling over the second, the equation of motion m a = tau + u - s F gives by par
 
 With m at least `moving_mass`, F at least the declared f_c, and the hand's force within its declared bounds (in contact:
 F_h out of it, a push into it), an axis that gains speed by more than the right side can gain contradicts what is
-declared, of the device or of the hand: either way the certificates rest on something false. Every error is taken
-against the contradiction: of the positions (half a count each), of the times (jitter), of a torque that comes late.
+declared, of the device or of the hand: either way the certificates rest on something false. Taken against the
+contradiction are errors of the positions (half a count each), of the times (jitter), and of a torque that comes late;
+an error of its size is not.
 
 Out of contact nothing is declared of the hand, and a hand without a bound explains every motion: there is no test. So a
 missing friction shows while a wall pushes the handle out faster than F_h and f_c let it. Where that never happens in a
@@ -25,7 +26,7 @@ _STRETCH: Final = 0.01  # [s]
 
 @dataclass(frozen=True, slots=True)
 class FrictionDeclared:
-    """What a run is compared with; all of it are numbers, so that a log can name it."""
+    """What a run is compared with: numbers alone, so that a log can hold it."""
 
     friction: float  # f_c, at least [N or N*m]
     mass: float  # at least [kg or kg*m^2]
@@ -44,10 +45,10 @@ class _Stretch:
     way: float = 0.0  # 1 or -1; 0: it stood still, turned, or was out of contact
     hand: float = 0.0  # largest force of the hand along it [N or N*m]
     length: float = 0.0  # of its way [m or rad]
-    rising: float = 0.0  # torques, weighted from 0 to 1
-    falling: float = 0.0  # torques, weighted from 1 to 0
-    size: float = 0.0  # sum of |torque| of the holds
-    changes: float = 0.0  # sum of the changes of the torque
+    rising: float = 0.0  # sum of the torques, weighted from 0 to 1 [N or N*m]
+    falling: float = 0.0  # the same, weighted from 1 to 0
+    size: float = 0.0  # sum of |torque| of the holds [N or N*m]
+    changes: float = 0.0  # sum of the sizes of the changes of the torque [N or N*m]
 
 
 class FrictionWatch:
@@ -105,7 +106,7 @@ class FrictionWatch:
             self._before, self._now, self._taken = now, _Stretch(), 0
 
     def _compare(self, first: _Stretch, second: _Stretch) -> None:
-        """Compares two stretches, each of `holds` holds."""
+        """Compares two stretches that follow each other, each of as many holds."""
         way, of = second.way, self._declared
         if way == 0.0 or first.way != way:
             return

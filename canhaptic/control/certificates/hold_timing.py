@@ -13,10 +13,10 @@ torques.
 
 **Reach.** With damping b and beta = b/m, D_1 = r D_0 + integral of K F, K >= 0, where
 r = (1 - e^(-beta T_1)) / (e^(beta T_0) - 1). As 1 - e^-x <= x <= e^x - 1, r <= T_1 / T_0 <= (1 + j) / (1 - j):
-`growth`, for D_0 > 0. For D_0 < 0 phi(T) = (1 - e^(-beta T)) / beta is concave, so r >= e^(-beta T_0) T_1 / T_0.
-K grows with T_0 and T_1, so that each response is largest for T (1 + j): the undamped ones by (1 + j)^2. An older
-torque g > f adds (g - f) p: K falls in the hold and rises in the one before, so by (1) it counts as no more than
-min(1, 2 theta / T) (g - f) held throughout: `late`.
+`growth`, for D_0 > 0. For D_0 < 0 phi(T) = (1 - e^(-beta T)) / beta is concave and grows, so
+r >= e^(-beta T_0) min(1, T_1 / T_0). K grows with T_0 and T_1, so that each response is largest for T (1 + j): the
+undamped ones by (1 + j)^2. An older torque g > f adds (g - f) p: K falls in the hold and rises in the one before, so by
+(1) it counts as no more than min(1, 2 theta / T) (g - f) held throughout: `late`.
 
 **Energy of the next hold.** Of all motions of the same D_0 the one with the largest force throughout is the fastest at
 every time, v <= v* = D_0/T_0 + (growing part). The torques along f give out integral(u v), at most with v* for v. The

@@ -5,8 +5,8 @@ hold before it the torques that may have acted. Booked is -f_n D; true is -sum f
 
     sum over j < n and axes of (f_j - f_n) D_j = sum of delta_j D_j.
 
-**Hand force.** Only the side of D_j that makes it large counts; on that side the declared force holds the hand. With
-s the farthest that torques and hand move the axis beyond the hold before (`bound`), for delta_j > 0 (else all mirrored)
+**Hand force.** Only the side of D_j that makes it large counts; on that side the declared force holds the hand. With s
+the farthest that torques and hand move the axis beyond the hold before (`Gap.step`), for delta_j > 0 (else mirrored)
 
     f_j > 0:   D_j <= D_0 + j s + friction,                         the hand pulls along f_j with F_h at most;
     else f_n < f_j <= 0, and the hand is held along -: D_m >= D_j - (m - j) s - friction for m > j, and

@@ -191,7 +191,7 @@ def renderable_by_hand_speed(speed: float, sample_time: float, delay: int, torqu
     return torque / (2.0 * speed * sample_time * (1 + delay))
 
 
-WINDOW = 32
+WINDOW: Final = 32
 """Holds looked back for the outward speed when the encoder is coarse."""
 
 

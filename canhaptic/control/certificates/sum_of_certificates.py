@@ -14,9 +14,8 @@ chains over the holds under way), v_max T of the hand speed, and infinity. With 
     else:                          n^2 T / 4b                                                                     (1)
 
 (`taken`). The sum over the holds under way and over the next one is the most by which S can fall in them, for each D_i
-has a bound of its own. So S stays >= 0 where the sum is <= S before
-every hold: S after the hold is S - g(f, D) >= the sum over the holds that are left. A torque against adds what it may
-take in its own direction.
+has a bound of its own. So S stays >= 0 where the sum is <= S before every hold: S after the hold is S - g(f, D) >= the
+sum over the holds that are left. A torque against adds what it may take in its own direction.
 
 **The largest torque.** (1) grows with f, by itself and through R = base + gain f, so that the torques with
 (1) <= S' (what the holds under way leave) form an interval. Its end is f_c + sqrt(4 b S' / T) for a hand of which

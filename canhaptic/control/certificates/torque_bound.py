@@ -50,7 +50,7 @@ class TorqueBound:
     lowest: float = 0.0  # the same, at least
     most: float = 0.0  # that counts as held in the hold that ended, along + [N or N*m]
     least: float = 0.0  # the same, along -
-    resolution: float = 0.0  # width of what is known of the energy, where torques come late [J]
+    resolution: float = 0.0  # width of what is known of the energy: torques that came late, lost samples [J]
 
 
 class BoundMemory(NamedTuple):

@@ -8,7 +8,7 @@ at 0.5 Hz), force variation over that of the continuous wall's:
 
     after the store emptied in contact                              40 Hz    100 Hz
     eq. 14 as printed, v = x / T, when the user pushes inward         0.9       68
-    eq. 14 as printed, at the next sample after any motion         1.4       73
+    eq. 14 as printed, at the next sample after any motion            1.4       73
     eq. 14 with the velocity from the displacement                    0.9      1.6
     not until the contact ends (the user falls through)               0.9      0.6 (33 mm rms)
 

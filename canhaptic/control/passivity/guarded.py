@@ -116,10 +116,10 @@ def motion_inside(
         environment: Rendered.
         settings: Of the run.
         axis: That moved.
-        travel: Motion of the storage in a hold, where the contact was there before.
-        displacement: Since the last position.
+        travel: Motion of the storage in a hold, where the contact was there before [m or rad].
+        displacement: Since the last position [m or rad].
         holds: Since then.
-        true: State of the storage.
+        true: State of the storage [m or rad].
         same: Whether the contact was there before.
     """
     inside = displacement / holds
@@ -145,7 +145,10 @@ class Guarded(SteppedController):
 
     @property
     def energy_resolution(self) -> float:
-        """Width of what is known of the sum of h_i because torques come late [J]; what is booked is its lower end."""
+        """Width of what is known of the sum of h_i where torques came late or samples were lost [J].
+
+        What is booked is its lower end.
+        """
         return float(self._state.bound.resolution)
 
     def hold(self) -> EnergyBalance:

@@ -35,8 +35,8 @@ def render(
         spring: Effort there [N or N*m].
         ceiling: Energy stored there [J].
         travel: Motion of the storage in a hold [m or rad].
-        inside: Motion of the axis in contact, in a hold.
-        moved: Motion of the axis in a hold.
+        inside: Motion of the axis in contact, in a hold [m or rad].
+        moved: Motion of the axis in a hold [m or rad].
         same: Whether the contact was there before.
     """
     bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit

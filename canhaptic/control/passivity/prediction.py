@@ -32,7 +32,7 @@ class PredictionSettings:
     """What is fixed for a run."""
 
     gain: float  # T^2 / m: displacement per hold that a torque adds in one [m/N or rad/(N*m)]; 0: mass not known
-    lost: float  # b T / m: share of a motion that certain damping of the device takes in a hold
+    lost: float  # 1 - e^(-b T / m): share of a motion that certain damping of the device takes in a hold
     delay: int  # whole holds between computation and action
     beyond: float  # holds aimed at beyond those under way
     noise: float  # error that the encoder can explain [m or rad]
