@@ -1,5 +1,6 @@
 """A run that moves faster than declared friction lets it is found, by the simulated plant; one that does not, never."""
 
+import itertools
 import random
 
 import pytest
@@ -78,3 +79,30 @@ def test_a_motion_begins_anew_behind_a_gap() -> None:
     for k in range(11):
         watch.take(5.0 + 0.003 * k, 0.0, 30 + k, -1.0)
     assert watch.excess == 0.0
+
+
+def test_errors_of_positions_times_and_of_late_torques_count_against_the_contradiction() -> None:
+    """The equation of motion written anew, for torques that change in every hold, in and out of a contact."""
+    found = 0
+    for seed in range(60):
+        draw = random.Random(seed)
+        way, asked = draw.choice([1.0, -1.0]), draw.choice([1.0, -1.0])
+        count, jitter, late = draw.choice([0.0, 1e-5]), draw.choice([0.0, 0.02]), draw.choice([0.0, 2e-4])
+        known = FrictionDeclared(0.5, 0.25, 1e-3, 1.0, 4.0, count, jitter, late)
+        watch, position, torques = FrictionWatch(known), 0.0, [draw.uniform(-3.0, 3.0) for _ in range(21)]
+        watch.take(position, torques[0], 0, asked)
+        speeds = draw.uniform(0.1, 1.0), draw.uniform(0.1, 1.5)
+        for hold in range(20):
+            position += way * speeds[hold // 10] * 1e-3
+            watch.take(position, torques[hold + 1], hold + 1, asked)
+        weights = [(hold + 0.5) / 10.0 for hold in range(10)]
+        weights += [1.0 - weight for weight in weights]
+        mean = sum(way * weight * torque for weight, torque in zip(weights, torques[1:], strict=True)) / 10.0
+        mean += 3.0 * jitter * sum(map(abs, torques[1:])) / 10.0
+        mean += sum(abs(after - before) for before, after in itertools.pairwise(torques)) * late / 0.01
+        first, second = (0.01 * speeds[0] + count) / (1.0 - jitter), (0.01 * speeds[1] - count) / (1.0 + jitter)
+        hand = 4.0 if way == asked else 1.0
+        expected = 0.25 * (second - first) / 1e-4 - mean - hand * (1.0 + jitter) + 0.5 * (1.0 - jitter)
+        assert watch.excess == pytest.approx(max(0.0, expected) if second > first else 0.0, abs=1e-9), seed
+        found += watch.excess > 0.0
+    assert found > 10
