@@ -61,6 +61,18 @@ def test_a_force_with_a_jump_is_integrated_too(edge: float, level: float, state:
     assert integral(step, state) == pytest.approx(exact, abs=1e-9)
 
 
+def test_the_integral_of_a_force_that_is_no_number_ends_at_once() -> None:
+    asked = 0
+
+    def force(x: float) -> float:
+        nonlocal asked
+        asked += 1
+        assert asked < 10_000
+        return math.nan if x > 0.01 else x
+
+    assert math.isnan(integral(force, 0.02))
+
+
 def test_an_energy_that_no_state_stores_gives_the_farthest_state() -> None:
     state = state_of(lambda x: 1.0 - math.exp(-x * x), lambda x: 2.0 * x * math.exp(-x * x), 2.0, -0.5)
     assert state < -1e6

@@ -106,7 +106,7 @@ def integral(function: Callable[[float], float], end: float) -> float:
     total, waiting = 0.0, [(0.0, end, whole, error, 0)]
     while waiting:
         left, right, found, error, halvings = waiting.pop()
-        if error <= allowed or halvings == _MOST_HALVINGS:
+        if not error > allowed or halvings == _MOST_HALVINGS:  # NaN ends it: halved, it would never
             total += found
             continue
         middle = 0.5 * (left + right)
