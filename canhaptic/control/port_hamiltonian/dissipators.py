@@ -47,9 +47,9 @@ class DampingMatrix(Parameters):
     matrix: tuple[tuple[float, ...], ...]
     """SI, symmetric and positive semidefinite."""
     states: tuple[int, ...] = ()
-    """The states of its rows; or"""
+    """States of its rows; either these or `ports`."""
     ports: tuple[int, ...] = ()
-    """the ports of its rows."""
+    """Ports of its rows; either these or `states`."""
 
     @model_validator(mode="after")
     def _positive(self) -> "DampingMatrix":
@@ -59,6 +59,8 @@ class DampingMatrix(Parameters):
                 f"got {len(self.states)} states and {len(self.ports)} ports for {len(self.matrix)} rows, expected one "
                 "state for each row, or one port for each row"
             )
+        if len(set(self.states)) < len(self.states) or len(set(self.ports)) < len(self.ports):
+            raise ValueError(f"got states {self.states} and ports {self.ports}, expected each of them once")
         return self
 
     def elements(self) -> list[Damper]:

@@ -182,12 +182,14 @@ def _never_left(tables: NetworkTables) -> bool:
     """Returns True where some storage or dissipator of the tables can be felt at every position."""
     if tables.coupled:
         return True
-    for k, low, high, row in zip(tables.stiffness, tables.lower, tables.upper, tables.gain, strict=True):
-        if k != 0.0 and low == high and any(row):
+    acts_always = [low == high for low, high in zip(tables.lower, tables.upper, strict=True)]
+    for k, k3, acts, row in zip(tables.stiffness, tables.hardening, acts_always, tables.gain, strict=True):
+        if acts and (k != 0.0 or k3 != 0.0) and any(row):
             return True
     return any(
-        beside < 0 and any(row) for beside, row in zip(tables.beside, tables.on_ports, strict=True)
-    )  # fmt: skip
+        (beside < 0 or acts_always[beside]) and any(row)
+        for beside, row in zip(tables.beside, tables.on_ports, strict=True)
+    )
 
 
 def check_rows(name: str, rows: _Rows, count: int, length: int) -> None:

@@ -54,6 +54,7 @@ MASS = Mass(mass=1.0)
         (lambda: DampingMatrix(matrix=((1.0, 2.0), (2.0, 1.0)), ports=(0, 1)), "least eigenvalue -1"),
         (lambda: DampingMatrix(matrix=((1.0, 0.5), (0.0, 1.0)), ports=(0, 1)), "symmetric"),
         (lambda: DampingMatrix(matrix=((1.0,),), ports=(0, 1)), "one port for each row"),
+        (lambda: DampingMatrix(matrix=((1.0, 0.0), (0.0, 1.0)), states=(0, 0)), "each of them once"),
         (lambda: QuadraticForm(matrix=((1.0, 3.0), (3.0, 1.0))), "least eigenvalue -2"),
         (lambda: QuadraticForm(matrix=((1.0, 3.0),)), "square"),
         (lambda: Spring(stiffness=1.0, lower=1.0, upper=0.0), "lower <= upper"),
@@ -62,10 +63,12 @@ MASS = Mass(mass=1.0)
         (lambda: Plane(stiffness=1.0, normal=(0.0, 0.0)).build(2), "not all 0"),
         (lambda: Plane(stiffness=1.0, normal=(1.0,)).build(2), "expected 2"),
         (lambda: Tube(stiffness=1.0, point=(0.0, 0.0), direction=(1.0, 0.0), radius=0.1).build(3), "expected 3"),
+        (lambda: Tube(stiffness=1.0, point=(0.0,), direction=(1.0,), radius=0.1).build(1), "of 1 dimension,"),
         (lambda: CoupledHandles(stiffness=1.0).build(3), "even number"),
         (lambda: GuidedPath(points=((0.0,), (0.0,)), stiffness=1.0), "same point twice"),
         (lambda: General(storages=(SPRING, MASS), gain=((1.0,), (0.0,)), structure=((0, 1), (1, 0))), "J = -J'"),
         (lambda: General(storages=(SPRING,), gain=((1.0,),)).build(2), "1 columns, one for each port, in a task"),
+        (lambda: General(storages=(SPRING,), gain=((1.0,),), offset=(0.0, 0.0)).build(1), "1, one for each port"),
         (lambda: AnisotropicSpring(centre=(0.0,), stiffness=((1.0, 0.0), (0.0, 1.0))).build(1), "expected 1"),
         (
             lambda: Network([UserEnergy(1, lambda x: x[0] ** 2, lambda x: [x[0]])], gain=[[1]]),
@@ -196,6 +199,19 @@ def test_numbers_at_the_edge_of_the_range_give_torques_or_a_clear_error(losses):
             assert all(abs(torque) <= 2.0 for torque in held)
             felt += any(held)
     assert felt > 50
+
+
+@pytest.mark.parametrize("algorithm", ["guarded", "step_scaling"])
+@pytest.mark.parametrize(
+    ("spring", "dampers"),
+    [(Spring(stiffness=0.0, hardening=1e8), ()), (Spring(stiffness=0.0), (Damper(viscous=2.0, beside=0),))],
+)
+def test_what_acts_everywhere_is_felt_without_a_linear_stiffness(spring, dampers, algorithm):
+    network = General(storages=(spring,), dissipators=dampers, gain=((1.0,),))
+    controller, torque = group(network, axes=1, algorithm=algorithm), 0.0
+    for sample in range(20):
+        torque = controller.step([5e-4 * sample], [torque]).torques[0]
+    assert torque < -0.5
 
 
 class _Unsolvable:

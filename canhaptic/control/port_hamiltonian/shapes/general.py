@@ -4,7 +4,7 @@ from pydantic import model_validator
 
 from canhaptic.control.port_hamiltonian.dissipators import Dissipator
 from canhaptic.control.port_hamiltonian.network import Network, check_rows
-from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, check_length, identity_rows, linear_geometry
+from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, identity_rows, linear_geometry
 from canhaptic.control.port_hamiltonian.storages import Storage
 from canhaptic.errors import ParameterError
 from canhaptic.units import Parameters
@@ -51,5 +51,8 @@ class General(Parameters):
         rows = identity_rows(dimensions) if self.ports is None else self.ports
         check_rows("ports", rows, network.ports, dimensions)
         offset = self.offset or (0.0,) * network.ports
-        check_length("general", "offset", len(offset), network.ports)
+        if len(offset) != network.ports:
+            raise ParameterError(
+                f"general.offset: got {len(offset)} entries, expected {network.ports}, one for each port"
+            )
         return Rendered(network, linear_geometry(rows, offset))

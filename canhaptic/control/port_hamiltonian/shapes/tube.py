@@ -4,6 +4,7 @@ from typing import Annotated, Literal, NamedTuple
 
 from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, check_length
 from canhaptic.control.port_hamiltonian.shapes.surface import Surface, radial, unit_vector
+from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import quantity
 
@@ -22,8 +23,12 @@ class Tube(Surface):
 
     def build(self, dimensions: int) -> Rendered:
         """Returns the tube; see `NetworkEnvironment`."""
+        if dimensions < 2:
+            raise ParameterError(
+                f"tube: got a task space of {dimensions} dimension, expected at least 2: the motion along it is free, "
+                "so that nothing would be felt; use a box"
+            )
         check_length("tube", "point", len(self.point), dimensions)
-        check_length("tube", "direction, of at least 2 dimensions,", len(self.direction), max(2, dimensions))
         direction = unit_vector("tube", "direction", self.direction, dimensions)
         return self.behind(
             AroundLine(list(self.point), list(direction), self.radius, 1.0 if self.side == "outside" else -1.0)
