@@ -2,7 +2,7 @@
 
 from itertools import pairwise
 from math import inf, sqrt
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 from pydantic import model_validator
 
@@ -26,6 +26,12 @@ class GroupMass(Parameters):
     """Walls below, one for each axis [m or rad]; empty: none."""
     upper: tuple[float, ...] = ()
     """Walls above, one for each axis [m or rad]; empty: none."""
+
+    @model_validator(mode="after")
+    def _walls_leave_room(self) -> Self:
+        if self.lower and self.upper and not all(a < b for a, b in zip(self.lower, self.upper, strict=False)):
+            raise ValueError(f"got lower {self.lower} and upper {self.upper}, expected lower < upper on every axis")
+        return self
 
     def require(self, axes: int) -> None:
         """Makes sure that it fits a number of axes.

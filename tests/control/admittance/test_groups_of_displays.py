@@ -56,6 +56,11 @@ def test_a_wall_in_task_space_lets_nothing_through_and_holds_nothing_back() -> N
     assert in_task_space(away)[0] == pytest.approx(-50.0 * TIME)
 
 
+def test_walls_without_room_between_them_are_refused() -> None:
+    with pytest.raises(ParameterError, match="lower < upper on every axis"):
+        GroupMass(mass=1.0, lower=(-1.0, 0.5), upper=(1.0, 0.4))
+
+
 def test_a_singular_pose_commands_nothing() -> None:
     task = TaskEnvironment(GroupMass(mass=1.0), ARM, 0.0)
     assert task.speeds_after([1.0, 1.0], [5.0, 5.0], [0.3, 0.0], TIME) == [0.0, 0.0]

@@ -28,7 +28,7 @@ class Box(Surface):
 
     @model_validator(mode="after")
     def _has_inside(self) -> "Box":
-        if len(self.lower) != len(self.upper) or any(a >= b for a, b in zip(self.lower, self.upper, strict=False)):
+        if len(self.lower) != len(self.upper) or not all(a < b for a, b in zip(self.lower, self.upper, strict=False)):
             raise ValueError(
                 f"got lower {self.lower} and upper {self.upper}, expected lower < upper in every coordinate"
             )
