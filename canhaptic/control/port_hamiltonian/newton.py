@@ -65,12 +65,6 @@ def advance(
         functions: Energies and structure given as functions.
     """
     drive(tables, state, displacement, room)
-    if not tables.moving:
-        discrete_gradient(tables, state, room.step, room.efforts, room.slopes)
-        if tables.by_functions:
-            functions.add_discrete_gradient(state, room.step, room.efforts)
-        dissipate(tables, displacement, sample_time, room)
-        return 1
     for i in range(len(room.scale)):
         room.scale[i] = math.sqrt(abs(tables.stiffness[i])) + _LEAST_SCALE
     evaluations = _by_residual(tables, state, displacement, sample_time, room, functions)
@@ -210,7 +204,7 @@ def _go_down(
         sample_time: T [s].
         room: `direction` and `weights` say where to.
         functions: Energies and structure given as functions.
-        power: Where the way begins; > 0.
+        power: Where the way begins; > 0 where `left` is more than one.
         left: Evaluations; with one the whole step is taken.
     """
     for i in range(len(room.step)):
