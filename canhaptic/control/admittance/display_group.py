@@ -73,7 +73,7 @@ class _GroupAxis(GroupAxis):
         self._evidence.fall(change)
 
     def contradiction(self, of: str, hold: BookedHold, force: float, *, is_first: bool) -> str:
-        """Returns why force and motion cannot both be right; "" where they can. Once per SYNC, commands sent.
+        """Returns why force and motion cannot both be right; "" where they can. Call it at every SYNC, after `send`.
 
         Args:
             of: The sensor.

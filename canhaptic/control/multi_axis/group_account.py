@@ -34,7 +34,11 @@ class AccountSettings(NamedTuple):
 
 
 def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: AccountMemory, ended: GroupHolds) -> float:
-    """Takes one hold, its displacements and the torques applied in it; returns `doubt_of_late_group` [J]."""
+    """Takes one hold, its displacements and the torques applied in it.
+
+    Returns:
+        How much less than booked may have come in because torques came late [J].
+    """
     axes = settings.axes
     doubt = 0.0
     if not axes.timing.is_ideal:

@@ -1,8 +1,9 @@
 """How much of a group's torques may act in the next hold: the certificates of one axis, for all motor axes at once.
 
 Let W be the torques asked for (motor coordinates) and l W, 0 <= l <= 1, those sent. The energy that they take out in
-their hold is l W . D, D the displacement in it, and the reasoning of `passivity.certificates` bounds W . D as it bounds
-a displacement along one axis: with D_0 the displacement of the hold that ended and f_0, f_1, ... the torques before,
+their hold is l W . D, D the displacement in it, and the reasoning of `certificates.scalar_bounds` bounds W . D as it
+bounds a displacement along one axis: with D_0 the displacement of the hold that ended and f_0, f_1, ... the torques
+before,
 
     W . D <= W . D_0 + sum of the responses of W . D to f_0, f_1, ..., to l W, and to the hand,
 

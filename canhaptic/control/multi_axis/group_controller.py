@@ -58,7 +58,7 @@ class GroupController(Protocol):
         """
 
     def hold(self) -> GroupBalance:
-        """Returns the balance of a SYNC at which the sample of any axis was lost: the last commands once more.
+        """Returns the balance of a SYNC at which the sample of any axis was lost: the last commands, of displays zeros.
 
         Nothing is booked; the next `step` books one displacement of all axes over several holds at its worst.
         """

@@ -115,8 +115,8 @@ def world_of(environment: NetworkEnvironment, kinematics: Kinematics, loops: tup
     network, geometry, mover = environment.build(kinematics.dimensions)
     if geometry.ports != network.ports or geometry.dimensions != kinematics.dimensions:
         raise ParameterError(
-            f"group: the network has {network.ports} ports in any space, its geometry {geometry.ports} in "
-            f"{geometry.dimensions} dimensions, the mechanism moves in {kinematics.dimensions}; expected them equal"
+            f"group: the network has {network.ports} ports and its geometry {geometry.ports}, the geometry has "
+            f"{geometry.dimensions} dimensions and the mechanism {kinematics.dimensions}; expected equal numbers"
         )
     tables = network.tables._replace(structure=[list(row) for row in network.tables.structure])
     return World(mechanism_of(kinematics), geometry, mover, tables, network.functions)

@@ -31,8 +31,8 @@ class PerAxisMemory(NamedTuple):
     lost: Matrix  # what friction takes of it in a hold, (axes, 2)
     along: Matrix  # largest torque along + that may act in each hold, (holds, axes) [N*m or N]
     against: Matrix  # the same along -
-    ends: Indices  # of each cell in the parabolas; a cell is one axis in one hold, (holds * axes,)
-    constant: Buffer  # A of the parabolas A + B l + C l^2, (4 * holds * axes,)
+    ends: Indices  # of each cell in the parabolas; a cell is one axis in one hold, (cells,)
+    constant: Buffer  # A of the parabolas A + B l + C l^2, (pieces,); see `per_axis_memory`
     linear: Buffer  # B
     square: Buffer  # C
     old: Buffer  # sums over the holds by the torques under way, (axes,)

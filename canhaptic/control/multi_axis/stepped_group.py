@@ -84,7 +84,7 @@ class SteppedGroup:
         self._started = False
 
     def lasted(self, periods: float) -> None:
-        """Counts SYNCs that were skipped as samples that were lost: of both holds only the whole displacement is known.
+        """Counts SYNCs that were skipped as samples that were lost: of all holds only the whole displacement is known.
 
         Args:
             periods: Length of the hold that the next `step` ends [sample times].

@@ -32,7 +32,7 @@ class Workspace(NamedTuple):
 
 
 def new_workspace(states: int, dissipators: int) -> Workspace:
-    """Returns empty lists of the sizes that a network needs."""
+    """Returns zeros of the sizes that a network needs."""
     n, d, one = states, dissipators, list_of_zeros
     return Workspace(
         one(n), one(n), one(n), one(d), one(d), one(d), one(d), one(n), one(n), one(n), one(n), one(n), one(n),

@@ -16,7 +16,7 @@ _Row = tuple[float, ...]
 class Spring(Parameters):
     """A spring on one state: H = k d^2 / 2 + k3 d^4 / 4, d the extension beyond `lower` or `upper`.
 
-    lower = upper is a spring that always acts; lower = -inf (or None) is a wall above `upper`, upper = None one below.
+    lower = upper is a spring that always acts; lower = None is a wall above `upper`, upper = None one below `lower`.
     """
 
     type: Literal["spring"] = "spring"

@@ -49,11 +49,11 @@ def unit_vector(owner: str, name: str, vector: Sequence[float], dimensions: int)
 
 
 def radial(row: Buffer, radius: float, sign: float) -> float:
-    """Returns the distance from a round surface [m], and makes its gradient of the offset from centre or axis.
+    """Returns the distance from a round surface [m or rad]; turns the offset from centre or axis into its gradient.
 
     Args:
-        row: Offset from the centre, or from the nearest point of the axis [m]; the gradient afterwards.
-        radius: [m].
+        row: Offset from the centre, or from the nearest point of the axis [m or rad]; the gradient afterwards.
+        radius: [m or rad].
         sign: 1 where free space is outside, else -1.
     """
     square = 0.0
@@ -63,7 +63,7 @@ def radial(row: Buffer, radius: float, sign: float) -> float:
     if length > 0.0:
         for i in range(len(row)):
             row[i] = sign * row[i] / length
-    else:  # at the very centre there is no direction: any will do, for a hand there is either free or deepest
+    else:  # at the very centre no way out is shorter than another
         for i in range(len(row)):
             row[i] = sign if i == 0 else 0.0
     return sign * (length - radius)
