@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 from canhaptic.axis_units import effort_unit
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.code_texts import NMT_COMMAND_TEXTS, NMT_STATE_TEXTS, controlword_text, emcy_text
-from canhaptic.logs.pdo_decoder import PdoField, PdoMaps
+from canhaptic.logs.pdo_decoder import PdoField, PdoMaps, with_sign
 from canhaptic.logs.sdo_decoder import SdoDecoder
 from canhaptic.logs.statusword import state_text
 
@@ -40,7 +40,8 @@ class NodeDescription:
     dictionary: Mapping[int, Any] | None = None  # canopen.ObjectDictionary
     counts_per_unit: float | None = None
     unit: str = "rad"
-    rated_torque: float | None = None  # [N*m or N]
+    full_torque: float | None = None  # of the axis at 1000 counts [N*m or N]
+    direction: int = 1  # of the axis over that of the drive
     bus: int = 0  # its place among several
 
 
@@ -139,8 +140,9 @@ class _Node:
         return f"{number} {entry.name}" + (f" / {member.name}" if member is not None else "")
 
     def _value(self, index: int, subindex: int, value: bytes) -> str:
-        words = self._meaning(PdoField(index, subindex, 8 * len(value), int.from_bytes(value, "little")))
-        plain = f"0x{int.from_bytes(value, 'little'):0{2 * len(value)}X}"
+        raw, bits = int.from_bytes(value, "little"), 8 * len(value)
+        words = self._meaning(PdoField(index, subindex, bits, with_sign(index, raw, bits)))
+        plain = f"0x{raw:0{2 * len(value)}X}"
         return f"{plain} ({words})" if words else plain
 
     def field(self, field: PdoField) -> str:
@@ -162,9 +164,10 @@ class _Node:
         if field.object_index == od.CONTROLWORD:
             return controlword_text(field.raw)
         if field.object_index == od.POSITION_ACTUAL and known.counts_per_unit:
-            return f"{field.raw / known.counts_per_unit:.9g} {known.unit}"
-        if field.object_index in _TORQUES and known.rated_torque:
-            return f"{field.raw * known.rated_torque / 1000.0:.6g} {effort_unit(known.unit)}"
+            return f"{field.raw * known.direction / known.counts_per_unit:.9g} {known.unit}"
+        if field.object_index in _TORQUES and known.full_torque:
+            counts = field.raw * (1 if field.object_index == od.MAX_TORQUE else known.direction)
+            return f"{counts * known.full_torque / 1000.0:.6g} {effort_unit(known.unit)}"
         return ""
 
 

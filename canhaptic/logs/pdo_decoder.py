@@ -36,7 +36,7 @@ class PdoMaps:
 
     Args:
         node_id: 1..127.
-        dictionary: Its object dictionary, whose defaults hold until the log tells otherwise; None when not known.
+        dictionary: Its object dictionary, whose defaults hold until the log shows other values; None when not known.
     """
 
     def __init__(self, node_id: int, dictionary: Mapping[int, Any] | None) -> None:
@@ -68,14 +68,14 @@ class PdoMaps:
 
     def cob_ids(self) -> Iterator[tuple[int, str, int]]:
         """Yields (COB-ID, name such as `TPDO1`, mapping index) of every PDO that exists."""
-        told = set()
+        named = set()
         for index, cob_id in self._cob_ids.items():
-            told.add(index)
+            named.add(index)
             if not cob_id & od.COB_ID_INVALID:
                 yield cob_id & 0x1FFFFFFF, _name(index), index + 0x200
         for bases, first in ((od.RPDO_BASE, od.RPDO_COMMUNICATION), (od.TPDO_BASE, od.TPDO_COMMUNICATION)):
             for number, base in enumerate(bases):
-                if first + number not in told:
+                if first + number not in named:
                     yield base + self._node_id, _name(first + number), first + number + 0x200
 
     def tpdos(self) -> dict[int, int]:
@@ -86,8 +86,8 @@ class PdoMaps:
         """Returns the fields of a frame, or words for why it cannot be taken apart."""
         entries = self._entries.get(mapping_index, {})
         count = entries.get(0, 0)
-        mapped = [entries[number] for number in range(1, count + 1) if number in entries]
-        if not count or len(mapped) != count:
+        mapped = [entries.get(number, 0) for number in range(1, min(count, len(entries)) + 1)]
+        if not count or len(mapped) != count or not all(entry & 0xFF for entry in mapped):
             return f"{data.hex(' ')} (map not known)"
         needed = sum(entry & 0xFF for entry in mapped)
         if needed != 8 * len(data):
@@ -96,11 +96,14 @@ class PdoMaps:
         for entry in mapped:
             index, subindex, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
             raw = image & ((1 << bits) - 1)
-            if index in _SIGNED and raw >> (bits - 1):
-                raw -= 1 << bits
-            fields.append(PdoField(index, subindex, bits, raw))
+            fields.append(PdoField(index, subindex, bits, with_sign(index, raw, bits)))
             image >>= bits
         return fields
+
+
+def with_sign(index: int, raw: int, bits: int) -> int:
+    """Returns the value of an object of so many bits: negative where its type has a sign and it is set."""
+    return raw - (1 << bits) if index in _SIGNED and raw >> (bits - 1) else raw
 
 
 def _is_communication(index: int) -> bool:

@@ -3,6 +3,7 @@ from pathlib import Path
 
 import pytest
 
+from canhaptic.logs.decoder import BusDecoder
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.node_names import describe_nodes
 from tests.view import typed
@@ -59,3 +60,16 @@ def test_a_scene_gives_the_nodes_their_names() -> None:
     assert node.name
     assert node.counts_per_unit
     assert node.dictionary is not None
+
+
+def test_torques_and_positions_are_those_of_the_axis_however_the_drive_counts() -> None:
+    overrides = ["axes.0.direction=-1", "axes.0.quirks=[torque_per_cent]", "axes.0.rated_torque=10 N"]
+    decoder = BusDecoder(describe_nodes(load_scene(ROOT / "configs" / "demo.yaml", overrides)))
+    answers = {
+        "4B74600032000000": "= 0x0032 (-5 N)",  # demand of 50 %
+        "4B72600064000000": "= 0x0064 (10 N)",  # a limit has no direction
+        "43646000E8030000": "= 0x000003E8 (-0.001 m)",
+        "43646000FFFFFFFF": "= 0xFFFFFFFF (1e-06 m)",  # minus one count
+    }
+    for data, expected in answers.items():
+        assert decoder.decode(0x581, bytes.fromhex(data)).text.endswith(expected)

@@ -22,7 +22,7 @@ def words(decoder: BusDecoder, can_id: int, data: str) -> tuple[str, ...]:
 @pytest.fixture
 def decoder() -> BusDecoder:
     dictionary = read_dictionary(EDS, 5)
-    return BusDecoder([NodeDescription(5, "handle", dictionary, counts_per_unit=1e6, unit="m", rated_torque=20.0)])
+    return BusDecoder([NodeDescription(5, "handle", dictionary, counts_per_unit=1e6, unit="m", full_torque=20.0)])
 
 
 @pytest.mark.parametrize(
@@ -128,6 +128,15 @@ def test_the_fields_of_a_frame_are_objects_with_their_subindex() -> None:
         maps.learn(Access(0x1600, subindex, entry.to_bytes(4, "little")))
     fields = maps.fields(0x1600, bytes.fromhex("78563412 f6ff"))
     assert fields == [(0x60C1, 2, 32, 0x12345678), (0x6071, 0, 16, -10)]
+
+
+def test_a_map_with_an_entry_of_no_bits_or_of_more_entries_than_there_are_is_not_known() -> None:
+    maps = PdoMaps(5, None)
+    for subindex, entry in ((0, 2), (1, 0x6071_0000), (2, 0x6040_0010)):
+        maps.learn(Access(0x1600, subindex, entry.to_bytes(4, "little")))
+    assert maps.fields(0x1600, bytes.fromhex("0f00")) == "0f 00 (map not known)"
+    maps.learn(Access(0x1600, 0, b"\xff\xff\xff\xff"))
+    assert maps.fields(0x1600, bytes.fromhex("0f00")) == "0f 00 (map not known)"
 
 
 def test_segments_belong_to_the_object_whose_transfer_they_continue(decoder: BusDecoder) -> None:
