@@ -299,8 +299,9 @@ def _contacts(log: EnergyLog, port: Quantities, rows: slice) -> list[ContactStre
     depth = np.maximum.reduceat(np.abs(column("state")), spans)[::2]
     peak = np.maximum.reduceat(np.abs(column("torque_applied")), spans)[::2]
     energy = np.add.reduceat(column("h_i"), spans)[::2]
-    start = log.deadlines(rows.start, rows.stop)[edges[:, 0]] * log.sample_time
-    duration = (edges[:, 1] - edges[:, 0]) * log.sample_time
+    deadlines = log.deadlines(rows.start, rows.stop)
+    first, last = deadlines[edges[:, 0]], deadlines[edges[:, 1] - 1]
+    start, duration = first * log.sample_time, (last - first + 1) * log.sample_time
     columns = (values.tolist() for values in (start, duration, depth, peak, energy))
     return [
         {"start": begin, "duration": length, "depth": deepest, "peak_torque": most, "energy": taken}

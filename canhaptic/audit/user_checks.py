@@ -12,7 +12,7 @@ from canhaptic.errors import InputError
 from canhaptic.units import parse_unit
 
 _EXPRESSION: Final = re.compile(
-    r"\s*([\w.]+)\s*(>=|<=|==|!=|>|<)\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([A-Za-z*/^0-9]*)\s*"
+    r"\s*([\w.]+)\s*(>=|<=|==|!=|>|<)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z*/^0-9]*)\s*"
 )
 _OPERATORS: Final = {
     ">=": operator.ge,
@@ -24,6 +24,8 @@ _OPERATORS: Final = {
 }
 _VERDICT: Final[Literal["passive"]] = "passive"
 _SHORT: Final = {"margin": "margin.value", "surplus": "surplus.max"}
+_PURE: Final = ("branches.", "contact.", "limits.", "max_consecutive_losses", "rendered.")
+"""How figures of a port begin that are pure numbers."""
 
 
 class Checked(TypedDict):
@@ -134,7 +136,7 @@ def _unit_of(path: str, result: Checked) -> str:
         units = {"peak_torque": effort_unit(motion), "margin.time": "s", "margin.cycle": "1", "longest_hold": "1"}
         if figure.startswith("damping_rendered."):
             return damping_unit(motion)
-        pure = figure.startswith(("branches.", "limits.")) or name.endswith("cycles")
+        pure = figure.startswith(_PURE) or name.endswith("cycles")
         return units.get(figure, "1" if pure else "J")
     if section == "timing":
         return {"cycles_per_second": "1/s", "deadlines_missed": "1"}.get(name, "s")

@@ -155,7 +155,7 @@ def _write_events(writer: _McapWriter, log: EnergyLog) -> None:
     text = {"type": "string"}
     channel = _channel(writer, "/events", {"kind": text, "port": text, "text": text})
     for event in log.events:
-        time = max(0, event.sync_index) * log.sample_time_ns
+        time = max(0, round(log.time_of(event.sync_index) * 1e9))
         _add_message(writer, channel, time, {"kind": event.kind, "port": event.port, "text": event.text})
 
 

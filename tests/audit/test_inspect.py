@@ -82,6 +82,21 @@ def test_contacts_are_found_with_depth_peak_and_energy(log: Path) -> None:
         assert contacts[0]["depth"] == np.abs(port["state"][rows]).max()
 
 
+def test_syncs_that_were_skipped_in_a_contact_are_part_of_its_time(log: Path, tmp_path: Path) -> None:
+    with EnergyLog.open(log) as opened:
+        before = inspect(opened)["contacts"]["handle"]
+    path = tmp_path / "late.h5"
+    path.write_bytes(log.read_bytes())
+    within = round(1000 * (before[0]["start"] + 0.5 * before[0]["duration"]))
+    with h5py.File(path, "r+") as file:
+        file["timing/deadline_index"][within:] += 5
+    with EnergyLog.open(path) as opened:
+        found = inspect(opened)["contacts"]["handle"]
+    assert found[0]["duration"] == pytest.approx(before[0]["duration"] + 0.005)
+    assert found[1]["start"] == pytest.approx(before[1]["start"] + 0.005)
+    assert found[1]["duration"] == pytest.approx(before[1]["duration"])
+
+
 def test_quantiles_are_values_that_occurred() -> None:
     assert _quantiles(np.arange(1, 1001) * 1000) == pytest.approx(
         {"p50": 501e-6, "p99": 991e-6, "p99.9": 1000e-6, "max": 1000e-6}, rel=1e-9
@@ -166,7 +181,8 @@ def test_checks_read_like_sentences(log: Path, expression: str, holds: bool) -> 
 
 
 @pytest.mark.parametrize(
-    ("expression", "message"), [("margin", "NAME >="), ("margn>0", "did you mean"), ("in>1 xJ", "unknown unit")]
+    ("expression", "message"),
+    [("margin", "NAME >="), ("margn>0", "did you mean"), ("in>1 xJ", "unknown unit"), ("in>1.2.3", "NAME >=")],
 )
 def test_checks_that_cannot_be_read_are_refused(log: Path, expression: str, message: str) -> None:
     with EnergyLog.open(log) as opened, pytest.raises(InputError, match=message):
@@ -181,6 +197,8 @@ def test_checks_that_cannot_be_read_are_refused(log: Path, expression: str, mess
         ("peak_torque < 1 kg", "expected N, or that"),
         ("damping_rendered.most < 1 N/m", "expected N*s/m, or that"),
         ("branches.free > 3 s", "expected no unit: it is a pure number"),
+        ("contact.holds > 3 J", "expected no unit"),
+        ("max_consecutive_losses < 1 J", "expected no unit"),
         ("cycles == 4000 Hz", "expected no unit"),
         ("rate > 1 s", "expected Hz, or that"),
         ("wakeup_lateness.max < 1 m", "expected s, or that"),

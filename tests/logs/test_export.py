@@ -10,7 +10,7 @@ from canhaptic.logs import export as module
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.export import export
-from tests.logs.log_rows import PORTS, SAMPLE_TIME_NS, append, balance
+from tests.logs.log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing
 
 ROWS = 700
 
@@ -73,6 +73,20 @@ def test_an_mcap_file_holds_every_row_as_a_message_with_its_schema(path: Path, t
     schema, channel, _ = messages[0]
     assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
     assert json.loads(schema.data)["properties"]["h_i"] == {"type": "number", "description": f"[{units}]"}
+
+
+def test_an_event_behind_skipped_syncs_has_the_time_of_its_row(tmp_path: Path) -> None:
+    reader = pytest.importorskip("mcap.reader", reason="mcap is not installed (pip install 'canhaptic[export]')")
+    writer = EnergyLogWriter(tmp_path / "run.h5", PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, pace="free")
+    for k in range(10):
+        writer.append(k, [sample(k)], [balance(k)], timing(k), deadline=k if k < 5 else k + 300)
+    writer.event(8, "stop", "", "by the operator")
+    writer.close()
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        export(log, tmp_path / "run.mcap")
+    with (tmp_path / "run.mcap").open("rb") as file:
+        [(_, _, message)] = reader.make_reader(file).iter_messages(topics=["/events"])
+    assert message.log_time == 308 * SAMPLE_TIME_NS
 
 
 def test_floats_in_csv_read_back_to_the_same_bits(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
