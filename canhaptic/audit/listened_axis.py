@@ -144,19 +144,13 @@ class ListenedAxis:
         if not (self.is_complete and is_whole):
             self._last = self._last._replace(sync_index=sync_index, fresh=False)
             return self._last
-        force = self._drive.force
+        counts, force = self._unwrapped(self._fields[od.POSITION_ACTUAL]), self._drive.force
+        position = counts * (self._drive.direction / self._drive.counts_per_unit)
         if force is not None:
-            shown = self._force(force, self._fields[force.object_index], sync_index)
-            counts = self._unwrapped(self._fields[od.POSITION_ACTUAL])
-            position = counts * (self._drive.direction / self._drive.counts_per_unit)
-            self._last = Sample(sync_index, position, -shown, self._fields[od.STATUSWORD], fresh=True)
-            return self._last
-        if not self._per_torque_count:
-            self._per_torque_count = self._torque_of_a_count()
-        position = self._unwrapped(self._fields[od.POSITION_ACTUAL]) * (
-            self._drive.direction / self._drive.counts_per_unit
-        )
-        torque = reported * self._per_torque_count
+            torque = -self._force(force, self._fields[force.object_index], sync_index)
+        else:
+            self._per_torque_count = self._per_torque_count or self._torque_of_a_count()
+            torque = reported * self._per_torque_count
         self._last = Sample(sync_index, position, torque, self._fields[od.STATUSWORD], fresh=True)
         return self._last
 

@@ -42,7 +42,7 @@ def compare(first: EnergyLog, second: EnergyLog) -> LogComparison:
     differences: list[Difference] = []
     for path in sorted(names[0] & names[1]):
         group, _, name = path.rpartition("/")
-        left, right = groups[0][group][name][:shared], groups[1][group][name][:shared]
+        left, right = (side[group].read(name, 0, shared) for side in groups)
         unequal = _unequal(left, right)
         if len(unequal):
             cycle = int(first.timing["sync_index"][unequal[0]])

@@ -50,7 +50,8 @@ def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControlle
     """
     found: dict[str, Mismatch] = {}
     names = (*axes, *(group.name for group in controllers.groups))
-    inputs, outputs = [_rows(log, name, _INPUTS) for name in axes], [_rows(log, name, _OUTPUTS) for name in names]
+    inputs = [logged_rows(log, name, _INPUTS) for name in axes]
+    outputs = [logged_rows(log, name, _OUTPUTS) for name in names]
     for row, (seen, expected) in enumerate(zip(zip(*inputs, strict=True), zip(*outputs, strict=True), strict=True)):
         samples = [Sample(row, position, torque, 0, fresh=bool(fresh)) for position, torque, fresh in seen]
         balances = [*controllers.step(samples), *(group.balance.account for group in controllers.groups)]
@@ -64,7 +65,8 @@ def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControlle
     return list(found.values())
 
 
-def _rows(log: EnergyLog, port: str, columns: Sequence[str]) -> Iterator[tuple[float, ...]]:
+def logged_rows(log: EnergyLog, port: str, columns: Sequence[str]) -> Iterator[tuple[float, ...]]:
+    """Yields some columns of a port row by row; a block of them is in memory at a time."""
     for start in range(0, log.rows, _BLOCK):
         block = (log.ports[port].read(column, start, start + _BLOCK).tolist() for column in columns)
         yield from zip(*block, strict=True)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final, NotRequired, TypedDict
 
 from canhaptic.audit.listened_axis import OF_A_NODE, DeclaredDrive, DeclaredForce, ListenedAxis
+from canhaptic.audit.recompute import logged_rows
 from canhaptic.audit.user_checks import Outcome
 from canhaptic.canopen import objects as od
 from canhaptic.control.ledger import Ledger
@@ -157,7 +158,7 @@ class _Judge:
         self._port = port
         if self._port not in log.ports:
             raise InputError(f"{log.path}: has no port {self._port!r}; it is the log of another scene")
-        self._rows = zip(*(log.ports[self._port][name].tolist() for name in self._NAMES), strict=True)
+        self._rows = logged_rows(log, port, self._NAMES)
         self.difference: Departure | None = None
 
     def compare(self, cycle: int, values: tuple[float, ...]) -> None:
