@@ -99,6 +99,9 @@ def _loop(session: Session, axis: int) -> None:
     speeds = sweep(amplitude, lowest, min(highest, 0.1 / session.sample_time), seconds, session.sample_time)
     travel = session.limits.model_copy(update={"travel": _TRAVELS * session.limits.travel})
     law = session.play(axis, speeds, len(speeds) + 2, limits=travel)
+    if session.stop_requested():
+        session.not_tried("velocity loop", [axis])
+        return
     if law.tripped:
         session.found(axis, "velocity loop", "", law.tripped, StepVerdict.UNKNOWN, "push less, or raise --travel")
         return

@@ -99,14 +99,12 @@ class Report:
 
 def _axis_snippet(axis: str, values: Iterable[Value]) -> str:
     lines, section = [f"# axis {axis}"], ""
-    for value in values:
+    for value in sorted(values, key=lambda value: value.key.rpartition(".")[0]):  # YAML takes each section once
         head, _, key = value.key.rpartition(".")
         if head != section and head:
             lines += [f"{'  ' * depth}{name}:" for depth, name in enumerate(head.split("."))]
         section = head
         indent, comment = "  " * len(head.split(".")) if head else "", f"  # {value.comment}" if value.comment else ""
-        number = (
-            f"{value.value:.6g}" if isinstance(value.value, float) else value.value
-        )  # a number of the drive is whole
+        number = f"{value.value:.6g}" if isinstance(value.value, float) else value.value  # whole where the drive has it
         lines.append(f"{indent}{key}: {number} {value.unit}".rstrip() + comment)
     return "\n".join(lines) + "\n"

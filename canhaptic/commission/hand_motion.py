@@ -24,6 +24,9 @@ def stand_still(session: Session, axis: int) -> bool:
     """
     name, unit = session.axes[axis].parameters.name, session.axes[axis].parameters.unit
     law = session.play(axis, NO_TORQUE, session.cycles(_WATCHED))
+    if not law.positions:  # the operator stopped it
+        session.not_tried(STANDSTILL, [axis])
+        return False
     drift = abs(law.positions[-1] - law.positions[0])
     swing = max(law.positions) - min(law.positions)
     still = drift <= _DRIFT * session.limits.travel
@@ -62,14 +65,14 @@ def move_by_hand(session: Session, axis: int) -> None:
     truth = session.truth(axis)
     moved = None if truth is None or not begin else truth - begin[0]
     measured = law.positions[-1] - law.positions[0]
-    told = session.dialogue.number(f"{parameters.name}: how far was it, with its sign?", unit, moved)
+    stated = session.dialogue.number(f"{parameters.name}: how far was it, with its sign?", unit, moved)
     counts = abs(measured) * parameters.counts_per_unit
-    if told is None or not told or counts < _FEWEST_COUNTS:
+    if not stated or counts < _FEWEST_COUNTS:
         text = f"the encoder moved by {counts:.0f} counts, at least {_FEWEST_COUNTS} and a measured distance are needed"
         session.found(axis, "encoder", "", f"{measured:.4g} {unit}", StepVerdict.UNKNOWN, text)
         return
-    session.encoder_ratios[axis] = abs(measured / told)
-    _judge(session, axis, measured / told)
+    session.encoder_ratios[axis] = abs(measured / stated)
+    _judge(session, axis, measured / stated)
 
 
 def _judge(session: Session, axis: int, ratio: float) -> None:

@@ -46,9 +46,9 @@ def _judge(session: Session, axis: int) -> None:
         session.found(axis, "watchdog", limit, "no answer", StepVerdict.FAILED, str(error))
         return
     stopped = state in TORQUE_FREE
-    told = f", {drive.emergency}" if drive.emergency is not None else ""
+    emergency = f", {drive.emergency}" if drive.emergency is not None else ""
     text = "a killed master leaves its torque on: set axes[].watchdog, 0x1016 and 0x6007, or a relay"
-    found = f"{state.value}{told}"
+    found = f"{state.value}{emergency}"
     session.judged(axis, "watchdog", limit, found, good=stopped, text=text, otherwise=StepVerdict.FAILED)
 
 

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import can
 import pytest
+import yaml
 
 from canhaptic.commission.dialogue import Unattended
 from canhaptic.commission.find_drives import _scan
 from canhaptic.commission.findings import Report, StepFinding, StepVerdict, Value
+from canhaptic.commission.hand_motion import STANDSTILL, stand_still
 from canhaptic.commission.laws import CommissioningLimits
 from canhaptic.commission.sequence import commission
 from canhaptic.commission.session import Session
@@ -273,3 +275,19 @@ def test_a_number_of_the_drive_is_pasted_whole() -> None:
     report.propose(Value("handle", "passivity.moving_mass", 0.000284654321, "kg*m^2"))
     assert "product_code: 1699872768\n" in report.snippet()
     assert "  moving_mass: 0.000284654 kg*m^2\n" in report.snippet()
+
+
+def test_every_section_is_pasted_once() -> None:
+    report = Report()
+    report.propose(Value("handle", "passivity.moving_mass", 0.2, "kg"))
+    report.propose(Value("handle", "demand_reported", "after", ""))
+    report.propose(Value("handle", "passivity.sync_jitter", 1.0, "%"))
+    pasted = yaml.safe_load(report.snippet())
+    assert pasted == {"demand_reported": "after", "passivity": {"moving_mass": "0.2 kg", "sync_jitter": "1 %"}}
+
+
+def test_a_stop_before_the_first_cycle_ends_the_standstill_without_a_finding() -> None:
+    session = Session(load_scene(DEMO), Answers(), CommissioningLimits(), lambda: True)
+    with session.rig_of(with_hand=False):
+        assert not stand_still(session, 0)
+    assert row(session.report, STANDSTILL).found == "not tried"

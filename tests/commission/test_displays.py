@@ -7,6 +7,11 @@ from typing import Any
 import pytest
 
 from canhaptic.cli.main import main
+from canhaptic.commission.dialogue import Unattended
+from canhaptic.commission.display_tests import _loop
+from canhaptic.commission.laws import CommissioningLimits
+from canhaptic.commission.session import Session
+from canhaptic.scene.load import load_scene
 
 SCENE = str(Path(__file__).parents[2] / "configs" / "admittance" / "virtual_mass.yaml")
 
@@ -64,3 +69,10 @@ def test_the_axes_of_a_group_are_compared_with_what_the_group_declares(capsys: p
     assert json.loads(capsys.readouterr().out)["snippet"] == ""
     assert main(["commission", scene, "--yes", "--json", "--set", "simulation.plant.mass=3"]) == 1
     assert "in the group stage" in json.loads(capsys.readouterr().out)["snippet"]
+
+
+def test_a_stop_while_the_drive_moves_leaves_the_loop_untried() -> None:
+    session = Session(load_scene(SCENE), Unattended(lambda _: None), CommissioningLimits(), lambda: True)
+    with session.rig_of(with_hand=True):
+        _loop(session, 0)
+    assert [(found.item, found.found) for found in session.report.findings] == [("velocity loop", "not tried")]
