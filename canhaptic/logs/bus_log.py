@@ -25,8 +25,8 @@ class BusLogWriter:
         pace: "real" or "free".
         file_size: Bytes after which the file is put aside as NAME.00001.log, ...; 0 for one file without limit.
         files: How many files are kept in all when `file_size` is given.
-        last: With a number of seconds above 0 nothing is written while the run goes well; when it ends badly, the
-            frames of that many last seconds are [s].
+        last: Above 0, nothing is written while the run goes well; when it ends badly, the frames of so much of its end
+            are written [s].
         on_failure: Called once, from another thread, with the reason when the log can no longer be written; frames are
             then dropped and counted at any pace.
 
@@ -118,7 +118,7 @@ def _check_channels(channels: Sequence[str]) -> None:
         if not name or any(letter.isspace() for letter in name):
             raise ParameterError(f"channel {name!r}: expected a name without spaces, since every line has it")
     if not 0 < len(channels) <= _MOST_BUSES or len(set(channels)) < len(channels):
-        raise ParameterError(f"channels {channels}: expected 1 to {_MOST_BUSES} names, each another")
+        raise ParameterError(f"channels {channels}: expected 1 to {_MOST_BUSES} names, all different")
 
 
 def _check_files(path: Path, file_size: int, files: int, last: float, is_converted: bool) -> None:

@@ -19,8 +19,8 @@ _SYNC: Final[Address] = (0, od.SYNC_FRAME_COB_ID)
 class Recording:
     """The frames of one bus log, without the master's heartbeats.
 
-    Those follow the wall clock of the host: after SYNCs skipped, when the next is due hangs on microseconds in which a
-    log and the master's own clock differ.
+    Those follow the wall clock of the host. After skipped SYNCs, microseconds decide when the next one is due, and the
+    times of a log differ from those of the master by some.
 
     Attributes:
         path: The log.
