@@ -70,7 +70,7 @@ def _test(name: str) -> str:
 
 @cache
 def _functions(file: str) -> dict[str, bool]:
-    """Returns the tests of a file, each with whether all of it is slow."""
+    """Returns the tests of a file, each with whether it is slow."""
     path = ROOT / "tests" / file
     if not path.is_file():
         raise InputError(f"{SOURCE.name}: there is no tests/{file}")

@@ -181,7 +181,7 @@ class Chooser:
             elif any(call.startswith(f"{path}:") for call in test.calls):
                 by_module.append(test)
         if not by_line and not by_call:  # of the module as it is imported, or of processes that no watch reaches
-            near = tuple(f"tests/{folder}/" for folder in ROOMS[room_of(Path(path))][:2])
+            near = tuple(f"tests/{folder}" for folder in ROOMS[room_of(Path(path))][:2])
             by_call = by_module or [test for test in self._tests if test.name.startswith(near)]
         ordered = [*sorted(by_line, key=lambda t: self._order(path, t)), *sorted(by_call, key=lambda t: t.seconds)]
         chosen, left = [], self._budget

@@ -169,13 +169,13 @@ def _is_stable(rate: int, delay: int, mass: float, damping: float, hand: _Hand) 
     a[3, 2] -= ground / behind
     a[4] = pull
     flow = expm(a * time)
-    size = states - 1 + 1 + delay  # without the command; model speed; commands under way
+    size = states + delay  # model speed in the place of the command; commands under way
     step = np.zeros((size, size))
     held = np.zeros(size)
     held[size - 1 if delay else 5] = 1.0  # the command that acts
     body = np.zeros((5, size))
     body[:, :5] = flow[:5, :5]
-    body[:, 4] -= flow[:5, 4] * 1.0  # the impulse begins anew
+    body[:, 4] -= flow[:5, 4]  # the impulse begins anew
     body += np.outer(flow[:5, 5], held)
     step[:5] = body
     step[5] = (mass * np.eye(size)[5] + body[4]) / (mass + time * damping)

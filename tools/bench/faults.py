@@ -32,6 +32,7 @@ from canhaptic.sim.drive.profile.state_machine import DriveState
 from canhaptic.sim.drive.timers import NEVER
 from tools.bench.demo import CONFIG, IN_CONTACT, PERIOD, AccountWatch, drive_of
 from tools.bench.report import out_folder, write_result
+from tools.truth.faults import JumpingBus
 
 BEGIN, CYCLES = 500, 1_500
 LIMIT = 20.0  # [N]
@@ -111,19 +112,7 @@ def _foreign(can_id: int, *data: int) -> Callable[[Experiment], None]:
 def _jump(experiment: Experiment) -> None:
     """Turns the highest bit but one of every position from now on."""
     link = experiment.rig.links[0]
-    link._bus = _Jumping(link._bus)  # type: ignore[assignment] # noqa: SLF001 - in between
-
-
-class _Jumping:
-    def __init__(self, bus: can.BusABC) -> None:
-        self.send, self._recv = bus.send, bus.recv
-
-    def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Returns the next frame, changed where it is the TPDO."""
-        message = self._recv(timeout)
-        if message is not None and message.arbitration_id == 0x181:
-            message.data[5] ^= 0x40
-        return message
+    link._bus = JumpingBus(link._bus)  # type: ignore[assignment] # noqa: SLF001 - in between
 
 
 AT_THE_DRIVE = {

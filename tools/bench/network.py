@@ -2,7 +2,7 @@
 
 The step of a group in Python and compiled; and the example in two dimensions - a hand on a hardening spring and a
 damper with a virtual mass of 0.3 kg on a viscous floor, four states - against the continuous solution of scipy and
-and the same network sampled by explicit Euler. Energies are those of the plant.
+the same network sampled by explicit Euler. Energies are those of the plant.
 """
 
 import math

@@ -17,7 +17,19 @@ sys.path.insert(0, str(ROOT))
 
 from tools.bench.report import DEFAULT_OUT, OUT_VARIABLE, RESULTS  # noqa: E402 - found from any folder
 
-NOT_QUESTIONS = {"__init__", "demo", "feel_picture", "paced", "peers", "report", "run", "standard_cases", "user_laws"}
+NOT_QUESTIONS = {
+    "__init__",
+    "demo",
+    "feel_best",
+    "feel_picture",
+    "paced",
+    "peers",
+    "report",
+    "run",
+    "standard_cases",
+    "sweep_events",
+    "user_laws",
+}
 
 
 def questions() -> list[str]:

@@ -27,10 +27,9 @@ from tools.bench.plants.peers import mujoco_rollout
 from tools.bench.plants.scenes import easy
 from tools.bench.report import Row, publish
 from tools.bench.standard_cases import PLANT, USER_S, standard_case
-from tools.bench.sweep_events import event_rows, jax_rows, second_start_rows
+from tools.bench.sweep_events import FIVE, event_rows, jax_rows, second_start_rows
 
 SCENES, CYCLES, RATE, REPEATS = 10_000, 1000, 1000.0, 3
-FIVE = ("diverged", "least_interaction", "margin", "believed_error", "torque_peak")
 FIGURE = f"{SCENES} scenes x {CYCLES} cycles"
 PLAIN, ENCODER = "five figures", "five figures, encoder of 10 um"
 WITH_LOSSES = "five figures, encoder of 10 um, one sample late, two losses declared"

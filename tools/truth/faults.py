@@ -168,7 +168,7 @@ class FaultWatch:
     def jump(self) -> None:
         """Turns the highest bit but one of every position of the first axis from now on."""
         link: Any = self._experiment.rig.links[0]
-        link._bus = _Jumping(link._bus)  # noqa: SLF001 - in between
+        link._bus = JumpingBus(link._bus)  # noqa: SLF001 - in between
 
     def break_controller(self) -> None:
         """Makes torques of the first controller that are no number."""
@@ -185,7 +185,9 @@ class FaultWatch:
         of.step = broken
 
 
-class _Jumping:
+class JumpingBus:
+    """A bus whose first drive seems to jump: the highest bit but one of each of its positions is turned."""
+
     def __init__(self, bus: can.BusABC) -> None:
         self.send, self._recv = bus.send, bus.recv
 

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 from canhaptic.cycle import run
-from canhaptic.errors import CanHapticError, SceneError
+from canhaptic.errors import CanHapticError
 from canhaptic.result import TruthResult, run_result
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import scene_from_mapping
@@ -135,7 +135,7 @@ def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
     try:
         loaded = scene_from_mapping(scene.values, SOURCE)
         experiment = build(loaded, "free")
-    except (SceneError, CanHapticError) as error:
+    except CanHapticError as error:
         return _refused(scene, str(error)), None
     status, text = "completed", ""
     with experiment:

@@ -241,7 +241,7 @@ def _environment(chance: _Chance) -> tuple[dict[str, Any], int]:
     return {**common, **own[kind]}, 1 if kind in ("spring_damper_wall", "hardening_wall") else 0
 
 
-def _effects(chance: _Chance, plant: dict[str, Any]) -> list[dict[str, Any]]:
+def _effects(chance: _Chance) -> list[dict[str, Any]]:
     count = chance.one_of({0: 0.35, 1: 0.4, 2: 0.25})
     weights = {
         "current_loop": 0.2, "coulomb_friction": 0.12, "shaft_compliance": 0.08, "viscous_friction": 0.06,
@@ -258,11 +258,11 @@ def _effects(chance: _Chance, plant: dict[str, Any]) -> list[dict[str, Any]]:
         if kind == "backlash" and not any(e["type"] == "shaft_compliance" for e in effects):
             continue
         chance.tags.add(f"effect:{kind}")
-        effects.append({"type": kind, **_effect(chance, kind, plant)})
+        effects.append({"type": kind, **_effect(chance, kind)})
     return effects
 
 
-def _effect(chance: _Chance, kind: str, plant: dict[str, Any]) -> dict[str, Any]:
+def _effect(chance: _Chance, kind: str) -> dict[str, Any]:
     """Returns the values of one effect."""
     decades, between = chance.decades, chance.between
     kinetic = decades(0.05, 2.0)
@@ -291,14 +291,13 @@ def _effect(chance: _Chance, kind: str, plant: dict[str, Any]) -> dict[str, Any]
         "encoder_quantisation": lambda: {"count": decades(1e-6, 2e-5)},
         "hard_stop": lambda: {"side": "upper", "position": 0.05, "stiffness": 1e4, "damping": 20.0},
     }  # fmt: skip
-    del plant
     values: dict[str, Any] = makers[kind]()
     return values
 
 
 def _one_axis(chance: _Chance, values: dict[str, Any]) -> tuple[int, ...]:
     plant, user = _plant(chance), _hand(chance)
-    effects = _effects(chance, plant)
+    effects = _effects(chance)
     environment, outward = _environment(chance)
     kinds = {effect["type"] for effect in effects}
     if kinds & {"tremor", "grasp_change"} and not user.get("stiffness"):
