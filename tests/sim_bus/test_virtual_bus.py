@@ -116,7 +116,7 @@ def test_frames_of_many_threads_all_arrive(channel: str) -> None:
         threads = [threading.Thread(target=send, args=(bus,)) for bus in (first, second)]
         for thread in threads:
             thread.start()
-        came = [there.recv(5.0) for _ in range(1000)]
+        came = [there.recv(60.0) for _ in range(1000)]
         for thread in threads:
             thread.join()
     numbers = sorted(message.arbitration_id for message in came if message is not None)
@@ -136,7 +136,7 @@ def test_filters_and_the_notifier_of_python_can_work(pair: tuple[LeanVirtualBus,
     with can.Notifier(there, [listen], timeout=0.01):
         for cob_id in (0x10, 0x20):
             here.send(can.Message(arbitration_id=cob_id, is_extended_id=False))
-        assert came.wait(5.0)
+        assert came.wait(60.0)
     assert taken == [0x20]
 
 
