@@ -52,7 +52,7 @@ def test_force_comes_in_and_velocity_goes_out(mode: str) -> None:
 def test_the_account_is_a_lower_bound_of_the_energy_at_the_sensor() -> None:
     with build(load_scene(SCENE)) as experiment:
         cycle = experiment.cycle
-        run(cycle, 1500, progress=lambda _: None)
+        run(cycle, 1500)
         ledger, judge = cycle.ledgers[0], cycle.judge
         assert judge is not None
         assert ledger.interaction <= judge.interaction[0] + 1e-9
@@ -103,7 +103,7 @@ def test_two_displays_on_a_path_have_one_account_and_every_reader_agrees(
 def test_a_wall_is_a_limit_of_the_position() -> None:
     _, experiment = _run(cycles=3000)
     least = min(sample.position for record in experiment.rig.records for sample in record.samples)
-    assert least > -0.1013
+    assert -0.1013 < least < -0.099  # the hand presses against it
 
 
 def test_a_force_beyond_the_range_stops_the_rig() -> None:

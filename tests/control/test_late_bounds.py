@@ -34,8 +34,6 @@ def test_what_torques_under_way_take_is_the_least_of_four_bounds_in_every_hold(s
     for seed in CASES:
         case = case_of(seed)
         holds = case.known.delay + case.known.losses
-        if holds > case.known.delay and case.known.losses == 0:
-            continue
         for speed in {0.0, case.known.hand_speed}:
             for which in (ANY, SENT, HELD_ON):
                 count = holds if which == ANY else min(1, case.known.delay)
@@ -148,6 +146,7 @@ def best_of(case: Case, sign: float, speed: float) -> tuple[float, bool]:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_where_frames_may_be_lost_the_least_of_what_was_sent_and_held_on_counts(sign: float) -> None:
+    used = 0
     for seed in range(250):
         case = case_of(seed, losses=(1, 3))
         known, hand = case.known, hand_of(case, sign)
@@ -161,3 +160,5 @@ def test_where_frames_may_be_lost_the_least_of_what_was_sent_and_held_on_counts(
             found.append(by_reach_of_late(known, hand, LateMotion(*motion), 0.0, left - given))
         by_force = largest_of_late(known, case.bound, case.memory, sign, case.energy)[2]
         assert by_force == pytest.approx(min(found), rel=1e-9), seed
+        used += 1
+    assert used > 5

@@ -112,7 +112,12 @@ def test_a_drive_left_enabled_by_a_dead_master_is_disabled_before_anything_else(
     b = bench()
     b.rig.start()
     b.run(5, torque=1.0)
+    begin = len(b.frames)
     b.rig.start()
+    sent = [(can_id, data.hex(" ")) for _, can_id, data, is_rx in b.frames[begin:] if not is_rx]
+    disabled = sent.index((0x605, "2b 40 60 00 00 00 00 00"))
+    assert disabled < sent.index((0x000, "80 05"))  # of a drive with power this would be a fault
+    assert b.received(0x085) == []
     assert b.drives[0].state is DriveState.OPERATION_ENABLED
     b.rig.stop()
 

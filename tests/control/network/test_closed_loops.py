@@ -200,12 +200,14 @@ ENVIRONMENTS = {
 @pytest.mark.parametrize("environment", ENVIRONMENTS)
 @pytest.mark.parametrize("hand_force", [0.0, 8.0])
 def test_no_user_within_the_declared_force_takes_energy_out(delay, environment, hand_force):
+    felt = []
     for name, user in USERS.items():
         rng = random.Random(f"{environment}{name}{delay}")
         controller = group(ENVIRONMENTS[environment], delay=delay, hand_force=hand_force)
         plant = Table(1e-3, declared(hand_force, user(rng)), position=(0.013, -0.002), longest=1e-3)
-        rendered(controller, plant, 100, delay)
+        rendered(controller, plant, 100, delay, lambda balance, _plant: felt.append(balance.account.torque))
         assert plant.least >= -1e-6, name
+    assert max(felt) > 0.1
 
 
 def test_a_hand_stronger_than_declared_is_booked_as_a_deficit():
@@ -230,11 +232,11 @@ def test_the_same_table_through_a_transmission_keeps_its_energy():
         ENVIRONMENTS["box"], delay=1, kinematics=Transmission(matrix=matrix),
         known={"moving_mass": 1e-3, "device_damping_bound": 1e-3},
     )  # fmt: skip
-    rng = np.array(matrix)
+    jacobian = np.array(matrix)
 
     def hand(t, q, v, _torque):
-        p, speed = rng @ q, rng @ v
-        return rng.T @ (300.0 * (np.array([0.02 * math.sin(6 * t), 0.02 * math.cos(5 * t)]) - p) - 2.0 * speed)
+        p, speed = jacobian @ q, jacobian @ v
+        return jacobian.T @ (300.0 * (np.array([0.02 * math.sin(6 * t), 0.02 * math.cos(5 * t)]) - p) - 2.0 * speed)
 
     strongest = []
     plant = Table(1e-3, declared(0.0, hand), masses=(1e-3, 1e-3), friction=1e-4, longest=2.5e-4)
