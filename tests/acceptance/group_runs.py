@@ -1,6 +1,5 @@
 """Scenes with groups, run over the whole CAN path, and what their logs say."""
 
-import itertools
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -50,7 +49,3 @@ def identity(port: Any) -> np.ndarray:
     signs = (1, -1, 1, -1, -1, 1, -1, 1)
     total = sum(sign * term for sign, term in zip(signs, terms, strict=True))
     return np.abs(total) / np.maximum(1e-12, np.max(np.abs(terms), axis=0))
-
-
-def pairs(values: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
-    return itertools.pairwise(values)

@@ -171,9 +171,6 @@ def test_an_axis_beside_a_group_renders_as_if_it_were_alone(tmp_path: Path) -> N
     both["simulation"]["axes"]["handle"] = {"plant": alone["simulation"]["plant"], "user": alone["simulation"]["user"]}
     path = tmp_path / "both.yaml"
     path.write_text(yaml.safe_dump(both))
-    from canhaptic.cycle import run
-    from canhaptic.scene.build import build
-
     accounts = []
     slower = "bus.rate=500 Hz"  # three axes do not fit one bus at 1 kHz
     demo = REPOSITORY / "configs" / "demo.yaml"

@@ -286,7 +286,7 @@ def test_a_text_that_claims_gigabytes_is_refused_at_once(whole: Path) -> None:
 
 
 @pytest.mark.parametrize("step", [4, pytest.param(1, marks=pytest.mark.slow)])
-def test_a_damaged_table_of_names_is_one_error_in_repair_too(whole: Path, step: int) -> None:
+def test_a_damaged_table_of_names_is_repaired_or_one_error(whole: Path, step: int) -> None:
     content = whole.read_bytes()
     for name in (b"SNOD", b"HEAP", b"TREE"):
         for match in list(re.finditer(name, content))[::step]:

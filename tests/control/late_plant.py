@@ -84,7 +84,7 @@ def climb(
     def drawn() -> Holds:
         hand: list[list[float]] = []
         while len(hand) < count:
-            hand += [[rng.choice(choices)] * PARTS for _ in range(1)] * rng.randrange(1, 8)
+            hand += [[rng.choice(choices)] * PARTS] * rng.randrange(1, 8)
         return Holds(
             [list(part) for part in hand[:count]],
             [1.0 + jitter * rng.choice((-1.0, 1.0)) for _ in range(count)],

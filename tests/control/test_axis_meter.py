@@ -31,7 +31,7 @@ def accuracy_of(draw: random.Random) -> Accuracy:
 def test_what_is_left_open_is_the_sum_of_what_position_torque_and_lateness_leave_open() -> None:
     for seed in range(80):
         draw = random.Random(seed)
-        known, meter = accuracy_of(draw), None
+        known = accuracy_of(draw)
         meter = AxisMeter(known)
         at, place = 0.0, draw.uniform(-1e-4, 1e-4)
         meter.take(place, 0.0, 0, touches=False)

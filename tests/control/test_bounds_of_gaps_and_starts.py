@@ -35,11 +35,10 @@ def least_sum(gap: Gap, hold: int, farthest_one: float) -> float:
     """The least displacement in all holds if one goes so far: before and after it each falls back as far as it can."""
     first = gap.start - gap.blur
     falls = gap.step + gap.lost * max(0.0, first)
-    total, moved = sum(first - k * falls for k in range(1, hold)), farthest_one
+    total = sum(first - k * falls for k in range(1, hold))
     for later in range(gap.holds - hold + 1):
         kept = (1.0 - gap.lost) ** later if farthest_one > 0.0 else 1.0
-        moved = farthest_one * kept - later * gap.step
-        total += moved
+        total += farthest_one * kept - later * gap.step
     return total
 
 

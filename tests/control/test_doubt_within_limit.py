@@ -37,7 +37,7 @@ def test_no_more_is_in_doubt_than_the_limited_torque_can_have_given(algorithm: s
 
 
 @pytest.mark.parametrize("algorithm", ["step_scaling", "guarded"])
-def test_nor_in_a_group(algorithm: str) -> None:
+def test_no_more_is_in_doubt_in_a_group_than_limited_torques_can_have_given(algorithm: str) -> None:
     box = Box(stiffness=1e9, damping=1e7, lower=(0.0, 0.0), upper=(1.0, 1.0))
     known = loop(1).model_copy(update={"torque_limit": LIMIT})
     controller = build_group_controller(box, Identity(axes=2), algorithm, None, [known, known])

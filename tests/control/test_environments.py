@@ -92,7 +92,7 @@ def test_a_true_state_is_admissible_and_so_is_the_nearest_to_any(environment, po
 @given(position=positions)
 def test_the_mirror_image_has_the_mirrored_effort(name, position):
     one, other = EXAMPLES[name]
-    state, image = touched(one, position), None
+    state = touched(one, position)
     if state is None:
         assert other.contact(-position) == 0  # type: ignore[attr-defined]
         return

@@ -72,8 +72,8 @@ OF_DISSIPATION = {"cap on dissipation", "reserve", "mirror"}
 @pytest.mark.parametrize("piece", sorted(TRIALS))
 def test_each_piece_of_the_bound_is_needed(piece, monkeypatch):
     without, known, case = TRIALS[piece]
-    assert worst(case)[0] >= -1e-12
-    if not case[-1]:
-        assert worst(case)[1] >= -1e-12
+    least, margin = worst(case)
+    assert least >= -1e-12
+    assert margin >= -1e-12 or case[-1]  # a coarse encoder hides a part of what is booked
     without(monkeypatch)
     assert worst(case, known)[piece in OF_DISSIPATION] < -1e-3

@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from canhaptic.control.balance import AT_REST, Branch, Certificate
+from canhaptic.control.balance import AT_REST, Branch, Certificate, certificates_of
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.verdict import account_verdict, handle_verdict, passive_verdict
 
@@ -64,6 +64,12 @@ def test_the_weakest_certificate_and_the_range_of_damping_in_contact_are_kept():
     assert summary.branches == {
         branch.name.lower(): {"free": 2, "exact": 2}.get(branch.name.lower(), 0) for branch in Branch
     }
+
+
+def test_the_certificate_none_is_the_weakest_of_all():
+    every = certificates_of((1 << len(Certificate)) - 1)
+    assert set(every) == set(Certificate)
+    assert every[-1] is Certificate.NONE
 
 
 def test_the_json_of_a_port_has_the_shared_names_and_no_number_that_json_lacks():

@@ -18,13 +18,8 @@ VALUES = {
     "stiffness": 321.5,
     "damping": 4.25,
     "position": -0.01,
-    "width": 0.07,
     "lower": -0.03,
     "upper": 0.04,
-    "spacing": 0.02,
-    "depth": 0.003,
-    "amplitude": 1.5,
-    "force": 0.75,
     "hardening": 1e5,
     "relaxation_time": 0.05,
 }

@@ -79,7 +79,7 @@ def test_no_motion_within_a_count_of_the_encoder_moves_less_than_the_laziest() -
 def test_a_hold_is_kept_with_what_the_device_dissipated_and_what_the_encoder_leaves_open() -> None:
     for seed in range(40):
         draw = random.Random(seed)
-        known, half = declared_of(draw, late=0.0), 0.0
+        known = declared_of(draw, late=0.0)
         half = 0.5 * known.encoder_count
         bound, memory = TorqueBound(), bound_memory(known, [0.0], list_of_zeros)
         bound.turning, bound.blur = 2, 1.0
@@ -159,8 +159,8 @@ def test_older_torques_are_left_as_the_timing_says() -> None:
         assert close(bound.highest, torque + known.left * above)
         assert close(bound.lowest, torque - known.left * below)
         for sign in (1.0, -1.0):
-            counts = {1.0: bound.most, -1.0: -bound.least}[sign] if known.late else sign * torque
-            assert acted(known, bound, sign) == (counts if known.late else sign * bound.torque)
+            counted = bound.most if sign > 0.0 else -bound.least
+            assert acted(known, bound, sign) == (counted if known.late else sign * bound.torque)
 
 
 def test_a_late_torque_leaves_in_doubt_what_it_differs_by_over_how_far_it_is_carried() -> None:

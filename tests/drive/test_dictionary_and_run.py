@@ -16,9 +16,7 @@ from canhaptic.drive.can.dictionary_check import check_dictionary
 from canhaptic.drive.profile.fitness import Verdict
 from canhaptic.drive.survey import Suitability, survey
 from canhaptic.errors import CanHapticError
-from tests.drive.drive_bench import OUR_EDS, Bench, axis, dictionary
-
-Make = Callable[..., Bench]
+from tests.drive.drive_bench import OUR_EDS, Bench, MakeBench, axis, dictionary
 
 NEEDED = (
     *("1000", "1017", "1016sub1", "6007", "6040", "6041", "6060", "6061", "6064", "6071", "6072", "6074", "6076"),
@@ -72,7 +70,7 @@ def comes_up(made: Callable[[], Bench]) -> str:
 @pytest.mark.parametrize("step", [4, pytest.param(1, marks=pytest.mark.slow)])  # all of them: 11 s of a processor
 @pytest.mark.parametrize("section", [*NEEDED, *dict.fromkeys(f"value of {section}" for section, _ in VALUES)])
 def test_verdict_and_run_agree_on_every_change_of_an_object(
-    bench: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, section: str, step: int
+    bench: MakeBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, section: str, step: int
 ) -> None:
     monkeypatch.setattr("canhaptic.drive.can.servo_drive.require_fit", lambda *_: None)
     path = tmp_path / "changed.eds"

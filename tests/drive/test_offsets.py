@@ -4,12 +4,13 @@ from pathlib import Path
 
 import pytest
 
+from canhaptic.cli.main import main
 from canhaptic.drive.profile.fitness import Verdict, profile_findings
 from canhaptic.drive.survey import survey
 from canhaptic.errors import SdoError, StartError
 from canhaptic.replay.replayed_run import replay_bus_log
 from canhaptic.scene.load import load_scene
-from tests.drive.drive_bench import OUR_EDS, MakeBench, axis, dictionary
+from tests.drive.drive_bench import OUR_EDS, REPOSITORY, MakeBench, axis, dictionary
 
 LEFT = 300  # per mille of 10 N: 3 N
 WRITE_ZERO = bytes.fromhex("2b b2 60 00 00 00 00 00")
@@ -67,12 +68,10 @@ def test_no_thread_writes_an_offset_during_the_run(bench: MakeBench, tmp_path: P
 
 def test_a_recording_of_an_older_master_is_replayed_without_the_offset(tmp_path: Path) -> None:
     """The write and its answer taken out of the log of a run: the start leaves them out and says so."""
-    from canhaptic.cli.main import main
-
     log = tmp_path / "run.log"
     given = [f"--set=axes.0.eds={eds_with_offset(tmp_path)}", "--set=simulation.drive.objects={0x60B2: 0}"]
-    scene = Path("configs/demo.yaml").resolve()
-    main(["run", str(scene), "--pace", "free", "--duration", "0.05", "--bus-log", str(log), *given])
+    scene = REPOSITORY / "configs" / "demo.yaml"
+    assert main(["run", str(scene), "--pace", "free", "--duration", "0.05", "--bus-log", str(log), *given]) == 0
     lines = log.read_text().splitlines(keepends=True)
     old = [line for line in lines if "B26000" not in line.upper()]
     assert len(old) == len(lines) - 4  # write and read back, each with its answer

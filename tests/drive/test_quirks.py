@@ -3,7 +3,6 @@
 The twin is the simulated drive as `scene.simulated_defaults` makes it; what reaches the motor is judged by the motor.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -14,9 +13,7 @@ from canhaptic.drive.profile.fitness import Verdict
 from canhaptic.drive.profile.quirks import _QUIRKS
 from canhaptic.errors import CommandLostError, DictionaryError, StartError
 from canhaptic.scene.simulated_defaults import _TWINS, _twin_of
-from tests.drive.drive_bench import OUR_EDS, RATED_TORQUE, REPOSITORY, Bench, axis, dictionary
-
-Make = Callable[..., Bench]
+from tests.drive.drive_bench import OUR_EDS, RATED_TORQUE, REPOSITORY, Bench, MakeBench, axis, dictionary
 
 ALONE: dict[str, str] = {
     # quirk -> what a master without it says to its twin
@@ -37,7 +34,7 @@ ALONE: dict[str, str] = {
 }
 
 
-def benched(bench: Make, twin: str, quirks: tuple[str, ...], **values: Any) -> Bench:
+def benched(bench: MakeBench, twin: str, quirks: tuple[str, ...], **values: Any) -> Bench:
     bus = {"rpdo": "event"} if twin == "manufacturer_event" else {}
     return bench([axis(quirks=quirks, **values)], bus, drive_values=_twin_of({"quirks": [twin]}))
 
@@ -54,13 +51,13 @@ def test_every_quirk_has_a_twin_and_a_test() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(_QUIRKS))
-def test_a_drive_with_a_quirk_comes_up_and_gives_the_torque_that_was_asked_for(bench: Make, name: str) -> None:
+def test_a_drive_with_a_quirk_comes_up_and_gives_the_torque_that_was_asked_for(bench: MakeBench, name: str) -> None:
     assert pushed(benched(bench, name, (name,))) == pytest.approx(1.0, rel=1e-9)
 
 
 @pytest.mark.parametrize(("name", "refusal"), [(name, text) for name, text in sorted(ALONE.items()) if text])
 def test_without_its_quirk_the_start_is_refused_and_the_drive_stays_disabled(
-    bench: Make, name: str, refusal: str
+    bench: MakeBench, name: str, refusal: str
 ) -> None:
     made = benched(bench, name, ())
     with pytest.raises(StartError, match=refusal):
@@ -69,7 +66,7 @@ def test_without_its_quirk_the_start_is_refused_and_the_drive_stays_disabled(
     assert not made.drives[0].servo.is_running
 
 
-def test_all_quirks_that_go_together_come_up_together(bench: Make) -> None:
+def test_all_quirks_that_go_together_come_up_together(bench: MakeBench) -> None:
     names = (
         *("rated_torque_micro", "rated_torque_written", "max_torque_absent", "demand_absent", "slow_enable"),
         *("late_following", "abort_quick_stop", "no_interpolation_period", "sdo_size_not_indicated"),
@@ -83,7 +80,7 @@ def test_all_quirks_that_go_together_come_up_together(bench: Make) -> None:
 
 @pytest.mark.parametrize(("name", "scale"), [("torque_per_cent", 10.0), ("torque_per_ten_thousand", 0.1)])
 def test_a_torque_in_another_unit_is_wrong_by_its_factor_without_the_quirk(
-    bench: Make, name: str, scale: float
+    bench: MakeBench, name: str, scale: float
 ) -> None:
     assert pushed(benched(bench, name, ())) == pytest.approx(scale, rel=1e-9)
 
@@ -91,7 +88,7 @@ def test_a_torque_in_another_unit_is_wrong_by_its_factor_without_the_quirk(
 @pytest.mark.parametrize(
     ("name", "target", "limit"), [("torque_per_cent", "32 00", 80), ("torque_per_ten_thousand", "88 13", 8000)]
 )
-def test_limit_and_target_are_in_the_unit_of_the_drive(bench: Make, name: str, target: str, limit: int) -> None:
+def test_limit_and_target_are_in_the_unit_of_the_drive(bench: MakeBench, name: str, target: str, limit: int) -> None:
     """5 N of 10 N rated: 50 per cent, 5000 of ten thousand; the limit of 8 N is 80 and 8000."""
     made = benched(bench, name, (name,))
     with made.rig:
@@ -103,27 +100,27 @@ def test_limit_and_target_are_in_the_unit_of_the_drive(bench: Make, name: str, t
         assert made.rig.sync()[0].torque_applied == pytest.approx(5.0)
 
 
-def test_a_rated_torque_of_zero_is_written_once_and_read_back(bench: Make) -> None:
+def test_a_rated_torque_of_zero_is_written_once_and_read_back(bench: MakeBench) -> None:
     made = benched(bench, "rated_torque_written", ("rated_torque_written",))
     with made.rig:
         writes = [data for data in made.sent(0x605) if data[0] & 0xE0 == 0x20 and data[1:3] == b"\x76\x60"]
         assert writes == [bytes.fromhex("23 76 60 00 10 27 00 00")]  # 10000 mN
 
 
-def test_a_rated_torque_that_the_drive_has_is_never_written(bench: Make) -> None:
+def test_a_rated_torque_that_the_drive_has_is_never_written(bench: MakeBench) -> None:
     made = bench([axis(quirks=("rated_torque_written",))])
     with made.rig:
         assert not [data for data in made.sent(0x605) if data[0] & 0xE0 == 0x20 and data[1:3] == b"\x76\x60"]
 
 
-def test_a_rated_torque_of_zero_needs_that_of_the_configuration(bench: Make) -> None:
+def test_a_rated_torque_of_zero_needs_that_of_the_configuration(bench: MakeBench) -> None:
     values = {"rated_torque_stated": False}
     with pytest.raises(StartError, match="0x6076 is 0 by the drive and the configuration has none"):
         bench([axis(rated_torque=None)], drive_values=values).rig.start()
     assert pushed(bench([axis()], drive_values=values)) == pytest.approx(1.0)
 
 
-def test_a_drive_that_follows_late_loses_its_first_torques_unless_the_start_waits(bench: Make) -> None:
+def test_a_drive_that_follows_late_loses_its_first_torques_unless_the_start_waits(bench: MakeBench) -> None:
     made = benched(bench, "late_following", ())
     made.rig.start()
     with pytest.raises(CommandLostError):
@@ -153,14 +150,14 @@ def test_the_check_of_a_dictionary_knows_the_quirks(
     assert words in finding.text
 
 
-def test_without_a_demand_the_measured_torque_is_read_back(bench: Make) -> None:
+def test_without_a_demand_the_measured_torque_is_read_back(bench: MakeBench) -> None:
     parameters = axis(quirks=("demand_absent",))
     assert choose_map(dictionary(parameters), parameters).read_back == "actual"
     with pytest.raises(DictionaryError, match="its quirks have demand_absent"):
         choose_map(dictionary(parameters), parameters.model_copy(update={"read_back": "demand"}))
 
 
-def test_negative_torques_survive_answers_without_length(bench: Make) -> None:
+def test_negative_torques_survive_answers_without_length(bench: MakeBench) -> None:
     """INTEGER16 -100 in an answer 0x42 has two bytes behind it that are no part of it."""
     made = benched(bench, "sdo_size_not_indicated", ())
     with made.rig:
@@ -173,7 +170,7 @@ def test_negative_torques_survive_answers_without_length(bench: Make) -> None:
 
 @pytest.mark.parametrize(("data_type", "access", "written"), [("0x0003", "rw", 800), ("0x0006", "ro", None)])
 def test_a_max_torque_of_another_kind_needs_no_quirk(
-    bench: Make, tmp_path: Any, data_type: str, access: str, written: int | None
+    bench: MakeBench, tmp_path: Any, data_type: str, access: str, written: int | None
 ) -> None:
     """INTEGER16 is written as it is; read-only is left alone."""
     text = OUR_EDS.read_text()
@@ -191,7 +188,7 @@ def test_a_max_torque_of_another_kind_needs_no_quirk(
 # --- direction ------------------------------------------------------------------------------------------------------
 
 
-def test_a_drive_mounted_the_other_way_round_is_set_right_by_direction(bench: Make) -> None:
+def test_a_drive_mounted_the_other_way_round_is_set_right_by_direction(bench: MakeBench) -> None:
     """The motor starts at +10 mm; a positive torque drives it up, seen from the axis."""
     made = bench([axis(direction=-1)], drive_values={"direction": -1})
     with made.rig:
@@ -204,7 +201,7 @@ def test_a_drive_mounted_the_other_way_round_is_set_right_by_direction(bench: Ma
         assert samples[-1].torque_applied == pytest.approx(1.0)
 
 
-def test_a_reversed_drive_that_nobody_told_turns_position_and_torque_together(bench: Make) -> None:
+def test_a_reversed_drive_that_nobody_told_turns_position_and_torque_together(bench: MakeBench) -> None:
     made = bench([axis()], drive_values={"direction": -1})
     with made.rig:
         samples = made.run(50, torque=1.0)
@@ -214,7 +211,7 @@ def test_a_reversed_drive_that_nobody_told_turns_position_and_torque_together(be
 
 
 @pytest.mark.parametrize(("wrong", "position", "torque"), [("encoder", -0.01, 1.0), ("torque", 0.01, -1.0)])
-def test_a_wrong_wiring_turns_one_of_them_alone(bench: Make, wrong: str, position: float, torque: float) -> None:
+def test_a_wrong_wiring_turns_one_of_them_alone(bench: MakeBench, wrong: str, position: float, torque: float) -> None:
     made = bench([axis()], drive_values={"reversed": wrong})
     with made.rig:
         samples = made.run(50, torque=1.0)

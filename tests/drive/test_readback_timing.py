@@ -1,6 +1,5 @@
 """Before or after the update: found out from what a drive reports, judged by how the simulated drive was made."""
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -9,16 +8,14 @@ from hypothesis import strategies as st
 
 from canhaptic.drive.readback_timing import detect_read_back, measure_read_back, probe_torques
 from canhaptic.errors import ParameterError
-from tests.drive.drive_bench import Bench, axis
-
-Make = Callable[..., Bench]
+from tests.drive.drive_bench import MakeBench, axis
 
 
 @pytest.mark.parametrize("configured", ["before", "after"])
 @pytest.mark.parametrize(("twin", "expected"), [("before_update", "before"), ("after_update", "after")])
 @pytest.mark.parametrize("read_back", ["demand", "actual"])
 def test_the_timing_is_found_whatever_the_configuration_says(
-    bench: Make, twin: str, expected: str, read_back: str, configured: str
+    bench: MakeBench, twin: str, expected: str, read_back: str, configured: str
 ) -> None:
     made = bench([axis(read_back=read_back, demand_reported=configured)], drive_values={"torque_read_back": twin})
     with made.rig:
@@ -33,7 +30,7 @@ def test_the_timing_is_found_whatever_the_configuration_says(
 
 
 @pytest.mark.parametrize("twin", ["before_update", "after_update"])
-def test_with_an_event_driven_rpdo_the_hold_that_ended_is_reported_either_way(bench: Make, twin: str) -> None:
+def test_with_an_event_driven_rpdo_the_hold_that_ended_is_reported_either_way(bench: MakeBench, twin: str) -> None:
     made = bench([axis()], {"rpdo": "event"}, drive_values={"torque_read_back": twin})
     with made.rig:
         [found] = measure_read_back(made.rig, amplitude=0.5)
@@ -46,7 +43,7 @@ def test_with_an_event_driven_rpdo_the_hold_that_ended_is_reported_either_way(be
     [(0.05e-3, "before"), (0.3e-3, "before"), (2e-3, None)],
 )
 def test_a_filtered_torque_is_recognised_as_long_as_it_follows_within_a_hold(
-    bench: Make, lag: float, expected: str | None
+    bench: MakeBench, lag: float, expected: str | None
 ) -> None:
     """A first-order filter of time constant t misses exp(-T / t) of each change: 4 % at 0.3 ms, 61 % at 2 ms."""
     made = bench([axis(read_back="actual")], drive_values={"torque_lag": lag})
@@ -57,14 +54,14 @@ def test_a_filtered_torque_is_recognised_as_long_as_it_follows_within_a_hold(
         assert "filtered, noisy or not followed" in found.text
 
 
-def test_every_axis_is_told_on_its_own(bench: Make) -> None:
+def test_every_axis_is_told_on_its_own(bench: MakeBench) -> None:
     made = bench([axis(5), axis(6)], {"rate": 500.0})
     made.drives[1]._process_data._shows_next_torque = True
     with made.rig:
         assert [found.reported for found in measure_read_back(made.rig, amplitude=0.5)] == ["before", "after"]
 
 
-def test_the_axis_hardly_moves_and_the_limit_holds(bench: Make) -> None:
+def test_the_axis_hardly_moves_and_the_limit_holds(bench: MakeBench) -> None:
     made = bench([axis(torque_limit=0.4)])
     with made.rig:
         start = made.drives[0].servo.motor.position
@@ -74,7 +71,7 @@ def test_the_axis_hardly_moves_and_the_limit_holds(bench: Make) -> None:
     assert found.reported == "before"
 
 
-def test_lost_tpdos_are_left_out(bench: Make) -> None:
+def test_lost_tpdos_are_left_out(bench: MakeBench) -> None:
     made = bench([axis()], {"stop_cycles": 50})
     count = 0
 
@@ -90,7 +87,7 @@ def test_lost_tpdos_are_left_out(bench: Make) -> None:
     assert (found.reported, found.before_error) == ("before", pytest.approx(0.0, abs=0.2))
 
 
-def test_a_probe_that_cannot_tell_is_refused(bench: Make) -> None:
+def test_a_probe_that_cannot_tell_is_refused(bench: MakeBench) -> None:
     made = bench([axis()])
     with made.rig, pytest.raises(ParameterError, match=r"amplitude: got 0.01, expected at least 0.03"):
         measure_read_back(made.rig, amplitude=0.01)

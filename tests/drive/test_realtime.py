@@ -3,7 +3,6 @@
 import ctypes
 import gc
 import os
-from collections.abc import Callable
 
 import pytest
 
@@ -13,7 +12,7 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import StartError
 from canhaptic.host.realtime import GRANTED, Realtime, RealtimeParameters
-from tests.drive.drive_bench import Bench, axis, dictionary
+from tests.drive.drive_bench import MakeBench, axis, dictionary
 
 Calls = list[tuple[object, ...]]
 ROUND_ROBIN = 2  # SCHED_RR of sched.h
@@ -92,9 +91,7 @@ def test_a_refusal_is_reported_in_the_systems_words_and_leaves_nothing_to_give_b
 
 
 @pytest.mark.parametrize("ending", ["stop", "exception"])
-def test_a_rig_asks_at_its_start_and_gives_back_at_every_end(
-    bench: Callable[..., Bench], calls: Calls, ending: str
-) -> None:
+def test_a_rig_asks_at_its_start_and_gives_back_at_every_end(bench: MakeBench, calls: Calls, ending: str) -> None:
     b = bench()
     b.rig.realtime = Realtime(RealtimeParameters(**EVERYTHING))
     b.rig.start()
@@ -109,7 +106,7 @@ def test_a_rig_asks_at_its_start_and_gives_back_at_every_end(
     assert calls == ASKED + GIVEN_BACK
 
 
-def test_a_start_that_fails_gives_back(bench: Callable[..., Bench], calls: Calls) -> None:
+def test_a_start_that_fails_gives_back(bench: MakeBench, calls: Calls) -> None:
     b = bench(absent=True)
     b.rig.realtime = Realtime(RealtimeParameters(**EVERYTHING))
     with pytest.raises(StartError):
@@ -117,7 +114,7 @@ def test_a_start_that_fails_gives_back(bench: Callable[..., Bench], calls: Calls
     assert calls == ASKED + GIVEN_BACK
 
 
-def test_only_a_rig_in_real_time_asks(bench: Callable[..., Bench], calls: Calls) -> None:
+def test_only_a_rig_in_real_time_asks(bench: MakeBench, calls: Calls) -> None:
     b = bench(bus={"realtime": EVERYTHING})
     b.rig.start()
     assert calls == []

@@ -82,7 +82,7 @@ def test_remote_and_error_frames_prove_nothing(bench: MakeBench, kind: str) -> N
 
 
 class Echo:
-    """An interface that gives back every frame it was sent, after `late` others were received."""
+    """An interface that gives back every frame that it was sent, before it hands over others."""
 
     def __init__(self, b: Bench) -> None:
         self.frames: list[can.Message] = []

@@ -367,7 +367,7 @@ def test_a_drive_that_demands_nothing_but_is_slow_to_leave_is_not_sent_out_of_op
     assert frames_of_the_stop(b, begin)[:nmt_before_confirmation].count("SYNC") > 90
 
 
-def test_the_operators_stop_needs_neither(bench: MakeBench) -> None:
+def test_the_operators_stop_sends_no_sdo_and_one_nmt_command(bench: MakeBench) -> None:
     b = bench()
     b.rig.start()
     b.run(10, torque=3.0)

@@ -190,7 +190,7 @@ def test_only_signed_objects_have_a_sign() -> None:
     assert words(decoder, 0x185, "FFFF FFFF")[2] == "max torque 65535, target torque -1"
 
 
-def test_a_pdo_switched_off_or_moved_is_followed() -> None:
+def test_a_pdo_that_is_moved_is_followed() -> None:
     decoder = BusDecoder()
     words(decoder, 0x605, "23001801A6020000")
     words(decoder, 0x585, "6000180100000000")

@@ -1,6 +1,7 @@
 import contextlib
 import os
 import random
+import signal
 import struct
 from pathlib import Path
 
@@ -121,11 +122,11 @@ def test_noise_that_cannot_be_compressed_still_stays_within_the_size_limit(tmp_p
 def test_a_full_ring_at_real_pace_drops_counts_and_flags_without_waiting(tmp_path: Path) -> None:
     path = tmp_path / "full.h5"
     writer = EnergyLogWriter(path, PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True, ring_rows=64)
-    os.kill(writer.writer_pid, 19)  # SIGSTOP: the disk stalls
+    os.kill(writer.writer_pid, signal.SIGSTOP)  # the disk stalls
     for k in range(100):
         append(writer, k)
     assert writer.dropped == 36
-    os.kill(writer.writer_pid, 18)  # SIGCONT
+    os.kill(writer.writer_pid, signal.SIGCONT)
     k = 100
     before = writer.dropped
     while True:  # until there is room again; every try is a cycle

@@ -121,7 +121,7 @@ class Rig:
         return f"{int.from_bytes(content[4:], 'little'):08x}" if content[0] == 0x80 else "ok"
 
     def sync(self) -> list[Frame]:
-        """Goes on to the next SYNC, the only moment besides that of its answer; returns what the drive sent."""
+        """Goes on by a period and sends a SYNC; returns what the drive sent meanwhile and in answer."""
         frames = self.run(self.now + PERIOD)
         return frames + self.send(0x080)
 

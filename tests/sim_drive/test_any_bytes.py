@@ -82,8 +82,7 @@ def test_drives_of_a_group_share_one_connection() -> None:
     with Rig() as first, Rig(node_id=NODE + 1) as second:
         group = DriveGroup(first.drive._bus, (first.drive, second.drive))
         second.drive._bus = first.drive._bus
-        for content in ("0100",):
-            first.bus.send(can.Message(arbitration_id=0, data=bytes.fromhex(content), is_extended_id=False))
+        first.bus.send(can.Message(arbitration_id=0, data=b"\1\0", is_extended_id=False))
         group.process(0)
         first.bus.send(can.Message(arbitration_id=0x080, is_extended_id=False))
         group.process(PERIOD)

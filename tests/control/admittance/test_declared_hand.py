@@ -1,5 +1,6 @@
 """The guard with a hand declared as spring, damper and mass, against such hands (AD9 with a controller)."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -68,7 +69,7 @@ def _worst(speed: float, **declared: float) -> tuple[float, float]:
     still = DeclaredHand(up=0.0, down=0.0, up_with_mass=0.0, down_with_mass=0.0)
     said = loss(settings, loop, still, [0.0] * 4, 0, speed, settings.holds)
     rig = DeclaredRig(
-        moved=2.0, bandwidth=628.0 / (2.0 * 3.141592653589793 * 2.0), stiffness=known.hand_stiffness,
+        moved=2.0, bandwidth=628.0 / (2.0 * math.pi * 2.0), stiffness=known.hand_stiffness,
         speed=known.hand_speed, mass=known.hand_mass, damping=known.hand_damping,
     )  # fmt: skip
     half, found, energy = _Hold(rig, 0.5 * rig.time / 10), DeclaredOutcome(), 0.0
@@ -103,7 +104,7 @@ def test_commands_are_followed_as_a_loop_of_first_order_follows() -> None:
     hand, speeds = DeclaredHand(), [0.0]
     for _ in range(10):
         go_on(settings, hand, speeds, 0.5)
-    assert hand.speed == pytest.approx(0.5 * (1.0 - 2.718281828459045 ** (-10e-3 * 628.0 / 2.0)))
+    assert hand.speed == pytest.approx(0.5 * (1.0 - math.exp(-10e-3 * 628.0 / 2.0)))
     assert speeds == [hand.speed]
 
 

@@ -11,7 +11,6 @@ from canhaptic.control.admittance.cup_and_ball import CupAndBall
 from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.dissipating_display import next_speed
 from canhaptic.control.admittance.properties import DisplayProperties
-from canhaptic.control.balance import Certificate, certificates_of
 from canhaptic.errors import ParameterError
 
 _GRAVITY = 9.80665
@@ -104,9 +103,3 @@ def test_the_balance_of_the_paper_is_for_a_mass() -> None:
     )
     with pytest.raises(ParameterError, match="virtual_mass"):
         build_display_controller(CupAndBall(), "internal_dissipation", None, properties)
-
-
-def test_no_certificate_is_the_weakest_of_all() -> None:
-    every = certificates_of((1 << len(Certificate)) - 1)
-    assert set(every) == set(Certificate)
-    assert every[-1] is Certificate.NONE

@@ -143,9 +143,7 @@ def _losses_of(sent: list[float], speed: float, delay: int, losses: int, setting
     first = len(sent) - delay  # place of the command of the hold that begins now
     found = []
     for pattern in range(1 << (delay + losses + 1)):
-        acting, row, total, allowed = everything[max(0, first - 1)], 0, 0.0, True
-        starts = range(max(0, first - losses), first + 1)
-        for start in starts:  # what acts already is one of the last that were sent
+        for start in range(max(0, first - losses), first + 1):  # what acts already is one of the last that were sent
             acting, row, total, allowed = everything[start - 1] if start else 0.0, first - start, 0.0, True
             for hold in range(delay + losses + 1):
                 if pattern >> hold & 1:

@@ -162,7 +162,7 @@ def test_axes_that_act_apart_give_out_energy_unless_that_is_declared(apart):
     assert least[1] >= -1e-9
 
 
-def test_losses_of_either_kind_count_together():
+def test_drawn_losses_of_either_kind_count_together():
     """Three cycles in a row without a new torque, a sample and then two commands, are more than two losses.
 
     Seed 535 of a search that counted samples and commands apart: the torque stayed for a fourth hold, for which nothing

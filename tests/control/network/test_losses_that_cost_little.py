@@ -1,5 +1,7 @@
 """What a group renders with frames that may be lost: nearly what it renders without."""
 
+from pathlib import Path
+
 import pytest
 
 from canhaptic.scene.load import load_scene
@@ -7,11 +9,13 @@ from canhaptic.study.batch.group_case import group_case
 from canhaptic.study.batch.group_closed_loop import shares
 from canhaptic.study.batch.group_scalar import group_meter
 
+CONFIGS = Path(__file__).resolve().parents[3] / "configs"
+
 
 def rendered(scene, losses, hand_force):
     """Returns share of stiffness and damping rendered in 2 s of a scene, and the least true energy [J]."""
     own = [f"groups.0.passivity.max_consecutive_losses={losses}", f"groups.0.passivity.hand_force={hand_force} N"]
-    loaded = load_scene(f"configs/{scene}.yaml", [*own, "simulation.bus={jitter: 1 us}"])
+    loaded = load_scene(CONFIGS / f"{scene}.yaml", [*own, "simulation.bus={jitter: 1 us}"])
     meter = group_meter(group_case(loaded, explains=True), 2000, "python")
     return *shares(meter), meter.figures.least_interaction
 
