@@ -263,6 +263,7 @@ def test_a_drive_on_its_own_is_run_by_a_master_elsewhere() -> None:
         finally:
             stop.number = 2
             thread.join(5.0)
+    assert not thread.is_alive()
 
 
 @pytest.mark.slow
@@ -283,6 +284,7 @@ def test_drives_on_two_buses_are_run_by_a_master_elsewhere() -> None:
         finally:
             stop.number = 2
             thread.join(5.0)
+    assert not thread.is_alive()
 
 
 @pytest.mark.slow

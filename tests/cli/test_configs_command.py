@@ -15,7 +15,7 @@ def test_every_scene_says_what_it_is(capsys: pytest.CaptureFixture[str]) -> None
     assert all(len(about) > 20 for about in scenes.values()), scenes
 
 
-def test_a_copy_runs_by_itself_and_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_copy_is_a_whole_scene_and_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["configs", "--copy", str(tmp_path)]) == 0
     assert main(["check", str(tmp_path / "configs" / "demo.yaml"), "--json"]) == 0
     capsys.readouterr()

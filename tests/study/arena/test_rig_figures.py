@@ -39,7 +39,7 @@ def test_the_m_width_of_the_rig_hardly_depends_on_the_rate() -> None:
 
 
 @pytest.mark.slow  # 200,000 cycles
-def test_no_border_lies_below_colgates_line_and_the_plain_wall_ends_before_its_eigenvalues() -> None:
+def test_the_plain_wall_ends_between_colgates_line_and_its_eigenvalues() -> None:
     plain = {row["damping"]: row for row in borders(RIG, "unprotected", 0, 2)}
     stable = {point["damping"]: point["stiffness"] for point in theory(RIG, 0)["eigenvalues, plain wall"]}
     step = tried_stiffnesses(2)[1] / tried_stiffnesses(2)[0]
