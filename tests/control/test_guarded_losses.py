@@ -94,3 +94,24 @@ def test_what_a_lost_sample_hides_of_every_hand_is_the_closed_form() -> None:
     assert short == pytest.approx((first - second) ** 2 * T / (8.0 * DAMPING))
     doubt = end_gap(declared, TorqueBound(), 0.0, second, 2, max(first, second), abs(first - second))
     assert short <= doubt <= 2.0 * short * (1.0 + 1e-12)
+
+
+def test_a_sync_that_was_skipped_behind_a_lost_sample_counts_as_another_lost_one() -> None:
+    """Of both holds only the whole displacement is known; the next hold is an ordinary one again."""
+    states = []
+    for is_skipped in (True, False):
+        controller = Guarded(
+            SpringDamperWall(stiffness=1e3),
+            GuardedParameters(hand_force=None, max_consecutive_losses=2),
+            LoopProperties(sample_time=T, delay=0, device_damping=DAMPING),
+        )
+        for position in (0.0, 1e-3, 3e-3):
+            held = controller.step(position, 0.0).torque
+        controller.hold()
+        if is_skipped:
+            controller.lasted(2.0)
+        else:
+            controller.hold()
+        balances = [controller.step(6e-3, held), controller.step(7e-3, held)]
+        states.append((balances, controller._state.bound, controller._state.axis))
+    assert states[0] == states[1]

@@ -251,6 +251,7 @@ def test_lost_samples_leave_in_doubt_the_difference_of_torques_over_the_farthest
         if b:
             earned = b * max(0.0, abs(moved) - count) ** 2 / holds
             for_all = uncertain * apart * ((abs(moved) + count) / holds + apart / (4.0 * b))
+        earned += known.friction * max(0.0, abs(moved) - count)
         doubt = for_all
         if known.by_hand_force:
             step = (r.before + r.during) * largest + (r.push if r.push < math.inf else r.hand)
@@ -273,6 +274,20 @@ def test_lost_samples_leave_in_doubt_the_difference_of_torques_over_the_farthest
         assert math.isnan(bound.upward)
         assert math.isnan(bound.downward)
     assert len(ways) == 32
+
+
+def test_a_handle_that_may_stand_still_earns_nothing_from_friction_over_lost_samples() -> None:
+    """One count down while samples are lost, one up in the hold after, ten times: the encoder alone may do that."""
+    count = 1e-6
+    known = declared_of(random.Random(1), friction=0.4, damping=0.0, late=0.0, encoder_count=count)
+    bound = TorqueBound()
+    memory = bound_memory(known, list_of_zeros(3), list_of_zeros)
+    for _ in range(10):
+        end_gap(known, bound, -count, 0.0, 2, 0.0, 0.0)
+        end_hold(known, bound, memory, count, 0.0)
+    assert bound.dissipated == 0.0
+    end_gap(known, bound, 5.0 * count, 0.0, 2, 0.0, 0.0)
+    assert bound.dissipated == pytest.approx(0.4 * 4.0 * count)
 
 
 def test_torques_of_a_contact_with_another_way_out_act_until_they_have_ended() -> None:

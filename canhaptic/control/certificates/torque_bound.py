@@ -300,6 +300,8 @@ def end_gap(
         if certain > 0.0:
             dissipate(bound, stiffness * certain * certain / holds)
         damped = missed * apart * ((abs(displacement) + count) / holds + apart / (4.0 * stiffness))
+    if declared.friction > 0.0:  # the way of the gap: what is left out here would be counted again on the way back
+        dissipate(bound, declared.friction * certain_path(bound, displacement, count))
     if declared.by_hand_force:
         doubt = missed * apart * excursion_unseen(declared, bound, displacement, holds, largest)
     elif declared.hand_speed > 0.0:

@@ -60,6 +60,8 @@ def end(
     displacement, count, oldest = position - axis.position, declared.encoder_count, axis.oldest
     axis.position = position
     if axis.missed:
+        axis.missed += int(axis.lasted - 1.0)  # of SYNCs that were skipped in the gap no sample came either
+        axis.lasted = 1.0
         return displacement, 0.0, 0.0, end_several(settings, state, memory, displacement, torque_applied)
     bound.first = oldest - declared.delay
     unsure = end_hold(declared, bound, memory.bound, displacement, torque_applied)
