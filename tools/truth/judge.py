@@ -285,7 +285,7 @@ def _false_claims(
     claims = []
     if error > resolution + ROUNDING:
         claims.append(f"{name}: error {error:.3g} J, resolution {resolution:.3g} J")
-    if port["passive"] == "yes" and least < -resolution - allowance - ROUNDING:
+    if port["passive"] == "yes" and least < -resolution - ROUNDING:
         claims.append(f"{name}: passive yes, true least {least:.3g} J, resolution {resolution:.3g} J")
     if port["passive"] == "no" and least >= -ROUNDING:
         claims.append(f"{name}: passive no, true least {least:.3g} J")
