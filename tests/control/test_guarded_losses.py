@@ -97,7 +97,7 @@ def test_what_a_lost_sample_hides_of_every_hand_is_the_closed_form() -> None:
 
 
 def test_a_sync_that_was_skipped_behind_a_lost_sample_counts_as_another_lost_one() -> None:
-    """Of both holds only the whole displacement is known; the next hold is an ordinary one again."""
+    """Only the whole displacement of both holds is known; the next hold is an ordinary one again."""
     states = []
     for is_skipped in (True, False):
         controller = Guarded(
