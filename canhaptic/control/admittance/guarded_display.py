@@ -105,7 +105,7 @@ class _GuardedDisplayState:
     h_s: float = 0.0  # [J]
     surplus: float = 0.0  # [J]
     taken: float = 0.0  # dissipated or leaked so far, and not paid [J]
-    is_limited: bool = False  # the drive may reach its torque limit in the hold that begins
+    limited: int = 0  # SYNCs for which the drive may be at its torque limit in the hold before
     unsure: bool = False  # it may have done so where a certificate rested on that it does not
     by_encoder: float = 0.0  # E - V by encoder and commands alone, at least [J]
     by_force: float = 0.0  # E by the force, at most [J]
@@ -173,7 +173,8 @@ def step(
     speed = abs(velocity) + settings.port.acceleration * time
     if settings.may_be_limited:
         ahead = may_limit(settings.loop, state.loop.lead, velocity, motion.speed, settings.port.acceleration)
-        state.is_limited = ahead
+        if ahead:
+            state.limited = settings.loop.delay + 1  # until the command has acted
         if ahead:
             state.declared.limited = settings.declared.holds + 2
         if ahead and not state.unsure:
@@ -291,7 +292,8 @@ def _fall(settings: _GuardedSettings, state: _GuardedDisplayState, memory: Guard
     memory.leads[state.margin.place] = state.loop.lead
     if settings.hand.force > 0.0:
         lost = lost_to_hand(settings.hand, settings.loop, memory.display.commands, state.motion)
-        fall(state.hand, memory.hand, -inf if state.is_limited else -lost, state.taken)
+        fall(state.hand, memory.hand, -inf if state.limited > 0 else -lost, state.taken)
+        state.limited = max(0, state.limited - 1)
     if settings.declared.stiffness > 0.0:
         acted = sent(state.motion, memory.display.commands, settings.loop.delay)
         declared_hand.go_on(settings.declared, state.declared, memory.speeds, acted)
