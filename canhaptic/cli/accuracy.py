@@ -1,6 +1,9 @@
 """`canhaptic accuracy CONFIG`: what accuracy costs in time, for the simulated plant and for the loop, with advice."""
 
 import argparse
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 
 from canhaptic.cli.arguments import (
     check_folder,
@@ -55,6 +58,7 @@ def _is_of_display(scene: Scene, name: str | None) -> bool:
 
 def _study_display(scene: Scene, arguments: argparse.Namespace) -> int:
     from canhaptic.study.displays.display_accuracy import study_display
+    from canhaptic.study.displays.display_accuracy_picture import draw_display_accuracy, write_display_accuracy_page
     from canhaptic.study.displays.display_accuracy_table import display_accuracy_markdown, display_accuracy_report
 
     with StopSignal() as stop:
@@ -65,23 +69,14 @@ def _study_display(scene: Scene, arguments: argparse.Namespace) -> int:
         make_console().print(display_accuracy_report(result))
     if not result["loop"]:
         return stop.exit_status  # stopped before anything could be drawn
-    if arguments.png is not None:
-        from canhaptic.study.displays.display_accuracy_picture import draw_display_accuracy
-
-        draw_display_accuracy(result, arguments.png)
-        note_file("picture", arguments.png)
-    if arguments.html is not None:
-        from canhaptic.study.displays.display_accuracy_picture import write_display_accuracy_page
-
-        write_display_accuracy_page(result, arguments.html)
-        note_file("page", arguments.html)
-    if arguments.markdown is not None:
-        write_file(arguments.markdown, display_accuracy_markdown(result))
-        note_file("tables", arguments.markdown)
+    draw, write_page = partial(draw_display_accuracy, result), partial(write_display_accuracy_page, result)
+    _write(arguments, draw, write_page, partial(display_accuracy_markdown, result))
     return stop.exit_status
 
 
 def _report(result: dict[str, object], arguments: argparse.Namespace) -> None:
+    from canhaptic.study.accuracy.accuracy_page import write_accuracy_page
+    from canhaptic.study.accuracy.accuracy_picture import draw_accuracy
     from canhaptic.study.accuracy.accuracy_table import accuracy_report, markdown
 
     if arguments.json:
@@ -90,16 +85,23 @@ def _report(result: dict[str, object], arguments: argparse.Namespace) -> None:
         make_console().print(accuracy_report(result, tables=arguments.tables))
     if not result["plant"]:
         return  # stopped before anything could be drawn
-    if arguments.png is not None:
-        from canhaptic.study.accuracy.accuracy_picture import draw_accuracy
+    draw, write_page = partial(draw_accuracy, result), partial(write_accuracy_page, result)
+    _write(arguments, draw, write_page, partial(markdown, result))
 
-        draw_accuracy(result, arguments.png)
+
+def _write(
+    arguments: argparse.Namespace,
+    draw: Callable[[Path], object],
+    write_page: Callable[[Path], object],
+    markdown: Callable[[], str],
+) -> None:
+    """Writes the picture, the page and the tables that were asked for."""
+    if arguments.png is not None:
+        draw(arguments.png)
         note_file("picture", arguments.png)
     if arguments.html is not None:
-        from canhaptic.study.accuracy.accuracy_page import write_accuracy_page
-
-        write_accuracy_page(result, arguments.html)
+        write_page(arguments.html)
         note_file("page", arguments.html)
     if arguments.markdown is not None:
-        write_file(arguments.markdown, markdown(result))
+        write_file(arguments.markdown, markdown())
         note_file("tables", arguments.markdown)
