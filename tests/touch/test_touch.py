@@ -120,17 +120,22 @@ def mouse(page: Page, kind: str, x: float, y: float) -> None:
     page.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=buttons, clickCount=1)
 
 
+def grasp(page: Page, address: str) -> tuple[float, float, float]:
+    """Opens the page and presses the pointer on the handle; returns (x, y of its middle, width of the strip) [px]."""
+    page.open(address)
+    page.wait_for("window.Bokeh && Bokeh.documents.length")
+    page.wait_for(f"{MODEL.format('status')}.text.includes('cycles')", 60.0)
+    left, top, width, height = page.value(FRAME)
+    middle, across = left + 0.5 * width, top + 0.5 * height
+    mouse(page, "mouseMoved", middle, across)
+    mouse(page, "mousePressed", middle, across)
+    return middle, across, width
+
+
 @pytest.mark.slow
 def test_a_pointer_in_a_browser_drags_both_handles(tmp_path: Path) -> None:
     with chromium(width=1200, height=760) as page, touch(str(STIFF), "--port", "0") as (address, process):
-        page.open(address)
-        page.wait_for("window.Bokeh && Bokeh.documents.length")
-        status = MODEL.format("status") + ".text"
-        page.wait_for(f"{status}.includes('cycles')", 60.0)
-        left, top, width, height = page.value(FRAME)
-        middle, across = left + 0.5 * width, top + 0.5 * height
-        mouse(page, "mouseMoved", middle, across)
-        mouse(page, "mousePressed", middle, across)
+        middle, across, width = grasp(page, address)
         pause = threading.Event()
         for k in range(200):
             mouse(page, "mouseMoved", middle - 0.4 * width * math.sin(0.06 * k), across)
@@ -161,13 +166,7 @@ def test_a_page_of_displays_shows_force_velocity_and_energy() -> None:
     words = ("--set", "environment.mass=0.5", "--set", "simulation.admittance.grip.mass=1")
     scene = str(ROOT / "configs" / "admittance" / "virtual_mass.yaml")
     with chromium(width=1200, height=980) as page, touch(scene, *words, "--port", "0") as (address, _):
-        page.open(address)
-        page.wait_for("window.Bokeh && Bokeh.documents.length")
-        page.wait_for(f"{MODEL.format('status')}.text.includes('cycles')", 60.0)
-        left, top, width, height = page.value(FRAME)
-        middle, across = left + 0.5 * width, top + 0.5 * height
-        mouse(page, "mouseMoved", middle, across)
-        mouse(page, "mousePressed", middle, across)
+        middle, across, width = grasp(page, address)
         pause = threading.Event()
         for k in range(100):
             mouse(page, "mouseMoved", middle + 0.3 * width * math.sin(0.06 * k), across)
