@@ -5,8 +5,8 @@ collected the tests, so that package and tests are imported there. Each run of t
 
 - warm, of the server, where the mutant is in a function: its code takes the place of that of the function, wherever it
   was imported to. Some 20 ms, and the tests;
-- cold, of the process that imported nothing, where it is in what an import runs: a constant, the fields of a class, a
-  function that a module calls while it is imported. Some 2 s, and the tests.
+- cold, of a process that has imported nothing yet, where an import runs the changed line: a constant, the fields of a
+  class, a function that a module calls while it is imported. Some 2 s, and the tests.
 
 The mutant is on the disk as well (`tools.mutants` writes it there), for processes that the tests start. Linux, macOS.
 """

@@ -1,6 +1,6 @@
 """What a real rig does to the proof of an ideal hold, each with and without the declaration that mends it.
 
-The eight ways by which energy came out of certified torques before the hold was declared as it is.
+Eight ways on which certified torques gave out energy before the hold was declared as it is.
 """
 
 from typing import Any, Final, NamedTuple

@@ -1,4 +1,4 @@
-"""Are the known ways closed by which energy came out of certified torques? As scenes, judged by the plant.
+"""Do certified torques still give out energy on a known way? The ways as scenes, judged by the plant.
 
 Each (`tools/truth/known_ways.py`) with random hands: what closes it declared, left out, and declared falsely. `attack`
 looks for the same on a plant of its own, with hands that climb to where energy comes out.

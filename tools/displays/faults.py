@@ -49,7 +49,7 @@ class FaultOutcome:
     stop: float  # time from the fault to the stop of the rig, less the time of the start for faults of the bus [s]
     still: float  # time from the stop of the rig to standstill [s]; -1 where it moved for longer than 2 s
     given: float  # largest fall of the true energy through the sensor after the fault [J]
-    by_fault: float  # most by which that energy falls behind the run without the fault, until the stop [J]
+    by_fault: float  # largest lag of that energy behind the run without the fault, until the stop [J]
     fastest: float  # after the fault [m/s]
 
 

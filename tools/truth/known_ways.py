@@ -1,4 +1,4 @@
-"""The known ways by which energy came out of certified torques, as scenes with random hands: declared, left out, false.
+"""Ways on which certified torques once gave out energy, as scenes with random hands: declared, left out, false.
 
 Each names something of a real hold that the proof of an ideal one leaves out (`tools/attack/holes.py` attacks the same
 on a plant of its own). Three scenes each: the key that closes it is declared as it is; it is left out, so that it

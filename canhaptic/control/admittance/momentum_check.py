@@ -36,7 +36,7 @@ class MovedHold(NamedTuple):
 
     moved: float  # [m or rad]
     command: float  # that acted [m/s or rad/s]
-    unsure: float  # by which another one may have acted, if RPDOs were lost [m/s or rad/s]
+    unsure: float  # largest difference of the command that acted, where RPDOs were lost [m/s or rad/s]
     lead: float  # at its end: way commanded less way moved [m or rad]
 
 
