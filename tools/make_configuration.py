@@ -7,6 +7,7 @@ import json
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from textwrap import fill
 from typing import Any, Final
@@ -14,10 +15,17 @@ from typing import Any, Final
 from canhaptic.scene.json_schema import Schema, scene_schema
 
 PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "configuration.md"
+WORDS: Final = PAGE.with_name("words.md")
 _INTRODUCTION: Final = """\
+---
+search:
+  boost: 2
+---
+
 # Configuration
 
-Every key of a scene file. This page is made from the models by `python -m tools.make_configuration`.
+Every key of a scene file; a key that is a link is explained in [words](words.md). This page is made from the models by
+`python -m tools.make_configuration`.
 
 Plain numbers are SI (or the unit given here). A text may carry a unit, which is checked for dimension: `1 kHz`,
 `100 N/m`, `50 us`. Where two units are given, the first is of a linear axis (`unit: m`), the second of a rotary one
@@ -120,7 +128,19 @@ def _common(choices: Sequence[Schema]) -> list[str]:
 def _row(name: str, schema: Schema, is_required: bool) -> tuple[str, ...]:
     unit, value = _value(schema)
     default = "required" if is_required else schema.get("taken") or _default(schema)
-    return f"`{name}`", "" if unit == "1" else unit, value, default, schema.get("description", "")
+    return _linked(name), "" if unit == "1" else unit, value, default, schema.get("description", "")
+
+
+def _linked(name: str) -> str:
+    """Returns a key as code, linked to the word that explains it."""
+    return f"[`{name}`](words.md#{_explained()[name]})" if name in _explained() else f"`{name}`"
+
+
+@cache
+def _explained() -> dict[str, str]:
+    """Returns the anchor of each word that names a key, by key."""
+    rows = re.findall(r'^\| <a id="([\w-]+)"></a>(.*)', WORDS.read_text(encoding="utf-8"), re.MULTILINE)
+    return {key: anchor for anchor, row in rows for key in re.findall(r"`(?:\w+(?:\[\])?\.)?(\w+)`", row)}
 
 
 def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:

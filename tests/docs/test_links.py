@@ -16,6 +16,7 @@ _CODE_BLOCK = re.compile(r"^(```|~~~).*?^\1|^(?:    .*\n)+", re.MULTILINE | re.D
 _SPAN = re.compile(r"`([^`\n]+)`")
 _LINK = re.compile(r"\]\(\s*<?([^)\s>]+)>?(?:\s+\"[^\"]*\")?\s*\)")
 _IMAGE_IN_HTML = re.compile(r"<(?:img|a|source)\b[^>]*?\b(?:src|href)=\"([^\"]+)\"")
+_ANCHOR = re.compile(r'<a id="([\w-]+)"></a>')
 _HEADING = re.compile(r"^#{1,6} +(.+?) *#*$", re.MULTILINE)
 _FOLDERS = ("canhaptic", "configs", "docs", "eds", "tests", "tools")
 _PARTS = tuple(sorted(path.name for path in (ROOT / "canhaptic").iterdir() if path.is_dir()))
@@ -46,7 +47,7 @@ def links(text: str) -> Iterator[Link]:
 
 def anchors(text: str) -> set[str]:
     """The anchors that both GitHub and the built site give to the headings of a page; the first of equal ones."""
-    found = set()
+    found = set(_ANCHOR.findall(text))
     for heading in _HEADING.findall(_CODE_BLOCK.sub("", text)):
         plain = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).replace("`", "")
         plain = re.sub(r"<!--.*?-->", "", plain)

@@ -30,19 +30,20 @@ def _build(folder: Path) -> str:
 
 @pytest.mark.slow
 def test_the_search_works_from_a_folder(tmp_path: Path) -> None:
-    """Without a server, where a browser starts no worker."""
+    """Without a server, where a browser starts no worker; and finds a key inside its path."""
     _build(tmp_path)
     with chromium() as page:
         page.open((tmp_path / "decisions" / "index.html").as_uri())
         page.wait_for("document.readyState === 'complete' && document.querySelector('[data-md-toggle=search]')")
         page.value("document.querySelector('[data-md-toggle=search]').click()")
         page.value(
-            "{const query = document.querySelector('[data-md-component=search-query]'); query.value = 'bus-off';"
+            "{const query = document.querySelector('[data-md-component=search-query]'); query.value = 'sync_jitter';"
             " query.dispatchEvent(new Event('keyup', {bubbles: true}))}"
         )
         page.wait_for("document.querySelector('.md-search-result__item a')")
         found = page.value("[...document.querySelectorAll('.md-search-result__item a')].map(each => each.href).join()")
-        assert "socketcan.html" in found
+        assert "words.html" in found
+        assert "configuration.html" in found
         assert page.faults == []
 
 

@@ -48,7 +48,7 @@ def test_every_key_that_a_scene_may_have_is_in_its_section_of_the_page(section: 
     parts = re.split(r"^## ", CONFIGURATION, flags=re.MULTILINE)
     above, own = parts[1], [part for part in parts if re.match(rf"`{section}\b", part)]
     assert f"\n| `{section}` |" in above
-    listed = set(re.findall(r"^\| `(\w+)` \|", "".join(own), re.MULTILINE))
+    listed = set(re.findall(r"^\| \[?`(\w+)`", "".join(own), re.MULTILINE))
     schema = SCHEMA["properties"][section]
     if section == "axes":  # whose own environment and passivity are those of the sections of that name
         own_sections: dict[str, Any] = {"environment": {}, "passivity": {}}
@@ -59,7 +59,7 @@ def test_every_key_that_a_scene_may_have_is_in_its_section_of_the_page(section: 
 
 
 def test_every_key_of_the_page_is_explained_and_has_a_value() -> None:
-    rows = re.findall(r"^\| `(\w+)` \|(.*)\|$", CONFIGURATION, re.MULTILINE)
+    rows = re.findall(r"^\| \[?`(\w+)`[^|]* \|(.*)\|$", CONFIGURATION, re.MULTILINE)
     assert len(rows) > 250
     for name, cells in rows:
         _unit, value, _default, words = [cell.strip() for cell in re.split(r"(?<!\\)\|", cells)]
