@@ -1,6 +1,8 @@
 """What a release needs: metadata that agree, and files that their own schemas accept."""
 
+import argparse
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -8,6 +10,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+
+from canhaptic.cli.options import OPTIONS
 
 _PROJECT = tomllib.loads(Path("pyproject.toml").read_text())["project"]
 _SCHEMAS = {
@@ -34,6 +38,18 @@ def test_the_workflow_tests_every_python_of_the_metadata() -> None:
     named = {line.rsplit(" ", 1)[1] for line in _PROJECT["classifiers"] if "Python :: 3." in line}
     assert set(linux["strategy"]["matrix"]["python"]) == named
     assert {"run": "make test"} in linux["steps"]
+
+
+def test_the_commands_of_the_workflows_have_options_that_exist() -> None:
+    """They have never run, so that nothing else would notice."""
+    jobs = [job for file in _SCHEMAS["github-workflows"] for job in yaml.safe_load(file.read_text())["jobs"].values()]
+    lines = [line for job in jobs for step in job["steps"] for line in step.get("run", "").splitlines()]
+    found = [shlex.split(line.rstrip("& ")) for line in lines if re.match(r"(\S*/)?canhaptic ", line)]
+    assert len(found) > 6
+    for _, command, *words in found:
+        parser = argparse.ArgumentParser()
+        OPTIONS[command](parser)
+        parser.parse_args(words)
 
 
 def test_every_hook_before_a_commit_is_a_command_of_make_test() -> None:
