@@ -81,15 +81,13 @@ def value_at(place: str) -> float | str:
 
 
 def _inside(node: Any, part: str) -> Iterator[Any]:
-    """Yields what a part of a place names: a key, or rows of a benchmark."""
-    if not isinstance(node, dict):
-        return
-    if part in node:
+    """Yields what a part of a place names: a key, rows of a benchmark, or faults of a list."""
+    if isinstance(node, dict) and part in node:
         yield node[part]
         return
     row_name, _, peer = part.partition("~")
-    for row in node.get("rows", ()):
-        if _named(row.get("row"), row_name) and (not peer or _named(row.get("peer"), peer)):
+    for row in node.get("rows", ()) if isinstance(node, dict) else node if isinstance(node, list) else ():
+        if _named(row.get("row", row.get("fault")), row_name) and (not peer or _named(row.get("peer"), peer)):
             yield row
 
 

@@ -1,10 +1,11 @@
 """Writes docs/safety_case.md from tools/safety_case.yaml: `python -m tools.make_safety_case`.
 
-A row names the tests that fail when its control is taken away. One that names no test, or one that is not in the test
-tree, is an error: what no test covers is no control.
+A row names the tests that fail when its control is taken away. One that names no test, one that is not in the test
+tree, or one that is skipped or may fail is an error: what no test covers is no control.
 """
 
 import ast
+import re
 import sys
 from functools import cache
 from pathlib import Path
@@ -26,6 +27,8 @@ when the control is taken away, and the last measured figure. [Safety](safety.md
 provide; this page is evidence for a risk assessment and does not replace it. Tests with (slow) run in `make test-all`,
 all others in `make test`. The page is made from `tools/safety_case.yaml` by `python -m tools.make_safety_case`.
 """
+_MARK: Final = re.compile(r"pytest\.mark\.(\w+)")
+_MAY_NOT_PASS: Final = {"skip", "skipif", "xfail"}
 _HEADINGS: Final = ("cause", "control", "tests", "last figure", "left to you")
 
 
@@ -39,7 +42,7 @@ def page() -> str:
     """Returns the text of the page.
 
     Raises:
-        InputError: A row names no test, or one that does not exist, or a figure that was not measured.
+        InputError: A row names no test, one that does not exist or need not pass, or a figure that was not measured.
     """
     lines = [_INTRODUCTION]
     for hazard in hazards():
@@ -63,20 +66,21 @@ def _test(name: str) -> str:
     functions = _functions(file)
     if function not in functions:
         raise InputError(f"{SOURCE.name}: no test {name!r} in tests/; name the one that holds this control")
-    return (
-        f"{function.removeprefix('test_').replace('_', ' ')}{' (slow)' if functions[function] else ''} (`tests/{file}`)"
-    )
+    if found := functions[function] & _MAY_NOT_PASS:
+        raise InputError(f"{SOURCE.name}: {name!r} is marked {', '.join(sorted(found))}; name one that must pass")
+    slow = " (slow)" if "slow" in functions[function] else ""
+    return f"{function.removeprefix('test_').replace('_', ' ')}{slow} (`tests/{file}`)"
 
 
 @cache
-def _functions(file: str) -> dict[str, bool]:
-    """Returns the tests of a file, each with whether it is slow."""
+def _functions(file: str) -> dict[str, set[str]]:
+    """Returns the tests of a file, each with the names of its marks."""
     path = ROOT / "tests" / file
     if not path.is_file():
         raise InputError(f"{SOURCE.name}: there is no tests/{file}")
     tree = ast.parse(path.read_text(encoding="utf-8"))
     return {
-        node.name: any(ast.unparse(each) == "pytest.mark.slow" for each in node.decorator_list)
+        node.name: {mark[1] for each in node.decorator_list if (mark := _MARK.match(ast.unparse(each)))}
         for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef)
     }
