@@ -13,7 +13,8 @@ import yaml
 
 from canhaptic.cli.options import OPTIONS
 
-_PROJECT = tomllib.loads(Path("pyproject.toml").read_text())["project"]
+_METADATA = tomllib.loads(Path("pyproject.toml").read_text())
+_PROJECT = _METADATA["project"]
 _SCHEMAS = {
     "github-workflows": sorted(Path(".github/workflows").glob("*.yml")),
     "github-issue-forms": sorted(
@@ -30,6 +31,17 @@ def test_the_citation_names_the_version_and_the_licence_of_the_package() -> None
     assert citation["version"] == _PROJECT["version"]
     assert citation["license"] == _PROJECT["license"]
     assert citation["authors"] == _PROJECT["authors"]
+
+
+def test_the_wheel_takes_every_folder_of_scenes_and_dictionaries_along() -> None:
+    """A folder that is not named is left out without a word."""
+    files = [
+        file for folder in ("configs", "eds") for file in Path(folder).rglob("*") if file.suffix in (".yaml", ".eds")
+    ]
+    expected = {
+        f"share/canhaptic/{file.parent.as_posix()}": [f"{file.parent.as_posix()}/*{file.suffix}"] for file in files
+    }
+    assert _METADATA["tool"]["setuptools"]["data-files"] == expected
 
 
 def test_the_workflow_tests_every_python_of_the_metadata() -> None:
