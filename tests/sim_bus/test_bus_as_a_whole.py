@@ -55,6 +55,27 @@ def test_a_frozen_wire_lets_the_burst_through_one_by_one() -> None:
         assert [after - before for before, after in itertools.pairwise(times)] == [95 * US, 95 * US]
 
 
+@pytest.mark.parametrize("wire_time", [False, True])
+def test_a_frozen_bus_carries_no_frame_of_another_device_either(wire_time: bool) -> None:
+    with Bench(freeze=[{"begin": 0.01, "duration": 4e-3}], foreign_rate=2e4, wire_time=wire_time) as bench:
+        bench.master.send(frame(0x080))
+        heard = [time for time, _, _ in bench.until(20 * MS)]
+        begun = 10 * MS + 135 * US * wire_time
+        assert not any(begun < time < 14 * MS for time in heard)
+        burst = heard.count(14 * MS)
+        assert burst == 0 if wire_time else burst > 40  # on a wire they come one by one
+
+
+def test_with_the_bus_off_frames_of_other_devices_are_lost_too() -> None:
+    with Bench(bus_off=[{"duration": 1.0}], foreign_rate=1000.0) as bench:
+        with pytest.raises(can.CanOperationError, match="bus-off"):
+            bench.master.send(frame(0x080))
+        assert bench.until(100 * MS) == []
+        lost = len(bench.ear.heard)
+        assert lost > 50
+        assert bench.master.totals()["bus_off"] == {"to_drive": 1, "to_master": lost}
+
+
 def test_a_stalled_master_sleeps_while_the_drives_live_on() -> None:
     with Bench(answer=b"\1", stall=[{"begin": 0.105, "duration": 50e-3}]) as bench:
         bench.sync()

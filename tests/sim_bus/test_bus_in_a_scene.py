@@ -142,4 +142,4 @@ def test_windows_are_found_to_the_nanosecond() -> None:
     assert schedule.end(1_500_000_000) == 0
     assert schedule.end(7 * second) == 7_500_000_000
     assert schedule.end(11_200_000_000) == 11_500_000_000  # the longer of two that overlap
-    assert schedule.end(10_300_000_000) == 11_250_000_000
+    assert schedule.end(10_300_000_000) == 11_500_000_000  # 11.25 s lies in the other

@@ -124,12 +124,12 @@ class Schedule:
         )
 
     def end(self, time: int) -> int:
-        """Returns when the window that `time` [ns] lies in ends [ns]; 0 when it lies in none."""
-        latest = 0
-        for begin, duration, every in self._windows:
-            since = time - begin
+        """Returns when the window that `time` [ns] lies in ends [ns], with those that follow it at once; 0 in none."""
+        latest = time
+        for begin, duration, every in self._windows * len(self._windows):  # any of them may follow any other
+            since = latest - begin
             if since >= 0 and every:
                 since %= every
             if 0 <= since < duration:
-                latest = max(latest, time - since + duration)
-        return latest
+                latest += duration - since
+        return latest if latest > time else 0

@@ -47,18 +47,26 @@ class Wire:
         self._number += 1
         heapq.heappush(self._waiting, (message.arbitration_id, self._number, message, deliver))
 
-    def run(self, now: int) -> None:
-        """Ends the frame whose time is over and begins the next; called at `next_due` and after each request."""
+    def run(self, now: int, frozen_until: int) -> None:
+        """Ends the frame whose time is over and begins the next; called at `next_due` and after each request.
+
+        Args:
+            now: Time [ns].
+            frozen_until: When a freeze ends before which no frame begins [ns]; not later than `now` without one.
+        """
         if self._current is not None and self._end <= now:
             (message, deliver), self._current, self._end = self._current, None, NEVER
             deliver(message, now)
         if self._current is None and self._waiting:
+            if frozen_until > now:
+                self._end = frozen_until
+                return
             _, _, message, deliver = heapq.heappop(self._waiting)
             self._current = (message, deliver)
             self._end = now + -(-_worst_case_bits(len(message.data)) * _SECOND // self._bitrate)
 
     def next_due(self) -> int:
-        """Returns when the frame on the wire ends [ns]."""
+        """Returns when the frame on the wire, or a freeze, ends [ns]."""
         return self._end
 
 
@@ -72,11 +80,13 @@ class Foreign:
     def __init__(self, effects: BusEffects, seed: int) -> None:
         self._rate, self._ids = effects.foreign_rate, itertools.cycle(effects.foreign_ids)
         self._random = stream(seed, "both", "foreign")
+        self._freeze = Schedule(effects.freeze)
+        self._epoch = self._asked = 0  # begin, and when the next frame would like to be sent [ns]
         self.due = NEVER
 
     def begin(self, now: int) -> None:
         """Starts at `now` [ns]."""
-        self.due = now
+        self._epoch = self._asked = now
         self._schedule()
 
     def take(self) -> can.Message:
@@ -86,7 +96,8 @@ class Foreign:
         return can.Message(arbitration_id=next(self._ids), is_extended_id=False, data=data)
 
     def _schedule(self) -> None:
-        self.due += max(1, round(self._random.expovariate(self._rate) * _SECOND))
+        self._asked += max(1, round(self._random.expovariate(self._rate) * _SECOND))
+        self.due = max(self._asked, self._epoch + self._freeze.end(self._asked - self._epoch))
 
 
 class BusSegment:
@@ -116,7 +127,7 @@ class BusSegment:
         self._effects = frame_effects(effects, direction, seed, count)
         self._ids: Container[int] = range(0x800) if effects.ids is None else frozenset(effects.ids)
         self._during = Schedule(effects.during) if effects.during else None
-        self._freeze = Schedule(effects.freeze) if effects.freeze else None
+        self._freeze = Schedule(effects.freeze)
         self._deliver: _Delivery = deliver if wire is None else lambda m, _now: wire.request(m, deliver)
         self._queue: list[tuple[int, int, can.Message]] = []
         self._number = 0
@@ -133,9 +144,7 @@ class BusSegment:
             for effect in self._effects:
                 flights = [result for flight in flights for result in effect.apply(flight)]
         for flight in flights:
-            due = flight.due
-            if self._freeze is not None:
-                due = max(due, self._freeze.end(due - epoch) + epoch)
+            due = max(flight.due, self._freeze.end(flight.due - epoch) + epoch)
             self._enter(flight.message, due, keeps_order=flight.keeps_order)
 
     def pass_through(self, message: can.Message, now: int) -> None:

@@ -62,7 +62,7 @@ class FaultyBus(can.BusABC):
         self._incoming = BusSegment(effects, self._in, seed, self.counts, self._wire, self._hand_in)
         self._refuse = Refuse(effects, seed) if effects.refuse and is_master and effects.suffers(self._out) else None
         self._stall = Schedule(effects.stall) if effects.stall and is_master else None
-        self._bus_off = Schedule(effects.bus_off) if effects.bus_off else None
+        self._bus_off, self._freeze = Schedule(effects.bus_off), Schedule(effects.freeze)
         self._foreign = Foreign(effects, seed) if effects.foreign_rate else None
         self._foreign_times = Schedule(effects.during) if effects.during else None
         self._begins_at_once = effects.bring_up
@@ -139,7 +139,8 @@ class FaultyBus(can.BusABC):
             self._outgoing.run(due)
             self._incoming.run(due)
             if self._wire is not None:
-                self._wire.run(due)
+                epoch = self._epoch or 0
+                self._wire.run(due, self._freeze.end(due - epoch) + epoch if self._epoch is not None else 0)
 
     def collect(self, now: int) -> None:
         """Takes over what the connection has received up to `now` [ns]."""
@@ -184,7 +185,7 @@ class FaultyBus(can.BusABC):
 
     def _require_working(self, cob_id: int, time: int) -> None:
         """Raises what a real interface raises when it cannot send at `time` [ns] after the begin."""
-        if self._bus_off is not None and self._bus_off.end(time):
+        if self._bus_off.end(time):
             self.counts["bus_off", self._out, cob_id] += 1
             raise can.CanOperationError("bus-off: the controller takes no part in the bus")
         if self._refuse is not None and self._outgoing.suffers(cob_id, time) and self._refuse.happens():
@@ -195,7 +196,7 @@ class FaultyBus(can.BusABC):
         epoch = self._begin(message, now)
         if epoch is None:
             self._incoming.pass_through(message, now)
-        elif self._bus_off is not None and self._bus_off.end(now - epoch):
+        elif self._bus_off.end(now - epoch):
             self.counts["bus_off", self._in, message.arbitration_id] += 1
         else:
             self._incoming.push(message, now, epoch)
@@ -207,14 +208,18 @@ class FaultyBus(can.BusABC):
         self._ready.append(message)
 
     def _let_in(self, message: can.Message, now: int) -> None:
-        """Lets a frame of another device reach both sides."""
+        """Lets a frame of another device reach the far side, and this one unless its bus is off."""
+        epoch = self._epoch or 0
 
         def deliver(frame: can.Message, now: int) -> None:
             self.counts["foreign", "both", frame.arbitration_id] += 1
             self._bus.send(frame)
-            self._ready.append(copy.copy(frame))
+            if self._bus_off.end(now - epoch):
+                self.counts["bus_off", self._in, frame.arbitration_id] += 1
+            else:
+                self._ready.append(copy.copy(frame))
 
-        if self._foreign_times is not None and not self._foreign_times.end(now - (self._epoch or 0)):
+        if self._foreign_times is not None and not self._foreign_times.end(now - epoch):
             return
         if self._wire is None:
             deliver(message, now)
