@@ -81,11 +81,8 @@ def _live(far_ends: Sequence[tuple[can.BusABC, DriveGroup]], duration: float | N
         except (can.CanError, OSError) as error:
             raise LinkError(f"the bus cannot be read: {error}; check cable and interface") from error
         now = clock.now()
-        if message is not None:
-            for drive in far_ends[place][1].drives:
-                drive.take(message, now)
-        for _, group in far_ends:
-            group.process(now)
+        for number, (_, group) in enumerate(far_ends):
+            group.process(now, message if number == place else None)
 
 
 def _wait_on(clock: WallClock, buses: Sequence[can.BusABC]) -> Callable[[int], tuple[int, can.Message | None]]:

@@ -25,7 +25,7 @@ def drive_in_fault(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def build_faulty(*arguments: Any) -> SimulatedDrive:
         drive = original(*arguments)
-        drive.process(0)
+        drive.wake(0)
         drive.inject_fault(0x3210)
         return drive
 

@@ -16,6 +16,7 @@ from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.signals import PlantEnergy
+from canhaptic.sim.drive.can.drive_group import DriveGroup
 from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 
@@ -192,7 +193,8 @@ def make_bench(
         )
         for a, connection in zip(axes, buses[1:], strict=True)
     ]
-    clock = VirtualClock([] if absent else simulated)
+    far_sides = [DriveGroup(connection, (drive,)) for connection, drive in zip(buses[1:], simulated, strict=True)]
+    clock = VirtualClock([] if absent else far_sides)
     frames: list[tuple[int, int, bytes, bool]] = []
     tampered = TamperedBus(buses[0])
     link = Link(

@@ -12,6 +12,7 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
+from canhaptic.sim.drive.can.drive_group import DriveGroup
 from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.drive.profile.state_machine import DriveState
@@ -211,7 +212,7 @@ def test_a_rig_in_real_time_never_sends_syncs_in_a_burst(pair: tuple[can.BusABC,
         if can_id == 0x080:
             syncs.append(timestamp)
 
-    clock = WallClock([drive])
+    clock = WallClock([DriveGroup(pair[1], (drive,))])
     link = Link(pair[0], clock, record)
     rig = Rig(link, [ServoDrive(link, of_axis, dictionary(of_axis), parameters)], parameters)
     with rig:

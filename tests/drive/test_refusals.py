@@ -35,7 +35,7 @@ def test_an_absent_drive_is_named_with_what_to_check(bench: MakeBench) -> None:
 
 def test_a_drive_in_fault_is_refused_with_its_error_code(bench: MakeBench) -> None:
     b = bench()
-    b.drives[0].process(0)
+    b.drives[0].wake(0)
     b.drives[0].inject_fault(0x3210)
     refuse(b, "drive state", "FAULT", "0x3210")
     assert b.drives[0].state is DriveState.FAULT
@@ -43,7 +43,7 @@ def test_a_drive_in_fault_is_refused_with_its_error_code(bench: MakeBench) -> No
 
 def test_a_fault_is_reset_only_when_the_configuration_says_so(bench: MakeBench) -> None:
     b = bench([axis(reset_fault=True)])
-    b.drives[0].process(0)
+    b.drives[0].wake(0)
     b.drives[0].inject_fault(0x3210)
     before = b.clock.now()
     b.rig.start()

@@ -11,6 +11,7 @@ from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import BusBudgetError, LinkError
+from canhaptic.sim.drive.can.drive_group import DriveGroup
 from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.drive.profile.state_machine import DriveState
@@ -42,7 +43,8 @@ class Buses:
             )
             for number, a in enumerate(axes)
         ]
-        self.clock = VirtualClock(self.simulated)
+        far_sides = zip(self.buses, self.simulated, strict=True)
+        self.clock = VirtualClock([DriveGroup(bus, (drive,)) for bus, drive in far_sides])
         self.links = [Link(self.connect(channel), self.clock) for channel in channels]
         drives = [
             ServoDrive(self.links[number // per_bus], a, dictionary(a), parameters) for number, a in enumerate(axes)

@@ -81,7 +81,7 @@ def test_a_drive_that_never_indicates_the_size_of_an_answer_is_brought_up(bench:
 
 def test_a_drive_in_nmt_stopped_is_brought_up(bench: MakeBench) -> None:
     b = bench()
-    b.drives[0].process(0)
+    b.drives[0].wake(0)
     b.buses[0].send(can.Message(arbitration_id=0x000, is_extended_id=False, data=b"\x02\x05"))
     b.rig.start()
     assert b.drives[0].state is DriveState.OPERATION_ENABLED

@@ -8,6 +8,7 @@ import can
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.signals import PlantEnergy
+from canhaptic.sim.drive.can.drive_group import DriveGroup
 from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 
@@ -67,6 +68,7 @@ class Rig:
             SimulatedDriveParameters(**values),
             PERIOD,
         )
+        self.group = DriveGroup(self._drive_bus, (self.drive,))
         self.now = 0
 
     def close(self) -> None:
@@ -85,12 +87,12 @@ class Rig:
         frames: list[Frame] = []
         to = self.now if to is None else to
         while True:
-            self.drive.process(self.now)
+            self.group.process(self.now)
             while (message := self.bus.recv(0)) is not None:
                 frames.append((message.arbitration_id, bytes(message.data).hex(" ")))
             if self.now >= to:
                 return frames
-            self.now = max(self.now, min(to, self.drive.next_due()))
+            self.now = max(self.now, min(to, self.group.next_due()))
 
     def send(self, cob_id: int, content: str = "") -> list[Frame]:
         """Sends bytes in hexadecimal; returns what the drive sent in answer."""

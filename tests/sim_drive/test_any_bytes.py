@@ -1,6 +1,5 @@
 """For all bytes that arrive, the drive neither raises nor makes torque outside OPERATION ENABLED."""
 
-import math
 
 import can
 from hypothesis import given, settings
@@ -31,11 +30,11 @@ def check(rig: Rig, frames: list[tuple[int, bytes, int]]) -> None:
     for cob_id, content, advance in frames:
         rig.now += advance * PERIOD // 2
         rig.bus.send(can.Message(arbitration_id=cob_id, data=content, is_extended_id=False))
-        rig.drive.process(rig.now)
+        rig.group.process(rig.now)
         if rig.drive.state is not DriveState.OPERATION_ENABLED:
             assert rig.drive.torque == 0.0
         assert abs(rig.drive.torque) <= 32.768
-        assert rig.drive.next_due() > rig.now
+        assert rig.group.next_due() > rig.now
         while (message := rig.bus.recv(0)) is not None:
             assert len(message.data) <= 8
 
@@ -74,7 +73,7 @@ def test_extended_remote_and_error_frames_are_no_frames_for_the_drive(rig: Rig) 
         can.Message(arbitration_id=0x205, data=b"\x06\0\0\0", is_error_frame=True, is_extended_id=False),
     ):
         rig.bus.send(message)
-        rig.drive.process(rig.now)
+        rig.group.process(rig.now)
     assert rig.drive.state is DriveState.SWITCH_ON_DISABLED
 
 
@@ -91,33 +90,6 @@ def test_drives_of_a_group_share_one_connection() -> None:
             answers.append(message.arbitration_id)
         assert answers == [0x185, 0x186]
         assert group.next_due() > PERIOD
-
-
-def test_a_drive_of_a_group_follows_up_what_a_frame_did_to_it() -> None:
-    with Rig() as rig:
-        rig.enable()
-        group = DriveGroup(rig.drive._bus, (rig.drive,))
-        rig.bus.send(can.Message(arbitration_id=0x205, data=b"\2\0\0\0", is_extended_id=False))
-        group.process(rig.now)
-        assert rig.drive.state is DriveState.QUICK_STOP_ACTIVE
-        assert rig.now < group.next_due() < rig.now + 2 * PERIOD
-        group.process(rig.now + 2 * PERIOD)
-        assert rig.drive.state is DriveState.SWITCH_ON_DISABLED
-
-
-def test_a_drive_of_a_group_announces_at_once_what_a_frame_let_it_find_out() -> None:
-    with Rig() as rig:
-        rig.enable()
-        group = DriveGroup(rig.drive._bus, (rig.drive,))
-        rig.motor.position = math.nan
-        rig.bus.send(can.Message(arbitration_id=0x080, is_extended_id=False))
-        group.process(rig.now)
-        assert rig.drive.state is DriveState.FAULT_REACTION_ACTIVE
-        emergencies = []
-        while (message := rig.bus.recv(0)) is not None:
-            if message.arbitration_id == 0x085:
-                emergencies.append(bytes(message.data[:2]))
-        assert emergencies == [b"\x00\x73"]
 
 
 def test_bus_that_refuses_frames_is_counted_and_survived(rig: Rig) -> None:

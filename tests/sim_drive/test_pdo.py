@@ -1,5 +1,6 @@
 """PDO mapping rules, transmission types, and frames as literal bytes."""
 
+import can
 import pytest
 
 from tests.sim_drive.drive_on_bus import PERIOD, Rig
@@ -201,8 +202,8 @@ def test_limit_written_by_rpdo_takes_effect(rig: Rig) -> None:
 def test_frames_are_stamped_with_virtual_time(rig: Rig) -> None:
     rig.start()
     rig.now = 123 * PERIOD
-    rig.drive.process(rig.now)
-    rig.drive.inject_fault(0x2310)
+    rig.bus.send(can.Message(arbitration_id=0x080, is_extended_id=False))
+    rig.group.process(rig.now)
     message = rig.bus.recv(0)
     assert message is not None
     assert message.timestamp == pytest.approx(0.123, abs=1e-12)

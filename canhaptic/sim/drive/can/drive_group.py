@@ -43,23 +43,28 @@ class DriveGroup:
         for drive in self.drives:
             drive.on_routes_changed = self._hearers.clear
 
-    def process(self, now: int) -> None:
-        """Handles every frame waiting on the bus and every timer due up to `now` [ns]."""
+    def process(self, now: int, message: can.Message | None = None) -> None:
+        """Handles every frame waiting on the bus and every timer due up to `now` [ns].
+
+        Args:
+            now: Time [ns].
+            message: A frame that was received before; None where none was.
+        """
         while self._asleep:
             self._asleep.pop(0).wake(now)
         take, waiting = self._take, self._waiting
-        while waiting and (message := take()) is not None:
-            if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
-                continue
-            hearers = self._hearers.get(message.arbitration_id)
-            if hearers is None:
-                hearers = self._find_hearers(message.arbitration_id)
-            for drive, handler in hearers:
-                servo = drive.servo
-                servo.now = now
-                handler(message.data)
-                if servo.has_event or servo.fault_code:
-                    drive.follow_up()
+        while message is not None or (waiting and (message := take()) is not None):
+            if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
+                hearers = self._hearers.get(message.arbitration_id)
+                if hearers is None:
+                    hearers = self._find_hearers(message.arbitration_id)
+                for drive, handler in hearers:
+                    servo = drive.servo
+                    servo.now = now
+                    handler(message.data)
+                    if servo.has_event or servo.fault_code:
+                        drive.follow_up()
+            message = None
         for drive in self.drives:
             if now >= drive.timers.earliest:
                 drive.run_timers(now)

@@ -57,7 +57,7 @@ def _servo(store: ObjectStore, motor: Motor, parameters: SimulatedDriveParameter
 
 
 class SimulatedDrive:
-    """One CiA 402 servo drive with its motor, driven by the master's clock (a `SimulatedPeer`).
+    """One CiA 402 servo drive with its motor; a `DriveGroup` hands it frames and time.
 
     Args:
         bus: Its connection to the bus.
@@ -129,16 +129,7 @@ class SimulatedDrive:
         scales = display.force_per_count, display.force_offset_counts
         return SensorNode(display.force_node, *scales, servo.shown_force, self._send)
 
-    # --- the far side of the master's clock -------------------------------------------------------------------------
-
-    def process(self, now: int) -> None:
-        """Handles every frame waiting on the bus and every timer due up to `now` [ns]."""
-        receive = self._bus.recv
-        self.servo.now = now
-        self.wake(now)
-        while (message := receive(0)) is not None:
-            self.take(message, now)
-        self.run_timers(now)
+    # --- what a group of drives asks of each ------------------------------------------------------------------------
 
     def wake(self, now: int) -> None:
         """Powers the drive on if it is not yet; called before any frame is handled."""
@@ -152,26 +143,11 @@ class SimulatedDrive:
             self._build_routes()
         return self._routes.get(cob_id)
 
-    def take(self, message: can.Message, now: int) -> None:
-        """Handles one frame at `now` [ns]."""
-        if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
-            return
-        handler = self.handler(message.arbitration_id)
-        if handler is not None:
-            self.servo.now = now
-            handler(message.data)
-            self.follow_up()
-
     def run_timers(self, now: int) -> None:
         """Does what is due up to `now` [ns]."""
-        if now >= self.timers.earliest:
-            self.servo.now = now
-            self.timers.fire(now)
-            self.follow_up()
-
-    def next_due(self) -> int:
-        """Returns when the next timer is due [ns]."""
-        return self.timers.next_due()
+        self.servo.now = now
+        self.timers.fire(now)
+        self.follow_up()
 
     def truth(self) -> Truth:
         """Returns where the motor really is, and its energies, as of the last SYNC or change of torque."""
