@@ -53,6 +53,17 @@ def test_with_an_integral_it_pushes_and_is_then_taken_back() -> None:
     assert plant.position == pytest.approx(10.0 / 2e4, rel=0.01)
 
 
+def test_on_again_after_its_integral_was_full_it_integrates_from_nothing() -> None:
+    plant = plant_of(integral=2e4, limit=30.0)
+    for k in range(1, 4):
+        plant.advance_to(k * MS, 10.0)  # the integral of 200 N within one hold is cut at 30
+    plant.power(on=False)
+    plant.power(on=True)
+    before, place = plant.velocity, plant.state_names.index("loop_integral")
+    plant.advance_to(4 * MS, before + 1e-3)
+    assert plant.state[place] == pytest.approx(2e4 * 1e-3 * 1e-3, rel=0.2)
+
+
 @pytest.mark.parametrize(("own", "limit", "acts"), [(500.0, 30.0, 30.0), (20.0, 30.0, 20.0), (None, 30.0, None)])
 def test_a_limit_is_lowered_and_never_raised(own: float | None, limit: float, acts: float | None) -> None:
     plant = plant_of(limit=own)

@@ -266,6 +266,7 @@ class AdmittancePlant(Plant):
         self._machine.set_part_mode(_LOOP, "follows" if on else "off")
         if self._integral >= 0:
             self._machine.state[self._integral] = self._torque_offset
+            self._machine.set_part_mode(_INTEGRAL, "free")
         self._free_torque = self._passing if on and self._is_flat else -1.0
         self._hold = self._moves if on or not self._is_flat else self._free_hold
         self._pause, self._wait = self._tick, 1
@@ -318,20 +319,6 @@ class AdmittancePlant(Plant):
     def far_velocity(self) -> float:
         """True velocity of the mass behind the grip [m/s or rad/s]."""
         return self._machine.state.item(self._places[3])
-
-    @property
-    def impulse(self) -> float:
-        """Integral of that force since the start [N*s or N*m*s]."""
-        return self._machine.state.item(self._places[0])
-
-    @property
-    def reserve(self) -> float:
-        """What a hand can take from the drive at a command of zero: V = M v^2 / 2 + f_I^2 / 2k [J]."""
-        state, loop = self._machine.state, self.display.loop
-        kinetic = 0.5 * self.parameters.mass * state.item(1) ** 2
-        if self._integral < 0:
-            return kinetic
-        return kinetic + state.item(self._integral) ** 2 / (2.0 * loop.integral_gain)
 
     def read_force(self) -> float:
         """Returns what the sensor shows now; `ForceReading.take`."""
