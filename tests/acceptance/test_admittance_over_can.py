@@ -225,14 +225,23 @@ def test_a_force_sensor_has_one_source_and_a_place_in_its_frame(override: str, w
 
 
 def test_a_ramp_in_the_drive_slows_the_velocity_demanded() -> None:
-    demanded = []
+    demanded: list[float] = []
     with build(load_scene(SCENE, ["simulation.drive.display.ramp=1 m/s^2"])) as experiment:
         assert experiment.far_side is not None
         drive = experiment.far_side.drives[0]
-        run(experiment.cycle, 300, progress=lambda _: demanded.append(drive.servo.torque))
-        assert drive.store.entry(0x6083, 0x07).value == 0xFFFF_FFFF  # the start writes those that it can reach
+        profile, most = drive.store.entry(0x6083, 0x07), drive.store.entry(0x60C5, 0x07)
+
+        def look(_cycles: int) -> None:
+            demanded.append(drive.servo.torque)
+            if len(demanded) == 200:
+                assert profile.value == most.value == 0xFFFF_FFFF  # the start writes those that it can reach
+                profile.value, most.value = 0, 100_000  # counts/s^2; the one at 0 limits nothing, the other does
+
+        run(experiment.cycle, 300, progress=look)
     commands = [record.torques_per_mille[0] * 1e-6 for record in experiment.rig.records]
-    assert max(abs(b - a) for a, b in pairwise(demanded)) <= 1e-3 + 1e-12
+    steps = [abs(b - a) for a, b in pairwise(demanded)]
+    assert max(steps) <= 1e-3 + 1e-12
+    assert max(steps[200:]) == pytest.approx(1e-4)
     assert max(abs(b - a) for a, b in pairwise(commands)) > 3e-3
 
 

@@ -1,6 +1,5 @@
 """For all bytes that arrive, the drive neither raises nor makes torque outside OPERATION ENABLED."""
 
-
 import can
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -160,6 +160,8 @@ def test_position_and_velocity_can_be_read_by_sdo_before_nmt_start(rig: Rig) -> 
     rig.motor.position, rig.motor.velocity = 12e-6, -3e-6
     assert rig.read(0x6064) == "0c 00 00 00"
     assert rig.read(0x606C) == "fd ff ff ff"
+    rig.motor.velocity = math.nan
+    assert rig.read(0x606C) == "fd ff ff ff"  # a fault, and no other number in its place
 
 
 def test_velocity_is_sampled_when_a_tpdo_maps_it(rig: Rig) -> None:

@@ -73,6 +73,13 @@ def test_a_drive_without_rated_torque_shows_nothing() -> None:
     assert meter().counts(0, 1.0, 0.0) == 0
 
 
+@pytest.mark.parametrize("place", [math.nan, math.inf])
+def test_a_motor_that_has_diverged_has_no_torque(place: float) -> None:
+    diverged = Still()
+    diverged.position = place
+    assert meter(diverged, torque_ripple=0.05).counts(0, 1.0, 1e-3) == 0
+
+
 @pytest.mark.parametrize("lag", [0.2e-3, 1e-3])
 def test_in_a_scene_the_measured_torque_is_that_of_the_current_loop(lag: float) -> None:
     """One hold of torque c from rest ends at c (1 - exp(-T / lag)), by the solution of the loop's own equation."""

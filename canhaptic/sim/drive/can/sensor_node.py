@@ -98,7 +98,11 @@ class SensorNode:
         """Sends its value, modulo its bits: a running impulse wraps as a counter does, a force is cut before."""
         if self.state is not NmtState.OPERATIONAL:
             return
-        node, counts = self._node, round((self._read() - self._zero) / self._per_count + self._offset)
+        node = self._node
+        try:
+            counts = round((self._read() - self._zero) / self._per_count + self._offset)
+        except (ValueError, OverflowError):  # no number: the frame stays away
+            return
         size = node.bits // 8
         value = (counts % (1 << node.bits)).to_bytes(size, node.order)
         self._send(node.frame_id, bytes(node.first_byte) + value + bytes(node.frame_length - node.end))

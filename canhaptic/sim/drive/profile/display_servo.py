@@ -1,7 +1,7 @@
 """The power stage of a simulated drive in the cyclic modes 8 and 9, with a force sensor at its analog input. No bus.
 
 In mode 9 the velocity demanded follows the target along the ramps of the drive: once for each SYNC, by no more than the
-smaller of 0x6083 and 0x60C5 allows in that time, or of 0x6084 and 0x60C6 towards zero.
+smaller of 0x6083 and 0x60C5 allows in that time, or of 0x6084 and 0x60C6 towards zero; an object at 0 limits nothing.
 """
 
 from math import inf
@@ -24,7 +24,7 @@ from canhaptic.canopen.objects import (
 from canhaptic.errors import ParameterError
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters, parse_place
 from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
-from canhaptic.sim.drive.profile.servo import Motor, Servo
+from canhaptic.sim.drive.profile.servo import SENSOR_FAULT, Motor, Servo
 from canhaptic.sim.drive.profile.state_machine import STATUSWORD as STATUSWORDS
 from canhaptic.sim.drive.profile.state_machine import DriveState
 
@@ -157,10 +157,9 @@ class DisplayServo(Servo):
         wanted, before = target * self._per_velocity_count, self._ramped
         if wanted == before or not self._period:
             return wanted
-        counts = inf
-        for entry in self._speeding if abs(wanted) > abs(before) else self._slowing:
-            counts = min(counts, entry.value or 0)
-        most = min(counts * abs(self._per_velocity_count) if counts else inf, self._hidden_ramp) * self._period
+        ramps = self._speeding if abs(wanted) > abs(before) else self._slowing
+        counts = min((entry.value or inf for entry in ramps), default=inf)  # an object at 0 is no ramp
+        most = min(counts * abs(self._per_velocity_count), self._hidden_ramp) * self._period
         if abs(wanted - before) <= most:
             return wanted
         return before + (most if wanted > before else -most)
@@ -217,7 +216,11 @@ class DisplayServo(Servo):
         entry = self._force
         if entry is None:
             return
-        counts = round(self.motor.read_force() / self._per_count + self._force_offset)
+        try:
+            counts = round(self.motor.read_force() / self._per_count + self._force_offset)
+        except (ValueError, OverflowError):
+            self.fault_code = SENSOR_FAULT
+            return
         if not entry.low <= counts <= entry.high:
             counts = int(entry.low if counts < entry.low else entry.high)
         entry.value = counts

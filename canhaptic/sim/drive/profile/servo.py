@@ -28,12 +28,13 @@ from canhaptic.canopen.objects import (
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.drive.profile.drive_torque import TorqueStage
-from canhaptic.sim.drive.profile.object_store import ObjectStore
+from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
 from canhaptic.sim.drive.profile.state_machine import STATUSWORD as STATUSWORDS
 from canhaptic.sim.drive.profile.state_machine import DriveState, PowerCommand, StateMachine, command_of
 from canhaptic.sim.drive.profile.torque_meter import TorqueMeter
 
-_SENSOR_FAULT: Final = 0x7300  # error code of 0x603F: a position that is no number
+SENSOR_FAULT: Final = 0x7300
+"""Error code (0x603F) of a position, velocity or force that is no number."""
 _COUNTS: Final = 1 << 32  # 0x6064 and 0x606C are 32 bits wide and wrap, as an encoder counter does
 _HALF: Final = _COUNTS // 2
 _ENABLE_BIT: Final = 0x08  # of the controlword
@@ -244,9 +245,9 @@ class Servo:
             motor.begin(now)
             self.is_running = True
         self._moved_to = now
-        self._position.value = self._counts(motor.position if encoder is None else encoder(motor))
+        self._count(self._position, motor.position if encoder is None else encoder(motor))
         if self.measures_velocity:
-            self.velocity_entry.value = self._counts(motor.velocity)
+            self._count(self.velocity_entry, motor.velocity)
         self.show_torque()
 
     def show_torque(self) -> None:
@@ -260,8 +261,8 @@ class Servo:
         """Measures now, for an SDO upload or an event-driven TPDO."""
         self._move()
         motor, encoder = self.motor, self._read_encoder
-        self._position.value = self._counts(motor.position if encoder is None else encoder(motor))
-        self.velocity_entry.value = self._counts(motor.velocity)
+        self._count(self._position, motor.position if encoder is None else encoder(motor))
+        self._count(self.velocity_entry, motor.velocity)
         self.show_torque()
 
     def _move(self) -> None:
@@ -269,15 +270,14 @@ class Servo:
             self.motor.advance_to(self.now, self.torque)
             self._moved_to = self.now
 
-    def _counts(self, value: float) -> int:
+    def _count(self, entry: Entry, value: float) -> None:
+        """Shows a position or velocity in counts; one that is no number is a fault, and the object stays as it is."""
         try:
             counts = round(value * self._counts_per_unit) if self._rounds else math.floor(value * self._counts_per_unit)
         except (ValueError, OverflowError):
-            self.fault_code = _SENSOR_FAULT
-            return self._position.number
-        if -_HALF <= counts < _HALF:
-            return counts
-        return (counts + _HALF) % _COUNTS - _HALF
+            self.fault_code = SENSOR_FAULT
+            counts = entry.number
+        entry.value = counts if -_HALF <= counts < _HALF else (counts + _HALF) % _COUNTS - _HALF
 
     def _check_mode(self, mode: int) -> SdoAbort | None:
         """Refuses what 0x6502 does not list: mode m is its bit m - 1, and 0 is no mode. A drive without it has 10."""

@@ -20,7 +20,7 @@ class TorqueMeter:
     """Measures the torque of a motor.
 
     0x6077 = filter(motor torque) * (1 + ripple * sin(2 pi position / pitch)), the filter of first order and exact for a
-    torque since the last measurement. Without lag, ripple and current loop it is the demand itself.
+    torque that is constant since the last measurement. Without lag, ripple and current loop it is the demand itself.
 
     Args:
         motor: What is measured.
@@ -44,7 +44,7 @@ class TorqueMeter:
         self._filtered, self._measured_at = 0.0, 0
 
     def counts(self, now: int, held: float, quantum: float) -> int:
-        """Returns the torque measured at `now` [ns].
+        """Returns the torque measured at `now` [ns]; 0 without a rated torque, and where the torque is no number.
 
         Args:
             now: Time [ns], never before the last one.
@@ -56,8 +56,10 @@ class TorqueMeter:
             share = math.exp(-(now - self._measured_at) * 1e-9 / self._lag)
             torque = self._filtered = torque + (self._filtered - torque) * share
             self._measured_at = now
-        if self._ripple:
-            torque *= 1.0 + self._ripple * math.sin(self._wave_number * self._motor.position)
-        if not quantum:
+        try:
+            if self._ripple:
+                torque *= 1.0 + self._ripple * math.sin(self._wave_number * self._motor.position)
+            counts = round(torque / quantum)
+        except (ZeroDivisionError, ValueError, OverflowError):  # no rated torque, or a motor that has diverged
             return 0
-        return max(-_LARGEST - 1, min(_LARGEST, round(torque / quantum)))
+        return max(-_LARGEST - 1, min(_LARGEST, counts))

@@ -3,6 +3,7 @@
 States added: none. Exact. Energy: none. Typical: 1e-7..1e-4 m. Source: any incremental encoder.
 """
 
+import math
 from typing import Annotated, ClassVar, Literal
 
 from canhaptic.sim.plant.assembly import PlantModel
@@ -32,5 +33,5 @@ class _Steps:
         self._count = count
 
     def read(self, position: float, tick: int, seed: int) -> float:
-        """Returns the nearest count [m or rad]."""
-        return round(position / self._count) * self._count
+        """Returns the nearest count [m or rad]; a position that is no number stays none."""
+        return round(position / self._count) * self._count if math.isfinite(position) else position
