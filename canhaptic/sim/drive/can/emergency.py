@@ -28,7 +28,7 @@ _REGISTER_BITS: Final = {0x2: 1 << 1, 0x3: 1 << 2, 0x4: 1 << 3, 0x8: 1 << 4, 0xF
 
 
 class EmergencyProducer:
-    """Errors that are present, each announced once when it comes and when the last has gone.
+    """Errors that are present: one EMCY when an error comes, and EMCY 0x0000 when errors go.
 
     Args:
         store: The objects (0x1001, 0x1003, 0x1014, 0x603F are used).

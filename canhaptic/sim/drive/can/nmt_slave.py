@@ -112,7 +112,7 @@ class HeartbeatConsumer:
         self._on_lost()
 
     def _check(self, slot: int, value: int) -> SdoAbort | None:
-        """Refuses to watch one node twice (CiA 301, 7.5.2.13)."""
+        """Refuses to watch one node twice (CiA 301, 7.5.2.19)."""
         others = [entry.number >> 16 & 0x7F for i, (entry, _) in enumerate(self._slots) if i != slot and _time(entry)]
         is_twice = value & 0xFFFF and value >> 16 & 0x7F in others
         return SdoAbort.PARAMETER_INCOMPATIBLE if is_twice else None

@@ -1,4 +1,4 @@
-"""PDOs of the simulated drive: the rules of mapping (CiA 301, 7.5.2.33-38), and one precompiled codec per PDO."""
+"""PDOs of the simulated drive: the rules of mapping (CiA 301, 7.5.2.35-38), and one precompiled codec per PDO."""
 
 import struct
 from collections.abc import Callable, Sequence
@@ -57,8 +57,7 @@ class Pdo:
     def __init__(self, store: ObjectStore, number: int, is_transmit: bool, on_change: Callable[[], None]) -> None:
         communication = (TPDO_COMMUNICATION if is_transmit else RPDO_COMMUNICATION) + number
         mapping = (TPDO_MAPPING if is_transmit else RPDO_MAPPING) + number
-        self.number, self.is_transmit = number, is_transmit
-        self._store = store
+        self._store, self._is_transmit = store, is_transmit
         self._cob_id = _require(store.find(communication, 1))
         self._type = store.find(communication, 2)
         self._inhibit = store.find(communication, 3)
@@ -180,7 +179,7 @@ class Pdo:
         entry = self._object(value)
         if entry is None:
             return SdoAbort.NO_OBJECT
-        is_mappable = entry.transmittable if self.is_transmit else entry.receivable
+        is_mappable = entry.transmittable if self._is_transmit else entry.receivable
         is_whole = entry.code and 8 * entry.size == value & 0xFF
         return None if is_mappable and is_whole else SdoAbort.NOT_MAPPABLE
 

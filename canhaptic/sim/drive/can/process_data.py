@@ -68,7 +68,7 @@ class ProcessData:
         self._shows_next_torque = parameters.torque_read_back == "after_update"
         self._rpdos = find_pdos(store, is_transmit=False, on_change=on_change)
         self._tpdos = find_pdos(store, is_transmit=True, on_change=on_change)
-        self._pdo_timers = {pdo: timers.add(partial(self._time_out, pdo)) for pdo in self._rpdos}
+        self._pdo_timers = {pdo: timers.add(self._time_out) for pdo in self._rpdos}
         self._pdo_timers |= {pdo: timers.add(partial(self._send_by_timer, pdo)) for pdo in self._tpdos}
         self._sync_timer = timers.add(self._lose_sync)
         self._sync_cob_id = store.optional(SYNC_COB_ID, DataType.UNSIGNED32)
@@ -190,7 +190,7 @@ class ProcessData:
 
         return take  # a closure: a `partial` would send every frame through C and back
 
-    def _time_out(self, _pdo: Pdo, _due: int) -> None:
+    def _time_out(self, _due: int) -> None:
         self._on_loss(emcy.RPDO_TIMEOUT)
 
     # --- TPDO by events ---------------------------------------------------------------------------------------------

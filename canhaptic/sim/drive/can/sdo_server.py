@@ -97,7 +97,8 @@ class SdoServer:
         if not is_expedited:
             return self._begin_segmented(int.from_bytes(request[4:8], "little") if has_size else None)
         length = 4 - (request[0] >> 2 & 0x03) if has_size else self._expected_length()
-        return self._store_and_confirm(request[4 : 4 + length], 0x60)
+        abort = self._store.write(*self._place, request[4 : 4 + length])
+        return self._reply(0x60) if abort is None else self._abort(abort)
 
     def _expected_length(self) -> int:
         """Returns the length of an expedited download that does not tell it: the object's own."""
@@ -136,7 +137,3 @@ class SdoServer:
         if self._announced is not None and len(self._received) > self._announced:
             return SdoAbort.LENGTH_TOO_HIGH
         return SdoAbort.OUT_OF_MEMORY if len(self._received) > _MAX_DOWNLOAD else None
-
-    def _store_and_confirm(self, content: bytes, command: int) -> bytes:
-        abort = self._store.write(*self._place, content)
-        return self._reply(command) if abort is None else self._abort(abort)

@@ -237,9 +237,11 @@ class ObjectStore:
 
     def _fill_counts(self) -> None:
         """Gives subindex 0 of arrays and records its meaning (highest subindex) where the dictionary states none."""
-        for index in self._indices:
+        highest_of: dict[int, int] = {}
+        for index, subindex in self._entries:
+            highest_of[index] = max(subindex, highest_of.get(index, 0))
+        for index, highest in highest_of.items():
             count = self._entries.get((index, 0))
-            highest = max(subindex for i, subindex in self._entries if i == index)
             if count is None or count.initial is not None or highest == 0 or any(index in r for r in _COUNTING_OBJECTS):
                 continue
             count.initial = highest
