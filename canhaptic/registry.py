@@ -56,3 +56,9 @@ def nearest(name: str, names: Iterable[str]) -> str:
     """Returns `; did you mean 'stiffness'?` for the end of a message, or nothing when no name is near."""
     near = difflib.get_close_matches(name, list(names), n=1)
     return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def unknown_key(key: str, names: Iterable[str]) -> str:
+    """Returns what is said of a key that is none of the known ones: the nearest of them, or all."""
+    known = sorted(set(names))
+    return f"unknown key{nearest(key, known) or '; expected one of: ' + ', '.join(known)}"

@@ -14,13 +14,14 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Final, Self, TypeVar, cast, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo
-from pydantic_core import core_schema
+from pydantic_core import ErrorDetails, core_schema
 
 from canhaptic.axis_units import Motion
 from canhaptic.errors import ParameterError
+from canhaptic.registry import unknown_key
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass as _ModelMetaclass
@@ -59,6 +60,14 @@ _NUMBER_AND_UNIT: Final = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\
 _FACTOR: Final = re.compile(r"([*/]?)\s*([A-Za-z]+|1|%)(?:\^(-?\d))?\s*")
 
 
+_NUMBER_FAULTS: Final = {
+    *("greater_than", "greater_than_equal", "less_than", "less_than_equal", "finite_number", "float_type"),
+    *("float_parsing", "int_type", "int_parsing", "int_parsing_size", "int_from_float"),
+}
+"""Types of pydantic's errors for which the range of a quantity says more than pydantic."""
+_SHOULD: Final = re.compile(r"^\w+( is not| should (be|have))(?= )")
+_MORE: Final = re.compile(r", unable to .*| for <class .*")
+_SYMBOLS: Final = {"gt": "<", "ge": "<=", "lt": "<", "le": "<="}
 _LEAST, _MOST = 1e-30, 1e30
 """Magnitudes beyond which no quantity in SI means anything, and products and quotients leave the numbers."""
 
@@ -125,36 +134,52 @@ class Unit:
             return (self.linear,) if self.linear == self.rotary else (self.linear, self.rotary)
         return (self.linear if motion == "m" else self.rotary,)
 
+    def words(self, motion: Motion | None) -> str:
+        """Returns `[N/m]`, `[N/m or N*m/rad]`, or nothing for a pure number."""
+        accepted = self.accepted(motion)
+        return "" if accepted in {("1",), ("count",)} else f"[{' or '.join(accepted)}]"
+
     def read(self, value: object, motion: Motion | None = None) -> object:
         """Returns a number in SI from a number or a string with a unit; other types pass to the validator behind.
 
         Raises:
             ValueError: The string is no number, or its unit has another dimension.
         """
+        expected = f"expected {self.words(motion) or 'a number'}"
         if isinstance(value, bool):
-            raise ValueError("a truth value is not a number")
+            raise ValueError(f"a truth value is not a number; {expected}")
         if not isinstance(value, str):
             return value
-        match, accepted = _NUMBER_AND_UNIT.fullmatch(value), self.accepted(motion)
+        match = _NUMBER_AND_UNIT.fullmatch(value)
         if match is None:
-            raise ValueError(f"{value!r} is not a number with an optional unit [{' or '.join(accepted)}]")
+            raise ValueError(f"not a number with an optional unit; {expected}")
         number = float(match.group(1))
         if match.group(2) is None:
             return number
-        factor, dimension = parse_unit(match.group(2))
-        for unit in accepted:
-            expected_factor, expected = parse_unit(unit)
-            if dimension == expected:
+        try:
+            factor, dimension = parse_unit(match.group(2))
+        except ValueError as error:
+            raise ValueError(f"{error}; {expected}") from error
+        for unit in self.accepted(motion):
+            expected_factor, expected_dimension = parse_unit(unit)
+            if dimension == expected_dimension:
                 return number * (factor / expected_factor)
-        raise ValueError(f"unit {match.group(2)!r} does not fit; expected [{' or '.join(accepted)}]")
+        raise ValueError(f"unit {match.group(2)!r} does not fit; {expected}")
 
 
-class _Quantity:
+class Quantity:
     """Annotation of a number: reads units before pydantic, sets pydantic's own limits, tells the JSON schema."""
 
     def __init__(self, unit: Unit, limits: Mapping[str, float]) -> None:
         self.unit = unit
         self.limits = limits
+
+    def expected(self, name: str, motion: Motion | None = None) -> str:
+        """Returns `0 < stiffness <= 1e8 [N/m]`."""
+        low = next((f"{_short(self.limits[key])} {_SYMBOLS[key]} " for key in ("gt", "ge") if key in self.limits), "")
+        high = next((f" {_SYMBOLS[key]} {_short(self.limits[key])}" for key in ("lt", "le") if key in self.limits), "")
+        subject = f"{low}{name}{high}" if low or high else f"a finite number for {name}"
+        return f"{subject} {self.unit.words(motion)}".rstrip()
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         schema = handler(source)
@@ -177,6 +202,10 @@ class _Quantity:
         return {"anyOf": [schema, {"type": "string"}], "unit": unit}
 
 
+def _short(value: float) -> str:
+    return f"{value:g}".replace("e+0", "e").replace("e+", "e").replace("e-0", "e-")
+
+
 def quantity(linear: str, rotary: str | None = None, **limits: float) -> Any:
     """Returns the pydantic annotation of a finite number with a unit and limits.
 
@@ -185,7 +214,13 @@ def quantity(linear: str, rotary: str | None = None, **limits: float) -> Any:
         rotary: Unit on a rotary axis when it differs (`N*m/rad`).
         limits: Bounds in that unit: gt, ge, lt, le.
     """
-    return _Quantity(Unit(linear, rotary or linear), limits)
+    return Quantity(Unit(linear, rotary or linear), limits)
+
+
+Coordinates = tuple[Annotated[float, quantity("m", "rad")], ...]
+"""A point of task space, or a position of each axis [m or rad]."""
+Numbers = tuple[Annotated[float, quantity("1")], ...]
+"""Numbers of one row: a direction, or SI in a matrix."""
 
 
 class _ParametersMeta(_ModelMetaclass):
@@ -195,16 +230,53 @@ class _ParametersMeta(_ModelMetaclass):
         try:
             return super().__call__(*args, **values)
         except ValidationError as error:
-            raise ParameterError(_describe(self.__name__, error)) from error
+            raise ParameterError(_describe(cast("type[BaseModel]", self), error)) from error
 
 
-def _describe(owner: str, error: ValidationError) -> str:
+def _describe(model: type[BaseModel], error: ValidationError) -> str:
     """Returns one line per fault of a pydantic error: where, the value seen, what was expected."""
-    lines = []
-    for fault in error.errors():
-        path = ".".join(str(part) for part in fault["loc"]) or "value"
-        lines.append(f"{owner}.{path}: got {shown(fault.get('input'))}, {fault['msg'][:1].lower()}{fault['msg'][1:]}")
-    return "\n".join(lines)
+    return "\n".join(
+        f"{model.__name__}.{'.'.join(map(str, fault['loc'])) or 'value'}: {_described(model, fault)}"
+        for fault in error.errors()
+    )
+
+
+def _described(model: type[BaseModel], fault: ErrorDetails) -> str:
+    name, *below = fault["loc"] or ("",)
+    if fault["type"] == "extra_forbidden" and not below:
+        return unknown_key(str(name), model.model_fields)
+    field, expected = model.model_fields.get(str(name)), ""
+    if field is not None and all(isinstance(part, int) for part in below):
+        found = (part for part in parts_of((field.annotation, *field.metadata)) if isinstance(part, Quantity))
+        expected = next((part.expected(str(name)) for part in found), "")
+    return fault_text(fault, fault.get("input"), expected)
+
+
+def parts_of(annotation: object) -> Iterator[object]:
+    """Yields an annotation, or a tuple of such, and the types and annotations inside it."""
+    yield annotation
+    parts = annotation if isinstance(annotation, tuple) else get_args(annotation)
+    for part in (*parts, *getattr(annotation, "__metadata__", ())):
+        yield from parts_of(part)
+
+
+def fault_text(fault: ErrorDetails, seen: object, expected: str = "") -> str:
+    """Returns one fault of pydantic in words: the value seen and what was expected.
+
+    Args:
+        fault: From pydantic.
+        seen: The value as written.
+        expected: What it should be, as from `Quantity.expected`; empty where only pydantic says it.
+    """
+    kind = fault["type"]
+    if kind == "missing":
+        return f"missing{', expected ' + expected if expected else '; add it'}"
+    if kind == "value_error":
+        return f"got {shown(seen)}, {fault['ctx']['error']}"
+    if expected and kind in _NUMBER_FAULTS:
+        return f"got {shown(seen)}, expected {expected}"
+    message = _MORE.sub("", _SHOULD.sub("expected", fault["msg"])).replace("a valid boolean", "true or false")
+    return f"got {shown(seen)}, {message[:1].lower()}{message[1:]}"
 
 
 _LONGEST_SHOWN: Final = 200  # bits
@@ -249,9 +321,9 @@ PrintablePath = Annotated[Path, AfterValidator(_check_printable)]
 
 
 class Parameters(BaseModel, metaclass=_ParametersMeta):
-    """Base of every parameter model: frozen, unknown keys refused, defaults validated."""
+    """Base of every parameter model: frozen, finite numbers only, unknown keys refused, defaults validated."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
 
     @classmethod
     def validated(cls, values: Mapping[str, Any], motion: Motion | None = None) -> Self:
@@ -263,4 +335,4 @@ class Parameters(BaseModel, metaclass=_ParametersMeta):
         try:
             return cls.model_validate(values, context=UnitContext(motion))
         except ValidationError as error:
-            raise ParameterError(_describe(cls.__name__, error)) from error
+            raise ParameterError(_describe(cls, error)) from error

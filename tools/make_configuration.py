@@ -38,7 +38,7 @@ command line: `--set environment.stiffness="500 N/m"`, `--set axes.0.node_id=5`.
 _HEAD: Final = "| key | unit | value | default | |\n|---|---|---|---|---|"
 _LIMITS: Final = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
 _KINDS: Final = {"boolean": "`true`, `false`", "string": "text", "object": "mapping"}
-_MANY: Final = {"number": "numbers", "integer": "integers", "text": "texts", "keys": "mappings"}
+_MANY: Final = {"any": "numbers", "number": "numbers", "integer": "integers", "text": "texts", "keys": "mappings"}
 _ELSEWHERE: Final = ("axes[].environment", "axes[].passivity", "simulation.axes")
 """Keys whose own keys are those of another section."""
 
@@ -165,7 +165,8 @@ def _value(schema: Schema) -> tuple[str, str]:
         fixed = schema.get("prefixItems", ()) if "items" not in schema else ()
         unit, each = _value(fixed[0] if fixed else schema.get("items", {}))
         count = f"{len(fixed)} values" if fixed else "list"
-        return unit, f"{count} of {_MANY[each]}" if each in _MANY else f"{count}, each {each}" if each else count
+        many = f"{len(fixed) or 'list of'} {_MANY.get(each)}"
+        return unit, many if each in _MANY else f"{count}, each {each}" if each else count
     if "$ref" in schema or "properties" in schema:
         return "", "keys"
     kind = str(schema.get("format") or schema.get("type", ""))

@@ -7,6 +7,7 @@ from typing import Final
 from canhaptic.package_data import shipped
 from canhaptic.scene.diagnostics import Diagnostics
 from canhaptic.scene.document import MarkedMapping
+from canhaptic.units import shown
 
 _SHIPPED: Final = shipped("eds")
 
@@ -23,12 +24,12 @@ def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMappin
     at = section.value_at("eds")
     folders = (at.folder, _SHIPPED)
     for folder in folders:
-        if _is_file(folder / text):
+        if is_file(folder / text):
             found = section.copy()
             found.put("eds", str(folder / text), section.keys_at["eds"], at)
             return found
     looked = "" if Path(text).is_absolute() else f" in {' or '.join(str(folder) for folder in folders)}"
-    faults.add(at, f"got {text!r}, no such file{looked}; give the path of the drive's EDS or DCF")
+    faults.add(at, f"got {shown(text)}, no such file{looked}; give the path of the drive's EDS or DCF")
     return section
 
 
@@ -44,7 +45,8 @@ def path_for_scene(dictionary: Path, scene: Path | None) -> str:
     return os.path.relpath(dictionary.parent.resolve() / dictionary.name, scene.parent.resolve())
 
 
-def _is_file(path: Path) -> bool:
+def is_file(path: Path) -> bool:
+    """Returns whether there is a file of this path, also where the path is none that a system can have."""
     try:
         return path.is_file()
     except (OSError, ValueError):  # too long, or with a NUL

@@ -2,36 +2,22 @@
 
 import dataclasses
 import typing
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from canhaptic.axis_units import Motion
-from canhaptic.registry import nearest
+from canhaptic.registry import unknown_key
 from canhaptic.scene.components import READY, ComponentOf, OnDemand
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedList, MarkedMapping
-from canhaptic.units import Unit, shown
+from canhaptic.units import Quantity, fault_text, parts_of, shown
 
 NOTED: Final = object()
 """Replaces a value whose fault is noted already."""
 
-_SYMBOLS: Final = {"gt": "<", "ge": "<=", "lt": "<", "le": "<="}
-_NUMBER_FAULTS: Final = {
-    "greater_than",
-    "greater_than_equal",
-    "less_than",
-    "less_than_equal",
-    "finite_number",
-    "float_type",
-    "float_parsing",
-    "int_type",
-    "int_parsing",
-    "int_parsing_size",
-    "int_from_float",
-}
 _SHAPES: Final = {
     "model_type": "a mapping of keys and values",
     "dataclass_type": "a mapping of keys and values",
@@ -62,12 +48,7 @@ def refuse_unknown_keys(section: MarkedMapping, known: Iterable[str], faults: Di
     names = tuple(known)
     for key in section:
         if key not in names:
-            faults.add(section.keys_at[key], _unknown_key(key, names))
-
-
-def _unknown_key(key: str, names: Iterable[str]) -> str:
-    known = sorted(set(names))
-    return f"unknown key{nearest(key, known) or '; expected one of: ' + ', '.join(known)}"
+            faults.add(section.keys_at[key], unknown_key(key, names))
 
 
 def note_errors(model: type, section: MarkedMapping, error: ValidationError, faults: Diagnostics) -> None:
@@ -166,23 +147,15 @@ def _fields(owner: type | None) -> dict[str, object]:
     return {}
 
 
-def _inner(annotation: object) -> Iterator[object]:
-    """Yields an annotation, and the types and annotations inside it."""
-    yield annotation
-    parts = annotation if isinstance(annotation, tuple) else typing.get_args(annotation)
-    for part in (*parts, *getattr(annotation, "__metadata__", ())):
-        yield from _inner(part)
-
-
 def _named(annotation: object, kind: int | str) -> type[BaseModel] | None:
     """Returns the model of a union whose `type` this is."""
-    models = (part for part in _inner(annotation) if isinstance(part, type) and issubclass(part, BaseModel))
+    models = (part for part in parts_of(annotation) if isinstance(part, type) and issubclass(part, BaseModel))
     return next((m for m in models if "type" in m.model_fields and m.model_fields["type"].default == kind), None)
 
 
 def _model_in(annotation: object, section: MarkedMapping, owner: type | None) -> tuple[type | None, tuple[str, ...]]:
     """Returns the model of a section in a field of this annotation, `owner` where it has none; and further keys."""
-    for part in _inner(annotation):
+    for part in parts_of(annotation):
         if isinstance(part, ComponentOf):
             return part.model_of(section), (part.selector, *part.apart)
         if isinstance(part, OnDemand):
@@ -195,44 +168,22 @@ def _model_in(annotation: object, section: MarkedMapping, owner: type | None) ->
 def _note(found: _KeyLocation, fault: ErrorDetails, faults: Diagnostics) -> None:
     kind, value = fault["type"], found.value
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
-        faults.add(found.key_at, _unknown_key(found.name, found.names))
+        faults.add(found.key_at, unknown_key(found.name, found.names))
     elif kind == READY:
         faults.add(found.value_at, fault["msg"])
-    elif kind == "missing":
-        expected = _expected(found)
-        faults.add(found.value_at, f"missing{', expected ' + expected if expected else '; add it'}")
-    elif kind == "value_error":
-        seen = "" if isinstance(value, MarkedMapping) else f"got {shown(value)}, "  # the error names the key
-        faults.add(found.value_at, f"{seen}{fault['ctx']['error']}")
-    elif kind in _NUMBER_FAULTS and _expected(found):
-        faults.add(found.value_at, f"got {shown(value)}, expected {_expected(found)}")
+    elif kind == "value_error" and isinstance(value, MarkedMapping):
+        faults.add(found.value_at, str(fault["ctx"]["error"]))  # which names the key
     elif kind in _SHAPES:
         faults.add(found.value_at, f"got {shown(value)}, expected {_SHAPES[kind].format(name=found.name)}")
     else:
-        message = fault["msg"].replace("Input should be", "expected").split(", unable to parse")[0]
-        faults.add(found.value_at, f"got {shown(value)}, {message[:1].lower()}{message[1:]}")
+        faults.add(found.value_at, fault_text(fault, value, _expected(found)))
 
 
 def _expected(found: _KeyLocation) -> str:
     """Returns `0 < stiffness <= 1e8 [N/m]` for a number with a unit, what a component needs, else ``."""
-    for item in _inner(found.annotation):
+    for item in parts_of(found.annotation):
         if isinstance(item, ComponentOf):
             return item.expected
-        unit, limits = getattr(item, "unit", None), getattr(item, "limits", None)
-        if isinstance(unit, Unit) and isinstance(limits, dict):
-            return _range(found.name, limits, unit, found.motion)
+        if isinstance(item, Quantity):
+            return item.expected(found.name, found.motion)
     return ""
-
-
-def _range(name: str, limits: dict[str, float], unit: Unit, motion: Motion | None) -> str:
-    units = unit.accepted(motion)
-    low = next((f"{_number(limits[k])} {_SYMBOLS[k]} " for k in ("gt", "ge") if k in limits), "")
-    high = next((f" {_SYMBOLS[k]} {_number(limits[k])}" for k in ("lt", "le") if k in limits), "")
-    subject = f"{low}{name}{high}" if low or high else f"a number for {name}"
-    shown_units = [] if units in {("1",), ("count",)} else [f"[{' or '.join(units)}]"]
-    return " ".join([subject, *shown_units])
-
-
-def _number(value: float) -> str:
-    text = f"{value:g}"
-    return text.replace("e+0", "e").replace("e+", "e").replace("e-0", "e-")

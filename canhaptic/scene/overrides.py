@@ -11,15 +11,17 @@ from canhaptic.registry import nearest
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedList, MarkedMapping, parse_yaml
 from canhaptic.scene.old_names import path_now
+from canhaptic.units import shown
 
 _PATH: Final = re.compile(r'(?:"[^"]*"|[^".=]+)(?:\.(?:"[^"]*"|[^".=]+))*')
+_LONGEST: Final = 120  # characters of an override that a message shows
 _PART: Final = re.compile(r'"([^"]*)"|([^".=]+)')
 
 
 def apply_overrides(scene: MarkedMapping, overrides: Sequence[str], faults: Diagnostics) -> None:
     """Lays each override over the scene in place, later ones over earlier ones; faults name the override."""
     for text in overrides:
-        source = f"--set {text}"
+        source = f"--set {text if len(text) <= _LONGEST else text[: _LONGEST - 3] + '...'}"
         top = SourceLocation(source, 0, 0, ())
         address, equals, value_text = text.partition("=")
         if not equals or _PATH.fullmatch(address.strip()) is None:
@@ -27,8 +29,10 @@ def apply_overrides(scene: MarkedMapping, overrides: Sequence[str], faults: Diag
             continue
         typed = tuple(quoted or plain for quoted, plain in _PART.findall(address.strip()))
         path = path_now(typed, source)
+        before = len(faults)
         value = parse_yaml(value_text, source, faults, path, lined=False)
-        _put(scene, path, value, top._replace(path=path), faults)
+        if len(faults) == before:
+            _put(scene, path, value, top._replace(path=path), faults)
 
 
 def _put(container: Any, path: tuple[str, ...], value: Any, mark: SourceLocation, faults: Diagnostics) -> None:
@@ -64,6 +68,9 @@ def _index(entries: MarkedList, part: str, here: SourceLocation, faults: Diagnos
         return int(part)
     if part in names:
         return names.index(part)
-    hint = nearest(part, filter(None, names))
-    faults.add(here, f"got index {part!r}, expected 0 to {len(entries) - 1} or a name{hint}")
+    known = [name for name in names if name]
+    last = f" to {len(entries) - 1}" if len(entries) > 1 else ""
+    named = f" or a name: {', '.join(known)}" if known else ""
+    expected = f"0{last}{named}" if entries else "an index of a list that has entries"
+    faults.add(here, f"got index {shown(part)}, expected {expected}{nearest(part, known)}")
     return None

@@ -13,6 +13,7 @@ from canhaptic.errors import SceneError
 from canhaptic.package_data import shipped
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedMapping, parse_yaml
+from canhaptic.scene.eds_path import is_file
 from canhaptic.scene.explain import read_mapping, refuse_unknown_keys
 from canhaptic.units import shown
 
@@ -37,15 +38,11 @@ def with_profile(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
     own = section.without(_PROFILE_KEY)
     if name is None:
         return own
-    if not isinstance(name, str):
-        faults.add(
-            at, f"got {shown(name)}, expected the name of a drive profile, one of: {', '.join(_profile_names())}"
-        )
-        return own
-    path = _path(name, at)
+    path = _path(name, at) if isinstance(name, str) else None
     if path is None:
         names = ", ".join(_profile_names())
-        faults.add(at, f"got {name!r}, expected one of: {names}; or the path of a profile of your own (.yaml)")
+        text = f"got {shown(name)}, expected one of: {names}; or the path of a drive profile of your own (.yaml)"
+        faults.add(at, text)
         return own
     return own.over(_read(path, faults))
 
@@ -75,7 +72,7 @@ def _path(name: str, at: SourceLocation) -> Path | None:
     if not name.endswith((".yaml", ".yml")):
         return _PROFILES / f"{name}.yaml" if name in _profile_names() else None
     path = at.folder / name
-    return path if path.is_file() else None
+    return path if is_file(path) else None
 
 
 def _read(path: Path, faults: Diagnostics) -> MarkedMapping:

@@ -16,7 +16,7 @@ from canhaptic.scene.build import build
 from canhaptic.scene.hints import stability_hints
 from canhaptic.scene.load import load_scene, scene_from_mapping
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-from canhaptic.units import Parameters
+from canhaptic.units import Parameters, Quantity
 from tests.scene.scene_text import REPOSITORY, SCENE, SHIPPED_EDS, faults, scene_file
 
 CONFIGS = REPOSITORY / "configs"
@@ -173,7 +173,7 @@ def test_a_number_at_the_edge_of_floats_runs_or_is_a_fault(path: str, section: d
 def test_what_is_beyond_every_quantity_is_refused_by_every_model() -> None:
     for model in _models(Parameters):
         for name, field in model.model_fields.items():
-            unit = next((item for item in field.metadata if hasattr(item, "limits")), None)
+            unit = next((item for item in field.metadata if isinstance(item, Quantity)), None)
             for value in (1e-320, 1e308, 10**5000) if unit is not None else ():
                 with pytest.raises(ParameterError, match=rf"{name}: got "):
                     model.validated({name: value})

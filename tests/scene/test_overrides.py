@@ -36,8 +36,8 @@ def test_overrides_are_laid_over_in_order(tmp_path: Path) -> None:
         ("axes.0.node_id", "got no PATH=VALUE"),
         ("=5", "got no PATH=VALUE"),
         ("axes..x=5", "got no PATH=VALUE"),
-        ("axes.3.node_id=5", "axes.3: got index '3', expected 0 to 0 or a name"),
-        ("axes.hande.node_id=5", "axes.hande: got index 'hande', expected 0 to 0 or a name; did you mean 'handle'?"),
+        ("axes.3.node_id=5", "axes.3: got index '3', expected 0 or a name: handle"),
+        ("axes.hande.node_id=5", "axes.hande: got index 'hande', expected 0 or a name: handle; did you mean 'handle'?"),
         ("axes.-1.node_id=5", "axes.-1: got index '-1'"),
         ("axes.٣.node_id=5", "axes.٣: got index '٣'"),
         ("duration.x=5", "duration: got '1 s', which has no entry 'x'"),
@@ -52,6 +52,11 @@ def test_overrides_are_laid_over_in_order(tmp_path: Path) -> None:
 def test_a_fault_of_an_override_names_the_override(tmp_path: Path, override: str, expected: str) -> None:
     lines = faults(tmp_path, overrides=(override,))
     assert any(line.startswith(f"--set {override}: {expected}") for line in lines), "\n".join(lines)
+
+
+def test_an_override_that_is_not_yaml_is_one_short_fault(tmp_path: Path) -> None:
+    [line] = faults(tmp_path, overrides=("bus.rate=[1" + " " * 5000,))
+    assert len(line) < 300
 
 
 def test_a_dictionary_in_an_override_is_relative_to_the_current_folder(

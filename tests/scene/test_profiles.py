@@ -135,7 +135,9 @@ def test_a_profile_of_ones_own_lies_beside_the_scene(tmp_path: Path) -> None:
     [
         ("epos5", "axes.0.drive: got 'epos5', expected one of: copley, elmo_gold, epos4"),
         ("nowhere.yaml", "axes.0.drive: got 'nowhere.yaml', expected one of"),
-        ("[epos4]", "axes.0.drive: got a list, expected the name of a drive profile"),
+        (f"{'x' * 5000}.yaml", "axes.0.drive: got 'xxx"),  # longer than a path may be
+        ('"a\\0.yaml"', "axes.0.drive: got 'a\\x00.yaml', expected one of"),
+        ("[epos4]", "axes.0.drive: got a list, expected one of: copley"),
         ("../configs/demo", "axes.0.drive: got '../configs/demo', expected one of"),
     ],
 )

@@ -8,7 +8,7 @@ from pydantic import model_validator
 
 from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.errors import ParameterError
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import Coordinates, Parameters, quantity
 
 _Vector = list[float]
 
@@ -22,9 +22,9 @@ class GroupMass(Parameters):
     """Felt in every direction."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """To ground, in every direction."""
-    lower: tuple[float, ...] = ()
+    lower: Coordinates = ()
     """Walls below, one for each axis [m or rad]; empty: none."""
-    upper: tuple[float, ...] = ()
+    upper: Coordinates = ()
     """Walls above, one for each axis [m or rad]; empty: none."""
 
     @model_validator(mode="after")
@@ -80,7 +80,7 @@ class PathMass(GroupMass):
     Along the path the hand feels the mass, across it the drives stand still. A handle off the path is led back.
     """
 
-    points: tuple[tuple[float, ...], ...]
+    points: tuple[Coordinates, ...]
     """Corners [m or rad], two at least, one coordinate for each axis."""
     closed: bool = False
     """Whether the last point is joined to the first."""

@@ -8,7 +8,7 @@ from pydantic import model_validator
 from canhaptic.control.mechanisms.kinematics import Limit
 from canhaptic.control.mechanisms.workspace import FromMechanism, WorkspaceBox, check_box, is_outside, workspace_box
 from canhaptic.kernels import Buffer, Matrix
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import Coordinates, Parameters, quantity
 
 _WORKSPACE, _SINGULAR = Limit.WORKSPACE.value, Limit.SINGULAR.value
 
@@ -77,9 +77,9 @@ class FiveBar(FromMechanism, Parameters):
     """Side of the line from first to second elbow on which the handle is: left of it (up) or right."""
     least_sine: Annotated[float, quantity("1", gt=0.0, lt=1.0)] = 0.1
     """Least sine of the angle between the distal links, and between each distal link and its proximal one."""
-    workspace_lower: tuple[float, ...] | None = None
+    workspace_lower: Coordinates | None = None
     """Least task coordinates [m or rad] of the workspace, beyond which nothing is rendered; None: no such limit."""
-    workspace_upper: tuple[float, ...] | None = None
+    workspace_upper: Coordinates | None = None
     """Largest task coordinates [m or rad] of the workspace; None: no such limit."""
 
     @model_validator(mode="after")

@@ -8,14 +8,13 @@ from pydantic import model_validator
 from canhaptic.control.mechanisms.kinematics import Limit
 from canhaptic.control.mechanisms.workspace import (
     FromMechanism,
-    Rows,
     WorkspaceBox,
     check_box,
     is_outside,
     workspace_box,
 )
 from canhaptic.kernels import Buffer, Matrix
-from canhaptic.units import Parameters
+from canhaptic.units import Coordinates, Numbers, Parameters
 
 _LEAST_RATIO = 1e-6
 _WORKSPACE = Limit.WORKSPACE.value
@@ -42,13 +41,13 @@ class LinearMap(NamedTuple):
 class Transmission(FromMechanism, Parameters):
     """x = A q + offset."""
 
-    matrix: Rows
+    matrix: tuple[Numbers, ...]
     """A, one row for each task coordinate, one column for each motor axis [m/rad, m/m, ...]."""
-    offset: tuple[float, ...] | None = None
+    offset: Coordinates | None = None
     """Task coordinates at motor positions 0."""
-    workspace_lower: tuple[float, ...] | None = None
+    workspace_lower: Coordinates | None = None
     """Least task coordinates [m or rad] of the workspace, beyond which nothing is rendered; None: no such limit."""
-    workspace_upper: tuple[float, ...] | None = None
+    workspace_upper: Coordinates | None = None
     """Largest task coordinates [m or rad] of the workspace; None: no such limit."""
 
     @model_validator(mode="after")
@@ -56,8 +55,6 @@ class Transmission(FromMechanism, Parameters):
         rows = self.matrix
         if not rows or not rows[0] or any(len(row) != len(rows[0]) for row in rows):
             raise ValueError(f"matrix: got rows of {[len(row) for row in rows]} entries, expected rows of equal length")
-        if not np.all(np.isfinite(np.array(rows))):
-            raise ValueError("matrix: got an entry that is not finite, expected finite numbers")
         if len(rows) > len(rows[0]):
             raise ValueError(
                 f"matrix: got {len(rows)} task coordinates for {len(rows[0])} motor axes, expected at most as many; "

@@ -1,7 +1,6 @@
 """What mechanisms share: place and Jacobian from the pose, a workspace box, and the test of a Jacobian."""
 
 from collections.abc import Callable, Sequence
-from math import isnan
 from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
@@ -109,13 +108,11 @@ def check_box(lower: Sequence[float] | None, upper: Sequence[float] | None, dime
     """Checks the edges of a workspace.
 
     Raises:
-        ValueError: They have another dimension than task space, an entry that is NaN, or no inside.
+        ValueError: They have another dimension than task space, or no inside.
     """
     for name, edge in (("workspace_lower", lower), ("workspace_upper", upper)):
         if edge is not None and len(edge) != dimensions:
             raise ValueError(f"{name}: got {len(edge)} entries, expected {dimensions}")
-        if edge is not None and any(map(isnan, edge)):
-            raise ValueError(f"{name}: got {tuple(edge)}, expected numbers; without a limit leave {name} out")
     if lower is not None and upper is not None and any(low >= high for low, high in zip(lower, upper, strict=True)):
         raise ValueError(
             f"got workspace_lower {lower} not below workspace_upper {upper} everywhere, expected an inside"

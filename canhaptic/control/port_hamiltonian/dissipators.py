@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from canhaptic.control.port_hamiltonian.storages import symmetric_positive
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import Numbers, Parameters, quantity
 
 
 class Damper(Parameters):
@@ -44,7 +44,7 @@ class DampingMatrix(Parameters):
     """A viscous matrix on states or on ports: R or S of the model."""
 
     type: Literal["damping_matrix"] = "damping_matrix"
-    matrix: tuple[tuple[float, ...], ...]
+    matrix: tuple[Numbers, ...]
     """SI, symmetric and positive semidefinite."""
     states: tuple[int, ...] = ()
     """States of its rows; either these or `ports`."""

@@ -117,11 +117,14 @@ def test_every_named_mechanism_can_be_loaded(name):
         (lambda: Transmission(matrix=((1.0,),), offset=(1.0, 2.0)), "expected 1"),
         (lambda: Transmission(matrix=((1.0,),), workspace_lower=(0.0, 0.0)), "expected 1"),
         (lambda: Transmission(matrix=((1.0,),), workspace_lower=(1.0,), workspace_upper=(0.0,)), "expected an inside"),
-        (lambda: Transmission(matrix=((1.0,),), workspace_upper=(math.nan,)), "workspace_upper: got (nan,)"),
+        (
+            lambda: Transmission(matrix=((1.0,),), workspace_upper=(math.nan,)),
+            "workspace_upper.0: got nan, expected a finite number for workspace_upper [m or rad]",
+        ),
         (lambda: FiveBar(base=2.0, proximal=(0.1, 0.1), distal=(0.2, 0.2)), "expected < 0.6"),
-        (lambda: FiveBar(base=0.1, proximal=(0.1, -0.1), distal=(0.2, 0.2)), "greater than 0"),
-        (lambda: Planar2R(first=0.1, second=0.1, least_sine=0.0), "greater than 0"),
-        (lambda: Identity(axes=0), "greater than or equal to 1"),
+        (lambda: FiveBar(base=0.1, proximal=(0.1, -0.1), distal=(0.2, 0.2)), "expected 0 < proximal"),
+        (lambda: Planar2R(first=0.1, second=0.1, least_sine=0.0), "expected 0 < least_sine"),
+        (lambda: Identity(axes=0), "expected 1 <= axes"),
         (lambda: UserFunction(lambda q: (q[0] ** 2,), lambda q: ((q[0],),), (1.0,)), "off by"),
         (lambda: UserFunction(lambda q: (q[0],), lambda q: (q[0],), (1.0,)), "shape"),  # type: ignore[arg-type, return-value]
     ],

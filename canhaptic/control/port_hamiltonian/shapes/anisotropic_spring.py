@@ -1,21 +1,23 @@
 """A spring to a point of task space, with a stiffness and a damping matrix."""
 
+from typing import Annotated
+
 from pydantic import model_validator
 
 from canhaptic.control.port_hamiltonian.network import DampingMatrix, Network, QuadraticForm
 from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, check_length, identity_rows, linear_geometry
 from canhaptic.control.port_hamiltonian.storages import symmetric_positive
-from canhaptic.units import Parameters
+from canhaptic.units import Coordinates, Parameters, quantity
 
 
 class AnisotropicSpring(Parameters):
     """F = -K (p - centre) - D p'."""
 
-    centre: tuple[float, ...]
+    centre: Coordinates
     """Task coordinates [m or rad] where the spring is at rest."""
-    stiffness: tuple[tuple[float, ...], ...]
+    stiffness: tuple[tuple[Annotated[float, quantity("N/m", "N*m/rad")], ...], ...]
     """K, symmetric and positive semidefinite [N/m or N*m/rad]."""
-    damping: tuple[tuple[float, ...], ...] | None = None
+    damping: tuple[tuple[Annotated[float, quantity("N*s/m", "N*m*s/rad")], ...], ...] | None = None
     """D, symmetric and positive semidefinite [N*s/m or N*m*s/rad]."""
 
     @model_validator(mode="after")

@@ -14,14 +14,15 @@ from canhaptic.control.port_hamiltonian.shapes.geometry import (
 )
 from canhaptic.control.port_hamiltonian.shapes.surface import Surface
 from canhaptic.kernels import Buffer, Matrix
+from canhaptic.units import Coordinates
 
 
 class Box(Surface):
     """From `lower` to `upper` in every coordinate."""
 
-    lower: tuple[float, ...]
+    lower: Coordinates
     """Least task coordinates [m or rad] of the box."""
-    upper: tuple[float, ...]
+    upper: Coordinates
     """Largest task coordinates [m or rad]; each more than that of `lower`."""
     side: Literal["inside", "outside"] = "inside"
     """Where free space is."""

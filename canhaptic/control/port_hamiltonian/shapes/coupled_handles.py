@@ -5,7 +5,7 @@ from typing import Annotated
 from canhaptic.control.port_hamiltonian.network import Damper, Network, Spring
 from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, linear_geometry
 from canhaptic.errors import ParameterError
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import Coordinates, Parameters, quantity
 
 
 class CoupledHandles(Parameters):
@@ -22,7 +22,7 @@ class CoupledHandles(Parameters):
     """Damping coefficient between the handles."""
     scale: Annotated[float, quantity("1", gt=0.0, le=1e3)] = 1.0
     """Motion of the first handle over that of the second."""
-    offset: tuple[float, ...] | None = None
+    offset: Coordinates | None = None
     """p1 - scale p2 without force [m or rad]; None: zeros."""
 
     def build(self, dimensions: int) -> Rendered:

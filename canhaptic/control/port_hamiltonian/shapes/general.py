@@ -7,9 +7,9 @@ from canhaptic.control.port_hamiltonian.network import Network, check_rows
 from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, identity_rows, linear_geometry
 from canhaptic.control.port_hamiltonian.storages import Storage
 from canhaptic.errors import ParameterError
-from canhaptic.units import Parameters
+from canhaptic.units import Coordinates, Numbers, Parameters
 
-_Rows = tuple[tuple[float, ...], ...]
+_Rows = tuple[Numbers, ...]
 
 
 class General(Parameters):
@@ -27,7 +27,7 @@ class General(Parameters):
     """x(0) over the ports' first coordinates; None: walls where they are, masses at rest."""
     ports: _Rows | None = None
     """Rows of the ports over task space; None: its coordinates."""
-    offset: tuple[float, ...] | None = None
+    offset: Coordinates | None = None
     """Taken off the ports' coordinates; None: zeros."""
 
     @model_validator(mode="after")

@@ -10,13 +10,13 @@ from pydantic import model_validator
 from canhaptic.control.port_hamiltonian.network import Damper, Network, Spring
 from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, check_length
 from canhaptic.kernels import Buffer, Matrix
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import Coordinates, Parameters, quantity
 
 
 class GuidedPath(Parameters):
     """Straight pieces from point to point; nothing is felt within `width` of them."""
 
-    points: tuple[tuple[float, ...], ...]
+    points: tuple[Coordinates, ...]
     """Task coordinates [m or rad] of the corners, two at least."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
     """Stiffness of the spring towards the path."""

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from canhaptic.control.port_hamiltonian.shapes.geometry import Mover, Rendered, linear_geometry
 from canhaptic.control.port_hamiltonian.shapes.surface import Surface, unit_vector
-from canhaptic.units import quantity
+from canhaptic.units import Numbers, quantity
 
 
 class MovingWall(Surface):
@@ -15,9 +15,9 @@ class MovingWall(Surface):
     sum(h_i) >= 0 with the mover's energy in it.
     """
 
-    normal: tuple[float, ...]
+    normal: Numbers
     """Out of the material; its length does not matter."""
-    offset: float = 0.0
+    offset: Annotated[float, quantity("m", "rad")] = 0.0
     """Distance of the surface from the origin along the normal at rest [m or rad]."""
     amplitude: Annotated[float, quantity("m", "rad")]
     """Largest advance of the surface along the normal."""

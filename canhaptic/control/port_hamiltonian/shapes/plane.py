@@ -1,15 +1,18 @@
 """A flat wall in any direction."""
 
+from typing import Annotated
+
 from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, linear_geometry
 from canhaptic.control.port_hamiltonian.shapes.surface import Surface, unit_vector
+from canhaptic.units import Numbers, quantity
 
 
 class Plane(Surface):
     """Material where normal . p < offset."""
 
-    normal: tuple[float, ...]
+    normal: Numbers
     """Out of the material; its length does not matter."""
-    offset: float = 0.0
+    offset: Annotated[float, quantity("m", "rad")] = 0.0
     """Distance of the surface from the origin along the normal [m or rad]."""
 
     def build(self, dimensions: int) -> Rendered:

@@ -5,13 +5,13 @@ from typing import Annotated, Literal, NamedTuple
 from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, check_length
 from canhaptic.control.port_hamiltonian.shapes.surface import Surface, radial
 from canhaptic.kernels import Buffer, Matrix
-from canhaptic.units import quantity
+from canhaptic.units import Coordinates, quantity
 
 
 class Sphere(Surface):
     """Round in every coordinate of task space."""
 
-    centre: tuple[float, ...]
+    centre: Coordinates
     """Task coordinates [m or rad] of the centre."""
     radius: Annotated[float, quantity("m", "rad", gt=0.0)]
     """From the centre to the surface."""

@@ -6,15 +6,15 @@ from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, check_l
 from canhaptic.control.port_hamiltonian.shapes.surface import Surface, radial, unit_vector
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, Matrix
-from canhaptic.units import quantity
+from canhaptic.units import Coordinates, Numbers, quantity
 
 
 class Tube(Surface):
     """Around the line through `point` along `direction`; in a plane it is a channel."""
 
-    point: tuple[float, ...]
+    point: Coordinates
     """Any one point [m or rad] of the line."""
-    direction: tuple[float, ...]
+    direction: Numbers
     """Along the line; its length does not matter."""
     radius: Annotated[float, quantity("m", "rad", gt=0.0)]
     """From the line to the surface."""

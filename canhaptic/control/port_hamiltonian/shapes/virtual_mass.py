@@ -7,7 +7,7 @@ from pydantic import model_validator
 from canhaptic.control.port_hamiltonian.network import Damper, Mass, Network, Spring
 from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, check_length, identity_rows, linear_geometry
 from canhaptic.control.port_hamiltonian.storages import Storage
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import Coordinates, Parameters, quantity
 
 
 class VirtualMass(Parameters):
@@ -54,7 +54,7 @@ class VirtualMass(Parameters):
 class MassOnSpring(VirtualMass):
     """The same mass, held by a spring to a point of task space."""
 
-    anchor: tuple[float, ...]
+    anchor: Coordinates
     """Task coordinates [m or rad] of the point."""
     anchor_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
     """Stiffness of the spring between mass and point."""
