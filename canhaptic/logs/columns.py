@@ -51,6 +51,7 @@ class PortDescription(NamedTuple):
     name: str
     unit: Motion  # of its position
     state_unit: Motion | None = None  # of the storage's displacement; None: the same
+    commands_velocity: bool = False  # an admittance display: `torque_command` holds a velocity
 
 
 class _LogColumn(NamedTuple):
@@ -145,7 +146,7 @@ def _sample_columns(port: PortDescription) -> list[_LogColumn]:
 
 def _balance_columns(port: PortDescription) -> list[_LogColumn]:
     units = {
-        "torque": effort_unit(port.unit),
+        "torque": f"{port.unit}/s" if port.commands_velocity else effort_unit(port.unit),
         "damping_rendered": damping_unit(port.unit),
         "state": port.state_unit or port.unit,
         "branch": "1",

@@ -29,10 +29,14 @@ def open_energy_log(
     """
     from canhaptic.logs.energy_log import EnergyLogWriter
 
-    ports = [PortDescription(axis.parameters.name, axis.parameters.unit) for axis in scene.axes]
+    ports = [
+        PortDescription(given.name, given.unit, None, given.admittance is not None)
+        for given in (axis.parameters for axis in scene.axes)
+    ]
     for group in scene.groups:
-        motor_unit = scene.axis(group.axes[0]).parameters.unit
-        ports.append(PortDescription(group.name, motor_unit, task_unit(group.kinematics.name, motor_unit)))
+        motor = scene.axis(group.axes[0]).parameters
+        state_unit = task_unit(group.kinematics.name, motor.unit)
+        ports.append(PortDescription(group.name, motor.unit, state_unit, motor.admittance is not None))
     return EnergyLogWriter(
         path,
         ports,

@@ -51,7 +51,8 @@ class PortPanels:
         stairs: Whether every row is drawn.
 
     Attributes:
-        panels: Title -> panel, top to bottom; a group has no position, an axis of a group no energy.
+        panels: Title -> panel, top to bottom; a group has no position, an axis of a group no energy, and only an
+            admittance display a velocity.
     """
 
     def __init__(
@@ -69,6 +70,8 @@ class PortPanels:
         self.panels: dict[str, figure] = {}
         if not facts.is_group:
             self.panels["position"] = self._position()
+        if facts.is_display:
+            self.panels["velocity"] = self._velocity()
         self.panels["torque"] = self._torque()
         if not facts.is_member:
             self.panels |= {"energy": self._energy(), "surplus": self._surplus(), "damping": self._damping()}
@@ -110,10 +113,21 @@ class PortPanels:
     def _torque(self) -> figure:
         unit = self._facts.units["applied"]
         panel = self._panel("torque" if unit == "N*m" else "force", unit, 190)
-        self._line(panel, "command", "after", color=ORANGE, line_width=2.5, alpha=0.8, legend_label="commanded")
-        self._line(panel, "applied", "before", color=BLUE, line_width=1.2, legend_label="applied")
+        label, values = "on the hand" if self._facts.is_display else "applied", {"applied": ("applied", unit)}
+        if not self._facts.is_display:
+            self._line(panel, "command", "after", color=ORANGE, line_width=2.5, alpha=0.8, legend_label="commanded")
+            values["commanded"] = ("command", unit)
+        self._line(panel, "applied", "before", color=BLUE, line_width=1.2, legend_label=label)
         self._other(panel, "applied")
-        add_hover(panel, "applied", {"commanded": ("command", unit), "applied": ("applied", unit)})
+        add_hover(panel, "applied", values)
+        return finished(panel)
+
+    def _velocity(self) -> figure:
+        unit = self._facts.units["command"]
+        panel = self._panel("velocity", unit, 190)
+        self._line(panel, "command", "after", color=ORANGE, line_width=1.5, legend_label="commanded")
+        self._other(panel, "command")
+        add_hover(panel, "command", {"commanded": ("command", unit)})
         return finished(panel)
 
     def _energy(self) -> figure:

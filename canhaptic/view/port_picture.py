@@ -44,6 +44,7 @@ class PortPicture:
         self._time = log.time[rows]
         self._axes = log.groups.get(name, ())
         self._movers = [log.ports[axis] for axis in self._axes] or [port]
+        self._is_display = port.unit("torque_command") != port.unit("torque_applied")
         self.scales: dict[str, float] = {}  # of each panel over time
         self.plane = task_plane(log, name, rows)
         self._contacts = contacts(self._column("branch"))
@@ -55,13 +56,21 @@ class PortPicture:
         """Returns the names of the panels that show something: position and torque always, others where not zero."""
         energy = self._column("h_i").any() or self._column("h_r").any()
         surplus = self._column("h_dis").any() or self._column("deficit").any()
-        shown = {"path": self.plane is not None, "position": True, "torque": True, "energy": energy, "surplus": surplus}
+        shown = {
+            "path": self.plane is not None,
+            "position": True,
+            "velocity": self._is_display,
+            "torque": True,
+            "energy": energy,
+            "surplus": surplus,
+        }
         return [name for name, is_shown in shown.items() if is_shown]
 
     def draw(self, panels: "Mapping[str, Axes]") -> None:
         """Draws into axes, by the names that `draws` returned."""
         parts = {
             "position": self._draw_position,
+            "velocity": self._draw_velocity,
             "torque": self._draw_torque,
             "energy": self._draw_energy,
             "surplus": self._draw_surplus,
@@ -70,8 +79,8 @@ class PortPicture:
             if name == "path" and self.plane is not None:
                 self._draw_path(axes, self.plane)
                 continue
+            self._mark(axes, "in contact" if name == "position" else "")
             parts[name](axes)
-            self._mark(axes)
             axes.margins(x=0.0)
         if len(self._log.ports) > 1 or self._axes:
             panels["position"].set_title(f"{self._name}: position", fontweight="bold")
@@ -80,6 +89,7 @@ class PortPicture:
         """Draws the same quantities over the panels of another run, whose scales they take."""
         lines = {
             "position": self._of_movers("position"),
+            "velocity": self._of_movers("torque_command"),
             "torque": self._of_movers("torque_applied"),
             "energy": [np.cumsum(self._column("h_i")), np.cumsum(self._column("h_r"))],
             "surplus": [self._column("h_dis")],
@@ -117,6 +127,15 @@ class PortPicture:
             axes.set_ylim(low, high)
         _finish(axes, "position", f"{prefix}{self._movers[0].unit('position')}")
 
+    def _draw_velocity(self, axes: "Axes") -> None:
+        """Draws the velocities that an admittance display commands."""
+        commands = self._of_movers("torque_command")
+        scale, prefix = self._prefix("velocity", *commands)
+        for command, name, colour in zip(commands, self._axes or ("commanded",), cycle(_OF_AXES)):
+            self._line(axes, command, scale, color=colour, linewidth=1.2, stair="steps-post", label=name)
+        title = "velocity commanded" if self._axes else "velocity"
+        _finish(axes, title, f"{prefix}{self._movers[0].unit('torque_command')}")
+
     def _draw_path(self, axes: "Axes", plane: TaskPlane) -> None:
         """Draws the path of the handle against the surface, material shaded, both axes to the same scale."""
         scale, prefix = axis_scale(float(np.nanmax(np.abs(plane.path))))
@@ -132,21 +151,24 @@ class PortPicture:
             return
         command, applied = self._column("torque_command"), self._column("torque_applied")
         unit = self._port.unit("torque_applied")
-        scale, prefix = self._prefix("torque", command, applied)
-        self._line(axes, command, scale, color=ORANGE, linewidth=2.2, alpha=0.8, stair="steps-post", label="commanded")
-        self._line(axes, applied, scale, color=BLUE, linewidth=0.9, stair="steps-pre", label="applied")
+        scale, prefix = self._prefix("torque", applied, *(() if self._is_display else (command,)))
+        if not self._is_display:
+            wide: Any = {"linewidth": 2.2, "alpha": 0.8, "stair": "steps-post"}
+            self._line(axes, command, scale, color=ORANGE, label="commanded", **wide)
+        label = "on the hand" if self._is_display else "applied"
+        self._line(axes, applied, scale, color=BLUE, linewidth=0.9, stair="steps-pre", label=label)
         _finish(axes, "torque" if unit == "N*m" else "force", f"{prefix}{unit}")
 
     def _draw_torques_of_axes(self, axes: "Axes") -> None:
         """Draws what each axis of a group applied; what was commanded is drawn wide and pale behind it."""
-        commands, applied = self._of_movers("torque_command"), self._of_movers("torque_applied")
+        applied = self._of_movers("torque_applied")
+        commands = [] if self._is_display else self._of_movers("torque_command")
         unit = self._movers[0].unit("torque_applied")
         scale, prefix = self._prefix("torque", *commands, *applied)
-        pale: Any = {"linewidth": 2.4, "alpha": 0.3, "stair": "steps-post"}
-        thin: Any = {"linewidth": 0.9, "stair": "steps-pre"}
-        for command, held, name, colour in zip(commands, applied, self._axes, cycle(_OF_AXES)):
-            self._line(axes, command, scale, color=colour, **pale)
-            self._line(axes, held, scale, color=colour, label=name, **thin)
+        for command, colour in zip(commands, cycle(_OF_AXES)):
+            self._line(axes, command, scale, color=colour, linewidth=2.4, alpha=0.3, stair="steps-post")
+        for held, name, colour in zip(applied, self._axes, cycle(_OF_AXES)):
+            self._line(axes, held, scale, color=colour, linewidth=0.9, stair="steps-pre", label=name)
         _finish(axes, "torque" if unit == "N*m" else "force", f"{prefix}{unit}")
 
     def _draw_energy(self, axes: "Axes") -> None:
@@ -161,7 +183,7 @@ class PortPicture:
         axes.plot(time, upper, color=BLUE, linewidth=1.3, label="in")
         axes.plot(time, lower, color=VERMILION, linewidth=1.3, linestyle=(0, (4, 1.5)), label="dissipated")
         worst = int(margin.argmin())
-        label = f"least {si(float(margin[worst]), 'J')} at {self._time[worst]:.4g} s"
+        label = f"least margin {si(float(margin[worst]), 'J')} at {self._time[worst]:.4g} s"
         axes.plot(self._time[worst], taken_in[worst] / scale, "ko", markersize=4, zorder=5, label=label)
         _finish(axes, "energy", f"{prefix}J")
 
@@ -179,10 +201,11 @@ class PortPicture:
         self.scales[panel] = scale
         return scale, prefix
 
-    def _mark(self, axes: "Axes") -> None:
-        """Shades the contacts and marks faults."""
-        for start, end in self._contacts:
-            axes.axvspan(self._time[start], self._time[end], color=GREY, alpha=0.05, linewidth=0, zorder=0)
+    def _mark(self, axes: "Axes", label: str) -> None:
+        """Shades the contacts, with a label in the legend unless it is empty, and marks faults."""
+        look: Any = {"color": GREY, "alpha": 0.05, "linewidth": 0, "zorder": 0}
+        for number, (start, end) in enumerate(self._contacts):
+            axes.axvspan(self._time[start], self._time[end], label="_" * bool(number) + label, **look)
         for fault in self._faults:
             axes.axvline(fault.time, color=VERMILION, linewidth=0.9, linestyle=":")
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_HEIGHTS: Final = {"path": 5.0, "position": 3.0, "torque": 3.0, "energy": 4.0, "surplus": 2.0}
+_HEIGHTS: Final = {"path": 5.0, "position": 3.0, "velocity": 2.0, "torque": 3.0, "energy": 4.0, "surplus": 2.0}
 """Heights of the panels, in units of `_INCH`."""
 _INCH: Final = 0.75  # per unit of height
 

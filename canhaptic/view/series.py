@@ -47,6 +47,11 @@ class PortFacts(NamedTuple):
     wall: float | None  # where it begins [m or rad]
     wall_side: str  # of its inside: below or above
 
+    @property
+    def is_display(self) -> bool:
+        """Whether velocities are commanded: an admittance display."""
+        return self.units["command"] != self.units["applied"]
+
 
 def port_facts(log: EnergyLog, name: str) -> PortFacts:
     """Returns what the attributes of a log say of a port."""
@@ -55,7 +60,7 @@ def port_facts(log: EnergyLog, name: str) -> PortFacts:
     units = dict.fromkeys(_ENERGIES, "J") | {
         "time": "s",
         "position": port.unit("position"),
-        "command": effort,
+        "command": port.unit("torque_command"),
         "applied": effort,
         "damping": port.unit("damping_rendered"),
     }

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canhaptic.audit.extent import contacts
+from canhaptic.control.balance import AT_REST
 from canhaptic.cycle import run
 from canhaptic.errors import InputError
 from canhaptic.logs.columns import PortDescription
@@ -16,11 +17,12 @@ from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
+from canhaptic.signals import Sample
 from canhaptic.view import run_picture
 from canhaptic.view.decimate import decimate
 from canhaptic.view.run_picture import draw_energy
 from tests.drawn import examples
-from tests.view.synthetic_run import write_run
+from tests.view.synthetic_run import TIMING, write_run
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -63,7 +65,7 @@ def test_contacts_are_the_stretches_not_booked_as_free() -> None:
 def test_a_run_is_drawn_into_the_kind_of_file_its_suffix_names(
     tmp_path: Path, ports: tuple[str, ...], suffix: str
 ) -> None:
-    write_run(tmp_path / "run.h5", 1500, ports)
+    write_run(tmp_path / "run.h5", 300, ports)
     picture = tmp_path / f"run.{suffix}"
     with EnergyLog.open(tmp_path / "run.h5") as log:
         draw_energy(log, picture)
@@ -82,21 +84,19 @@ def test_a_picture_names_the_least_margin_the_wall_and_the_faults_and_shades_eve
         touching = len(contacts(port["branch"]))
     text = (tmp_path / "run.svg").read_text()
     least, time = 1e6 * float(margin.min()), int(margin.argmin()) * 1e-3
-    for words in (f"least {least:.1f} uJ at {time:.4g} s", "wall", "1.5 s: emcy 0x8130 heartbeat lost", "applied"):
+    for words in (
+        f"least margin {least:.1f} uJ at {time:.4g} s",
+        "wall",
+        "1.5 s: emcy 0x8130 heartbeat lost",
+        "applied",
+    ):
         assert f"<!-- {words} -->" in text
     assert touching == 2
-    assert text.count('"fill: #4d4d4d; opacity: 0.05"') == 4 * touching  # in each of the four panels
+    assert text.count('"fill: #4d4d4d; opacity: 0.05"') == 4 * touching + 1  # in each of the four panels, and a legend
     assert text.count('"fill: #4d4d4d; opacity: 0.1"') == 1  # inside the wall
     with EnergyLog.open(tmp_path / "run.h5") as log:
         draw_energy(log, tmp_path / "part.svg", 0.0, 0.5)
     assert "emcy" not in (tmp_path / "part.svg").read_text()
-
-
-def test_a_run_without_contact_is_drawn_too(tmp_path: Path) -> None:
-    write_run(tmp_path / "run.h5", 300)
-    with EnergyLog.open(tmp_path / "run.h5") as log:
-        draw_energy(log, tmp_path / "run.png")
-    assert (tmp_path / "run.png").stat().st_size > 20_000
 
 
 def test_an_empty_log_is_refused_with_one_message(tmp_path: Path) -> None:
@@ -127,7 +127,24 @@ def test_a_decimated_torque_of_a_picture_is_a_plain_line(tmp_path: Path, monkeyp
         write_run(tmp_path / f"{cycles}.h5", cycles=cycles)
         panels = picture_of(tmp_path / f"{cycles}.h5", monkeypatch).axes
         force = next(panel for panel in panels if panel.get_title(loc="left") == "force")
-        assert {line.get_drawstyle() for line in force.lines[:2]} == styles
+        assert {line.get_drawstyle() for line in force.lines if line.get_label() in ("commanded", "applied")} == styles
+    assert [panel.get_title(loc="left") for panel in panels] == ["position", "force"]  # without contact
+
+
+def test_a_display_has_a_panel_of_the_velocity_it_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    described = [PortDescription("a", "rad", commands_velocity=True)]
+    writer = EnergyLogWriter(tmp_path / "run.h5", described, {}, sample_time_ns=1_000_000)
+    for k in range(20):
+        sample = Sample(k, 0.0, -3.0, 0x1237, True)
+        writer.append(k, [sample], [AT_REST._replace(torque=0.5)], TIMING)
+    writer.close()
+    panels = {panel.get_title(loc="left"): panel for panel in picture_of(tmp_path / "run.h5", monkeypatch).axes}
+    shown = {
+        title: (panel.get_ylabel(), [(line.get_label(), line.get_ydata()[0]) for line in panel.lines])
+        for title, panel in panels.items()
+    }
+    assert shown["velocity"] == ("[mrad/s]", [("commanded", 500.0)])
+    assert shown["torque"] == ("[N*m]", [("on the hand", -3.0)])
 
 
 @pytest.mark.slow
