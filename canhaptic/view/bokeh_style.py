@@ -7,9 +7,10 @@ zoom and every line that grows.
 from collections.abc import Mapping
 from typing import Final
 
-from bokeh.models import CustomJSHover, CustomJSTickFormatter, HoverTool, Range
+from bokeh.models import BoxZoomTool, CustomJSHover, CustomJSTickFormatter, HoverTool, Range
 from bokeh.plotting import figure
 
+from canhaptic.logs.hdf5 import Array
 from canhaptic.view.si import prefixes_of
 
 _TOOLS: Final = "xpan,xwheel_zoom,xbox_zoom,reset,save"
@@ -61,18 +62,28 @@ def new_panel(title: str, unit: str, time: Range, height: int) -> figure:
         name=title,
     )
     panel.yaxis.axis_label = title
-    panel.yaxis.formatter = _si_ticks(unit)
+    panel.xaxis.formatter, panel.yaxis.formatter = _si_ticks("s"), _si_ticks(unit)
     _plain(panel)
     return panel
 
 
-def new_plane(title: str, unit: str, height: int) -> figure:
-    """Returns an empty panel of a plane, both axes alike and to the same scale."""
+def new_plane(title: str, unit: str, across: Array, along: Array, height: int) -> figure:
+    """Returns an empty panel of a plane, both axes to the same scale.
+
+    Args:
+        title: At the left.
+        unit: Of both axes, SI.
+        across: Places from left to right, of which the first and the last are the edges, shape (m,).
+        along: The same from bottom to top.
+        height: In pixels, without the ticks.
+    """
+    width = height * float((across[-1] - across[0]) / (along[-1] - along[0]))
     panel = figure(
-        height=height,
-        width=round(1.5 * height),
-        tools="pan,wheel_zoom,box_zoom,reset,save",
-        match_aspect=True,
+        frame_height=height,
+        frame_width=round(width),
+        x_range=(float(across[0]), float(across[-1])),
+        y_range=(float(along[0]), float(along[-1])),
+        tools=["pan", "wheel_zoom", BoxZoomTool(match_aspect=True), "reset", "save"],
         output_backend="canvas",
         min_border_left=90,
         name=title,
@@ -83,13 +94,14 @@ def new_plane(title: str, unit: str, height: int) -> figure:
     return panel
 
 
-def new_xy(title: str, unit: str, across: str, height: int) -> figure:
+def new_xy(title: str, unit: str, across: str, across_unit: str, height: int) -> figure:
     """Returns an empty panel of one quantity over another.
 
     Args:
         title: At the left.
         unit: Of the quantity, SI.
-        across: Unit of the other, SI.
+        across: Name of the other.
+        across_unit: Its unit, SI.
         height: In pixels.
     """
     panel = figure(
@@ -101,8 +113,8 @@ def new_xy(title: str, unit: str, across: str, height: int) -> figure:
         min_border_right=40,
         name=title,
     )
-    panel.yaxis.axis_label = title
-    panel.xaxis.formatter, panel.yaxis.formatter = _si_ticks(across), _si_ticks(unit)
+    panel.xaxis.axis_label, panel.yaxis.axis_label = across, title
+    panel.xaxis.formatter, panel.yaxis.formatter = _si_ticks(across_unit), _si_ticks(unit)
     _plain(panel)
     return panel
 
@@ -144,7 +156,7 @@ def finished(panel: figure) -> figure:
     """Puts the legend above the panel, where nothing can lie on the data."""
     legend = panel.legend[0]
     legend.orientation, legend.location, legend.click_policy = "horizontal", "right", "hide"
-    legend.border_line_alpha, legend.padding, legend.margin = 0.0, 0, 0
+    legend.border_line_alpha, legend.padding, legend.margin, legend.spacing = 0.0, 0, 0, 16
     legend.label_text_font_size = "9pt"
     panel.add_layout(legend, "above")
     return panel

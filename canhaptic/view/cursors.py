@@ -27,8 +27,8 @@ const rows = names.filter(name => name in source.data).map(name => {
   return `<tr><th style="text-align:left">${name}</th><td>${shown(x, name)}</td><td>${shown(y, name)}</td>`
        + `<td>${shown(y - x, name)}</td></tr>`;
 });
-readout.text = `<table class="cursors" style="border-spacing:14px 0"><tr><th></th><th>cursor 1</th><th>cursor 2</th>`
-             + `<th>difference</th></tr>${rows.join("")}</table>`;
+readout.text = `<table class="cursors" style="border-spacing:14px 0"><tr><th></th><th>cursor 1, solid</th>`
+             + `<th>cursor 2, dashed</th><th>difference</th></tr>${rows.join("")}</table>`;
 """
 _NAMES: Final = ("time", "position", "command", "applied", "taken_in", "dissipated", "margin", "surplus", "damping")
 
@@ -48,10 +48,11 @@ def add_cursors(
     places = (start + (stop - start) / 3.0, start + 2.0 * (stop - start) / 3.0)
     cursors = [
         Span(
-            location=place, dimension="height", line_color=colour, line_width=2, editable=True, name=f"cursor {number}"
+            location=place, dimension="height", line_color=colour, line_dash=dash, line_width=2, editable=True,
+            name=f"cursor {number}",
         )
-        for number, (place, colour) in enumerate(zip(places, (PURPLE, SKY), strict=True), 1)
-    ]
+        for number, (place, colour, dash) in enumerate(zip(places, (PURPLE, SKY), ("solid", "dashed"), strict=True), 1)
+    ]  # fmt: skip
     readout = Div(text="drag the two upright lines to read values and differences", name="cursors")
     known = {name: units[name] for name in _NAMES if name in units}
     arguments = {

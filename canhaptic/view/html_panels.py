@@ -101,9 +101,9 @@ def _force_over_position(
 ) -> figure:
     """Returns the panel of the torque that acted over the position: its slope is the stiffness felt."""
     effort = "torque" if facts.units["applied"] == "N*m" else "force"
-    panel = new_xy(f"{facts.name}: loop", facts.units["applied"], facts.units["position"], 300)
-    panel.title.text = f"{effort} over position"
-    panel.line("position", "applied", source=source, color=BLUE, line_width=1.2, legend_label="applied", name="xy")
+    title, label = f"{facts.name}: {effort} over position", "on the hand" if facts.is_display else "applied"
+    panel = new_xy(title, facts.units["applied"], "position", facts.units["position"], 300)
+    panel.line("position", "applied", source=source, color=BLUE, line_width=1.2, legend_label=label, name="xy")
     for (label, further), colour in zip(others, cycle(OVERLAID)):
         style = {"color": colour, "line_width": 1.0, "line_dash": [3, 2], "legend_label": label}
         panel.line("position", "applied", source=further, **style)
@@ -114,12 +114,13 @@ def _force_over_position(
 
 def _drawn_plane(plane: TaskPlane) -> figure:
     """Returns the path of the handle against the surface, material shaded."""
-    panel = new_plane(f"{plane.name}: path", plane.unit, 420)
+    panel = new_plane(f"{plane.name}: path", plane.unit, plane.across, plane.along, 380)
     deepest = max(float(plane.depth.max()), plane.surface + 1e-12)
     filled = {"fill_color": [GREY], "line_color": [GREY], "fill_alpha": 0.15}
     levels = [plane.surface, deepest * (1.0 + 1e-9)]
     material = panel.contour(plane.across, plane.along, plane.depth, levels, **filled)
     material.fill_renderer.name, material.line_renderer.name = "material", "surface"
+    panel.line([np.nan], [np.nan], color=GREY, legend_label="surface")
     x, y = plane.path.T
     source = ColumnDataSource({"time": plane.time, "x": x, "y": y})
     panel.line("x", "y", source=source, color=BLUE, line_width=1.2, legend_label="path", name="path")

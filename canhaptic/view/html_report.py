@@ -105,7 +105,7 @@ def _heading(log: EnergyLog, result: "Inspection", others: Sequence[EnergyLog], 
         html.escape(str(result["status"])),
         f"{result['cycles']} cycles at {si(result['rate'], 'Hz', 3)}",
         f"configuration {result['config_hash'][:12]}",
-        f"link {100.0 * result['link']['success_rate']:.6g} %",
+        f"TPDOs received {100.0 * result['link']['success_rate']:.6g} %",
         f"over it, dashed: <b>{html.escape(', '.join(one.path.name for one in others))}</b>" if others else "",
     ]
     rows = [f"<tr><th>port</th>{''.join(f'<th>{title}</th>' for title in _ACCOUNT)}</tr>"]

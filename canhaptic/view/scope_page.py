@@ -140,7 +140,7 @@ def _status(news: News, last: News) -> str:
         f"<b>{html.escape(news.status)}</b>",
         f"{news.rows} cycles",
         f"{last.time[-1]:.2f} s" if len(last.time) else "",
-        f"link {100.0 * news.fresh_share:.4g} %",
+        f"TPDOs received {100.0 * news.fresh_share:.4g} %",
         *(f"{name} {last.lost[name][-1]}" for name in _COUNTED if len(last.time)),
     ]
     for name, rows in last.ports.items():

@@ -11,7 +11,8 @@ def prefixes_of(unit: str) -> list[tuple[float, str]]:
     """Returns scale and SI prefix of every prefix that a unit takes, the largest first."""
     if unit in _UNPREFIXED:
         return [(1.0, "")]
-    return [(10.0**exponent, prefix) for exponent, prefix in sorted(_PREFIXES.items(), reverse=True)]
+    largest = 0 if unit == "s" else max(_PREFIXES)
+    return [(10.0**power, prefix) for power, prefix in sorted(_PREFIXES.items(), reverse=True) if power <= largest]
 
 
 def si(value: float, unit: str, digits: int = 4) -> str:
@@ -27,6 +28,8 @@ def si(value: float, unit: str, digits: int = 4) -> str:
     value = value + 0.0  # no minus zero
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g} {unit}"
+    if unit.startswith("kg"):
+        value, unit = 1e3 * value, unit[1:]
     exponent = 3 * math.floor(math.floor(math.log10(abs(value))) / 3)
     exponent = min(max(exponent, min(_PREFIXES)), max(_PREFIXES))
     number = f"{value / 10.0**exponent:.{digits}g}"

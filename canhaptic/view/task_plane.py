@@ -23,7 +23,7 @@ from canhaptic.view.decimate import decimate
 
 _BUCKETS: Final = 1000
 _GRID: Final = 121  # places along each side where the depth is taken
-_MARGIN: Final = 0.25  # of the span of the path, shown on every side of it
+_MARGIN: Final = 0.25  # of the longer span of the path, shown on every side of it
 
 
 class TaskPlane(NamedTuple):
@@ -63,7 +63,8 @@ def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
     path = np.array([_place(kinematics, position) for position in motors[:, shown].T.tolist()])
     if not np.isfinite(path).all(axis=1).any():
         return None
-    across, along = (_span(values) for values in path.T)
+    margin = max(_MARGIN * float(np.max(np.nanmax(path, axis=0) - np.nanmin(path, axis=0))), 1e-3)
+    across, along = (_span(values, margin) for values in path.T)
     depth = np.array([[_depth(rendered, (x, y)) for x in across.tolist()] for y in along.tolist()])
     # A path without width has no inside; its line is drawn as wide as one cell of the grid.
     surface = 0.0 if depth.min() < 0.0 else float(across[1] - across[0])
@@ -99,7 +100,5 @@ def _place(kinematics: Kinematics, position: list[float]) -> tuple[float, float]
     return (np.nan, np.nan) if pose.limit else (float(pose.position[0]), float(pose.position[1]))
 
 
-def _span(values: Array) -> Array:
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    margin = max(_MARGIN * (high - low), 1e-3)
-    return np.linspace(low - margin, high + margin, _GRID)
+def _span(values: Array, margin: float) -> Array:
+    return np.linspace(float(np.nanmin(values)) - margin, float(np.nanmax(values)) + margin, _GRID)

@@ -76,6 +76,7 @@ def test_numbers_get_the_prefix_that_leaves_one_to_three_digits(value: float, un
 def test_a_number_with_all_its_digits_before_the_point_has_no_point() -> None:
     assert si(123.0, "N", 3) == "123 N"
     assert si(1.5, "N", 3) == "1.50 N"
+    assert [si(value, "kg", 3) for value in (0.0, 0.05, 2.98)] == ["0 kg", "50.0 g", "2.98 kg"]
 
 
 def test_every_part_of_the_result_is_in_the_report() -> None:

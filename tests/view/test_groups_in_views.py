@@ -1,6 +1,7 @@
 """A log with a group of axes in every view: account with the group, position and torque with the axes."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,10 +11,11 @@ from canhaptic.cycle import run
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.view.html_report import write_html
+from canhaptic.view import html_report
 from canhaptic.view.live_log import LiveLog
 from canhaptic.view.run_picture import draw_energy
 from canhaptic.view.series import PortSeries
+from canhaptic.view.task_plane import task_plane
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "xy_box.yaml"
 
@@ -22,7 +24,7 @@ CONFIG = Path(__file__).resolve().parents[2] / "configs" / "xy_box.yaml"
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("groups") / "run.h5"
     with build(load_scene(CONFIG), "free", path) as experiment:
-        run(experiment.cycle, 500)
+        run(experiment.cycle, 800)
     return path
 
 
@@ -44,7 +46,7 @@ def test_inspection_gives_the_account_to_the_group_and_counts_frames_once(path: 
         assert set(result["contacts"]) == {"stage"}
         assert result["link"]["missing"] == 0
         log_rows = log.rows
-    assert result["cycles"] == log_rows == 500
+    assert result["cycles"] == log_rows == 800
 
 
 @pytest.mark.slow
@@ -84,10 +86,42 @@ def test_the_picture_has_one_column_for_the_group(path: Path, tmp_path: Path) ->
     assert "x: position" not in text
 
 
-def test_the_page_has_a_tab_for_the_group_and_for_each_axis(path: Path, tmp_path: Path) -> None:
-    pytest.importorskip("bokeh")
+@pytest.fixture(scope="module")
+def page(path: Path) -> Any:
+    """The layout that `inspect --html` would write."""
+    pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
+    written: list[Any] = []
+    with pytest.MonkeyPatch.context() as patch, EnergyLog.open(path) as log:
+        patch.setattr(html_report, "write_page", lambda content, *_: written.append(content))
+        html_report.write_html(log, path.with_suffix(".html"), inspect(log))
+    return written[0]
+
+
+def test_the_page_has_a_tab_for_the_group_and_for_each_axis(page: Any) -> None:
+    from bokeh.models import Button, TabPanel
+
+    assert sorted(tab.title for tab in page.select({"type": TabPanel})) == ["stage", "x", "y"]
+    assert {button.label for button in page.select({"type": Button})} == {"whole run", "stage: worst margin"}
+    assert page.select_one({"name": "heading"}).text.count("passive at the motor: yes") == 1
+
+
+def test_the_page_shows_path_and_room(path: Path, page: Any) -> None:
+    panel = page.select_one({"name": "stage: path"})
+    drawn = panel.select_one({"name": "path"}).data_source.data
     with EnergyLog.open(path) as log:
-        write_html(log, tmp_path / "run.html", inspect(log))
-    text = (tmp_path / "run.html").read_text()
-    assert "stage: worst margin" in text
-    assert "x: worst margin" not in text
+        assert np.max(drawn["x"]) == log.ports["x"]["position"].max()
+        assert np.max(drawn["y"]) == log.ports["y"]["position"].max()
+    surface = panel.select_one({"name": "surface"}).data_source.data
+    x = np.concatenate([np.asarray(line) for line in surface["xs"]])
+    y = np.concatenate([np.asarray(line) for line in surface["ys"]])
+    assert np.nanmax(x) == pytest.approx(0.03, abs=2e-4)
+    assert (np.nanmin(y), np.nanmax(y)) == pytest.approx((-0.02, 0.02), abs=2e-4)
+    width, height = ((there.end - there.start) for there in (panel.x_range, panel.y_range))
+    assert panel.frame_width / panel.frame_height == pytest.approx(width / height, rel=0.01)  # to the same scale
+
+
+def test_a_coupling_without_a_surface_has_no_path(tmp_path: Path) -> None:
+    with build(load_scene(CONFIG.with_name("two_handles.yaml")), "free", tmp_path / "run.h5") as experiment:
+        run(experiment.cycle, 20)
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        assert [task_plane(log, name, slice(0, log.rows)) for name in log.groups] == [None]

@@ -12,6 +12,7 @@ from canhaptic.cli.main import main
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.view import html_report
+from canhaptic.view.run_picture import energy_figure
 from canhaptic.view.series import PortSeries
 from tests.view import typed
 from tests.view.chromium import chromium
@@ -105,11 +106,12 @@ def test_a_part_of_a_run_can_be_drawn_and_an_empty_log_cannot(tmp_path: Path) ->
 
 
 def test_two_runs_are_drawn_over_each_other(tmp_path: Path) -> None:
-    write_run(tmp_path / "a.h5", cycles=1600)
-    write_run(tmp_path / "b.h5", cycles=1400)
-    assert typed.inspect(tmp_path / "a.h5", "--compare", tmp_path / "b.h5", "--svg", tmp_path / "both.svg") == 1
-    black_and_dashed = re.findall(r"stroke-dasharray: 2\.1[^\"]*stroke: #000000", (tmp_path / "both.svg").read_text())
-    assert len(black_and_dashed) == 5 + 4  # position, torque, in, dissipated, surplus; and one in each legend
+    write_run(tmp_path / "run.h5", cycles=3000, ports=("handle", "knob"))
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        panels = energy_figure(log, others=[log], labels=["second"]).axes
+    over = [line for panel in panels for line in panel.lines if line.get_color() == "black" and line.is_dashed()]
+    assert len(over) == 2 * 5  # position, torque, in, dissipated, surplus
+    assert sum(line.get_label() == "second" for line in over) == 2 * 4  # once in each legend
 
 
 APART = """
@@ -168,7 +170,8 @@ def test_the_page_zooms_to_the_worst_margin_and_hovers_with_units(tmp_path: Path
         pointers = f"{models}.filter(m => m.type == 'CustomJSHover')"
         units = page.value(f"[...new Set({pointers}.map(m => m.args.unit))]")
         assert {"m", "rad", "N", "N*m", "J", "s", "N*s/m"} <= set(units)
-        ticks = page.value(f"{models}.find(m => m.type == 'CustomJSTickFormatter').doFormat([0, 0.05, 0.1], {{}})")
+        metres = f"{models}.find(m => m.type == 'CustomJSTickFormatter' && m.args.unit == 'm')"
+        ticks = page.value(f"{metres}.doFormat([0, 0.05, 0.1], {{}})")
         assert ticks == ["0 mm", "50 mm", "100 mm"]
         page.screenshot(tmp_path / "zoomed.png")
         assert page.faults == []
@@ -178,6 +181,9 @@ def test_the_page_zooms_to_the_worst_margin_and_hovers_with_units(tmp_path: Path
 def test_a_run_of_other_ports_is_not_laid_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
     write_run(tmp_path / "run.h5", cycles=200)
+    write_run(tmp_path / "again.h5", cycles=200)
+    assert typed.inspect(tmp_path / "run.h5", "--overlay", tmp_path / "again.h5", "--svg", tmp_path / "both.svg") == 0
+    assert "<!-- again.h5 -->" in (tmp_path / "both.svg").read_text()
     write_run(tmp_path / "other.h5", cycles=200, ports=("knob",))
     words = ["inspect", str(tmp_path / "run.h5"), "--html", str(tmp_path / "run.html")]
     assert main([*words, "--overlay", str(tmp_path / "other.h5")]) == 2
