@@ -1,7 +1,8 @@
 """Makes every small change of a module that a slip of the hand could make, one at a time, compiled in memory.
 
 A mutation replaces one field of one node of the syntax tree. It is named by the function it is in and by its text
-before and after, never by a line number, so that a list of known mutants survives edits elsewhere.
+before and after, never by a line number, so that a list of known mutants survives edits elsewhere. What is the same
+program in other words is not made (`same_program`).
 """
 
 import ast
@@ -10,6 +11,8 @@ from enum import Enum
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, NamedTuple
+
+from tests.mutation.same_program import EDGES, same_at_the_edge
 
 _OTHERS: dict[type, tuple[type, ...]] = {
     ast.Lt: (ast.LtE, ast.Gt),
@@ -86,7 +89,8 @@ def changes(
         statement = body[place]
         text = _head(statement)
         lines = statement.lineno, _last_line(statement)
-        for node, field, value in _sites(statement, members, names or {}):
+        following = body[place + 1] if place + 1 < len(body) else None
+        for node, field, value in _sites(statement, following, members, names or {}):
             old = getattr(node, field)
             setattr(node, field, value)
             ast.fix_missing_locations(statement)
@@ -155,11 +159,17 @@ def _may_be_left_out(statement: ast.stmt) -> bool:
     )
 
 
-def _sites(statement: ast.stmt, members: Mapping[str, type[Enum]], names: Mapping[str, Sequence[str]]) -> _Sites:
+def _sites(
+    statement: ast.stmt,
+    following: ast.stmt | None,
+    members: Mapping[str, type[Enum]],
+    names: Mapping[str, Sequence[str]],
+) -> _Sites:
     if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant):
         return  # a docstring
+    same = same_at_the_edge(statement, following)
     for node in _nodes(statement):
-        yield from _operators(node)
+        yield from _operators(node, node in same)
         yield from _constants(node)
         yield from _masks(node)
         yield from _exchanges(node, members, names)
@@ -180,10 +190,12 @@ def _nodes(node: ast.AST) -> Iterator[ast.AST]:
                 yield from _nodes(child)
 
 
-def _operators(node: ast.AST) -> _Sites:
+def _operators(node: ast.AST, is_same_at_the_edge: bool) -> _Sites:
     if isinstance(node, ast.Compare):
         for place, operator in enumerate(node.ops):
             for other in _OTHERS.get(type(operator), ()):
+                if is_same_at_the_edge and other is EDGES[type(operator)]:
+                    continue
                 yield node, "ops", [*node.ops[:place], other(), *node.ops[place + 1 :]]
     elif isinstance(node, ast.BinOp | ast.BoolOp | ast.AugAssign | ast.UnaryOp):
         for other in _OTHERS.get(type(node.op), ()):

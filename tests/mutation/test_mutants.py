@@ -5,6 +5,7 @@ mutant of it must not.
 """
 
 import importlib
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
 from pathlib import Path
@@ -50,15 +51,6 @@ SUBJECTS = {
         specification_of_limiter.judge,
         130,
         equivalent={
-            "TorqueLimiter.limit: if last > 0.0: => if last >= 0.0:": "adding a zero to either side is the same",
-            "TorqueLimiter.limit: low = lowest if lowest > -limit else -limit => "
-            "low = lowest if lowest >= -limit else -limit": "of two equal bounds, either",
-            "TorqueLimiter.limit: low = least if least > low else low => "
-            "low = least if least >= low else low": "of two equal bounds, either",
-            "TorqueLimiter.limit: high = highest if highest < limit else limit => "
-            "high = highest if highest <= limit else limit": "of two equal bounds, either",
-            "TorqueLimiter.limit: high = most if most < high else high => "
-            "high = most if most <= high else high": "of two equal bounds, either",
             "TorqueLimiter.limit: torque = low if torque < low else high => "
             "torque = low if torque <= low else high": "a torque on a bound is not cut",
             f"{_ALONE} is None and power_limit is None => {_LONE} is ... and power_limit is None": _SHORT,
@@ -199,6 +191,39 @@ def test_the_mutator_makes_every_slip_once_and_leaves_text_alone(tmp_path: Path)
             "limited: return True => return None",
         ]
     )
+
+
+@pytest.mark.parametrize(
+    ("text", "is_same"),
+    [
+        ("x = a if a > b else b", True),
+        ("x = a - b if a > b else 0.0", True),
+        ("x = a - b if a > b else 1.0", False),
+        ("x = a * c if a >= 0.0 else 0.0", True),
+        ("x = a + c if a >= 0.0 else 0.0", False),
+        ("if a < b: a = b", True),
+        ("if a < b: c = b", False),
+        ("if a > 0.0: c += a * d", True),
+        ("if a > 0.0: c += a + d", False),
+        ("if a > 0.0 and d: c += a * d", True),
+        ("if a > b:\n  c += a - b\n  d -= c * (b - a)", True),
+        ("if a > b:\n  c += a - b\n  d = c", False),
+        ("if a > b: c = a\nelse: c = b", True),
+        ("if a > b: c = a\nelse: d = b", False),
+        ("if a > b: raise ValueError", False),
+        ("if a > 1: return a * c\nreturn c", True),
+        ("if a > 1: return a * c\nreturn c + 1", False),
+    ],
+)
+def test_no_mutant_is_made_of_a_comparison_whose_two_ways_meet(tmp_path: Path, text: str, is_same: bool) -> None:
+    """Of an order it makes the one the other way and, where equal numbers matter, the one with them or without."""
+    path = tmp_path / "sample.py"
+    path.write_text("def f(a, b, c, d):\n" + textwrap.indent(text, "  "))
+    order = next(word for word in text.split() if word[0] in "<>")
+    edge = order[0] if "=" in order else f"{order}="
+    found = [mutant.name.partition(" => ")[2] for mutant in mutants(path, {})]
+    assert any(f" {edge} " in name for name in found) is not is_same
+    assert any((" < " if order[0] == ">" else " > ") in name.replace("=", " ") for name in found)
 
 
 @pytest.mark.slow
