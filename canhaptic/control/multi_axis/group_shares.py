@@ -55,14 +55,7 @@ def worst_case(
 
 def extraction_of(settings: AccountSettings, memory: AccountMemory, under_way: UnderWay, hold: int) -> float:
     """Returns the most energy [J] that the torques of one of the holds under way may take out in it."""
-    torques = under_way.torques[under_way.first + hold]
-    acts = False
-    for torque in torques:
-        if torque != 0.0:
-            acts = True
-    if not acts:
-        return 0.0
-    axes = settings.axes
+    axes, torques = settings.axes, under_way.torques[under_way.first + hold]
     taken = worst_case(settings, memory, torques, under_way, hold) + gain_of(axes, torques)
     if not axes.timing.is_ideal:
         taken += response_to_late(axes, torques, memory.now.highest, memory.now.lowest, torques, axes.during)
@@ -74,9 +67,7 @@ def moved_at_most(settings: AccountSettings, memory: AccountMemory, under_way: U
     total = 0.0
     if settings.moves:
         for hold in range(under_way.holds):
-            taken = taken_by_mover(under_way.torques[under_way.first + hold], memory.coming[hold])
-            if taken > 0.0:
-                total += taken
+            total += max(0.0, taken_by_mover(under_way.torques[under_way.first + hold], memory.coming[hold]))
     return total
 
 
@@ -111,7 +102,7 @@ def free_energy(
         return energy + account.dissipated
     free, moved = 0.0, moved_at_most(settings, memory, under_way)
     if axes.by_hand:
-        free = energy - needed_under_way(settings, memory, under_way)
+        free = max(free, energy - needed_under_way(settings, memory, under_way))
     needs, paths = older_needs(axes, memory)
     for hold in range(under_way.holds):
         torques = under_way.torques[under_way.first + hold]
@@ -123,7 +114,7 @@ def free_energy(
         free = max(free, energy - moved - paths)
     if axes.by_damping:
         free = max(free, energy + account.dissipated - (moved + needs))
-    return free if free > 0.0 else 0.0
+    return free
 
 
 def shares(
@@ -181,21 +172,25 @@ def by_hand_force(
     base, gain = worst_case(settings, memory, torques, under_way, under_way.holds) + moved, gain_of(axes, torques)
     if axes.timing.is_ideal:
         return hand_force_bound(energy, base, gain)
-    share, size = 0.0, 1.0
-    for attempt in range(2):
+    late = late_of(settings, memory, under_way, torques, 1.0)
+    if not energy >= late.constant:
+        return share_in_debt(axes, memory, under_way, torques, base, gain)
+    share = share_beyond(energy, base, gain, late, 1.0)
+    size = min(1.0, older_size(axes, memory, torques))
+    if share < 1.0 and size > 0.0:
         late = late_of(settings, memory, under_way, torques, size)
         if energy >= late.constant:
-            start, more = size * base + late.linear, size * size * gain + late.square
-            found = hand_force_bound(energy - late.constant, start, max(0.0, more))
-            share = max(share, size * min(1.0, found))
-        elif attempt == 0:
-            return share_in_debt(axes, memory, under_way, torques, base, gain)
-        if share >= 1.0 or attempt == 1:
-            return share
-        size = min(1.0, older_size(axes, memory, torques))
-        if size == 0.0:
-            return share
+            share = max(share, share_beyond(energy, base, gain, late, size))
     return share
+
+
+def share_beyond(energy: float, base: float, gain: float, late: LateShare, size: float) -> float:
+    """Returns the share, up to `size`, of torques beyond what the older ones give out.
+
+    `late` is that of `size`, its constant no more than the energy; `base` and `gain` are those of all of the torques.
+    """
+    start, more = size * base + late.linear, max(0.0, size * size * gain + late.square)
+    return size * min(1.0, hand_force_bound(energy - late.constant, start, more))
 
 
 def share_in_debt(
@@ -243,14 +238,14 @@ def free_if_apart(
     older_damped, older_paths = older_needs(axes, memory)
     moved = taken_at_most(limits, apart, memory.coming, apart.nothing)[0] if settings.moves else 0.0
     if axes.by_hand:
-        free = energy - needed_by_hand(axes, limits, apart, memory.coming)
+        free = max(free, energy - needed_by_hand(axes, limits, apart, memory.coming))
     if axes.path > 0.0:
         write_needs(limits, apart, apart.nothing, squared=False)
         free = max(free, energy - moved - axes.path * size_of(apart.old) - older_paths)
     if axes.by_damping:
         write_needs(limits, apart, apart.nothing, squared=True)
         free = max(free, energy + account.dissipated - moved - damping_need_of(axes, apart.old) - older_damped)
-    return free if free > 0.0 else 0.0
+    return free
 
 
 def shares_if_apart(

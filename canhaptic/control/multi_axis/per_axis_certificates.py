@@ -187,25 +187,26 @@ def write_courses(
     root = limits.roots[axis]
     for index in range(limits.holds):
         mine, sign, moved = index - limits.delay, 1.0, coming[index][axis]
-        slope = root * more * (mine + limits.first) if mine >= 0 else 0.0
+        rise = root * more if mine >= 0 else 0.0
+        slope = rise * (mine + limits.first)
         for side in range(2):
             pace = memory.lost[axis][side] + root * norm
-            base = memory.starts[axis][side] + (index + 1) * pace
-            if sign * moved < 0.0:
-                base -= sign * moved
+            base = memory.starts[axis][side] + (index + 1) * pace + max(0.0, -sign * moved)
             old, asked = memory.along[index][axis] if side == 0 else memory.against[index][axis], 0.0
             if mine >= 0:
                 old, asked = max(old, sign * fixed), sign * torque
             place = write_parabolas(memory, place, old, asked, base, slope)  # it may turn inside the hold
-            base, slope_turned = 0.5 * base + 0.25 * pace, 0.5 * slope + 0.25 * root * more
-            place = write_parabolas(memory, place, old, asked, base, slope_turned)
+            place = write_parabolas(memory, place, old, asked, 0.5 * base + 0.25 * pace, 0.5 * slope + 0.25 * rise)
             sign = -1.0
         memory.ends[axis * limits.holds + index] = place
     return place
 
 
 def worst_of(memory: PerAxisMemory, first: int, end: int, share: float, least: float) -> tuple[int, float]:
-    """Returns which of some parabolas is the largest at a share, and its value [J]; -1 where none is above `least`."""
+    """Returns which of some parabolas is the largest at a share, and its value [J].
+
+    Where none is above `least`, that is the last of all, which is 0.
+    """
     active, largest = -1, least
     for place in range(first, end):
         given = memory.constant[place] + share * (memory.linear[place] + share * memory.square[place])
@@ -224,18 +225,16 @@ def given_at_most(limits: PerAxisLimits, memory: PerAxisMemory, share: float) ->
         most = worst_a = worst_b = worst_c = 0.0
         for index in range(limits.holds):
             active, largest = worst_of(memory, place, memory.ends[cell], share, least)
-            if active >= 0:
-                value += largest
-                a, b, c = a + memory.constant[active], b + memory.linear[active], c + memory.square[active]
+            value += largest
+            a, b, c = a + memory.constant[active], b + memory.linear[active], c + memory.square[active]
             if index == limits.delay or (index > limits.delay and value > most):
                 most, worst_a, worst_b, worst_c = value, a, b, c
             place, cell = memory.ends[cell], cell + 1
         fixed, linear, square = fixed + worst_a, linear + worst_b, square + worst_c
     while cell < len(memory.ends):
         active, _ = worst_of(memory, place, memory.ends[cell], share, 0.0)
-        if active >= 0:
-            fixed, linear = fixed + memory.constant[active], linear + memory.linear[active]
-            square += memory.square[active]
+        fixed, linear = fixed + memory.constant[active], linear + memory.linear[active]
+        square += memory.square[active]
         place, cell = memory.ends[cell], cell + 1
     return fixed, linear, square
 

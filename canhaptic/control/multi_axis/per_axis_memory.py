@@ -32,7 +32,7 @@ class PerAxisMemory(NamedTuple):
     along: Matrix  # largest torque along + that may act in each hold, (holds, axes) [N*m or N]
     against: Matrix  # the same along -
     ends: Indices  # of each cell in the parabolas; a cell is one axis in one hold, (cells,)
-    constant: Buffer  # A of the parabolas A + B l + C l^2, (pieces,); see `per_axis_memory`
+    constant: Buffer  # A of the parabolas A + B l + C l^2, (pieces + 1,), the last of which is always 0
     linear: Buffer  # B
     square: Buffer  # C
     old: Buffer  # sums over the holds by the torques under way, (axes,)
@@ -67,6 +67,6 @@ def per_axis_memory(limits: PerAxisLimits) -> PerAxisMemory:
         ends = pieces = 0
     return PerAxisMemory(
         zeros(limits.delay + 1, axes), one(axes), zeros(axes, 2), zeros(axes, 2), zeros(limits.holds, axes),
-        zeros(limits.holds, axes), [0] * ends, one(pieces), one(pieces), one(pieces), one(axes), one(axes), one(axes),
-        one(axes), one(axes), one(axes), Acting(one(axes), one(axes)),
+        zeros(limits.holds, axes), [0] * ends, one(pieces + 1), one(pieces + 1), one(pieces + 1), one(axes), one(axes),
+        one(axes), one(axes), one(axes), one(axes), Acting(one(axes), one(axes)),
     )  # fmt: skip
