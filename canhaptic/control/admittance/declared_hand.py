@@ -70,7 +70,6 @@ class DeclaredHand:
     before: float = 0.0  # g at that SYNC [m/s or rad/s]
     place: int = 0  # of this SYNC in the ring
     waiting: int = 0  # SYNCs since
-    limited: int = 0  # SYNCs for which the torque may have been at its limit before that one
     slowest: float = 0.0  # least v there [m/s or rad/s]
     fastest: float = 0.0  # largest v there
     up: float = -inf  # least F where K is alone, in the positive direction [N or N*m]
@@ -87,6 +86,7 @@ class HeardForce(NamedTuple):
     command: float  # that acted in it [m/s or rad/s]
     force: float  # [N or N*m]
     change: float  # since the force before [N or N*m]
+    at_limit: bool  # whether the torque may have been at its limit in that hold
 
 
 def declared_hand_settings(
@@ -113,8 +113,6 @@ def go_on(settings: DeclaredHandSettings, hand: DeclaredHand, speeds: Buffer, co
     hand.place = hand.place + 1 if hand.place + 1 < len(speeds) else 0
     speeds[hand.place] = hand.speed
     hand.waiting += 1
-    if hand.limited > 0:
-        hand.limited -= 1
 
 
 def hear(
@@ -138,7 +136,7 @@ def hear(
         hand.known = least
         hand.up = hand.down = hand.up_with_mass = hand.down_with_mass = -inf
         return
-    if hand.limited == 0:
+    if not heard.at_limit:
         least = max(least, hand.known + _gained(settings, loop, port, heard, begin, hand.before))
     hand.known = least
     error = port.error + port.lag * port.slew

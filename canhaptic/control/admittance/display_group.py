@@ -178,6 +178,7 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
                 axis.loop.lead += axis.acted()
                 axis.port.missed += 1
                 send(axis.motion, axis.memory.commands, 0.0)
+            self._watch_limit()
         last = self._last.account
         account = AT_REST._replace(h_s=last.h_s, h_dis=last.h_dis, branch=Branch.HELD.value)
         return GroupBalance(speeds, account, speeds)
@@ -190,7 +191,8 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         wish = self._environment.speeds_after(before, forces, list(positions), self._time)
         limits = zip(self._each, wish, positions, velocities, strict=True)
         certificate = self._send([axis.limit(speed, position, velocity) for axis, speed, position, velocity in limits])
-        if self._reaches_limit(velocities):
+        self._watch_limit()
+        if self._is_unsure:
             certificate = Certificate.NONE.value
         else:
             self._require_agreement(holds, forces, is_first=is_first)
@@ -211,6 +213,7 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
             changes = [0.0] * self.axes  # all is deducted by now
         for axis, hold in zip(self._each, holds, strict=True):
             axis.loop.lead += axis.acted() - hold.moved
+            axis.loop.velocity, axis.loop.holds = hold.moved / hold.elapsed, missed + 1
         self._fall(changes)
         energy = sum(hold.energy for hold in holds)
         if self._is_unsure or not holds[0].is_booked:
@@ -273,15 +276,11 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
             axis.replace_newest(whole(axis.motion_settings, part * speed))
         return sum(axis.used() for axis in self._each)
 
-    def _reaches_limit(self, velocities: Sequence[float]) -> bool:
-        """Whether the torque of a drive with an integral may have reached its limit, now or before."""
-        for axis, velocity in zip(self._each, velocities, strict=True):
+    def _watch_limit(self) -> None:
+        """Finds out whether the torque of a drive with an integral may reach its limit: nothing is certified then."""
+        for axis in self._each:
             if axis.loop_settings.integral > 0.0 and not self._is_unsure:
-                acceleration = axis.port_settings.acceleration
-                self._is_unsure = may_limit(
-                    axis.loop_settings, axis.loop.lead, velocity, axis.motion.speed, acceleration
-                )
-        return self._is_unsure
+                self._is_unsure = may_limit(axis.loop_settings, axis.loop, axis.motion.speed, axis.port.missed)
 
     def _settle(self, h_i: float, before: list[float], velocities: Sequence[float], certificate: int) -> EnergyBalance:
         """Dissipates and leaks what neither the mass nor the drives can give back; returns the account."""

@@ -105,7 +105,7 @@ class _GuardedDisplayState:
     h_s: float = 0.0  # [J]
     surplus: float = 0.0  # [J]
     taken: float = 0.0  # dissipated or leaked so far, and not paid [J]
-    limited: int = 0  # SYNCs for which the drive may be at its torque limit in the hold before
+    limited: int = 0  # SYNCs for which a force may belong to a hold in which the drive was at its torque limit
     unsure: bool = False  # it may have done so where a certificate rested on that it does not
     by_encoder: float = 0.0  # E - V by encoder and commands alone, at least [J]
     by_force: float = 0.0  # E by the force, at most [J]
@@ -171,14 +171,7 @@ def step(
     send(motion, commands, whole(settings.motion, wish))
     environment.go_along(inner, before, motion.speed, time)
     speed = abs(velocity) + settings.port.acceleration * time
-    if settings.may_be_limited:
-        ahead = may_limit(settings.loop, state.loop.lead, velocity, motion.speed, settings.port.acceleration)
-        if ahead:
-            state.limited = settings.loop.delay + 1  # until the command has acted
-        if ahead:
-            state.declared.limited = settings.declared.holds + 2
-        if ahead and not state.unsure:
-            state.unsure = not _fits_loop(settings, state, commands)
+    _watch_limit(settings, state, commands)
     if state.unsure:
         certificate = _NONE
     h_s, h_r, deficit, leak, paid = _settle(environment, settings, state, memory, h_i, before, speed)
@@ -215,12 +208,20 @@ def _certified(
     return sign * most, certificate
 
 
-def _fits_loop(settings: _GuardedSettings, state: _GuardedDisplayState, commands: Buffer) -> bool:
-    """Whether the loop without an integral certifies all that is under way: a torque at its limit then ends nothing."""
-    if settings.loop.integral > 0.0:
-        return False
-    under_way = loss_under_way(settings.loop, 0.0, commands, state.motion)
-    return under_way <= state.margin.known + settings.allowance
+def _watch_limit(settings: _GuardedSettings, state: _GuardedDisplayState, commands: Buffer) -> None:
+    """Finds out whether the torque may reach its limit while the newest command acts, and ends what it then ends.
+
+    The loop without an integral may certify all that is under way: a torque at its limit then ends nothing.
+    """
+    loop, port = settings.loop, state.axis
+    if not settings.may_be_limited or not may_limit(loop, state.loop, state.motion.speed, port.missed):
+        return
+    state.limited = loop.delay + 1 + loop.losses + settings.port.latency
+    if loop.integral > 0.0:
+        state.unsure = True
+    elif not state.unsure:
+        under_way = loss_under_way(loop, 0.0, commands, state.motion)
+        state.unsure = under_way > state.margin.known + settings.allowance
 
 
 def miss(settings: _GuardedSettings, state: _GuardedDisplayState, memory: GuardedMemory) -> float:
@@ -243,6 +244,7 @@ def miss(settings: _GuardedSettings, state: _GuardedDisplayState, memory: Guarde
     if settings.loop.integral == 0.0:
         speed, _ = _certified(settings, state, commands, motion.speed)
     send(motion, commands, whole(settings.motion, speed))
+    _watch_limit(settings, state, commands)
     return motion.speed
 
 
@@ -252,6 +254,7 @@ def _take(
     """Books the hold that ended and brings W up to date; returns (h_i [J], mean velocity [m/s or rad/s])."""
     port, loop, motion, commands = state.axis, state.loop, state.motion, memory.display.commands
     missed, origin, heard = port.missed, port.origin, port.force
+    at_limit = state.limited > 0
     hold = book(settings.port, port, memory.display.positions, position, force)
     if not missed:
         change = gained(settings.loop, loop.lead, commands, motion, hold.moved)
@@ -260,7 +263,8 @@ def _take(
     loop.lead += sent(motion, commands, settings.loop.delay) * settings.port.sample_time - hold.moved
     _fall(settings, state, memory, change)
     state.by_encoder += change
-    velocity = hold.moved / hold.elapsed
+    loop.velocity = velocity = hold.moved / hold.elapsed
+    loop.holds = missed + 1
     if not hold.is_booked:
         return 0.0, velocity
     if state.by_force == 0.0:  # the handle may have moved already
@@ -272,7 +276,7 @@ def _take(
         return hold.energy, velocity
     if settings.declared.stiffness > 0.0:
         acted = sent(motion, commands, settings.declared.holds)
-        said = new(HeardForce, (late, port.origin - origin, acted, port.force, port.force - heard))
+        said = new(HeardForce, (late, port.origin - origin, acted, port.force, port.force - heard, at_limit))
         declared_hand.hear(settings.declared, settings.loop, settings.port, state.declared, memory.speeds, said)
     then = oldest(state.margin, memory.margin)
     rise(state.margin, memory.margin, then, late - reserve(settings.loop, memory.leads[then], hold.speed), state.taken)
@@ -292,8 +296,8 @@ def _fall(settings: _GuardedSettings, state: _GuardedDisplayState, memory: Guard
     memory.leads[state.margin.place] = state.loop.lead
     if settings.hand.force > 0.0:
         lost = lost_to_hand(settings.hand, settings.loop, memory.display.commands, state.motion)
-        fall(state.hand, memory.hand, -inf if state.limited > 0 else -lost, state.taken)
-        state.limited = max(0, state.limited - 1)
+        fall(state.hand, memory.hand, -inf if state.limited > settings.port.latency else -lost, state.taken)
+    state.limited = max(0, state.limited - 1)
     if settings.declared.stiffness > 0.0:
         acted = sent(state.motion, memory.display.commands, settings.loop.delay)
         declared_hand.go_on(settings.declared, state.declared, memory.speeds, acted)
@@ -310,14 +314,7 @@ def _settle(
 ) -> tuple[float, float, float, float, float]:
     """Dissipates and leaks what neither the mass nor the drive can give back; returns (h_s, h_r, deficit, leak, paid).
 
-    Args:
-        environment: What is rendered.
-        settings: Of the run.
-        state: Its store, surplus and W change.
-        memory: Of the axis.
-        h_i: That came in [J].
-        before: Command before the newest [m/s or rad/s].
-        speed: Largest of the handle now [m/s or rad/s].
+    Where h_i [J] came in, `before` was the command before the newest and `speed` is the handle's largest now.
     """
     loop, motion, commands = state.loop, state.motion, memory.display.commands
     under_way = loss_under_way(settings.loop, loop.lead, commands, motion)
@@ -346,11 +343,6 @@ def _settle(
     return h_s, h_r, deficit, leak, paid
 
 
-def is_contradicted(state: _GuardedDisplayState, memory: GuardedMemory) -> bool:
-    """Whether more came in by encoder and commands, at the SYNC of the last force, than the force says at most."""
-    return known_then(state.by_encoder, state.margin, memory.margin) > state.by_force + ROUNDING
-
-
 class GuardedDisplay(DisplayController):
     """A virtual mass with the certificate of the drive's velocity loop."""
 
@@ -376,8 +368,8 @@ class GuardedDisplay(DisplayController):
         balance = super().step(position, torque_applied)
         if self._check is not None:
             self._compare(self._check, -torque_applied, is_first=bool(before))
-        late = state.by_encoder - state.by_force
-        if late > 0.0 and not state.unsure and is_contradicted(state, self._memory):
+        at_force = known_then(state.by_encoder, state.margin, self._memory.margin)  # more may have come in since
+        if at_force > state.by_force + ROUNDING and not state.unsure:
             error = ForceContradictedError(contradiction("force sensor", state.by_force, state.by_encoder))
             self.reset()
             raise error
@@ -394,6 +386,11 @@ class GuardedDisplay(DisplayController):
         if found is not None:
             self.reset()
             raise ForceContradictedError(found.text())
+
+    def hold(self) -> EnergyBalance:
+        """Answers a SYNC of which no sample came; see `Controller.hold`."""
+        balance = super().hold()
+        return balance._replace(certificate=_NONE) if self._state.unsure else balance
 
     def _command_unseen(self) -> float:
         return miss(self._settings, self._state, self._memory)

@@ -51,6 +51,8 @@ class LoopState:
     """What is known of the drive."""
 
     lead: float = 0.0  # way commanded less way moved: f_I = k lead [m or rad]
+    velocity: float = 0.0  # mean of the hold of the last sample that came [m/s or rad/s]
+    holds: int = 1  # that this mean is taken over
 
 
 def reserve(settings: VelocityLoopSettings, lead: float, speed: float) -> float:
@@ -62,23 +64,21 @@ def reserve(settings: VelocityLoopSettings, lead: float, speed: float) -> float:
     return value
 
 
-def may_limit(
-    settings: VelocityLoopSettings, lead: float, velocity: float, command: float, acceleration: float
-) -> bool:
+def may_limit(settings: VelocityLoopSettings, loop: LoopState, command: float, missed: int) -> bool:
     """Whether the torque may reach its limit while a command acts: what counts on its braking is then not proved.
 
     Args:
         settings: Of the run.
-        lead: At this SYNC [m or rad].
-        velocity: Mean of the hold that ended [m/s or rad/s].
+        loop: Velocity and lead that are known; of the lead, the way moved in samples that were lost is not taken off.
         command: Computed now [m/s or rad/s].
-        acceleration: Largest of the handle [m/s^2 or rad/s^2].
+        missed: Samples that were lost since the velocity was seen.
     """
-    span = (settings.delay + 1) * settings.sample_time
-    change = acceleration * (span + 0.5 * settings.sample_time)
-    ahead = (abs(command) + abs(velocity) + change) * span
-    torque = settings.gain * (abs(command - velocity) + change)
-    torque += settings.integral * (abs(lead) + settings.count + ahead)
+    time, speed = settings.sample_time, abs(loop.velocity)
+    span, unseen = (settings.delay + 1 + settings.losses) * time, missed * time
+    change = settings.acceleration * (span + unseen + 0.5 * time * loop.holds)
+    ahead = (abs(command) + speed + change) * span + (speed + change) * unseen
+    torque = settings.gain * (abs(command - loop.velocity) + change)
+    torque += settings.integral * (abs(loop.lead) + settings.count + ahead)
     return torque >= settings.torque_limit
 
 

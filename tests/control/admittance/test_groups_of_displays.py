@@ -7,9 +7,10 @@ import pytest
 
 from canhaptic.control.admittance import DISPLAY_GROUP_ALGORITHMS, build_display_group
 from canhaptic.control.admittance.group_environment import GroupMass
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.admittance.task_environment import TaskEnvironment
-from canhaptic.control.balance import residual
+from canhaptic.control.balance import Certificate, residual
 from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.errors import ControlError, ParameterError
 from canhaptic.registry import load
@@ -130,6 +131,17 @@ def test_the_tank_holds_back_what_it_does_not_hold() -> None:
     _, tank = run("energy_tank", 400, 0.0, 0.8)
     ways = [sum(abs(v) for balance in found for v in balance.torques) for found in (free, tank)]
     assert ways[1] < ways[0]
+
+
+@pytest.mark.parametrize(("holds", "certified"), [(4, True), (8, False)])
+def test_a_torque_limit_may_be_reached_where_no_sample_shows_it(holds: int, certified: bool) -> None:
+    """The handles are where they were before; at 50 m/s^2 a gap of 8 ms lets them go so fast that 40 N may act."""
+    drive = GuardedDisplayParameters(drive_mass=1.0, loop_gain=100.0, integral_gain=100.0)
+    controller = build_display_group(GroupMass(mass=2.0), "guarded", drive, [properties(torque_limit=40.0)] * 2)
+    controller.step([0.0, 0.0], [0.0, 0.0])
+    for _ in range(holds):
+        controller.hold()
+    assert (controller.step([0.0, 0.0], [0.0, 0.0]).account.certificate != Certificate.NONE.value) is certified
 
 
 def test_a_sample_that_was_lost_commands_nothing_and_a_wrong_one_ends_it() -> None:
