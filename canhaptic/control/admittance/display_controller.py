@@ -6,12 +6,15 @@ sensor shows), and the `torque` of its balance is the velocity commanded [m/s or
 
 from typing import ClassVar
 
+from canhaptic.control.admittance.display_environment import DisplayEnvironment
+from canhaptic.control.admittance.motion import send
 from canhaptic.control.passivity.stepped import SteppedController, Wording
 
 
 class DisplayController(SteppedController):
     """A kernel with the state of one axis."""
 
+    _environment: DisplayEnvironment
     wording: ClassVar[Wording] = Wording(
         "applied force", "velocity", "encoder, force sensor and their scaling", "mass and damping against the forces"
     )
@@ -30,5 +33,9 @@ class DisplayController(SteppedController):
 
     def _command_unseen(self) -> float:
         """Returns the command of a SYNC without a sample [m/s or rad/s]: 0, unless an algorithm can do better."""
+        state, memory = self._state, self._memory
+        before, state.slip = state.motion.speed - state.slip, 0.0
+        send(state.motion, memory.commands, 0.0)
+        self._environment.go_along(memory.inner, before, 0.0, self._settings.motion.sample_time)
         self._axis.missed += 1
         return 0.0

@@ -17,49 +17,44 @@ Where a largest force of the hand is declared (`largest_hand_force`), or the han
 Where the mass asked for is lighter than the drive carries safely, the hand feels a heavier one; nothing else changes.
 """
 
-from dataclasses import dataclass, field
 from math import inf
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 from canhaptic.control.admittance import declared_hand
-from canhaptic.control.admittance.declared_hand import DeclaredHand, DeclaredHandSettings, HeardForce
+from canhaptic.control.admittance.declared_hand import HeardForce
 from canhaptic.control.admittance.display_controller import DisplayController
 from canhaptic.control.admittance.display_environment import DisplayEnvironment
 from canhaptic.control.admittance.force_evidence import ROUNDING, contradiction
+from canhaptic.control.admittance.guarded_display_state import (
+    GuardedDisplaySettings,
+    GuardedDisplayState,
+    GuardedMemory,
+    memory_of,
+    settings_of,
+)
 from canhaptic.control.admittance.hand_force import (
-    HandForceSettings,
     fastest_for_hand,
     held_back,
     lost_to_hand,
     used_by_hand,
 )
 from canhaptic.control.admittance.late_margin import (
-    LateMargin,
-    MarginMemory,
     fall,
     known_then,
-    margin_memory,
     oldest,
     rise,
 )
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters, loop_settings
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
 from canhaptic.control.admittance.momentum_check import MomentumCheck, momentum_check, moved_hold
 from canhaptic.control.admittance.motion import (
-    DisplayMemory,
-    DisplayMotion,
-    DisplayMotionSettings,
-    display_memory,
     limited,
-    motion_settings,
     send,
     sent,
     whole,
 )
-from canhaptic.control.admittance.port import Port, PortSettings, begin_port, book, port_settings, reopen
+from canhaptic.control.admittance.port import begin_port, book, reopen
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.admittance.velocity_loop import (
-    LoopState,
-    VelocityLoopSettings,
     fastest,
     gained,
     loss_under_way,
@@ -70,7 +65,7 @@ from canhaptic.control.admittance.velocity_loop import (
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.passivity.settlement import settle
 from canhaptic.errors import ForceContradictedError
-from canhaptic.kernels import Buffer, Kernel, MakeBuffer, new
+from canhaptic.kernels import Buffer, Kernel, new
 from canhaptic.units import Parameters
 
 _EXACT, _DEPLETED, _FREE = Branch.EXACT.value, Branch.DEPLETED.value, Branch.FREE.value
@@ -79,79 +74,10 @@ _BY_LOOP, _BY_HAND = Certificate.VELOCITY_LOOP.value, Certificate.LARGEST_HAND_F
 _BY_DECLARED = Certificate.DECLARED_HAND.value
 
 
-@dataclass(frozen=True, slots=True)
-class _GuardedSettings:
-    """What is fixed for a run."""
-
-    port: PortSettings
-    motion: DisplayMotionSettings
-    loop: VelocityLoopSettings
-    hand: HandForceSettings
-    declared: DeclaredHandSettings
-    allowance: float  # [J]
-    may_be_limited: bool  # a torque at its limit would end what is proved
-
-
-@dataclass(slots=True)
-class _GuardedDisplayState:
-    """What is remembered between two SYNCs."""
-
-    axis: Port = field(default_factory=Port)
-    motion: DisplayMotion = field(default_factory=DisplayMotion)
-    loop: LoopState = field(default_factory=LoopState)
-    margin: LateMargin = field(default_factory=LateMargin)  # E - V
-    hand: LateMargin = field(default_factory=LateMargin)  # E - G
-    declared: DeclaredHand = field(default_factory=DeclaredHand)
-    h_s: float = 0.0  # [J]
-    surplus: float = 0.0  # [J]
-    taken: float = 0.0  # dissipated or leaked so far, and not paid [J]
-    limited: int = 0  # SYNCs for which a force may belong to a hold in which the drive was at its torque limit
-    unsure: bool = False  # it may have done so where a certificate rested on that it does not
-    by_encoder: float = 0.0  # E - V by encoder and commands alone, at least [J]
-    by_force: float = 0.0  # E by the force, at most [J]
-
-
-class GuardedMemory(NamedTuple):
-    """Buffers of one axis."""
-
-    display: DisplayMemory
-    margin: MarginMemory
-    hand: MarginMemory
-    leads: Buffer  # a ring as those of the margins [m or rad]
-    speeds: Buffer  # another, of the motion that the commands make [m/s or rad/s]
-
-
-def settings_of(
-    environment: DisplayEnvironment, parameters: GuardedDisplayParameters, properties: DisplayProperties
-) -> _GuardedSettings:
-    """Returns what is fixed for a run.
-
-    Raises:
-        ParameterError: A hand or losses are declared where their proof does not hold.
-    """
-    loop = loop_settings(parameters, properties)
-    motion = motion_settings(environment, properties, loop.mass / loop.gain_least)
-    hand = HandForceSettings(parameters.largest_hand_force)
-    declared = declared_hand.declared_hand_settings(parameters, loop, properties.latency)
-    ends = loop.integral > 0.0 or hand.force > 0.0 or declared.stiffness > 0.0
-    return _GuardedSettings(port_settings(properties), motion, loop, hand, declared, parameters.energy_allowance, ends)
-
-
-def memory_of(settings: _GuardedSettings, make_buffer: MakeBuffer) -> GuardedMemory:
-    """Returns the buffers of one axis."""
-    kept, late = settings.loop.delay + settings.loop.losses + 2, settings.port.latency
-    kept += late if settings.declared.stiffness > 0.0 else 0
-    display = display_memory(settings.port, settings.motion, kept, make_buffer)
-    return GuardedMemory(
-        display, margin_memory(late, make_buffer), margin_memory(late, make_buffer), make_buffer(late + 1),
-        declared_hand.speeds_of(late, make_buffer),
-    )  # fmt: skip
-
-
 def step(
     environment: DisplayEnvironment,
-    settings: _GuardedSettings,
-    state: _GuardedDisplayState,
+    settings: GuardedDisplaySettings,
+    state: GuardedDisplayState,
     memory: GuardedMemory,
     position: float,
     torque_applied: float,
@@ -183,7 +109,7 @@ def step(
 
 
 def _certified(
-    settings: _GuardedSettings, state: _GuardedDisplayState, commands: Buffer, wish: float
+    settings: GuardedDisplaySettings, state: GuardedDisplayState, commands: Buffer, wish: float
 ) -> tuple[float, int]:
     """Returns (the nearest speed that is certified [m/s or rad/s], by which certificate it was cut)."""
     sign = 1.0 if wish >= 0.0 else -1.0
@@ -208,7 +134,7 @@ def _certified(
     return sign * most, certificate
 
 
-def _watch_limit(settings: _GuardedSettings, state: _GuardedDisplayState, commands: Buffer) -> None:
+def _watch_limit(settings: GuardedDisplaySettings, state: GuardedDisplayState, commands: Buffer) -> None:
     """Finds out whether the torque may reach its limit while the newest command acts, and ends what it then ends.
 
     The loop without an integral may certify all that is under way: a torque at its limit then ends nothing.
@@ -224,7 +150,9 @@ def _watch_limit(settings: _GuardedSettings, state: _GuardedDisplayState, comman
         state.unsure = under_way > state.margin.known + settings.allowance
 
 
-def miss(settings: _GuardedSettings, state: _GuardedDisplayState, memory: GuardedMemory) -> float:
+def miss(
+    environment: DisplayEnvironment, settings: GuardedDisplaySettings, state: GuardedDisplayState, memory: GuardedMemory
+) -> float:
     """Takes a SYNC of which no sample came; returns the command [m/s or rad/s].
 
     Without an integral the last command goes on as long as it is certified without knowing what it did; with one the
@@ -240,16 +168,17 @@ def miss(settings: _GuardedSettings, state: _GuardedDisplayState, memory: Guarde
     port.missed += 1
     state.by_encoder += change
     _fall(settings, state, memory, change)
-    speed = 0.0
+    before, speed = motion.speed, 0.0
     if settings.loop.integral == 0.0:
-        speed, _ = _certified(settings, state, commands, motion.speed)
+        speed, _ = _certified(settings, state, commands, before)
     send(motion, commands, whole(settings.motion, speed))
+    environment.go_along(memory.display.inner, before, motion.speed, settings.motion.sample_time)
     _watch_limit(settings, state, commands)
     return motion.speed
 
 
 def _take(
-    settings: _GuardedSettings, state: _GuardedDisplayState, memory: GuardedMemory, position: float, force: float
+    settings: GuardedDisplaySettings, state: GuardedDisplayState, memory: GuardedMemory, position: float, force: float
 ) -> tuple[float, float]:
     """Books the hold that ended and brings W up to date; returns (h_i [J], mean velocity [m/s or rad/s])."""
     port, loop, motion, commands = state.axis, state.loop, state.motion, memory.display.commands
@@ -290,7 +219,7 @@ def _take(
     return proved - free, velocity
 
 
-def _fall(settings: _GuardedSettings, state: _GuardedDisplayState, memory: GuardedMemory, change: float) -> None:
+def _fall(settings: GuardedDisplaySettings, state: GuardedDisplayState, memory: GuardedMemory, change: float) -> None:
     """Takes the change of the margins in the hold that ended, and keeps what is known at this SYNC for its force."""
     fall(state.margin, memory.margin, change, state.taken)
     memory.leads[state.margin.place] = state.loop.lead
@@ -305,8 +234,8 @@ def _fall(settings: _GuardedSettings, state: _GuardedDisplayState, memory: Guard
 
 def _settle(
     environment: DisplayEnvironment,
-    settings: _GuardedSettings,
-    state: _GuardedDisplayState,
+    settings: GuardedDisplaySettings,
+    state: GuardedDisplayState,
     memory: GuardedMemory,
     h_i: float,
     before: float,
@@ -347,7 +276,7 @@ class GuardedDisplay(DisplayController):
     """A virtual mass with the certificate of the drive's velocity loop."""
 
     parameters_type: ClassVar[type[Parameters]] = GuardedDisplayParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, _GuardedDisplayState, memory_of, step)
+    kernel: ClassVar[Kernel] = Kernel(settings_of, GuardedDisplayState, memory_of, step)
 
     def __init__(
         self, environment: DisplayEnvironment, parameters: GuardedDisplayParameters, loop: DisplayProperties
@@ -393,4 +322,4 @@ class GuardedDisplay(DisplayController):
         return balance._replace(certificate=_NONE) if self._state.unsure else balance
 
     def _command_unseen(self) -> float:
-        return miss(self._settings, self._state, self._memory)
+        return miss(self._environment, self._settings, self._state, self._memory)

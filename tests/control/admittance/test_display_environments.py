@@ -1,15 +1,18 @@
 """Cup and ball against its continuous equations, and the paper's mass with force in and velocity out (AD8)."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from canhaptic.control.admittance import build_display_controller
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS, build_display_controller
 from canhaptic.control.admittance.cup_and_ball import CupAndBall
+from canhaptic.control.admittance.display_environment import DisplayEnvironment
 from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.dissipating_display import next_speed
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.errors import ParameterError
 
@@ -95,6 +98,44 @@ def test_a_start_creates_no_more_than_the_square_of_its_impulse() -> None:
         balance = controller.step(0.0, -force)
         assert balance.torque == pytest.approx(force * 1e-3 / 0.5)  # no hold of rest before it
         assert balance.gen == pytest.approx((force * 1e-3) ** 2 / (2.0 * 0.5), rel=1e-6)
+
+
+def _pushed(environment: DisplayEnvironment, algorithm: str, holds: int) -> tuple[Any, float]:
+    """Returns a controller whose drive follows at once, after holds under 6 N, and the position [m]."""
+    properties = DisplayProperties(
+        sample_time=1e-3, delay=1, sampling="mean", force_slew=1e-3, handle_acceleration=50.0, speed_limit=5.0,
+        acceleration_limit=20.0,
+    )  # fmt: skip
+    drive = GuardedDisplayParameters(drive_mass=1.0, loop_gain=200.0, energy_allowance=1.0)
+    known = drive if algorithm == "guarded" else None
+    controller, position, speed = build_display_controller(environment, algorithm, known, properties), 0.0, 0.0
+    for _ in range(holds):
+        position += 1e-3 * speed
+        speed = controller.step(position, -6.0).torque
+    return controller, position
+
+
+@pytest.mark.parametrize("algorithm", ["unprotected", "guarded"])
+def test_the_ball_swings_on_where_samples_are_lost(algorithm: str) -> None:
+    environment = CupAndBall()
+    controller, _ = _pushed(environment, algorithm, 200)
+    inner = getattr(controller._memory, "display", controller._memory).inner
+    expected, before = [*inner], controller._state.motion.speed
+    for _ in range(30):
+        speed = controller.hold().torque
+        environment.go_along(expected, before, speed, 1e-3)
+        before = speed
+    assert expected == [*inner]
+    assert abs(expected[1]) > 0.1
+
+
+@pytest.mark.parametrize("algorithm", [name for name in DISPLAY_ALGORITHMS if name != "guarded"])
+def test_after_a_lost_sample_the_speed_rises_from_the_zero_that_was_sent(algorithm: str) -> None:
+    """0.02 m/s in a hold is the limit of the acceleration, and 30 N a hard push."""
+    controller, position = _pushed(DisplayMass(mass=0.5), algorithm, 60)
+    assert controller._state.motion.speed > 0.3
+    assert controller.hold().torque == 0.0
+    assert 0.0 < controller.step(position, -30.0).torque <= 0.02 + 1e-12
 
 
 def test_the_balance_of_the_paper_is_for_a_mass() -> None:
