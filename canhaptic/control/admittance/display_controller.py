@@ -26,10 +26,13 @@ class DisplayController(SteppedController):
         return doubt
 
     def lasted(self, periods: float) -> None:
-        """Counts the SYNCs that were skipped as samples that were lost; a run with one is not certified."""
+        """Counts the SYNCs that were skipped as samples that were lost; the command acted on."""
+        state, skipped = self._state, round(periods) - 1
         if self._axis.started:
-            for _ in range(round(periods) - 1):
-                self._command_unseen()
+            self._axis.missed += skipped
+            own = state.motion.speed - state.slip
+            for _ in range(skipped):
+                self._environment.go_along(self._memory.inner, own, own, self._settings.motion.sample_time)
 
     def _command_unseen(self) -> float:
         """Returns the command of a SYNC without a sample [m/s or rad/s]: 0, unless an algorithm can do better."""

@@ -29,6 +29,7 @@ from canhaptic.control.admittance.sampled_group import DisplayGroup, GroupAxis, 
 from canhaptic.control.admittance.velocity_loop import (
     LoopState,
     gained,
+    loss_of_skip,
     loss_under_way,
     lost_unseen,
     may_limit,
@@ -103,6 +104,14 @@ class _GroupAxis(GroupAxis):
             return -lost_unseen(self.loop_settings, commands, self.motion)
         return 0.0 if self.port.missed else -self.used()
 
+    def change_of_skip(self, skipped: int) -> tuple[float, float]:
+        """Returns the change of the margin in the first and in each further hold where SYNCs are skipped [J]."""
+        loop, motion, commands = self.loop_settings, self.motion, self.memory.commands
+        if loop.integral > 0.0:
+            return -loss_of_skip(loop, self.loop.lead, commands, motion, skipped), 0.0
+        lost = -lost_unseen(loop, commands, motion)
+        return lost, lost
+
     def used(self) -> float:
         """Returns the largest loss of the margin by all that is under way [J]."""
         return loss_under_way(self.loop_settings, self.loop.lead, self.memory.commands, self.motion)
@@ -173,15 +182,33 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         """Answers a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
         speeds = (0.0,) * self.axes
         if self._started:
-            self._fall([axis.change(None) for axis in self._each])
+            self._let_pass([axis.change(None) for axis in self._each])
             for axis in self._each:
-                axis.loop.lead += axis.acted()
-                axis.port.missed += 1
                 send(axis.motion, axis.memory.commands, 0.0)
             self._watch_limit()
         last = self._last.account
         account = AT_REST._replace(h_s=last.h_s, h_dis=last.h_dis, branch=Branch.HELD.value)
         return GroupBalance(speeds, account, speeds)
+
+    def lasted(self, periods: float) -> None:
+        """Takes SYNCs that were skipped: no command was sent, and those that acted did so for longer."""
+        skipped = round(periods) - 1
+        if not self._started:
+            return
+        self._is_unsure = self._is_unsure or any(
+            axis.port.missed and axis.loop_settings.integral for axis in self._each
+        )
+        changes = [axis.change_of_skip(skipped) for axis in self._each]
+        for number in range(skipped):
+            self._let_pass([change[min(number, 1)] for change in changes])
+        self._watch_limit()
+
+    def _let_pass(self, changes: Sequence[float]) -> None:
+        """Lets a hold pass of which no sample came, and in which the margin changed by these at least [J]."""
+        for axis in self._each:
+            axis.loop.lead += axis.acted()
+            axis.port.missed += 1
+        self._fall(changes)
 
     def _answer(self, positions: Sequence[float], forces: list[float]) -> GroupBalance:
         is_first = bool(self._each[0].port.missed)

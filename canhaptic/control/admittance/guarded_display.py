@@ -57,6 +57,7 @@ from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.admittance.velocity_loop import (
     fastest,
     gained,
+    loss_of_skip,
     loss_under_way,
     lost_unseen,
     may_limit,
@@ -158,16 +159,12 @@ def miss(
     Without an integral the last command goes on as long as it is certified without knowing what it did; with one the
     command is 0 at once, and all that was under way counts as lost.
     """
-    port, motion, loop, commands = state.axis, state.motion, state.loop, memory.display.commands
-    acted = sent(motion, commands, settings.loop.delay)
-    if settings.loop.integral > 0.0:
-        change = 0.0 if port.missed else -loss_under_way(settings.loop, loop.lead, commands, motion)
-        loop.lead += acted * settings.port.sample_time
-    else:
+    motion, loop, commands = state.motion, state.loop, memory.display.commands
+    if settings.loop.integral == 0.0:
         change = -lost_unseen(settings.loop, commands, motion)
-    port.missed += 1
-    state.by_encoder += change
-    _fall(settings, state, memory, change)
+    else:
+        change = 0.0 if state.axis.missed else -loss_under_way(settings.loop, loop.lead, commands, motion)
+    _let_pass(settings, state, memory, change)
     before, speed = motion.speed, 0.0
     if settings.loop.integral == 0.0:
         speed, _ = _certified(settings, state, commands, before)
@@ -175,6 +172,37 @@ def miss(
     environment.go_along(memory.display.inner, before, motion.speed, settings.motion.sample_time)
     _watch_limit(settings, state, commands)
     return motion.speed
+
+
+def skip(
+    environment: DisplayEnvironment,
+    settings: GuardedDisplaySettings,
+    state: GuardedDisplayState,
+    memory: GuardedMemory,
+    skipped: int,
+) -> None:
+    """Takes SYNCs that were skipped: no command was sent, and the one that acted did so for longer."""
+    loop, motion, commands = settings.loop, state.motion, memory.display.commands
+    if loop.integral > 0.0:
+        state.unsure = state.unsure or state.axis.missed > 0
+        first, further = -loss_of_skip(loop, state.loop.lead, commands, motion, skipped), 0.0
+    else:
+        first = further = -lost_unseen(loop, commands, motion)
+    for number in range(skipped):
+        _let_pass(settings, state, memory, further if number else first)
+        environment.go_along(memory.display.inner, motion.speed, motion.speed, settings.motion.sample_time)
+    _watch_limit(settings, state, commands)
+
+
+def _let_pass(
+    settings: GuardedDisplaySettings, state: GuardedDisplayState, memory: GuardedMemory, change: float
+) -> None:
+    """Lets a hold pass of which no sample came, and in which the margin changed by this at least [J]."""
+    acted = sent(state.motion, memory.display.commands, settings.loop.delay)
+    state.loop.lead += acted * settings.port.sample_time
+    state.axis.missed += 1
+    state.by_encoder += change
+    _fall(settings, state, memory, change)
 
 
 def _take(
@@ -315,6 +343,11 @@ class GuardedDisplay(DisplayController):
         if found is not None:
             self.reset()
             raise ForceContradictedError(found.text())
+
+    def lasted(self, periods: float) -> None:
+        """Counts the SYNCs that were skipped; a run with one is not certified."""
+        if self._axis.started:
+            skip(self._environment, self._settings, self._state, self._memory, round(periods) - 1)
 
     def hold(self) -> EnergyBalance:
         """Answers a SYNC of which no sample came; see `Controller.hold`."""

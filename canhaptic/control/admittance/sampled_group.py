@@ -125,9 +125,10 @@ class DisplayGroup(ABC, Generic[_Axis]):
         """Answers a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
 
     def lasted(self, periods: float) -> None:
-        """Counts the SYNCs that were skipped as samples that were lost."""
-        for _ in range(round(periods) - 1):
-            self.hold()
+        """Counts the SYNCs that were skipped as samples that were lost; the commands acted on."""
+        if self._started:
+            for axis in self._each:
+                axis.port.missed += round(periods) - 1
 
     def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
         """Accounts for the hold that ended; see `GroupController`. `torques_applied` are minus the forces."""

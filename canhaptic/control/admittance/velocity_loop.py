@@ -22,7 +22,7 @@ No friction is counted; it only helps. With a torque limit: without an integral 
 what the encoder proves (`_by_damping`). With one the bound holds only where the limit is not reached (`may_limit`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 from canhaptic.control.admittance.motion import DisplayMotion, sent
@@ -278,3 +278,13 @@ def loss_under_way(settings: VelocityLoopSettings, lead: float, commands: Buffer
     for hold in range(settings.losses + 1):
         total += largest_square(commands, motion, 0, settings.losses - hold)
     return 0.25 * settings.gain * settings.sample_time * total
+
+
+def loss_of_skip(
+    settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: DisplayMotion, skipped: int
+) -> float:
+    """Returns the largest loss of W by all that is under way where the oldest acts for longer, SYNCs skipped [J]."""
+    holds = [settings.delay] * skipped + [*range(settings.delay, -1, -1)]
+    acting = [sent(motion, commands, age) for age in holds]
+    longer = replace(settings, delay=settings.delay + skipped)
+    return loss_under_way(longer, lead, acting, DisplayMotion(newest=len(acting) - 1))

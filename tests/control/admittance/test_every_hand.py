@@ -33,6 +33,7 @@ class _Rig:
     acceleration: float = _ACCELERATION
     hand_force: float = 0.0
     torque_limit: float = 1e9
+    slew: float = 1e-6
 
     @property
     def gain(self) -> float:
@@ -40,7 +41,7 @@ class _Rig:
 
     def controller(self, **declared: float) -> Any:
         properties = DisplayProperties(
-            sample_time=self.time, delay=self.delay, sampling="mean", latency=self.latency, force_slew=1e-6,
+            sample_time=self.time, delay=self.delay, sampling="mean", latency=self.latency, force_slew=self.slew,
             handle_acceleration=self.acceleration, encoder_count=self.count, speed_limit=3.0, acceleration_limit=1000.0,
             torque_limit=self.torque_limit,
         )  # fmt: skip
@@ -296,13 +297,20 @@ def test_losses_are_not_declared_with_an_integral() -> None:
         rig.controller()
 
 
-def test_a_skipped_sync_costs_what_its_hold_may_have_cost() -> None:
-    rig = replace(_SHARP, allowance=1e-3)
-    loop = _Loop(rig, rig.controller(), np.random.default_rng(2))
-    for _ in range(50):
-        loop.sync(_steady(lambda _drive, _command: 12.0, loop.drive.substeps))
-    before = loop.controller._state.margin.known
-    loop.controller.lasted(3.0)
-    assert loop.controller._state.margin.known < before
-    loop.sync(attack.greedy(1e9, 0.5))
-    assert math.isfinite(loop.queue[-1])
+@pytest.mark.parametrize("corner", [0.0, 20.0])
+@pytest.mark.parametrize("delay", [0, 3])
+def test_where_syncs_are_skipped_the_margin_stays_below_the_true_one(delay: int, corner: float) -> None:
+    """The oldest command acts for 8 sample times, against a hand that takes all it can; the encoder alone tells it."""
+    rig = replace(_SHARP, delay=delay, corner=corner, slew=1e7, allowance=0.05)
+    loop = _Loop(rig, rig.controller(), np.random.default_rng(1))
+    for force in (*[12.0] * 60, *[-4.0] * 3):
+        loop.sync(lambda _drive, _command, force=force: force)  # type: ignore[misc]
+    acting, take = loop.queue[0], attack.greedy(1e9, 0.5)
+    assert acting != loop.queue[-1] or delay == 0
+    for _ in range(8):
+        loop.drive.hold(acting, take)
+    loop.controller.lasted(8.0)
+    loop.controller.step(float(loop.drive.state[0]), 0.0)
+    true = loop.drive.energy - loop.drive.reserve
+    assert true - 0.5 < loop.controller._state.margin.known <= true + 1e-9
+    assert loop.controller._state.axis.missed == 0

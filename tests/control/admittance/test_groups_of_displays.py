@@ -144,10 +144,28 @@ def test_a_torque_limit_may_be_reached_where_no_sample_shows_it(holds: int, cert
     assert (controller.step([0.0, 0.0], [0.0, 0.0]).account.certificate != Certificate.NONE.value) is certified
 
 
+def test_a_skipped_sync_changes_no_command() -> None:
+    controller, found = run("unprotected", 50)
+    controller.lasted(3.0)
+    assert tuple(axis.motion.speed for axis in controller._each) == found[-1].torques
+    assert [axis.port.missed for axis in controller._each] == [2, 2]
+
+
+def test_a_skipped_sync_costs_a_guarded_group_what_its_commands_may_cost() -> None:
+    """c T / 4 times the square of the command that acts, of each axis, for as long as it acts."""
+    drive = GuardedDisplayParameters(drive_mass=1.0, loop_gain=100.0, energy_allowance=1.0)
+    controller: Any = build_display_group(GroupMass(mass=2.0), "guarded", drive, [properties()] * 2)
+    sent = [controller.step([0.0, 0.0], [-force, 2.0 * force]).torques for force in (0.0, 3.0, 0.0, 7.0)]
+    before = controller._margin.known
+    controller.lasted(3.0)
+    lost = 2.0 * sum(0.25 * 100.0 * TIME * speed * speed for speed in sent[-2])
+    assert 0.0 < lost == pytest.approx(before - controller._margin.known)
+    assert tuple(axis.motion.speed for axis in controller._each) == sent[-1]
+
+
 def test_a_sample_that_was_lost_commands_nothing_and_a_wrong_one_ends_it() -> None:
     controller, _ = run("unprotected", 50)
     assert controller.hold().torques == (0.0, 0.0)
-    controller.lasted(3.0)
     with pytest.raises(ControlError, match="expected 2 finite numbers"):
         controller.step([0.0, float("nan")], [0.0, 0.0])
     assert controller.step([0.0, 0.0], [0.0, 0.0]).torques == (0.0, 0.0)
