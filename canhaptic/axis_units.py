@@ -1,4 +1,4 @@
-"""Units of force and damping by the unit of a position: without pydantic, for readers and writers of logs."""
+"""Units of mass, damping, stiffness and force by the unit of a position, without pydantic: for logs and views."""
 
 from typing import Literal
 
@@ -14,3 +14,13 @@ def effort_unit(motion: str) -> str:
 def damping_unit(motion: str) -> str:
     """Returns the unit of damping of an axis whose position is in "m" or in "rad"."""
     return "N*s/m" if motion == "m" else "N*m*s/rad"
+
+
+def stiffness_unit(motion: str) -> str:
+    """Returns the unit of stiffness of an axis whose position is in "m" or in "rad"."""
+    return "N/m" if motion == "m" else "N*m/rad"
+
+
+def mass_unit(motion: str) -> str:
+    """Returns the unit of mass or inertia of an axis whose position is in "m" or in "rad"."""
+    return "kg" if motion == "m" else "kg*m^2"

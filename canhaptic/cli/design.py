@@ -28,9 +28,9 @@ def execute(arguments: argparse.Namespace) -> int:
             lambda tried, most: show(Progress(tried, most, 0)),
         )  # fmt: skip
     if arguments.json:
-        write_json({**found.result, "yaml": snippet(found.result)})
+        write_json({**found, "yaml": snippet(found)})
     else:
-        make_console().print(design_report(found.result))
+        make_console().print(design_report(found))
     return 0
 
 

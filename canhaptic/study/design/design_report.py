@@ -1,22 +1,20 @@
 """A designed wall in words: the lines to paste into a scene, and what the wall costs."""
 
-from typing import Any, Final
+from typing import Any
 
 import yaml
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from canhaptic.axis_units import effort_unit
+from canhaptic.axis_units import damping_unit, effort_unit, stiffness_unit
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable
-
-_UNITS: Final = {"m": ("N/m", "N*s/m"), "rad": ("N*m/rad", "N*m*s/rad")}
 
 
 def snippet(result: dict[str, Any]) -> str:
     """Returns the wall as YAML for a scene."""
-    stiffness, damping = _UNITS[result["unit"]]
+    stiffness, damping = stiffness_unit(result["unit"]), damping_unit(result["unit"])
     passivity: dict[str, Any] = {"algorithm": "guarded", **result["loop"], **result["hand"]}
     if "network" in result:
         group = {"name": result["group"], "network": result["network"], "passivity": passivity}
@@ -57,7 +55,7 @@ def _price(result: dict[str, Any]) -> list[Text]:
     lines = [f" rendered: stiffness {100.0 * share:.1f} %" + (f", damping {100.0 * damped:.1f} %" if damped else "")]
     lines.append(f" certificate in use: {str(result['certificate']).replace('_', ' ')}")
     lines += [
-        f" certified {name}: up to {si(limit, _UNITS[result['unit']][0], 3)}"
+        f" certified {name}: up to {si(limit, stiffness_unit(result['unit']), 3)}"
         for name, limit in result["certified"].items()
     ]
     rest = si(max(0.0, -result["least_judged"]), "J", 3)
@@ -80,7 +78,7 @@ def _felt(result: dict[str, Any]) -> list[RenderableType]:
     if "felt" not in result:
         return []
     felt, motion = result["felt"], result["unit"]
-    stiffness, effort = _UNITS[motion][0], effort_unit(motion)
+    stiffness, effort = stiffness_unit(motion), effort_unit(motion)
     table = FigureTable(title=f"largest wall within {100.0 * result['tolerance']:g} % at rest", pad_edge=False)
     for heading in (f"push [{effort}]", f"held [{stiffness}]", f"certified by hand force [{stiffness}]"):
         table.add_column(heading, justify="right", no_wrap=True)
@@ -123,7 +121,7 @@ def _drags(rows: list[dict[str, Any]], motion: str) -> list[RenderableType]:
 
 
 def _trade(result: dict[str, Any]) -> Table:
-    stiffness, damping = _UNITS[result["unit"]]
+    stiffness, damping = stiffness_unit(result["unit"]), damping_unit(result["unit"])
     table = FigureTable(title="stiffness for damping", pad_edge=False)
     table.add_column(f"stiffness [{stiffness}]", justify="right", no_wrap=True)
     table.add_column(f"largest damping [{damping}]", justify="right", no_wrap=True)

@@ -61,6 +61,7 @@ class GroupTrial:
 
     Attributes:
         scene: With the hands in motion.
+        unit: In which the handle moves.
         softest: Stiffness that is tried [N/m or N*m/rad].
         engine: What computes the trials.
         is_quick: Whether they are compiled.
@@ -79,6 +80,7 @@ class GroupTrial:
         (group,) = scene.groups
         self._scale = network_scale(group.network.parameters, group.network.name)
         self.scene, self._tolerance, self._executor = scene, tolerance, executor
+        self.unit = task_unit(group.kinematics.name, scene.axis(group.axes[0]).parameters.unit)
         self.softest = min(self._scale.stiffness, STIFFEST) / _SPAN
         self._stroke = _stroke_time(scene)
         self._leaning = self._with_hands_at_rest()
@@ -126,7 +128,7 @@ class GroupTrial:
         return {
             "scene": self.scene.source,
             "group": group.name,
-            "unit": task_unit(group.kinematics.name, axes[0].parameters.unit),
+            "unit": self.unit,
             "network": {"type": group.network.name, **network},
             "stiffness": stiffness,
             "damping": damping,

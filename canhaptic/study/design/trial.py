@@ -102,6 +102,7 @@ class Trial:
     Attributes:
         scene: Leaning on the wall; what is shown of a wall is shown of it.
         hand: Stiffness and damping of the grip [N/m, N*s/m or N*m/rad, N*m*s/rad].
+        unit: In which the axis moves.
         softest: Wall that is tried [N/m or N*m/rad].
         engine: What computes the trials.
         is_quick: Whether walls are tried compiled.
@@ -118,7 +119,7 @@ class Trial:
         [axis] = scene.axes
         self._tolerance = tolerance
         force = LEAN * axis.parameters.torque_limit
-        self.softest = force / _DEEPEST
+        self.unit, self.softest = axis.parameters.unit, force / _DEEPEST
         self._allowance = float(getattr(axis.passivity.parameters, "energy_allowance", 0.0)) + PASSIVE_TOLERANCE
         self._judged = "least_covered" if axis.loop.device_damping else "least_interaction"
         hand = self.hand = _hand(axis)

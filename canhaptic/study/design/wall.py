@@ -9,11 +9,11 @@ import math
 import os
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from canhaptic.axis_units import stiffness_unit
 from canhaptic.errors import CheckFailedError, InputError
 from canhaptic.scene.hints import stability_hints
 from canhaptic.scene.load import scene_from_text
@@ -69,24 +69,14 @@ _GROUPS: Final = _Places((12, 6), (6,), 3)
 """Places where Python runs the loop of a group, which takes four times as long as that of an axis."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Design:
-    """A wall, and what it costs."""
-
-    stiffness: float  # [N/m or N*m/rad]
-    damping: float  # [N*s/m or N*m*s/rad]
-    trade: tuple[tuple[float, float], ...]  # other walls: (stiffness, largest damping)
-    result: dict[str, Any]  # plain values, as `canhaptic design --json` prints them
-
-
 def design_wall(
     scene: Scene,
     margin: float = MARGIN,
     tolerance: float = TOLERANCE,
     engine: Engine = "auto",
     progress: Callable[[int, int], None] = lambda _tried, _most: None,
-) -> _Design:
-    """Returns the stiffest wall for the rig of a scene, and the largest damping at that stiffness.
+) -> dict[str, Any]:
+    """Returns the stiffest wall for the rig of a scene, and the largest damping at that stiffness, as plain values.
 
     Args:
         scene: Of one group, simulated; or of one axis, simulated or with `passivity.moving_mass` declared.
@@ -122,12 +112,12 @@ def _trial_of(scene: Scene, tolerance: float, engine: Engine, stack: ExitStack) 
 
 def _designed(
     trial: Trial | GroupTrial, margin: float, tolerance: float, progress: Callable[[int, int], None]
-) -> _Design:
+) -> dict[str, Any]:
     search = _WallSearch(trial, 1.0 + margin, progress)
     stiffest = search.largest_stiffness()
     stiffnesses = [_rounded(share * stiffest) for share in _SHARES]
-    trade = tuple(zip(stiffnesses, search.largest_dampings(np.array(stiffnesses)), strict=True))
-    stiffness, damping = trade[0]
+    dampings = search.largest_dampings(np.array(stiffnesses))
+    stiffness, damping = stiffnesses[0], dampings[0]
     below, verdict = search.below_and_at(stiffness, damping)
     if isinstance(trial, Trial):
         result = _account(trial, verdict, stiffness, damping)
@@ -136,8 +126,8 @@ def _designed(
         result = trial.account(verdict, stiffness, damping)
     result |= {"margin": margin, "tolerance": tolerance, "walls": trial.walls}
     result |= {"tried_below": len(below), "failing_below": int((~below).sum())}
-    result["trade"] = [{"stiffness": k, "damping": d} for k, d in trade]
-    return _Design(stiffness, damping, trade, result)
+    result["trade"] = [{"stiffness": k, "damping": d} for k, d in zip(stiffnesses, dampings, strict=True)]
+    return result
 
 
 class _WallSearch:
@@ -167,9 +157,10 @@ class _WallSearch:
         return _rounded(low)
 
     def _nothing_passes(self, verdict: TrialVerdict) -> CheckFailedError:
+        softest = f"{self._trial.softest * self._factor:g} {stiffness_unit(self._trial.unit)}"
         return CheckFailedError(
-            f"{self._trial.scene.source}: not even {self._trial.softest * self._factor:g} is rendered within the "
-            f"tolerance (stiffness {100.0 * float(verdict.stiffness_share[0]):.3g} % of what was asked, "
+            f"{self._trial.scene.source}: not even {softest} is rendered within the tolerance "
+            f"(stiffness {100.0 * float(verdict.stiffness_share[0]):.3g} % of what was asked, "
             f"{float(verdict.least_interaction[0]):.3g} J given out); raise bus.rate, or declare what is "
             "certain (passivity.moving_mass, device_damping)"
             + (", or a smaller passivity.max_consecutive_losses" if self._trial.scene.groups else "")
