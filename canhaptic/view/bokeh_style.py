@@ -62,7 +62,7 @@ def new_panel(title: str, unit: str, time: Range, height: int) -> figure:
         name=title,
     )
     panel.yaxis.axis_label = title
-    panel.xaxis.formatter, panel.yaxis.formatter = _si_ticks("s"), _si_ticks(unit)
+    panel.xaxis.formatter, panel.yaxis.formatter = si_ticks("s"), si_ticks(unit)
     _plain(panel)
     return panel
 
@@ -88,7 +88,7 @@ def new_plane(title: str, unit: str, across: Array, along: Array, height: int) -
         min_border_left=90,
         name=title,
     )
-    panel.xaxis.formatter = panel.yaxis.formatter = _si_ticks(unit)
+    panel.xaxis.formatter = panel.yaxis.formatter = si_ticks(unit)
     panel.yaxis.axis_label = title
     _plain(panel)
     return panel
@@ -114,7 +114,7 @@ def new_xy(title: str, unit: str, across: str, across_unit: str, height: int) ->
         name=title,
     )
     panel.xaxis.axis_label, panel.yaxis.axis_label = across, title
-    panel.xaxis.formatter, panel.yaxis.formatter = _si_ticks(across_unit), _si_ticks(unit)
+    panel.xaxis.formatter, panel.yaxis.formatter = si_ticks(across_unit), si_ticks(unit)
     _plain(panel)
     return panel
 
@@ -124,7 +124,7 @@ def _plain(panel: figure) -> None:
     panel.grid.grid_line_color = "#E6E6E6"
 
 
-def _si_ticks(unit: str) -> CustomJSTickFormatter:
+def si_ticks(unit: str) -> CustomJSTickFormatter:
     """Returns what writes the ticks of an axis with one SI prefix, chosen by the largest of them."""
     return CustomJSTickFormatter(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_TICKS)
 

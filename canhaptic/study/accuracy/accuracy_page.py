@@ -7,14 +7,23 @@ from typing import TYPE_CHECKING, Final
 from canhaptic.errors import InputError
 from canhaptic.study.accuracy.accuracy_picture import GROUPS, STYLES, price_of
 from canhaptic.study.accuracy.accuracy_table import Row, advice_lines, heading
-from canhaptic.view.html_page import require_bokeh, write_page
+from canhaptic.view.html_page import decades, require_bokeh, write_page
 
 if TYPE_CHECKING:
     from bokeh.models import Plot
 
 
 _TOOLS: Final = "pan,wheel_zoom,box_zoom,reset,save"
-_MARKERS: Final = {"o": "circle", "v": "inverted_triangle", "s": "square", "^": "triangle", "D": "diamond"}
+_MARKERS: Final = {
+    "o": "circle",
+    "v": "inverted_triangle",
+    "s": "square",
+    "^": "triangle",
+    "D": "diamond",
+    "*": "star",
+    "P": "plus",
+    "X": "hex",
+}
 
 
 def write_accuracy_page(result: Row, path: Path) -> None:
@@ -29,11 +38,13 @@ def write_accuracy_page(result: Row, path: Path) -> None:
     from bokeh.layouts import column, row
     from bokeh.models import Div
 
-    words = "".join(f"<p>{html.escape(line)}</p>" for line in (*heading(result), "", *advice_lines(result)))
+    words = "".join(f"<p>{html.escape(line)}</p>" for line in (*advice_lines(result), *heading(result)))
     price = price_of(result)
     panels = [
         _ladder(result, *price, "position_error", f"largest error of the position [{result['unit']}]"),
-        _ladder(result, "evaluations_per_period", "evaluations per period", "energy_error", "error of an energy [J]"),
+        _ladder(
+            result, "evaluations_per_period", "evaluations per period", "energy_error", "largest error of an energy [J]"
+        ),
     ]
     parts = [Div(text=words), row(*panels)]
     if any(r["position_error"] for r in result["loop"]):
@@ -46,7 +57,7 @@ def _ladder(result: Row, price: str, price_label: str, error: str, error_label: 
     from bokeh.plotting import figure
 
     panel = figure(
-        width=620, height=460, x_axis_type="log", y_axis_type="log", tools=_TOOLS, x_axis_label=price_label,
+        width=620, height=540, x_axis_type="log", y_axis_type="log", tools=_TOOLS, x_axis_label=price_label,
         y_axis_label=error_label,
     )  # fmt: skip
     least = 1e-18
@@ -65,7 +76,7 @@ def _ladder(result: Row, price: str, price_label: str, error: str, error_label: 
             }
         )
         panel.scatter(
-            "price", "error", source=source, marker=_MARKERS.get(marker, "hex"), size=9, color=colour,
+            "price", "error", source=source, marker=_MARKERS[marker], size=9, color=colour,
             line_color="edge", line_width=2, legend_label=method,
         )  # fmt: skip
     edge = sorted((r[price], max(r[error], least)) for r in result["plant"] if r["pareto"] and r.get(price))
@@ -75,10 +86,14 @@ def _ladder(result: Row, price: str, price_label: str, error: str, error_label: 
     if error == "position_error" and edge:
         panel.line([min(x for x, _ in edge), max(x for x, _ in edge)], result["tolerance"], line_color="#CC0000",
                    line_dash="dotted", line_width=2, legend_label="tolerance")  # fmt: skip
-    panel.add_tools(HoverTool(tooltips=[("", "@name"), ("error", "@error"), ("price", "@price"), ("", "@pareto")]))
+    panel.add_tools(
+        HoverTool(tooltips=[("", "@name"), (error_label, "@error"), (price_label, "@price"), ("", "@pareto")])
+    )
     panel.legend.click_policy = "hide"
-    panel.legend.location = "bottom_left"
-    panel.legend.background_fill_alpha = 0.6
+    panel.legend.ncols, panel.legend.border_line_alpha = 3, 0.0
+    panel.add_layout(panel.legend[0], "below")  # where it hides no point
+    if edge:
+        panel.x_range = decades([r[price] for r in result["plant"] if r["status"] == "ok" and r.get(price)])
     return panel
 
 
@@ -90,7 +105,7 @@ def _loop(result: Row) -> "Plot":
     names = [f"{r['group']}: {r['setting']}" for r in rows]
     panel = figure(
         width=1240, height=120 + 20 * len(rows), x_axis_type="log", y_range=names[::-1], tools=_TOOLS,
-        x_axis_label=f"largest difference from the continuous axis [{result['unit']}]",
+        x_axis_label=f"largest difference of the position from the continuous axis [{result['unit']}]",
     )  # fmt: skip
     source = ColumnDataSource(
         {
@@ -104,7 +119,7 @@ def _loop(result: Row) -> "Plot":
     )
     panel.scatter("error", "name", source=source, size=9, color="colour")
     tips = [
-        ("", "@name"), ("position", "@error"), ("energy", "@energy J"), ("bus load", "@load{0.0} %"),
+        ("", "@name"), ("position", f"@error {result['unit']}"), ("energy", "@energy J"), ("bus load", "@load{0.0} %"),
         ("control thread", "@thread{0.0} us"),
     ]  # fmt: skip
     panel.add_tools(HoverTool(tooltips=tips))

@@ -10,9 +10,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from canhaptic.axis_units import mass_unit
 from canhaptic.errors import InputError
 from canhaptic.study.displays.display_accuracy_table import HEADS, ChangeRow, DisplayStudy, cells, heading
-from canhaptic.view.html_page import require_bokeh, write_page
+from canhaptic.view.html_page import decades, require_bokeh, write_page
 from canhaptic.view.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from canhaptic.view.picture_style import drawing, save_picture
 
@@ -36,11 +37,10 @@ class _Figure(NamedTuple):
 
 
 def _figures(unit: str) -> tuple[_Figure, ...]:
-    mass = "kg" if unit == "m" else "kg*m^2"
     return (
         _Figure(f"largest error of the position [{unit}]", lambda row: row["position_error"], True),
         _Figure("largest error of the energy [J]", lambda row: row["energy_error"], True),
-        _Figure(f"mass felt [{mass}]", lambda row: row["mass_felt"], False),
+        _Figure(f"mass felt [{mass_unit(unit)}]", lambda row: row["mass_felt"], False),
         _Figure("energy given out [J]", lambda row: max(0.0, row["given_out"]), False),
     )
 
@@ -81,6 +81,8 @@ def draw_display_accuracy(result: DisplayStudy, path: str | Path) -> None:
             if column.is_steep:
                 panel.set_xscale("log")
                 panel.margins(x=0.15)
+            elif not any(values):
+                panel.set_xticks([0.0])
             if not math.isnan(values[0]):
                 panel.axvline(max(values[0], _LEAST), color="black", linewidth=0.8, linestyle=":")
             panel.set_yticks(places, [_name(row) for row in rows], fontsize=8.5)
@@ -117,13 +119,17 @@ def _panel(rows: list[ChangeRow], one: _Figure, *, shows_names: bool) -> "Plot":
 
     names, values = [_name(row) for row in rows], [one.value(row) for row in rows]
     panel = figure(
-        width=480 if shows_names else 300, height=110 + 22 * len(rows), y_range=names[::-1], x_axis_label=one.title,
+        width=450 if shows_names else 270, height=110 + 22 * len(rows), y_range=names[::-1], x_axis_label=one.title,
         x_axis_type="log" if one.is_steep else "linear", tools="pan,wheel_zoom,box_zoom,reset,save",
     )  # fmt: skip
     shown = [max(value, _LEAST) if one.is_steep else value for value in values]
     colours = [_COLOURS.get(row["changed"], VERMILION) for row in rows]
     source = ColumnDataSource({"name": names, "shown": shown, "value": values, "colour": colours})
     panel.scatter("shown", "name", source=source, size=9, color="colour")
+    if one.is_steep:
+        panel.x_range = decades(shown)
+    elif not any(values):
+        panel.xaxis.ticker = [0.0]
     panel.add_tools(HoverTool(tooltips=[("", "@name"), (one.title, "@value")]))
     panel.yaxis.visible = shows_names
     return panel

@@ -6,6 +6,7 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from canhaptic.axis_units import mass_unit
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable
 
@@ -57,7 +58,7 @@ class DisplayStudy(TypedDict):
     status: str
 
 
-HEADS: Final = ("changed", "to", "position", "energy", "mass felt", "given out", "guard acts", "us")
+HEADS: Final = ("changed", "to", "position", "energy", "mass felt", "given out", "guard acts", "us per\ncycle")
 
 
 def display_accuracy_report(result: DisplayStudy) -> RenderableType:
@@ -72,7 +73,12 @@ def display_accuracy_report(result: DisplayStudy) -> RenderableType:
 
 def display_accuracy_markdown(result: DisplayStudy) -> str:
     """Returns the same as Markdown."""
-    lines = [*(f"{line}  " for line in heading(result)), "", "| " + " | ".join(HEADS) + " |", "|---" * len(HEADS) + "|"]
+    lines = [
+        *(f"{line}  " for line in heading(result)),
+        "",
+        "| " + " | ".join(HEADS).replace("\n", " ") + " |",
+        "|---" * len(HEADS) + "|",
+    ]
     lines += ["| " + " | ".join(_whole(cells(row, result["unit"]))) + " |" for row in result["loop"]]
     return "\n".join(lines) + "\n"
 
@@ -108,7 +114,7 @@ def cells(row: ChangeRow, unit: str) -> list[str]:
         row["to"] + ("" if row["status"] == "ok" else f" (ended: {row['status'][:40]})"),
         si(row["position_error"], unit, 3),
         si(row["energy_error"], "J", 3),
-        "-" if np.isnan(row["mass_felt"]) else si(row["mass_felt"], "kg" if unit == "m" else "kg*m^2", 3),
+        "-" if np.isnan(row["mass_felt"]) else si(row["mass_felt"], mass_unit(unit), 3),
         si(row["given_out"], "J", 3),
         f"{100.0 * row['guard_acts']:.2g} %",
         f"{row['us_per_cycle']:.0f}",

@@ -13,6 +13,7 @@ import yaml
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from canhaptic.axis_units import mass_unit
 from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.group_environment import GroupMass, PathMass
 from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
@@ -104,7 +105,7 @@ class _Trial:
         if any(simulation_of(axis).user is None for axis in scene.axes):
             raise InputError(f"{scene.source}: {name}: has no hand (simulation.user), expected one that moves it")
         self.never_acts = never_acts(scene)
-        self.unit = "kg" if scene.axes[0].parameters.unit == "m" else "kg*m^2"
+        self.unit = mass_unit(scene.axes[0].parameters.unit)
         spec = scene.groups[0].passivity if scene.groups else scene.axes[0].passivity
         self.allowance = float(getattr(spec.parameters, "energy_allowance", 0.0))
 
