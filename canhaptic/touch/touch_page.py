@@ -23,13 +23,14 @@ from bokeh.models import (
 )
 from bokeh.plotting import figure
 
+from canhaptic.axis_units import effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE, passive_verdict
 from canhaptic.errors import CanHapticError
 from canhaptic.study.loop import Array
 from canhaptic.touch.hand import TouchHand, TouchNews
 from canhaptic.touch.hand_process import TouchStatus
 from canhaptic.touch.touch_scene import TouchScene, TouchSlider
-from canhaptic.view.bokeh_style import finished, new_panel
+from canhaptic.view.bokeh_style import finished, new_panel, si_ticks
 from canhaptic.view.decimate import decimate
 from canhaptic.view.palette import BLUE, GREY, PALE, VERMILION
 from canhaptic.view.si import si
@@ -136,7 +137,7 @@ def _share_range(sides: list["_SideView"]) -> None:
 class _SideView:
     """Handle, force, energy and verdict of one side."""
 
-    def __init__(self, hand: TouchHand, number: int, pointer: CustomJS) -> None:
+    def __init__(self, hand: TouchHand, number: int, pointer: ColumnDataSource) -> None:
         touched = hand.touched
         self._waiting: list[dict[str, Array]] = []
         self._name, self._number = touched.sides[number].name, number
@@ -166,7 +167,7 @@ class _SideView:
         parts = (title, self._verdict, self.scene, *self.panels)
         self.layout = column(*parts, sizing_mode="stretch_width")
 
-    def _new_scene(self, touched: TouchScene, pointer: CustomJS) -> figure:
+    def _new_scene(self, touched: TouchScene, pointer: ColumnDataSource) -> figure:
         """Returns the place where the handle is dragged."""
         (low, high), *rest = touched.shown
         across = rest[0] if rest else (-1.0, 1.0)
@@ -183,6 +184,7 @@ class _SideView:
             name=f"scene {self._number}",
         )
         plane.grid.grid_line_color = None
+        plane.xaxis.formatter = plane.yaxis.formatter = si_ticks(touched.unit)
         plane.yaxis.visible = touched.is_plane
         self._draw_solid(plane, touched, (low, high))
         plane.segment("x", "y", "hand_x", "hand_y", source=self.handle, line_color=PALE, line_width=3)
@@ -210,11 +212,9 @@ class _SideView:
 
     def _panels(self, touched: TouchScene) -> list[figure]:
         """Returns force, of an admittance display velocity too, and energy, each against time."""
-        linear = touched.unit == "m"
-        force, speed = ("N", "m/s") if linear else ("N*m", "rad/s")
-        panels = [self._panel("force", force, ["force"])]
+        panels = [self._panel("force" if touched.unit == "m" else "torque", effort_unit(touched.unit), ["force"])]
         if self._is_display:
-            panels.append(self._panel("velocity", speed, ["command", "velocity"]))
+            panels.append(self._panel("velocity", f"{touched.unit}/s", ["command", "velocity"]))
         return [*panels, self._panel("energy", "J", ["energy"])]
 
     def _panel(self, title: str, unit: str, vectors: list[str]) -> figure:
@@ -237,7 +237,8 @@ class _SideView:
         vector, *direction = name.split()
         if vector == "energy":
             return "into the display, at the sensor" if self._is_display else "taken in by the wall"
-        text = {"force": "force of the hand" if self._is_display else "force", "velocity": "handle"}.get(vector, vector)
+        names = {"force": "of the hand" if self._is_display else "on the hand", "velocity": "handle"}
+        text = names.get(vector, vector)
         return f"{text} {direction[0]}" if len(self._directions) > 1 else text
 
     def take(self, news: TouchNews, frame: int) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
+from canhaptic.axis_units import damping_unit, mass_unit, stiffness_unit
 from canhaptic.scene.further_bus import FurtherBus
 from canhaptic.scene.models import AxisScene, GroupScene, MechanismScene, Scene
 from canhaptic.sim.plant.pointer_hand import PointerHand
@@ -92,12 +93,11 @@ def sliders_of(section: str, values: Parameters, names: Sequence[str], unit: str
         names: Of the parameters.
         unit: "m" or "rad".
     """
-    linear = unit == "m"
     kinds = {
-        "stiffness": ("N/m" if linear else "N*m/rad", 2.0),
-        "damping": ("N*s/m" if linear else "N*m*s/rad", 0.0),
-        "mass": ("kg" if linear else "kg*m^2", 1.0),
-        "cup": ("kg", 1.0),
+        "stiffness": (stiffness_unit(unit), 2.0),
+        "damping": (damping_unit(unit), 0.0),
+        "mass": (mass_unit(unit), 1.0),
+        "cup": (mass_unit(unit), 1.0),
     }
     return tuple(
         TouchSlider(name, f"{section}.{name}", float(getattr(values, name)), *kinds[name])
