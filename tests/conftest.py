@@ -4,7 +4,7 @@ import gc
 import json
 import os
 from collections import Counter
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from fnmatch import fnmatchcase
 from itertools import chain
 from pathlib import Path
@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 from hypothesis import settings
+
+from canhaptic.logs.writer_process import WriterProcess
 
 settings.register_profile("thorough", derandomize=True, deadline=None, print_blob=False, max_examples=100)
 settings.register_profile("canhaptic", settings.get_profile("thorough"), max_examples=30)
@@ -21,6 +23,7 @@ os.environ.pop("COLUMNS", None)  # that of the terminal in which the tests run s
 gc.set_threshold(5000, 10, 100)  # a test is short: its garbage need not be searched for as often as in a server
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # in each of the hundreds of processes: no thread a core for nothing
 
+_FRESH = WriterProcess._spawn
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
@@ -31,6 +34,23 @@ def vendor_eds() -> Path:
     if not folder.is_dir():
         pytest.skip(f"vendor dictionaries not found at {folder}; set CANHAPTIC_VENDOR_EDS")
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _forked_writers() -> Iterator[None]:
+    """Forks the writer processes of logs, which saves their imports; see `forked_writer`."""
+    if hasattr(os, "fork"):
+        from tests.forked_writer import fork_writer
+
+        WriterProcess._spawn = fork_writer
+    yield
+    WriterProcess._spawn = _FRESH
+
+
+@pytest.fixture
+def fresh_writer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Starts the writer processes of a test as a run outside the tests does, with an interpreter of their own."""
+    monkeypatch.setattr(WriterProcess, "_spawn", _FRESH)
 
 
 @pytest.hookimpl(tryfirst=True)  # before `-m` chooses

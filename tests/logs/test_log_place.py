@@ -211,6 +211,7 @@ def test_what_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None
         pass
 
 
+@pytest.mark.usefixtures("fresh_writer")
 def test_a_file_that_cannot_be_opened_in_time_does_not_hang_the_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,7 +8,10 @@ import pytest
 
 from canhaptic.logs.bus_log import BusLogWriter
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system pins no process")
+pytestmark = [
+    pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system pins no process"),
+    pytest.mark.usefixtures("fresh_writer"),
+]
 
 
 def test_a_writer_is_not_pinned_where_the_controller_is(tmp_path: Path) -> None:
