@@ -42,7 +42,7 @@ def _forked_writers() -> Iterator[None]:
     if hasattr(os, "fork"):
         from tests.forked_writer import fork_writer
 
-        WriterProcess._spawn = fork_writer
+        WriterProcess._spawn = fork_writer  # type: ignore[assignment]
     yield
     WriterProcess._spawn = _FRESH
 

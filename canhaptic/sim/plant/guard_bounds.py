@@ -71,6 +71,8 @@ def guard_bounds(guards: Array, rates: Array, sample_time: float, base: int) -> 
 
 def _bounds(guards: Array, rates: Array, sample_time: float) -> tuple[Array, Array]:
     """Returns E and S of the module's text by level, shapes (levels + 1, c, n)."""
+    if not len(guards):
+        return np.zeros((LEVELS + 1, 0, len(rates))), np.zeros((LEVELS + 1, 0, len(rates)))
     halvings = halvings_of(rates, sample_time, LEVELS)
     step = sample_time * 0.5**halvings
     slopes, identity = guards @ rates, np.eye(len(rates))

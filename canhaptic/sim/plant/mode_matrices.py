@@ -71,18 +71,23 @@ def _forms(rows: Rows, scene: PlantModel) -> tuple[list[_Product], list[_Product
     flows, _ = dyadic_flows(rows.rates, (), scene.sample_time)
     powers = [back.T @ power @ back for power in rows.powers]
     _, works = dyadic_flows(shift @ rows.rates @ back, powers, scene.sample_time)
-    return [flow.dot for flow in flows], [_stacked(forms, shift).dot for forms in works]
+    return [flow.dot for flow in flows], [matrix.copy().dot for matrix in _stacked(np.array(works), shift)]
 
 
-def _stacked(forms: list[Array], shift: Array) -> Array:
-    """Returns the matrix of `Mode.works` for one level; see `stepper.StepBuffers` for its use."""
-    count, size = len(forms), len(shift)
-    blocks = []
-    for i, form in enumerate(forms):
-        kept = np.zeros((count, size))
-        kept[i, -1] = 1.0  # times the component one: picks total i
-        blocks += [form @ shift, kept]
-    return np.concatenate([*blocks, shift])
+def _stacked(forms: Array, shift: Array) -> Array:
+    """Returns the matrix of `Mode.works` of each level; see `stepper.StepBuffers` for its use.
+
+    Args:
+        forms: Q by level and kind of energy, shape (levels, kinds, n, n).
+        shift: z -> z with the deflection in the place of the position, shape (n, n).
+    """
+    levels, kinds, size, _ = forms.shape
+    blocks = np.zeros((levels, kinds, size + kinds, size))
+    blocks[:, :, :size] = forms @ shift
+    for kind in range(kinds):
+        blocks[:, kind, size + kind, -1] = 1.0  # times the component one: picks the total of this kind
+    last = np.broadcast_to(shift, (levels, size, size))
+    return np.concatenate([blocks.reshape(levels, -1, size), last], axis=1)
 
 
 def _base_level(rates: Array, sample_time: float) -> int:

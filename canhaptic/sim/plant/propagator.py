@@ -72,7 +72,7 @@ def halvings_of(rates: Array, sample_time: float, levels: int) -> int:
 
 def dyadic_flows(
     rates: Array, powers: Sequence[Array], sample_time: float, levels: int = LEVELS
-) -> tuple[list[Array], list[list[Array]]]:
+) -> tuple[list[Array], list[Array]]:
     """Returns exp(F T / 2^j) and the energy forms over T / 2^j, for j = 0..levels.
 
     Args:
@@ -82,28 +82,29 @@ def dyadic_flows(
         levels: Largest j.
 
     Returns:
-        Flows by j, and for each j the list of Q by kind.
+        Flows by j, and for each j the Q by kind, shape (kinds, n, n).
     """
     identity = np.eye(len(rates))
     halvings = halvings_of(rates, sample_time, levels)
     step = sample_time * 0.5**halvings
     change = taylor_flow(rates, step)
-    works = [_taylor_work(rates, power, step) for power in powers]
+    works = np.array([_taylor_work(rates, power, step) for power in powers]).reshape(-1, *rates.shape)
     flows: list[Array] = []
-    forms: list[list[Array]] = []
+    forms: list[Array] = []
     for level in range(halvings, -1, -1):
         if level <= levels:
             flows.append(identity + change)
-            forms.append([0.5 * (work + work.T) for work in works])
-        works = [work + _congruent(work, change) for work in works]
+            forms.append(0.5 * (works + works.transpose(0, 2, 1)))
+        if len(works):
+            works = works + _congruent(works, change)
         change = 2.0 * change + change @ change
     return flows[::-1], forms[::-1]
 
 
-def _congruent(work: Array, change: Array) -> Array:
-    """Returns (I + E)' Q (I + E) without adding E to the identity first, which would round E off."""
-    product = work @ change
-    return work + product + product.T + change.T @ product
+def _congruent(works: Array, change: Array) -> Array:
+    """Returns (I + E)' Q (I + E) of each Q without adding E to the identity first, which would round E off."""
+    products = works @ change
+    return works + products + products.transpose(0, 2, 1) + change.T @ products
 
 
 def flow_changes(rates: Array) -> Array:
