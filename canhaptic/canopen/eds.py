@@ -17,7 +17,6 @@ of the computer that saved a DCF. This reader returns the same types and differs
 What cannot be read at all raises `DictionaryError` with file and section.
 """
 
-import pickle
 import re
 from functools import lru_cache
 from pathlib import Path
@@ -58,6 +57,7 @@ def read_dictionary(path: str | Path, node_id: int) -> ObjectDictionary:
     """Returns the object dictionary of a drive as its EDS or DCF states it, for one node ID.
 
     `value` of a variable is the ParameterValue of a DCF, `default` its DefaultValue; both are None when not given.
+    Who reads the same content again gets the same object: do not change it.
 
     Args:
         path: An .eds or .dcf file.
@@ -69,16 +69,10 @@ def read_dictionary(path: str | Path, node_id: int) -> ObjectDictionary:
     path = Path(path)
     if not 1 <= node_id <= 127:
         raise DictionaryError(f"{path}: node ID {node_id} does not exist, expected 1..127")
-    fresh: ObjectDictionary = pickle.loads(_pickled(path, _content(path), node_id))
-    return fresh
+    return _read(path, _content(path), node_id)
 
 
-@lru_cache(maxsize=32)
-def _pickled(path: Path, content: bytes, node_id: int) -> bytes:
-    """Returns a dictionary in the form from which every reader gets its own: a sweep reads one for each scene."""
-    return pickle.dumps(_read(path, content, node_id))
-
-
+@lru_cache(maxsize=32)  # a scene asks four times for each drive, and a sweep has thousands of scenes
 def _read(path: Path, content: bytes, node_id: int) -> ObjectDictionary:
     sections = _parse(path, content)
     saved_for = _integer(sections.get("devicecomissioning", {}).get("nodeid", ""))

@@ -237,13 +237,12 @@ def test_vendor_files_read_as_canopen_reads_them_except_where_it_errs(vendor_eds
                 assert seen == wanted, (hex(index), subindex, attribute)
 
 
-def test_every_reader_has_its_own_dictionary_and_a_changed_file_is_read_again(tmp_path):
+def test_a_dictionary_is_read_once_and_a_changed_file_again(tmp_path):
     path = tmp_path / "a.eds"
     text = "[1000]\nParameterName=Device type\nDataType=0x0007\nAccessType=ro\nDefaultValue={}\n"
     path.write_text(text.format(1))
-    first, second = read_dictionary(path, 1), read_dictionary(path, 1)
-    first[0x1000].default = 7
-    assert second[0x1000].default == read_dictionary(path, 1)[0x1000].default == 1
+    first = read_dictionary(path, 1)
+    assert read_dictionary(path, 1) is first
     path.write_text(text.format(2))  # as long as before, and perhaps at the same instant
-    assert read_dictionary(path, 1)[0x1000].default == 2
-    assert (read_dictionary(path, 2).node_id, second.node_id) == (2, 1)
+    assert (first[0x1000].default, read_dictionary(path, 1)[0x1000].default) == (1, 2)
+    assert (read_dictionary(path, 2).node_id, first.node_id) == (2, 1)
