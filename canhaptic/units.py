@@ -13,6 +13,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Self, TypeVar, cast, get_args
 
@@ -100,6 +101,7 @@ def _base_unit(symbol: str) -> tuple[float, _Dimension]:
     raise ValueError(f"unknown unit {symbol!r} (products are written with '*', as in N*m)")
 
 
+@lru_cache(maxsize=256)  # the same few units, at every number of every scene
 def parse_unit(text: str) -> tuple[float, _Dimension]:
     """Returns (factor to SI, dimension exponents) of a unit such as `N*s/m` or `kg*m^2`.
 

@@ -6,6 +6,7 @@ Keys are kept as the text that was written, so that `0x6076` stays the name of a
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from typing import Any, Final
 
 import yaml
@@ -133,7 +134,7 @@ def parse_yaml(text: str, source: str, faults: Diagnostics, path: tuple[str, ...
     """
     top = SourceLocation(source, int(lined), int(lined), path)
     try:
-        node = yaml.compose(text, _Loader)
+        node = _composed(text)
     except RecursionError:
         faults.add(top, "nested too deeply")
         return None
@@ -147,6 +148,18 @@ def parse_yaml(text: str, source: str, faults: Diagnostics, path: tuple[str, ...
         faults.add(top, f"not valid YAML: {' '.join(str(error).split())}")
         return None
     return None if node is None else _Builder(source, lined, faults).value(node, path)
+
+
+@lru_cache(maxsize=32)  # a sweep reads one file for each of its scenes: reading it is most of what loading costs
+def _composed(text: str) -> yaml.Node | None:
+    """Returns the nodes of a document, which are only read.
+
+    Raises:
+        yaml.YAMLError: It is not valid.
+        RecursionError: It is nested too deeply.
+        ValueError: It has characters that YAML does not know.
+    """
+    return yaml.compose(text, _Loader)
 
 
 class _Builder:
