@@ -4,10 +4,11 @@ There is no Notifier and no callback thread: the caller that waits pumps the bus
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Final
 
 import can
 
+from canhaptic.canopen.data_frame import DataFrame
 from canhaptic.drive.clock import Clock
 from canhaptic.errors import LinkError
 
@@ -63,7 +64,8 @@ class Link:
         self._recorder = recorder
         self._echoes = echoes
         self._handlers: dict[int, _Handler] = {}
-        self._frames: dict[int, Any] = {}  # can.Message by COB-ID, used again: a bus copies or encodes what it is given
+        self._now, self._receive = clock.now, clock.receive
+        self._channel = getattr(bus, "channel_id", None)
         self._not_returned: dict[int, int] = {}  # by COB-ID: frames sent that the interface has not given back
         self._own: Mapping[int, str] = {}
         self.intruder = ""
@@ -90,18 +92,17 @@ class Link:
         Raises:
             LinkError: The interface refused it, at once and once more (a full queue, ENOBUFS, bus-off).
         """
-        try:
-            message = self._frames[can_id]
-        except KeyError:
-            message = self._frames[can_id] = can.Message(arbitration_id=can_id, is_extended_id=False, is_rx=False)
-        message.timestamp = self.clock.now() * 1e-9
-        message.data = data  # bytes: python-can never changes them
+        clock_now, message = self._now, DataFrame()
+        message.timestamp = clock_now() * 1e-9
+        message.arbitration_id = can_id
+        message.channel = self._channel
+        message.data = bytearray(data)
         message.dlc = len(data)
         try:
             self._bus.send(message)
         except (can.CanError, OSError):
             self._send_again(message)
-        now = self.clock.now()  # a full queue or a stalled host may have held it up
+        now = clock_now()  # a full queue or a stalled host may have held it up
         self.statistics.sent += 1
         if self._echoes:
             self._not_returned[can_id] = self._not_returned.get(can_id, 0) + 1
@@ -127,7 +128,7 @@ class Link:
             LinkError: The interface failed.
         """
         try:
-            message = self.clock.receive(self._bus, deadline)
+            message = self._receive(self._bus, deadline)
         except (can.CanError, OSError) as error:
             raise LinkError(f"the bus cannot be read: {error}; check cable and interface") from error
         if message is None:
@@ -140,7 +141,7 @@ class Link:
             return True
         record, data = self._recorder, message.data
         if record is not None:
-            record(self.clock.now(), can_id, data, True)
+            record(self._now(), can_id, data, True)
         handler(data)
         return True
 
@@ -151,7 +152,7 @@ class Link:
             LinkError: The bus failed, or what waits does not end.
         """
         while self.poll(deadline):
-            if self.clock.now() >= deadline:
+            if self._now() >= deadline:
                 self.drain()
                 return
 

@@ -14,6 +14,8 @@ from typing import Any, cast
 import can
 from can.interfaces.virtual import VirtualBus, channels_lock
 
+from canhaptic.canopen.data_frame import DataFrame
+
 
 class _Frame(can.Message):
     """A frame whose fields are all set after its creation: the constructor of `Message` costs more than the rest."""
@@ -77,15 +79,20 @@ class LeanVirtualBus(VirtualBus):
         self._inbox, self.waiting = inbox, inbox.frames
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Puts a copy of the frame into the queue of every other connection.
+        """Puts the frame, or a copy of one that the sender may use again, into the queue of every other connection.
 
         Raises:
             can.CanOperationError: The connection was shut down.
         """
         if not self._open:
             self._check_if_open()
-        own = self.queue
-        for queue in self.channel:
+        own, connections = self.queue, self.channel
+        if type(msg) is DataFrame and len(connections) == 2:  # handed over for good, and to one taker
+            for queue in connections:
+                if queue is not own:
+                    queue.put(msg)
+            return
+        for queue in connections:
             if queue is not own:
                 copy = _Frame()
                 copy.timestamp = msg.timestamp

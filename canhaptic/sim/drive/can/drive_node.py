@@ -8,11 +8,12 @@ of the object dictionary: its SDO server, codecs, scaling and state machine are 
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Final, cast
 
 import can
 from canopen.objectdictionary import ObjectDictionary
 
+from canhaptic.canopen.data_frame import DataFrame
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.canopen.objects import (
     ABORT_CONNECTION_OPTION,
@@ -115,7 +116,7 @@ class SimulatedDrive:
         )
         self._abort_option = store.find(ABORT_CONNECTION_OPTION)
         self._error_behaviour = store.optional(ERROR_BEHAVIOUR, DataType.UNSIGNED8, 1)
-        self._frames: dict[int, Any] = {}  # can.Message by COB-ID, used again: a bus copies or encodes what it is given
+        self._channel = getattr(bus, "channel_id", None)
         self._routes: dict[int, Handler] = {}
         self._are_routes_stale = True
         self._settle_timer = timers.add(self._settle)
@@ -173,12 +174,12 @@ class SimulatedDrive:
         return self.servo.now
 
     def _send(self, cob_id: int, content: Content) -> None:
-        try:
-            message = self._frames[cob_id]
-        except KeyError:
-            message = self._frames[cob_id] = can.Message(arbitration_id=cob_id, is_extended_id=False)
+        message = DataFrame()
         message.timestamp = self.servo.now * 1e-9
-        message.data, message.dlc = content, len(content)
+        message.arbitration_id = cob_id
+        message.channel = self._channel
+        message.data = bytearray(content)
+        message.dlc = len(content)
         try:
             self._bus.send(message)
         except can.CanError:
