@@ -134,10 +134,8 @@ class Cycle:
         if self._grouped is None:
             balances: list[EnergyBalance] = []  # displacement -> energy balance [J]
             for axis in self._axes:
-                controller, sample = self.controllers[axis], samples[axis]
-                balances.append(
-                    controller.step(sample.position, sample.torque_applied) if sample.fresh else controller.hold()
-                )
+                controller, (_, position, torque, _, fresh) = self.controllers[axis], samples[axis]
+                balances.append(controller.step(position, torque) if fresh else controller.hold())
         else:
             balances = self._grouped.step(samples)  # the same, where axes render together
         torques = []
@@ -145,11 +143,11 @@ class Cycle:
             torques.append(balance.torque)  # a comprehension is a function made and called anew
         if self._jitters is not None and rig.uneven > self._least_jitter:
             self._withdraw(balances, self._jitters)
-        lost = self._lost(samples) if self._loss_meters else ""
-        if lost:
-            error = rig.end(StopReason.ENERGY_LOST, lost)  # zero torque first, the account second
-            self._account(samples, balances, truths)
-            raise error
+        for meter in self._loss_meters:
+            if meter.take(samples, rig.deadline_index) and (lost := self._lost(meter)):
+                error = rig.end(StopReason.ENERGY_LOST, lost)  # zero torque first, the account second
+                self._account(samples, balances, truths)
+                raise error
         rig.write_torques(torques)  # RPDOs out, held until the next SYNC [N*m or N]
         self._account(samples, balances, truths)
 
@@ -167,17 +165,14 @@ class Cycle:
             self._log.event(self.rig.sync_index, "timing", "", _UNEVEN.format(self.rig.uneven * 1e-9))
         self.uneven += 1
 
-    def _lost(self, samples: Sequence[Sample]) -> str:
-        """Returns by which port too much energy went out, and how much; "" while none has."""
-        for meter in self._loss_meters:
-            if not meter.take(samples, self.rig.deadline_index):
-                continue
-            unsure = sum(map(self._likely_doubt, meter.axes))
-            supplied = sum(g.supplied + g.balance.supplied for g in self.groups if g.name == meter.name)
-            if meter.energy + supplied + unsure < meter.floor:
-                limit = f"limit {meter.limit:.3g} J beyond the {meter.allowance:.3g} J declared"
-                return f"{meter.name}: sum of interaction {meter.energy + supplied:.3g} J, {limit}"
-        return ""
+    def _lost(self, meter: EnergyLossMeter) -> str:
+        """Returns by which port too much energy went out, and how much; "" where that is in doubt."""
+        unsure = sum(map(self._likely_doubt, meter.axes))
+        supplied = sum(g.supplied + g.balance.supplied for g in self.groups if g.name == meter.name)
+        if meter.energy + supplied + unsure >= meter.floor:
+            return ""
+        limit = f"limit {meter.limit:.3g} J beyond the {meter.allowance:.3g} J declared"
+        return f"{meter.name}: sum of interaction {meter.energy + supplied:.3g} J, {limit}"
 
     def _likely_doubt(self, axis: int) -> float:
         """Returns how wrong the energy of an axis may be [J], commands left out that were lost and nothing shows.
@@ -289,9 +284,8 @@ class EnergyAudit:
             balances: Of each axis; where its position was lost, nothing was booked and belief waits for the next.
         """
         for axis in self._axes:
-            motor, _, dissipated, _ = truths[axis].energy
-            booked = balances[axis].branch != _HELD
-            self._take(axis, -motor, dissipated, ledgers[axis].interaction, booked)
+            _, (motor, _, dissipated, _) = truths[axis]
+            self._take(axis, -motor, dissipated, ledgers[axis].interaction, balances[axis].branch != _HELD)
         for place, axes in self._groups:
             true = -sum([truths[axis].energy.motor for axis in axes])
             dissipated = sum([truths[axis].energy.dissipated for axis in axes])
@@ -304,13 +298,9 @@ class EnergyAudit:
             self.least[place] = true
             if true + dissipated < self.least_at_handle[place]:
                 self.least_at_handle[place] = true + dissipated
-        if not booked:
-            return
-        error = believed - true
-        if error < 0.0:
-            error = -error
-        if error > self.believed_error[place]:
-            self.believed_error[place] = error
+        error, most = believed - true, self.believed_error[place]
+        if booked and (error > most or error < -most):
+            self.believed_error[place] = abs(error)
 
 
 def run(

@@ -101,10 +101,10 @@ class AxisPort:
 
     def measured(self) -> Measured:
         """Returns what is known."""
-        controller, meter, drive = self._controller, self._meter, self._drive
+        meter, drive = self._meter, self._drive
         left = meter.resolution + drive.read_back_bound
-        if controller is not None:
-            left = controller.energy_resolution + left
+        if self._controller is not None:
+            left = self._controller.energy_resolution + left
         return _measured(Measured, (left, meter.dissipated, meter.asked, drive.longest_hold, drive.uncommanded))
 
 

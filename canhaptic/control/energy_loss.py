@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from canhaptic.control.balance import interaction_energy
 from canhaptic.signals import Sample
 
 
@@ -25,7 +24,9 @@ class EnergyLossMeter:
         energy: That came in so far; negative where more was given out [J].
     """
 
-    __slots__ = ("_booked_at", "_by_speed", "_positions", "allowance", "axes", "energy", "floor", "limit", "name")
+    __slots__ = (
+        "_booked_at", "_by_speed", "_is_group", "_positions", "allowance", "axes", "energy", "floor", "limit", "name",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -39,7 +40,8 @@ class EnergyLossMeter:
         self.name, self.axes = name, tuple(axes)
         self.limit, self.allowance, self.energy = limit, allowance, 0.0
         self.floor = -(limit + allowance)
-        self._by_speed = {axis: value / sample_time for axis, value in zip(self.axes, damping, strict=True)}
+        self._by_speed = [(axis, value / sample_time) for axis, value in zip(self.axes, damping, strict=True)]
+        self._is_group = len(self.axes) > 1
         self._positions = dict.fromkeys(self.axes, 0.0)
         self._booked_at = -1
 
@@ -50,17 +52,17 @@ class EnergyLossMeter:
             samples: Of the whole rig; where one of the port's is not fresh, the next that is counts for all holds.
             deadline: Sample times from the first SYNC to this one; SYNCs that were skipped count.
         """
-        booked_at = self._booked_at
-        if len(self.axes) > 1 and not all(samples[axis].fresh for axis in self.axes):
+        booked_at, positions = self._booked_at, self._positions
+        if self._is_group and not all(samples[axis].fresh for axis in self.axes):
             return False
-        for axis in self.axes:
+        for axis, by_speed in self._by_speed:
             _, position, torque, _, fresh = samples[axis]
             if not fresh:
                 return False
-            moved = position - self._positions[axis]
-            self._positions[axis] = position
+            moved = position - positions[axis]
+            positions[axis] = position
             if booked_at >= 0:
-                self.energy += interaction_energy(torque, moved)
-                self.energy += self._by_speed[axis] * moved * moved / (deadline - booked_at)
+                energy = self.energy + -torque * moved  # `interaction_energy`
+                self.energy = energy + by_speed * moved * moved / (deadline - booked_at)
         self._booked_at = deadline
         return self.energy < self.floor

@@ -58,7 +58,7 @@ class VelocityWindow:
     least: float = -inf  # slopes of the lines that pass every sample within the tolerance, per sample
     most: float = inf
     velocity: float = 0.0  # [m/s or rad/s]
-    scanned: int = 0  # samples looked at since the start, to prove the cost
+    scanned: int = 0  # samples that searches looked at since the start, to prove the cost
 
 
 def restart(window: VelocityWindow, ring: Buffer, position: float) -> None:
@@ -85,7 +85,6 @@ def update(window: VelocityWindow, ring: Buffer, tolerance: float, sample_time: 
         newest = 0
     window.newest = newest
     ring[newest] = position
-    window.scanned += 1
     length = window.length + 1
     slope = (position - window.anchor) / length
     if length < size and window.least <= slope <= window.most:

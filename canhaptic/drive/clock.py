@@ -82,6 +82,27 @@ class WallClock:
         return idle * 1e-9 if idle > _SHORTEST_SLEEP else 0.0
 
 
+class _FarSides:
+    """Several far sides, or none, as one (a `SimulatedPeer`)."""
+
+    def __init__(self, far_sides: Sequence[SimulatedPeer]) -> None:
+        self._far_sides = far_sides
+
+    def process(self, now: int) -> None:
+        """Lets all act up to `now` [ns]."""
+        for far_side in self._far_sides:
+            far_side.process(now)
+
+    def next_due(self) -> int:
+        """Returns when the first of them is due [ns]."""
+        earliest = _NEVER
+        for far_side in self._far_sides:
+            due = far_side.next_due()
+            if due < earliest:
+                earliest = due
+        return earliest
+
+
 class VirtualClock:
     """Time that advances only when its owner waits, and then jumps to the next event of the far sides.
 
@@ -93,6 +114,9 @@ class VirtualClock:
     def __init__(self, far_sides: Sequence[SimulatedPeer] = (), start: int = 0) -> None:
         self._far_sides = tuple(far_sides)
         self._now = start
+        # One far side, the usual case, is called without a loop: this runs for every frame.
+        only = self._far_sides[0] if len(self._far_sides) == 1 else _FarSides(self._far_sides)
+        self._process, self._next_due = only.process, only.next_due
 
     def now(self) -> int:
         """Returns virtual time [ns]."""
@@ -101,16 +125,14 @@ class VirtualClock:
     def wait_until(self, deadline: int) -> None:
         """Lets the far sides live until `deadline` [ns]."""
         while self._now < deadline:
-            for far_side in self._far_sides:
-                far_side.process(self._now)
+            self._process(self._now)
             self._now = min(deadline, self._next_event(self._now))
 
     def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
         """Returns the next frame; virtual time moves, up to `deadline` [ns], only while there is none."""
         while True:
             now = self._now
-            for far_side in self._far_sides:
-                far_side.process(now)
+            self._process(now)
             message = bus.recv(0.0)
             if message is not None or now >= deadline:
                 return message
@@ -122,9 +144,8 @@ class VirtualClock:
 
     def _next_event(self, now: int) -> int:
         """Returns when something happens next [ns]; a timer that is overdue cannot hold time up."""
-        earliest = _NEVER
-        for far_side in self._far_sides:
-            due = far_side.next_due()
-            if now < due < earliest:
-                earliest = due
-        return earliest
+        due = self._next_due()
+        return due if now < due else self._next_after(now)
+
+    def _next_after(self, now: int) -> int:
+        return min((due for far_side in self._far_sides if (due := far_side.next_due()) > now), default=_NEVER)

@@ -162,13 +162,12 @@ class Rig:
         self.sync_index = index = self.sync_index + 1
         self.deadline_index = (exchange.deadline - self._first_deadline) // self._period
         self._require_no_other_master()
-        self._samples = samples = []
+        samples: list[Sample] = []
+        self._samples = samples
         self.periods = periods = exchange.periods
         self.uneven = exchange.uneven
         if self._needed:
-            for drive, others in self._needed:
-                is_whole = all(other.is_complete for other in others)
-                samples.append(drive.sample(index, periods, is_whole=is_whole))
+            self._sample_together(samples)
         else:
             for drive in self.drives:
                 samples.append(drive.sample(index, periods))
@@ -179,6 +178,11 @@ class Rig:
         if periods > 1 or self._behind:  # last: what a drive says of its watchdog says more
             self._count_skips(periods)
         return samples
+
+    def _sample_together(self, samples: list[Sample]) -> None:
+        for drive, others in self._needed:
+            is_whole = all(other.is_complete for other in others)
+            samples.append(drive.sample(self.sync_index, self.periods, is_whole=is_whole))
 
     def _count_skips(self, periods: int) -> None:
         """Stops where more SYNCs were skipped than sent, for long: a drive goes on with its last torque meanwhile."""
@@ -210,7 +214,7 @@ class Rig:
         if not self._is_running:
             raise self._not_running()
         drives, exchange = self.drives, self._exchange
-        computed = self.clock.now()
+        computed = exchange.now()
         commands: list[int] = []
         try:
             if len(torques) != len(drives):
@@ -231,7 +235,7 @@ class Rig:
             raise
         self.records.append(_tuple(_CycleRecord, (self._samples, commands)))
         woken, heard = exchange.woken, exchange.heard
-        parts = (woken - exchange.deadline, heard - woken, computed - heard, self.clock.now() - computed)
+        parts = (woken - exchange.deadline, heard - woken, computed - heard, exchange.now() - computed)
         timing = self.timing  # at free pace time does not advance within a cycle
         self.timing = timing if parts == timing else _tuple(CycleTiming, parts)
         for line in self._sdo_lines:

@@ -101,17 +101,17 @@ def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displa
     Returns:
         How much less than booked may have come in because the torque came late [J].
     """
-    count, doubt = declared.encoder_count, 0.0
-    if declared.damping > 0.0:
+    count, late, doubt = declared.encoder_count, declared.late, 0.0
+    if declared.damping:
         certain = abs(displacement) - count
         if certain > 0.0:
             dissipate(bound, declared.damping / declared.sample_time * certain * certain)
-    if declared.friction > 0.0:
+    if declared.friction:
         dissipate(bound, declared.friction * certain_path(bound, displacement, count))
-    if declared.late > 0.0:
+    if late:
         doubt = doubt_of_late(declared, bound, displacement, torque)
         take_late(declared, bound, torque)
-    if count > 0.0:
+    if count:
         half = 0.5 * count
         bound.changes = changes = bound.changes + half * abs(torque - bound.torque)
         bound.unsure = changes + half * abs(torque)
@@ -121,7 +121,7 @@ def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displa
         bound.newest = newest
         memory.displacements[newest] = displacement
         memory.torques[newest] = torque
-        if declared.late > 0.0:
+        if late:
             memory.torques[newest] = bound.most
             memory.against[newest] = bound.least
         if bound.kept < WINDOW:

@@ -27,7 +27,7 @@ gets softer, and the balance says so: `certificate` is not EXACT, `damping_rende
 
 from typing import ClassVar
 
-from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance, interaction_energy
+from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.certificates.torque_bound import turn
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
@@ -60,7 +60,7 @@ def step(
     if not same and zone:
         turn(settings.declared, state.bound, way_out(environment, true))
     ceiling = environment.stored_energy(true) if zone else 0.0
-    h_i, h_pas = interaction_energy(torque_applied, displacement) - unsure, modulated * displacement
+    h_i, h_pas = -torque_applied * displacement - unsure, modulated * displacement  # `interaction_energy`
     h_r, deficit, leak, paid = book(settings, state, memory, h_i, h_pas, damper * displacement, ceiling)
     if zone:
         if environment.relaxes:
@@ -77,10 +77,10 @@ def step(
     else:
         torque, damper, modulated, rendered, certificate = 0.0, 0.0, 0.0, 0.0, _UNBOUNDED
         branch = _EXIT if zone_before or ((h_i != 0.0 or leak != 0.0) and settings.drag == 0.0) else _FREE
-        if settings.drag > 0.0 or state.bound.dissipated > 0.0:
+        if settings.drag or state.bound.dissipated > 0.0:
             torque, certificate = drag(settings, state, memory, displacement / holds)
     axis.oldest = send(memory.axis.commands, axis.oldest, torque, damper, modulated)
-    state.true, h_s = true, state.h_s
+    h_s, state.true = state.h_s, true
     stored = true if h_s >= ceiling else environment.state_of_energy(h_s, true)
     return new(EnergyBalance, (
         torque, h_i, h_pas, h_i - h_pas, h_r, h_s, axis.h_dis, 0.0, deficit, leak, paid,
@@ -149,7 +149,8 @@ class Guarded(SteppedController):
 
         What is booked is its lower end.
         """
-        return float(self._state.bound.resolution)
+        resolution: float = self._state.bound.resolution
+        return resolution
 
     def hold(self) -> EnergyBalance:
         """Repeats the last command for want of a position; see `Controller.hold`.

@@ -71,7 +71,7 @@ def end(
         axis.lasted = 1.0
     else:
         observe(settings.prediction, state.motion, displacement, torque_applied)
-    if count > 0.0:
+    if count:
         update(axis.window, memory.axis.samples, count, settings.sample_time, position)
     if commands.torques[oldest] == torque_applied:
         return displacement, commands.dampers[oldest], commands.modulated[oldest], unsure

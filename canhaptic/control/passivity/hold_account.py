@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import NamedTuple, Protocol
 
-from canhaptic.control.balance import Certificate, EnergyBalance, interaction_energy
+from canhaptic.control.balance import Certificate, EnergyBalance
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.in_flight import Commands, as_far_as_limit, efforts_inside, no_commands, repeat, send
 from canhaptic.control.velocity import DamperVelocity, VelocityWindow, restart, update
@@ -118,14 +118,14 @@ def open_hold(settings: HoldSettings, axis: Axis, memory: AxisMemory, position: 
         torque_applied: In the hold [N or N*m].
     """
     displacement, elapsed = position - axis.position, settings.sample_time
-    h_i = interaction_energy(torque_applied, displacement)
+    h_i = -torque_applied * displacement  # `interaction_energy`
     missed = axis.missed
     if missed:
         elapsed *= missed + 1
         h_i -= let_samples_pass(axis, memory.commands, displacement, torque_applied, settings.torque_limit)
     damper, modulated = efforts_inside(memory.commands, axis.oldest, torque_applied)
     velocity = displacement / elapsed
-    if settings.tolerance > 0.0:
+    if settings.tolerance:
         if missed:
             restart(axis.window, memory.samples, position)
         else:

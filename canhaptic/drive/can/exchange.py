@@ -37,6 +37,7 @@ class Exchange:
 
     def __init__(self, links: Sequence[Link], drives: Sequence[ServoDrive], bus: BusParameters) -> None:
         self.links = tuple(links)
+        self._others = self.links[1:]
         self.drives = tuple(drives)
         self.clock = self.links[0].clock
         self.now, self.wait_until = self.clock.now, self.clock.wait_until
@@ -52,7 +53,7 @@ class Exchange:
             window = SyncWindow()
             for drive in group:
                 drive.window = window
-            self._buses.append((link, window, group))
+            self._buses.append((link, window, group, len(group)))
         self.begin()
 
     def begin(self) -> None:
@@ -68,42 +69,39 @@ class Exchange:
         Raises:
             LinkError: A bus failed; the others had their SYNC all the same.
         """
-        clock = self.clock
         failure: LinkError | None = None
         synced = self.woken = self._wait()
-        for link, window, group in self._buses:
+        for link, window, group, count in self._buses:
             window.is_open = True
-            window.pending = len(group)
+            window.pending = count
             for drive in group:
                 drive.expect_tpdos()
             try:
                 synced = link.send(SYNC_FRAME_COB_ID, b"")  # a replay knows this time, and no other
             except LinkError as error:
                 failure, window.pending = error, 0
-                for drive in group:
-                    drive.refuse_tpdos()
-        self._count(synced)
+                _refuse_tpdos(group)
+        logged = synced - synced % 1000  # to the microsecond, as a bus log keeps it: a replay counts the same periods
+        self.periods = periods = (logged - self._logged + self._latest) // self._period or 1
+        self.uneven = abs(synced - self._synced - periods * self._period)
+        self._synced, self._logged = synced, logged
+        if synced - self.deadline > self._latest:  # held up after the wait: the next must not follow at once
+            self._skip_after(synced - self.deadline)
         end = synced + self._window_ns
-        for link, window, group in self._buses:
+        for link, window, group, _ in self._buses:
             while window.pending and link.poll(end):
                 pass
             window.is_open = False
             if window.pending:
-                for drive in group:
-                    drive.refuse_tpdos()
-        self.heard = clock.now()
+                _refuse_tpdos(group)
+        self.heard = self.now()
         if failure is not None:
             raise failure
 
-    def _count(self, synced: int) -> None:
-        """Counts the sample times since the last SYNC, and the deadlines missed since the wait."""
-        logged = synced - synced % 1000  # to the microsecond, as a bus log keeps it: a replay counts the same periods
-        self.periods = (logged - self._logged + self._latest) // self._period or 1
-        self.uneven = abs(synced - self._synced - self.periods * self._period)
-        self._synced, self._logged = synced, logged
-        if (late := synced - self.deadline) > self._latest:  # held up after the wait: the next must not follow at once
-            self._skip(late)
-            self.deadline += late // self._period * self._period
+    def _skip_after(self, late: int) -> None:
+        """Skips the deadlines that were missed between the wait and the SYNC, which was late by so much [ns]."""
+        self._skip(late)
+        self.deadline += late // self._period * self._period
 
     def _wait(self) -> int:
         """Handles frames until the next deadline; one that is overslept by half a period is skipped for the next.
@@ -111,14 +109,14 @@ class Exchange:
         Returns:
             The time at its end [ns].
         """
-        links, now = self.links, self.clock.now
-        links[0].pump(self._next)
-        for link in links[1:]:
+        first, others, now = self.links[0], self._others, self.now
+        first.pump(self._next)
+        for link in others:
             link.drain()
         while (lateness := (woken := now()) - self._next) > self._latest:
             self._skip(lateness)
-            links[0].pump(self._next)
-            for link in links[1:]:
+            first.pump(self._next)
+            for link in others:
                 link.drain()
         self.deadline = self._next
         self._next += self._period
@@ -159,3 +157,8 @@ class Exchange:
                     failure = error
             if failure is not None:
                 raise failure
+
+
+def _refuse_tpdos(drives: Sequence[ServoDrive]) -> None:
+    for drive in drives:
+        drive.refuse_tpdos()

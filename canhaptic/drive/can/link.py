@@ -92,8 +92,8 @@ class Link:
         Raises:
             LinkError: The interface refused it, at once and once more (a full queue, ENOBUFS, bus-off).
         """
-        clock_now, message = self._now, DataFrame()
-        message.timestamp = clock_now() * 1e-9
+        message = DataFrame()
+        message.timestamp = self._now() * 1e-9
         message.arbitration_id = can_id
         message.channel = self._channel
         message.data = bytearray(data)
@@ -102,7 +102,7 @@ class Link:
             self._bus.send(message)
         except (can.CanError, OSError):
             self._send_again(message)
-        now = clock_now()  # a full queue or a stalled host may have held it up
+        now = self._now()  # a full queue or a stalled host may have held it up
         self.statistics.sent += 1
         if self._echoes:
             self._not_returned[can_id] = self._not_returned.get(can_id, 0) + 1

@@ -217,8 +217,10 @@ class ServoDrive(TorqueAxis):
         if len(data) != 1:
             self._statistics.short += 1
             return
-        self.nmt_state = data[0] & _NMT_STATE
-        self.alive_at = self.now()
+        state = data[0] & _NMT_STATE
+        if state != self._nmt_state:
+            self.nmt_state = state
+        self.alive_at = self.link.clock.now()
 
     def _take_emergency(self, data: bytearray) -> None:
         padded = bytes(data).ljust(3, b"\0")  # some drives send fewer than eight bytes; canopen drops those

@@ -209,9 +209,10 @@ class TorqueAxis(ABC):
                 be computed from it, and the link policy counts the SYNC as missed.
         """
         self._periods += periods
-        self._is_late = periods > 1
-        if periods > self.longest_gap:
-            self.longest_gap = periods
+        self._is_late = False
+        if periods > 1:
+            self._is_late = True
+            self.longest_gap = max(self.longest_gap, periods)
         if not (self.is_complete and is_whole):
             return self._missed_sample(sync_index)
         self.policy.on_tpdo()
@@ -344,7 +345,7 @@ class TorqueAxis(ABC):
             return reason
         if now - self.alive_at > self._silence:
             return StopReason.HEARTBEAT_LOST
-        if not -self._largest_step <= self._step <= self._largest_step:
+        if not abs(self._step) <= self._largest_step:  # NaN too
             return StopReason.POSITION_JUMP
         if self.policy.missed >= self._stop_cycles:
             return StopReason.TPDO_LOST

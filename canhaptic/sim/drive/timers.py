@@ -43,7 +43,7 @@ class Timers:
 
     def stop_all(self) -> None:
         """Sets every timer to never."""
-        self._due = [NEVER] * len(self._due)
+        self._due[:] = [NEVER] * len(self._due)
         self.earliest, self._is_exact = NEVER, True
 
     def is_running(self, timer: int) -> bool:
@@ -58,7 +58,8 @@ class Timers:
 
     def fire(self, now: int) -> None:
         """Calls the action of every timer due up to `now` [ns], in order of time; each timer is stopped first."""
+        times = self._due
         while (due := self.next_due()) <= now:
-            timer = self._due.index(due)
-            self.stop(timer)
+            timer = times.index(due)
+            times[timer], self._is_exact = NEVER, False
             self._actions[timer](due)

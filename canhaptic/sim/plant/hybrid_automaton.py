@@ -61,6 +61,7 @@ class HybridAutomaton:
         booked = list(scene.works.values())
         self._sums_of = np.array([[of == account for of in booked] for account in _ACCOUNTS], dtype=float)
         self._pairs = _pairs(booked)
+        self._is_plain = booked == list(_ACCOUNTS)
         names = scene.names
         sines = [name for name in names if name.endswith("_sine")]
         self._oscillators = [(names.index(name), names.index(name[:-4] + "cosine")) for name in sines]
@@ -133,13 +134,14 @@ class HybridAutomaton:
         """Returns the work booked since the start, in the order of `scene.works` [J]."""
         totals = self._books[0].totals.tolist()  # floats: an operation on so short an array costs ten on them
         sums, carries = self._sums, self._carries
-        if len(totals) == 3:  # motor, hand and bearings: written out, for it is asked at every SYNC
-            a, b, c = totals
-            return [sums[0] + (carries[0] + a), sums[1] + (carries[1] + b), sums[2] + (carries[2] + c)]
         return list(map(add, sums, map(add, carries, totals)))
 
     def accounts(self) -> list[float]:
         """Returns the work of the motor, of the user, and what was dissipated, since the start [J]."""
+        if self._is_plain:  # written out, as `works`
+            a, b, c = self._books[0].totals.tolist()
+            (d, e, f), (g, h, i) = self._sums, self._carries
+            return [d + (g + a) + 0.0, e + (h + b) + 0.0, f + (i + c) + 0.0]  # a sum is never -0.0
         works = self.works()
         if self._pairs is None:
             summed: list[float] = self._sums_of.dot(works).tolist()

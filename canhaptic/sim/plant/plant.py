@@ -329,11 +329,14 @@ class Plant:
 
     def energy(self) -> PlantEnergy:
         """Returns the true energies since the start [J]."""
-        motor, user, dissipated = self._machine.accounts()
+        machine = self._machine
+        motor, user, dissipated = machine.accounts()
+        stored = machine.stored()
         if self._splitting:
+            stored = self._stored()
             work = self._splitting.work
             motor, user, dissipated = motor + work["motor"], user + work["user"], dissipated + work["dissipated"]
-        return _tuple(PlantEnergy, (motor, user, dissipated, self._stored() - self.stored_at_start))
+        return _tuple(PlantEnergy, (motor, user, dissipated, stored - self.stored_at_start))
 
     def _stored(self) -> float:
         stored = self._machine.stored()

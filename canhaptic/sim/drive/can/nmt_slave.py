@@ -51,8 +51,10 @@ class HeartbeatProducer:
     def _beat(self, due: int) -> None:
         self._send()
         period = self._time.number * _NS_PER_MS
-        missed = max(0, self._now() - due) // period  # after a stall: skipped, not caught up
-        self._timers.start(self._timer, due + (missed + 1) * period)
+        following = due + period
+        if (late := self._now() - following) >= 0:  # after a stall: skipped, not caught up
+            following += (late // period + 1) * period
+        self._timers.start(self._timer, following)
 
 
 class HeartbeatConsumer:

@@ -40,11 +40,11 @@ _HALF: Final = _COUNTS // 2
 _ENABLE_BIT: Final = 0x08  # of the controlword
 _ENABLED: Final = DriveState.OPERATION_ENABLED
 _ENABLED_WORD: Final = STATUSWORDS[_ENABLED]
+_FOLLOWING_WORD: Final = _ENABLED_WORD | int(StatusBit.FOLLOWS_COMMAND)
+_LIMITING_WORD: Final = _FOLLOWING_WORD | int(StatusBit.INTERNAL_LIMIT)
 _POWERED: Final = frozenset(
     (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON, _ENABLED, DriveState.QUICK_STOP_ACTIVE)
 )
-_FOLLOWS: Final = int(StatusBit.FOLLOWS_COMMAND)
-_LIMITED: Final = int(StatusBit.INTERNAL_LIMIT)
 
 
 class Motor(Protocol):
@@ -197,13 +197,15 @@ class Servo:
             before: State before a change; None when only the torque may differ.
         """
         state, demand = self.machine.state, 0
-        word = _ENABLED_WORD if state is _ENABLED else STATUSWORDS[state]
         if state is not _ENABLED:
+            word = STATUSWORDS[state]
             self._enabled_since = -1
-        elif self._mode_display.value == CYCLIC_SYNC_TORQUE and (not self._follow_delay or self._follows()):
-            target: int = self._target.value + self._torque_offset.value  # numbers since `reset`
-            demand = self._stage.limit(target)
-            word |= _FOLLOWS if demand == target else _FOLLOWS | _LIMITED
+        else:
+            word = _ENABLED_WORD
+            if self._mode_display.value == CYCLIC_SYNC_TORQUE and (not self._follow_delay or self._follows()):
+                target: int = self._target.value + self._torque_offset.value  # numbers since `reset`
+                demand = self._stage.limit(target)
+                word = _FOLLOWING_WORD if demand == target else _LIMITING_WORD
         if demand != self.demand:
             self._move()
             self.demand, self.torque = demand, self._torque_sign * demand * self._stage.quantum
