@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from itertools import count
 
 import can
@@ -11,6 +12,7 @@ from can.interfaces.virtual import VirtualBus
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canhaptic.canopen.data_frame import DataFrame
 from canhaptic.sim.bus.virtual_bus import LeanVirtualBus
 
 CHANNELS = count()
@@ -73,6 +75,26 @@ def test_what_the_sender_or_another_receiver_changes_later_does_not_arrive(chann
         other = second.recv(0)
     assert other is not None
     assert (other.arbitration_id, bytes(other.data)) == (1, b"\x01\x02")
+
+
+@pytest.mark.parametrize("further", [0, 1, 2])
+def test_a_frame_of_master_or_drive_arrives_as_any_other_and_no_two_takers_share_it(channel: str, further: int) -> None:
+    with ExitStack() as stack:
+        sender = stack.enter_context(LeanVirtualBus(channel))
+        takers = [stack.enter_context(kind(channel)) for kind in (LeanVirtualBus, LeanVirtualBus, VirtualBus)]
+        for closed in takers[further + 1 :]:
+            closed.shutdown()
+        frame = DataFrame()
+        frame.timestamp, frame.arbitration_id, frame.channel = 1.5, 0x205, channel
+        frame.data, frame.dlc = bytearray(b"\x01\x02"), 2
+        sender.send(frame)
+        taken = [taker.recv(0) for taker in takers[: further + 1]]
+    expected = can.Message(timestamp=1.5, arbitration_id=0x205, is_extended_id=False, channel=channel, data=[1, 2])
+    for message in taken:
+        assert message is not None
+        assert message.equals(expected, timestamp_delta=0.0, check_direction=False)
+        assert message.is_rx
+        message.data[0] = 9  # nobody else sees that
 
 
 def test_frames_come_in_order_and_not_back_to_their_sender(pair: tuple[LeanVirtualBus, LeanVirtualBus]) -> None:
