@@ -175,9 +175,9 @@ class Cycle:
         return f"{meter.name}: sum of interaction {meter.energy + supplied:.3g} J, {limit}"
 
     def _likely_doubt(self, axis: int) -> float:
-        """Returns how wrong the energy of an axis may be [J], commands left out that were lost and nothing shows.
+        """Returns the largest error of the energy of an axis [J], without commands that may have been lost unseen.
 
-        With them no loss would be certain where nothing is read back, and no rig would stop for it.
+        Where nothing is read back, counting those would make every loss of energy uncertain, and no rig would stop.
         """
         drive = self.rig.drives[axis]
         unseen = drive.read_back_bound if drive.read_back == "none" else 0.0

@@ -147,7 +147,7 @@ def _measured(meters: RunMeters, place: int, promise: Promise) -> PortResult:
 
 
 def _compared(meters: RunMeters, axis: int) -> PortResult:
-    """Returns by how much an axis was faster than its declared friction lets it be; nothing where none can be said."""
+    """Returns the force beyond declared friction and hand that an axis showed; empty where it is not watched."""
     watch = meters.axes[axis].watch
     return {} if watch is None else {"friction_excess": watch.excess}
 

@@ -53,7 +53,7 @@ class MarkedMapping(dict[str, Any]):
         self.values_at[key] = value_at
 
     def set(self, key: str, value: Any) -> None:
-        """Sets an entry that is not written here: at its own place, where it has one, else at that of the mapping."""
+        """Sets an entry that the document does not have; errors name the place of the value, or that of the mapping."""
         at = value.mark if isinstance(value, MarkedMapping | MarkedList) else self.mark
         self.put(key, value, at, at)
 

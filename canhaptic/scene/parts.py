@@ -85,7 +85,7 @@ def display_properties(axis: AxisScene) -> DisplayProperties:
         raise ParameterError(f"{given.name}: has no `admittance`; expected an admittance display")
     if "speed_limit" not in given.model_fields_set or display.acceleration_limit is None:
         missing = "admittance.acceleration_limit" if display.acceleration_limit is None else "speed_limit"
-        raise ParameterError(f"{given.name}: {missing}: missing; an admittance display does not move without, add it")
+        raise ParameterError(f"{given.name}: {missing}: missing; an admittance display needs it, add it")
     force, time = display.force, axis.loop.sample_time
     counts = given.counts_per_unit
     quantum = 1.0 / (counts * time) if display.mode == "position" else 1.0 / (display.velocity_counts or counts)

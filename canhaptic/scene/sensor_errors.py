@@ -66,7 +66,7 @@ def _bounds_motion(axis: AxisScene, loop: LoopProperties) -> bool:
 
 
 def friction_declared(axis: AxisScene) -> FrictionDeclared | None:
-    """Returns what the motion of an axis is compared with; None where no friction or no hand is declared."""
+    """Returns the declared friction and hand that an axis is checked against; None where one is not declared."""
     loop, parameters = loop_as_known(axis), axis.passivity.parameters
     force, push = (getattr(parameters, key, None) for key in ("hand_force", "hand_push"))
     if axis.group or not loop.device_friction or loop.moving_mass is None or force is None:

@@ -76,7 +76,7 @@ def compare(
     _require_comparable(scene)
     if rate is not None:
         if over_can:
-            raise InputError("--rate: changes the loop without a bus; over CAN lay it over: --set bus.rate=...")
+            raise InputError("--rate: changes the loop without a bus; with --can, use --set bus.rate=...")
         scene = at_rate(scene, rate)
     cycles = cycles_of(scene, duration)
     counter = _Counter(progress)

@@ -15,7 +15,7 @@ _BACK: Final = 0.125
 
 @dataclass(frozen=True, slots=True)
 class DisplayMotionSettings:
-    """What limits a command."""
+    """Limits of the commanded motion."""
 
     sample_time: float  # [s]
     delay: int

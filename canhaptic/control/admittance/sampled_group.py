@@ -73,7 +73,7 @@ def require_finite(positions: Sequence[float], torques: Sequence[float], axes: i
     if not len(positions) == len(torques) == axes or not isfinite(sum((*positions, *torques))):
         raise ControlError(
             f"group controller: got positions {tuple(positions)} and applied forces {tuple(torques)}, "
-            f"expected {axes} finite numbers each; the velocities are zero and the controller is to be reset, "
+            f"expected {axes} finite numbers each; the velocities are zero and the controller was reset; "
             "check encoders and force sensors"
         )
 

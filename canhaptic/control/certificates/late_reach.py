@@ -15,7 +15,7 @@ from canhaptic.control.certificates.torque_bound import Declared
 
 
 class LateMotion(NamedTuple):
-    """How far the axis can have moved along the torque by the end of a hold, and what acts in it."""
+    """Largest displacement along the torque by the end of a hold, and the torques that act in the hold."""
 
     displacement: float  # in that hold; infinite: nothing is known of the hand [m or rad]
     counted: float  # torque that counts as held in it, >= 0 [N or N*m]

@@ -336,7 +336,7 @@ def excursion_unseen(declared: Declared, bound: TorqueBound, displacement: float
 
 
 class Dissipated(Protocol):
-    """What remembers how much the device dissipated for certain, and not forgotten [J]."""
+    """Holds the energy that the device dissipated for certain, less what was forgotten [J]."""
 
     dissipated: float
 

@@ -323,15 +323,15 @@ def write_efforts(
 def write_springs(
     world: World, motion: GroupMotion, memory: MotionMemory, lead: float, way: Buffer, wish: RequestedEfforts
 ) -> None:
-    """Writes the efforts of the springs, and what they will have more where the motors will be.
+    """Writes the efforts of the springs now, and their change until the motors are at the predicted positions.
 
     Args:
         world: What is rendered.
         motion: Of the group.
         memory: Of the group.
-        lead: [holds].
-        way: Of the motors until then, (axes,) [rad or m].
-        wish: Receives them.
+        lead: Time of the prediction [holds].
+        way: Motion of the motors in that time, (axes,) [rad or m].
+        wish: Receives the efforts.
     """
     to_ports(memory, way, lead * motion.moved / motion.holds, memory.way)
     springs(

@@ -28,7 +28,7 @@ _ROUNDING: Final = 1e-12  # of the energy at hand: below it a rest is rounding, 
 
 @dataclass(slots=True)
 class PaidState:
-    """Stored energy and where the paper's flow chart is (Fig. 6)."""
+    """Stored energy, and the state of the paper's flow chart (Fig. 6)."""
 
     h_s: float = 0.0  # energy stored at the state, computed from it [J]
     engaged: bool = False  # whether anything can be felt

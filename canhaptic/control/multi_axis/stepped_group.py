@@ -109,7 +109,7 @@ class SteppedGroup:
             self.reset()
             raise ControlError(
                 f"group controller: got positions {tuple(positions)} and applied torques {tuple(torques_applied)}, "
-                f"expected {self.axes} finite numbers each; torque is zero and the controller is to be reset, check "
+                f"expected {self.axes} finite numbers each; torque is zero and the controller was reset; check "
                 "the encoders"
             )
         account, supplied, unsure, further, limit, place = self._step(self._missed, positions, torques_applied)
@@ -118,7 +118,7 @@ class SteppedGroup:
             self.reset()
             raise ControlError(
                 f"group controller: computed torques {torques}, expected finite numbers; torque is zero and "
-                "the controller is to be reset, check stiffness and damping against the size of the motion"
+                "the controller was reset; check stiffness and damping against the size of the motion"
             )
         self.energy_resolution += further
         self._started, self._missed = True, 0

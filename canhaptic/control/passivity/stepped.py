@@ -73,7 +73,7 @@ class SteppedController:
             self.reset()
             raise ControlError(
                 f"controller: got position {position!r} and {effort} {torque_applied!r}, expected finite numbers; "
-                f"{command} is zero and the controller is to be reset, check {sensors}"
+                f"{command} is zero and the controller was reset; check {sensors}"
             )
         balance: EnergyBalance = self._step(
             self._environment, self._settings, self._state, self._memory, position, torque_applied
@@ -83,7 +83,7 @@ class SteppedController:
             self.reset()
             raise ControlError(
                 f"controller: computed {command} {balance.torque!r}, expected a finite number; {command} is zero and "
-                f"the controller is to be reset, check {values}"
+                f"the controller was reset; check {values}"
             )
         self._last = balance
         return balance

@@ -36,7 +36,7 @@ def empty(storage: Storage) -> None:
 
 
 def is_deadlocked(storage: Storage) -> bool:
-    """Returns True while no torque can come of what is stored."""
+    """Returns whether the storage is empty and at rest, so that it gives no torque."""
     return storage.h_s == 0.0 and storage.velocity == 0.0
 
 

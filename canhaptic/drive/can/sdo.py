@@ -60,8 +60,8 @@ class _Client:
 
         Raises:
             SdoAbortedError: By the server.
-            ProtocolError: What it answered is no answer; the transfer was aborted.
-            _NoAnswerError: It did not answer in time; the transfer was aborted.
+            ProtocolError: The answer does not belong to the request; the transfer was aborted.
+            _NoAnswerError: The server did not answer in time; the transfer was aborted.
             LinkError: The bus failed.
         """
         self._object = sdo_transfer.address(index, subindex)

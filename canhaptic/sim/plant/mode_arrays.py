@@ -20,7 +20,7 @@ Matrix = Sequence[Sequence[float]]
 
 
 class Books(NamedTuple):
-    """Totals and the room for one product."""
+    """Sums of the works, and the buffer of one product."""
 
     totals: Any  # shape (works,) [J]
     rows: Any  # [y, Q y for each work], shape (n * (1 + works),)

@@ -69,7 +69,7 @@ def why_not_compared(scene: Scene, metrics: Sequence[str]) -> str:
 
 
 def why_not_beforehand(scene: Scene) -> str:
-    """Returns what `why_not_batchable` finds without looking at the algorithm."""
+    """Returns the answer of `why_not_batchable` as far as it does not depend on the algorithm."""
     if scene.groups:
         return f"group {scene.groups[0].name!r} renders on {len(scene.groups[0].axes)} axes together"
     if len(scene.axes) != 1:

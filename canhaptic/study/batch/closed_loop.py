@@ -163,7 +163,7 @@ class ActingTorque(NamedTuple):
 
 
 def acting(signals: Signals, temperature: float, torque: float) -> ActingTorque:
-    """Returns what reaches the motor of a torque [N or N*m] where its winding has a temperature [K]."""
+    """Returns the torque that the motor gives for a command [N or N*m] at a temperature of its winding [K]."""
     winding = signals.winding
     if not signals.saturates_last:
         torque = min(max(torque, -signals.saturation), signals.saturation)

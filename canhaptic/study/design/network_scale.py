@@ -24,21 +24,21 @@ _Matrix = Sequence[Sequence[float]]
 
 
 class NetworkScale(NamedTuple):
-    """What of a network is designed."""
+    """The parameter of a network that a design varies."""
 
     stiffness: float  # of the scene [N/m or N*m/rad]
     with_values: Callable[[float, float], Parameters]  # the network with another stiffness and damping
 
 
 def network_scale(network: Parameters, name: str) -> NetworkScale:
-    """Returns what of a network is designed.
+    """Returns the parameter of a network that a design varies.
 
     Args:
         network: Of a scene.
         name: Its name in a scene.
 
     Raises:
-        InputError: Nothing in it is a spring at a port.
+        InputError: It has no spring at a port.
     """
     if isinstance(network, AnisotropicSpring):
         return _anisotropic(network)

@@ -191,9 +191,9 @@ class _WallSearch:
         return dampings[rows, edges[:, 0]], dampings[rows, edges[:, 1]]
 
     def below_and_at(self, stiffness: float, damping: float) -> tuple[Booleans, TrialVerdict]:
-        """Returns which of some walls below a wall pass, all for one without hidden weakness, and its own verdict.
+        """Returns which weaker walls pass, and the verdict on the wall itself.
 
-        The walls below are tried with the factor, the wall itself without.
+        A wall is accepted if all weaker ones pass too. They are tried with the factor, the wall itself without.
         """
         parts = np.linspace(1.0 / self._places.below, 1.0, self._places.below)
         dampings = parts if damping else np.zeros(1)
