@@ -46,13 +46,13 @@ def write_index(folder: Path) -> None:
     """Writes README.md with the advice for every scene that has been made."""
     lines = [
         "# What accuracy costs in time: five scenes", "",
-        "Made by `python -m tools.accuracy_gallery`. Evaluations are the same on every machine; times are of the one",
-        "named in each JSON file, least of interleaved repeats. The line in the third column is for the scene's",
-        "`accuracy` section: the fewest evaluations of which no finer setting misses the tolerance. `cheaper yet` is a",
-        "textbook method that a scene cannot name and that needs fewer. `canhaptic accuracy CONFIG` does the same for",
-        "a scene of yours.",
+        "Made by `python -m tools.accuracy_gallery`. Evaluations are the same on every machine; times are the least of",
+        "interleaved repeats on the machine named in each JSON file. The line in the third column can be pasted into a",
+        "scene: it needs the fewest evaluations of all settings that keep the tolerance, as do all finer ones.",
+        "`cheaper yet` is a textbook method that needs fewer still, but that a scene cannot name. `canhaptic accuracy",
+        "CONFIG` does the same for your scene.",
         "",
-        "| scene | tolerance | cheapest that lasts | error | evaluations a period | us a period | cheaper yet |",
+        "| scene | tolerance | cheapest setting | error | evaluations a period | us a period | cheaper yet |",
         "|---|---|---|---|---|---|---|",
     ]  # fmt: skip
     for name in SCENES:

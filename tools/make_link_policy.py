@@ -18,7 +18,7 @@ _MISSED: Final = {
 _INTRODUCTION: Final = """\
 # Link policy
 
-What becomes of the torque when a drive goes unheard or unwell. This page is made from
+The reaction to missing TPDOs and to faults of a drive. This page is made from
 `canhaptic/drive/profile/link_policy.py` by `python -m tools.make_link_policy`.
 
 ## Missed TPDOs
@@ -29,7 +29,7 @@ them counts the SYNCs at which the TPDO of any of them is missing.
 _READ_BACK: Final = """
 ## What the read-back of the torque lets the rig judge
 
-Bit 12 is judged of a drive that shows it once it is enabled; one that never does may mean anything by it. The
+Bit 12 is judged only if the drive shows it once it is enabled; otherwise its meaning is unknown. The
 statusword of every SYNC is in the energy log, and `canhaptic inspect` counts the cycles with bit 11.
 """
 _STOPS: Final = """
@@ -45,8 +45,8 @@ _MEASURED: Final = """
 ## From a fault to zero torque
 
 The demo at 1 kHz, in contact, in lock-step with the simulated drive (`make bench Q=faults`): sample times from the
-begin of the fault until the motor has no torque, and how many the settings allow. Where the drive ends in FAULT, its
-own watchdog has acted.
+beginning of the fault until the motor has no torque, and how many the settings allow. Where the drive ends in FAULT,
+its own watchdog has acted. "Goes on": the fault did not end the run.
 """
 
 
@@ -98,7 +98,7 @@ def page() -> str:
             _STOPS,
             *_table(["number", "reason", "meaning", "exception", "what to do"], stops),
             "",
-            f"The numbers {words} mean a rig that runs and for a stop that was asked for; nothing is raised.",
+            f"The numbers {words} mean a running rig and a requested stop; nothing is raised.",
             _MEASURED,
             *_table(["fault", "ended by", "drive", "sample times", "allowed"], _measured()),
             "",
