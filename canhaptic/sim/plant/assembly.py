@@ -63,18 +63,10 @@ class Part(Protocol):
         """Returns the ways out of this mode; called last."""
 
 
-@dataclass(frozen=True, slots=True)
-class LinearPart:
-    """A part with a single mode."""
+class PlainPart:
+    """What most parts share: they hold no body still, and nothing leaves their modes but the clock."""
 
-    name: str
-    write: Callable[["Rows"], None]
-    modes: tuple[str, ...] = ("linear",)
     has_guards: bool = False
-
-    def assemble(self, rows: "Rows", mode: str) -> None:
-        """Adds what the part is, in its only mode."""
-        self.write(rows)
 
     def constrain(self, rows: "Rows", mode: str) -> None:
         """Holds nothing."""
@@ -82,6 +74,19 @@ class LinearPart:
     def guards(self, rows: "Rows", mode: str) -> Sequence[Guard]:
         """Returns none."""
         return ()
+
+
+@dataclass(frozen=True)
+class LinearPart(PlainPart):
+    """A part with a single mode."""
+
+    name: str
+    write: Callable[["Rows"], None]
+    modes: tuple[str, ...] = ("linear",)
+
+    def assemble(self, rows: "Rows", mode: str) -> None:
+        """Adds what the part is, in its only mode."""
+        self.write(rows)
 
 
 class _HandPart(Protocol):
@@ -96,16 +101,21 @@ class _HandPart(Protocol):
         """Returns the mode of a further grasp."""
 
 
-class _TorqueCommand(Protocol):
-    """Changes the torque of a hold before it reaches the motor."""
+class TorqueCommand(Protocol):
+    """Changes the torque of a hold before it reaches the motor; one without states inherits what it need not say.
 
-    state_names: tuple[str, ...]
-    passes: float
-    """Largest torque that it lets through as it is, in both directions [N or N*m]; -1 when it changes any, or keeps
-    something of each."""
+    Attributes:
+        state_names: States it keeps.
+        passes: Largest torque that it lets through as it is, in both directions [N or N*m]; -1 when it changes any, or
+            keeps something of each.
+    """
+
+    state_names: tuple[str, ...] = ()
+    passes: float = -1.0
 
     def reset(self) -> None:
-        """Returns to the start."""
+        """Returns to the start; here nothing is kept."""
+        return
 
     def apply(self, torque: float, duration: float) -> float:
         """Returns the torque [N or N*m] that acts during the `duration` [s] to come."""
@@ -121,25 +131,30 @@ class _Encoder(Protocol):
 class NonlinearForce(Protocol):
     """A force on the motor's body that is not piecewise affine: held over a substep, solved together with its motion.
 
+    One that keeps and stores nothing inherits the rest and gives `account` and `force` alone.
+
     Attributes:
         state_names: States it keeps itself.
         account: Where its work is booked; None when it is stored.
     """
 
-    state_names: tuple[str, ...]
+    state_names: tuple[str, ...] = ()
     account: Account | None
 
     def reset(self) -> None:
-        """Returns to the start."""
+        """Returns to the start; here nothing is kept."""
+        return
 
     def force(self, position: float, travel: float, duration: float, torque: float) -> float:
         """Returns the mean force [N or N*m] over a substep that starts at `position` and moves by `travel`."""
 
     def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
-        """Takes the substep as done."""
+        """Takes the substep as done; here nothing is kept."""
+        return
 
     def stored(self, position: float) -> float:
-        """Returns the energy stored in it [J]."""
+        """Returns the energy stored in it [J]; here 0."""
+        return 0.0
 
 
 @dataclass
@@ -151,7 +166,7 @@ class PlantModel:
     bodies: list[Body] = field(default_factory=list)
     parts: list[Part] = field(default_factory=list)
     works: dict[str, Account] = field(default_factory=dict)  # name -> account, booked as integrals of a power
-    commands: list[_TorqueCommand] = field(default_factory=list)
+    commands: list[TorqueCommand] = field(default_factory=list)
     encoders: list[_Encoder] = field(default_factory=list)
     efforts: list[NonlinearForce] = field(default_factory=list)
     schedule: list[tuple[float, str, str]] = field(default_factory=list)  # (time [s], part, mode)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from math import copysign, exp, expm1, pi, sin
 from typing import Final
 
+from canhaptic.sim.plant.assembly import Account, NonlinearForce
+
 DETENT, RIPPLE, FALLING, BRISTLE = 0, 1, 2, 3
 """Kinds of `Effort`: of cogging, torque_ripple, stribeck_friction and lugre_friction."""
 _TURN: Final = 2.0 * pi
@@ -95,7 +97,46 @@ def bent(effort: Effort, bristle: Bristle, travel: float, duration: float) -> tu
     ratio = travel / (duration * effort.stribeck_velocity)
     level = effort.kinetic + (effort.static - effort.kinetic) * exp(-ratio * ratio)
     sliding = copysign(level / effort.bristle_stiffness, travel)
-    decades = abs(travel) * effort.bristle_stiffness / level
-    lost = -expm1(-decades)
+    lengths = abs(travel) * effort.bristle_stiffness / level  # travel by the length in which the rest falls to 1/e
+    lost = -expm1(-lengths)
     end = deflection + (sliding - deflection) * lost
-    return end, sliding + (deflection - sliding) * (lost / decades if decades != 0.0 else 1.0)
+    return end, sliding + (deflection - sliding) * (lost / lengths if lengths != 0.0 else 1.0)
+
+
+def held_energy(effort: Effort, bristle: Bristle, position: float) -> float:
+    """Returns the energy stored in a force [J]; a detent has none in its middle, a bristle none when straight."""
+    if effort.kind == DETENT:
+        wave_number = _TURN / effort.pitch
+        half = sin(0.5 * (wave_number * position + effort.phase))
+        return 2.0 * effort.amplitude / wave_number * half * half
+    return 0.5 * effort.bristle_stiffness * bristle.deflection**2
+
+
+class EffortForce(NonlinearForce):
+    """One of these forces as a part of a plant.
+
+    Args:
+        effort: The force.
+        account: Where its work is booked; None when it is stored.
+    """
+
+    def __init__(self, effort: Effort, account: Account | None) -> None:
+        self.effort, self.account = effort, account
+        self.state_names = ("bristle_deflection",) if effort.kind == BRISTLE else ()
+        self._bristle = Bristle()
+
+    def reset(self) -> None:
+        """Straightens the bristle."""
+        self._bristle.deflection = 0.0
+
+    def force(self, position: float, travel: float, duration: float, torque: float) -> float:
+        """Returns the mean force [N or N*m] over a substep that starts at `position` and moves by `travel`."""
+        return mean_force(self.effort, self._bristle, position, travel, duration, torque)
+
+    def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
+        """Takes the substep as done."""
+        bend(self.effort, self._bristle, travel, duration)
+
+    def stored(self, position: float) -> float:
+        """Returns the energy stored in it [J]."""
+        return held_energy(self.effort, self._bristle, position)

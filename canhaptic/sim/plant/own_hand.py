@@ -10,7 +10,7 @@ substep where it is smooth.
 """
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.plant.assembly import Account, PlantModel
+from canhaptic.sim.plant.assembly import Account, NonlinearForce, PlantModel
 from canhaptic.sim.plant.user import UserParameters
 
 
@@ -39,10 +39,9 @@ class OwnHand(UserParameters):
         scene.efforts.append(_OwnForce(self))
 
 
-class _OwnForce:
+class _OwnForce(NonlinearForce):
     """The force of the hand as an effort of the plant; its work is the user's."""
 
-    state_names: tuple[str, ...] = ()
     account: Account | None = "user"
 
     def __init__(self, hand: OwnHand) -> None:
@@ -61,7 +60,3 @@ class _OwnForce:
     def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
         """Takes the substep as done."""
         self._time += duration
-
-    def stored(self, position: float) -> float:
-        """Returns 0: the hand stores nothing that the account knows."""
-        return 0.0

@@ -6,12 +6,11 @@ ASME J. Dynamic Systems 107, 1985, for the model; grips measured on hands: 100..
 """
 
 import math
-from collections.abc import Sequence
 from typing import Annotated, Final, Literal
 
 from pydantic import model_validator
 
-from canhaptic.sim.plant.assembly import Guard, PlantModel, Rows
+from canhaptic.sim.plant.assembly import PlainPart, PlantModel, Rows
 from canhaptic.units import Parameters, quantity
 
 _HAND: Final = "hand"
@@ -62,10 +61,8 @@ class UserParameters(Parameters):
             Hand(self).add_to(scene)
 
 
-class Hand:
+class Hand(PlainPart):
     """The part: the force of the hand on the handle, one mode per grasp."""
-
-    has_guards = False
 
     def __init__(self, user: UserParameters) -> None:
         self.name = _HAND
@@ -125,10 +122,3 @@ class Hand:
             force += rows.row(**{sine: stiffness * amplitude, cosine: damping * amplitude * omega})
         rows.forces[handle] += force
         rows.add_power(_HAND, force, velocity)
-
-    def constrain(self, rows: Rows, mode: str) -> None:
-        """Holds nothing."""
-
-    def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
-        """Returns none: grasps change by the clock."""
-        return ()

@@ -15,7 +15,7 @@ from typing import Annotated, ClassVar, Final
 
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, Guard, LinearPart, PlantModel, Rows
+from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, Guard, LinearPart, PlainPart, PlantModel, Rows
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.effects.shaft_compliance import ShaftCompliance
 from canhaptic.sim.plant.force_sensor import ForceReading, SimulatedForceSensor
@@ -98,7 +98,7 @@ class _DrivenMass(PlantParameters):
             rows.forces[MOTOR] += rows.row(effort=1.0)
 
 
-class _Loop:
+class _Loop(PlainPart):
     """The loop as a part: following, limited on either side, or without power."""
 
     modes = ("follows", "upper", "lower", "off")
@@ -122,9 +122,6 @@ class _Loop:
         rows.forces[MOTOR] += force
         rows.add_power(_LOOP, force, velocity)
 
-    def constrain(self, rows: Rows, mode: str) -> None:
-        """Holds nothing."""
-
     def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
         """Returns the ways to and from the limit of the torque."""
         limit = self._loop.torque_limit
@@ -136,7 +133,7 @@ class _Loop:
         return (Guard((demand if mode == "upper" else -demand) - most, "follows"),)
 
 
-class _Integral:
+class _Integral(PlainPart):
     """The integral of the loop as a part: free, or at the limit of the torque."""
 
     modes = ("free", "upper", "lower")
@@ -152,9 +149,6 @@ class _Integral:
         if mode == "free":
             rows.set_rate(_INTEGRAL, rows.row(torque=gain) - gain * rows.velocity(MOTOR))
 
-    def constrain(self, rows: Rows, mode: str) -> None:
-        """Holds nothing."""
-
     def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
         """Returns the ways to and from the limit."""
         if self._loop.torque_limit is None:
@@ -166,13 +160,13 @@ class _Integral:
         return (Guard(lag if mode == "upper" else -lag, "free"),)
 
 
-class _Sensor:
+class _Sensor(PlainPart):
     """The force between mass and grip: its impulse, its filtered value, and the work that passes it."""
 
     order: ClassVar[int | None] = None
     rank: ClassVar[int] = 9
     type: ClassVar[str] = _SENSOR
-    name, modes, has_guards = _SENSOR, ("linear",), False
+    name, modes = _SENSOR, ("linear",)
 
     def __init__(self, grip: GripParameters, corner: float) -> None:
         self._grip, self._corner = grip, corner
@@ -197,13 +191,6 @@ class _Sensor:
         rows.add_power(_SENSOR, force, rows.velocity(MOTOR))
         if self._corner:
             rows.set_rate("filtered_force", self._corner * (force - rows.row(filtered_force=1.0)))
-
-    def constrain(self, rows: Rows, mode: str) -> None:
-        """Holds nothing."""
-
-    def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
-        """Returns none."""
-        return ()
 
 
 class AdmittancePlant(Plant):

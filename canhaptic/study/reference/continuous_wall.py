@@ -17,7 +17,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
 from canhaptic.control.environments.viscous_medium import ViscousMedium
-from canhaptic.sim.plant.assembly import MOTOR, Guard, LinearPart, Part, PlantModel, Rows
+from canhaptic.sim.plant.assembly import MOTOR, Guard, LinearPart, Part, PlainPart, PlantModel, Rows
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.study.reference.textbook_environment import surfaces
@@ -72,7 +72,7 @@ def _effect(parts: Sequence[Part], state: str | None = None) -> Effect:
     return _ContinuousEffect(tuple(parts), state)
 
 
-class _Wall:
+class _Wall(PlainPart):
     """Spring and damper beyond a surface, exactly as eq. 12 has it: the damper holds back until the surface is passed.
 
     Args:
@@ -99,9 +99,6 @@ class _Wall:
             rows.add_storage(self._stiffness, depth)
             rows.add_power(self.name, self._damping * velocity, velocity)
 
-    def constrain(self, rows: Rows, mode: str) -> None:
-        """Holds nothing."""
-
     def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
         """Returns the crossing of the surface."""
         beyond = self._sign * self._depth(rows)
@@ -111,7 +108,7 @@ class _Wall:
         return rows.position(MOTOR) - rows.row(one=self._surface)
 
 
-class _PrandtlElement:
+class _PrandtlElement(PlainPart):
     """Prandtl's element: a spring between axis and ground that slides at its limit."""
 
     modes: tuple[str, ...] = ("elastic", "forward", "backward")
@@ -132,9 +129,6 @@ class _PrandtlElement:
             rows.set_rate("strain", velocity)
         else:
             rows.add_power(self.name, effort, velocity)
-
-    def constrain(self, rows: Rows, mode: str) -> None:
-        """Holds nothing."""
 
     def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
         """Returns yielding when elastic, the reversal when sliding."""

@@ -6,14 +6,11 @@ Energy: stored. Typical: 0.5..3 % of the rated torque, pitch = one turn / lcm(po
 Source: Hanselman, "Brushless Permanent Magnet Motor Design", 2nd ed., 2003, ch. 4.
 """
 
-import math
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import Account, PlantModel
-from canhaptic.sim.plant.effort_forces import DETENT, Bristle, Effort, mean_force
+from canhaptic.sim.plant.assembly import PlantModel
+from canhaptic.sim.plant.effort_forces import DETENT, Effort, EffortForce
 from canhaptic.units import Parameters, quantity
-
-_NO_BRISTLE: Final = Bristle()
 
 
 class Cogging(Parameters):
@@ -32,30 +29,4 @@ class Cogging(Parameters):
 
     def add_to(self, scene: PlantModel) -> None:
         """Adds the effort."""
-        scene.efforts.append(_Detent(self))
-
-
-class _Detent:
-    """The effort of cogging."""
-
-    state_names: tuple[str, ...] = ()
-    account: Account | None = None
-
-    def __init__(self, cogging: Cogging) -> None:
-        self.effort = Effort(DETENT, cogging.amplitude, cogging.pitch, cogging.phase)
-
-    def reset(self) -> None:
-        """Keeps nothing."""
-
-    def force(self, position: float, travel: float, duration: float, torque: float) -> float:
-        """Returns the mean force [N or N*m] along the travel."""
-        return mean_force(self.effort, _NO_BRISTLE, position, travel, duration, torque)
-
-    def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
-        """Keeps nothing."""
-
-    def stored(self, position: float) -> float:
-        """Returns the potential [J], zero at the detent."""
-        wave_number = 2.0 * math.pi / self.effort.pitch
-        half = math.sin(0.5 * (wave_number * position + self.effort.phase))
-        return 2.0 * self.effort.amplitude / wave_number * half * half
+        scene.efforts.append(EffortForce(Effort(DETENT, self.amplitude, self.pitch, self.phase), None))

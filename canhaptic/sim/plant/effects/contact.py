@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from canhaptic.sim.plant.assembly import Guard, PlantModel, Rows
+from canhaptic.sim.plant.assembly import Guard, PlainPart, PlantModel, Rows
 from canhaptic.sim.plant.propagator import Array
 
 
-class Contact:
+class Contact(PlainPart):
     """Contact where a distance, a sum of positions, exceeds a limit.
 
     Args:
@@ -56,9 +56,6 @@ class Contact:
         elif self._damping > 0.0:
             rows.set_rate(self.depth, -self._stiffness / self._damping * depth)
             rows.add_power(self.name, self._stiffness**2 / self._damping * depth, depth)
-
-    def constrain(self, rows: Rows, mode: str) -> None:
-        """Holds nothing."""
 
     def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
         """Returns parting when the force would pull, touching when the faces meet."""

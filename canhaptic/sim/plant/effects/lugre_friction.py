@@ -13,9 +13,9 @@ Source: Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE Trans. Automatic Contro
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import Account, PlantModel
+from canhaptic.sim.plant.assembly import PlantModel
 from canhaptic.sim.plant.dry_friction import DryFriction
-from canhaptic.sim.plant.effort_forces import BRISTLE, Bristle, Effort, bend, bristle_force
+from canhaptic.sim.plant.effort_forces import BRISTLE, Effort, EffortForce
 from canhaptic.units import quantity
 
 
@@ -38,44 +38,13 @@ class LuGreFriction(DryFriction):
     def add_to(self, scene: PlantModel) -> None:
         """Adds the bristle as an effort."""
         scene.claim("friction model", self.type)
-        scene.efforts.append(_Bristle(self))
-
-
-class _Bristle:
-    """The mean bristle and its force."""
-
-    state_names: tuple[str, ...] = ("bristle_deflection",)
-    account: Account | None = "dissipated"
-
-    def __init__(self, friction: LuGreFriction) -> None:
-        self.effort = Effort(
+        effort = Effort(
             BRISTLE,
-            kinetic=friction.kinetic,
-            static=friction.static,
-            stribeck_velocity=friction.stribeck_velocity,
-            bristle_stiffness=friction.bristle_stiffness,
-            bristle_damping=friction.bristle_damping,
-            viscous=friction.viscous,
+            kinetic=self.kinetic,
+            static=self.static,
+            stribeck_velocity=self.stribeck_velocity,
+            bristle_stiffness=self.bristle_stiffness,
+            bristle_damping=self.bristle_damping,
+            viscous=self.viscous,
         )
-        self._bristle = Bristle()
-
-    @property
-    def deflection(self) -> float:
-        """Deflection of the bristle [m or rad]."""
-        return self._bristle.deflection
-
-    def reset(self) -> None:
-        """Straightens the bristle."""
-        self._bristle.deflection = 0.0
-
-    def force(self, position: float, travel: float, duration: float, torque: float) -> float:
-        """Returns the mean friction [N or N*m] of the substep."""
-        return bristle_force(self.effort, self._bristle, travel, duration)
-
-    def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
-        """Bends the bristle."""
-        bend(self.effort, self._bristle, travel, duration)
-
-    def stored(self, position: float) -> float:
-        """Returns the energy of the bent bristle [J]."""
-        return 0.5 * self.effort.bristle_stiffness * self.deflection**2
+        scene.efforts.append(EffortForce(effort, "dissipated"))

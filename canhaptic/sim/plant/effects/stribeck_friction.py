@@ -9,9 +9,9 @@ Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994.
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import MOTOR, Account, PlantModel
+from canhaptic.sim.plant.assembly import MOTOR, PlantModel
 from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
-from canhaptic.sim.plant.effort_forces import FALLING, Effort, falling_friction
+from canhaptic.sim.plant.effort_forces import FALLING, Effort, EffortForce
 from canhaptic.units import quantity
 
 
@@ -31,33 +31,5 @@ class StribeckFriction(DryFriction):
         scene.works[self.type] = "dissipated"
         velocity = scene.states[scene.bodies[MOTOR].velocity]
         scene.parts.append(StickSlip(self.type, self, velocity))
-        scene.efforts.append(_FallingFriction(self))
-
-
-class _FallingFriction:
-    """The part of the friction that is gone once the body slides fast."""
-
-    state_names: tuple[str, ...] = ()
-    account: Account | None = "dissipated"
-
-    def __init__(self, friction: StribeckFriction) -> None:
-        self.effort = Effort(
-            FALLING,
-            kinetic=friction.kinetic,
-            static=friction.static,
-            stribeck_velocity=friction.stribeck_velocity,
-        )
-
-    def reset(self) -> None:
-        """Keeps nothing."""
-
-    def force(self, position: float, travel: float, duration: float, torque: float) -> float:
-        """Returns the friction [N or N*m] at the mean velocity."""
-        return falling_friction(self.effort, travel, duration)
-
-    def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
-        """Keeps nothing."""
-
-    def stored(self, position: float) -> float:
-        """Returns 0."""
-        return 0.0
+        levels = {"kinetic": self.kinetic, "static": self.static, "stribeck_velocity": self.stribeck_velocity}
+        scene.efforts.append(EffortForce(Effort(FALLING, **levels), "dissipated"))

@@ -13,7 +13,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import model_validator
 
-from canhaptic.sim.plant.assembly import PlantModel
+from canhaptic.sim.plant.assembly import PlantModel, TorqueCommand
 from canhaptic.units import Parameters, quantity
 
 
@@ -51,11 +51,10 @@ class ThermalDerating(Parameters):
         scene.commands.append(_Winding(self))
 
 
-class _Winding:
+class _Winding(TorqueCommand):
     """The winding's temperature and the torque that it allows."""
 
     state_names: tuple[str, ...] = ("winding_temperature",)
-    passes: float = -1.0
 
     def __init__(self, derating: ThermalDerating) -> None:
         self._derating = derating

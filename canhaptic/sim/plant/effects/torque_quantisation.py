@@ -6,7 +6,7 @@ Source: CiA 402-2, 0x6071 in per mille of 0x6076; current sensors of 10..12 bits
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import PlantModel
+from canhaptic.sim.plant.assembly import PlantModel, TorqueCommand
 from canhaptic.units import Parameters, quantity
 
 
@@ -26,17 +26,11 @@ class TorqueQuantisation(Parameters):
         scene.commands.append(_Rounding(self.quantum))
 
 
-class _Rounding:
+class _Rounding(TorqueCommand):
     """The rounding of a held torque."""
-
-    state_names: tuple[str, ...] = ()
-    passes: float = -1.0
 
     def __init__(self, quantum: float) -> None:
         self._quantum = quantum
-
-    def reset(self) -> None:
-        """Keeps nothing."""
 
     def apply(self, torque: float, duration: float) -> float:
         """Returns the nearest multiple of the quantum [N or N*m]."""

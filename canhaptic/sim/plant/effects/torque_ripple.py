@@ -5,13 +5,11 @@ true motor work then differs from the one computed from the torque demand by at 
 Typical: 1..5 % at the 6th electrical harmonic. Source: Hanselman, "Brushless Permanent Magnet Motor Design", 2003.
 """
 
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import Account, PlantModel
-from canhaptic.sim.plant.effort_forces import RIPPLE, Bristle, Effort, mean_force
+from canhaptic.sim.plant.assembly import PlantModel
+from canhaptic.sim.plant.effort_forces import RIPPLE, Effort, EffortForce
 from canhaptic.units import Parameters, quantity
-
-_NO_BRISTLE: Final = Bristle()
 
 
 class TorqueRipple(Parameters):
@@ -30,28 +28,4 @@ class TorqueRipple(Parameters):
 
     def add_to(self, scene: PlantModel) -> None:
         """Adds the effort."""
-        scene.efforts.append(_Ripple(self))
-
-
-class _Ripple:
-    """The effort of torque ripple."""
-
-    state_names: tuple[str, ...] = ()
-    account: Account | None = "motor"
-
-    def __init__(self, ripple: TorqueRipple) -> None:
-        self.effort = Effort(RIPPLE, ripple.amplitude, ripple.pitch, ripple.phase)
-
-    def reset(self) -> None:
-        """Keeps nothing."""
-
-    def force(self, position: float, travel: float, duration: float, torque: float) -> float:
-        """Returns the mean force [N or N*m] along the travel."""
-        return mean_force(self.effort, _NO_BRISTLE, position, travel, duration, torque)
-
-    def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
-        """Keeps nothing."""
-
-    def stored(self, position: float) -> float:
-        """Returns 0."""
-        return 0.0
+        scene.efforts.append(EffortForce(Effort(RIPPLE, self.amplitude, self.pitch, self.phase), "motor"))

@@ -6,7 +6,7 @@ Source: CiA 402-2, object 0x6072; any drive's peak current.
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import PlantModel
+from canhaptic.sim.plant.assembly import PlantModel, TorqueCommand
 from canhaptic.units import Parameters, quantity
 
 
@@ -26,16 +26,11 @@ class TorqueSaturation(Parameters):
         scene.commands.append(_Clip(self.limit))
 
 
-class _Clip:
+class _Clip(TorqueCommand):
     """The clip of a held torque."""
-
-    state_names: tuple[str, ...] = ()
 
     def __init__(self, limit: float) -> None:
         self.passes = self._limit = limit
-
-    def reset(self) -> None:
-        """Keeps nothing."""
 
     def apply(self, torque: float, duration: float) -> float:
         """Returns the torque within the limit [N or N*m]."""
