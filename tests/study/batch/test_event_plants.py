@@ -136,7 +136,7 @@ def both(scene, varied, cycles=CYCLES):
 def test_numba_gives_the_bits_of_python_for_every_plant(plant):
     pytest.importorskip("numba")
     rng = np.random.default_rng(3)
-    for algorithm in ("guarded", "unprotected", "passivity_observer"):
+    for algorithm in ("guarded", "unprotected", "passivity_observer, damping_limit: 20 N*s/m"):
         varied = {
             "environment.stiffness": 10.0 ** rng.uniform(1.0, 4.0, 30),
             "environment.damping": 10.0 ** rng.uniform(-1.0, 2.0, 30),
