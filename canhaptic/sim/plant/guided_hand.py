@@ -4,14 +4,12 @@ Place, speed, push and its rate are states that change linearly, so that the pla
 hand, with any effects; `Plant.set_states` changes them at a SYNC.
 """
 
-from typing import Annotated, Final
+from typing import Final
 
 from canhaptic.sim.plant.assembly import PlantModel, Rows
-from canhaptic.sim.plant.user import Hand, UserParameters
-from canhaptic.units import quantity
+from canhaptic.sim.plant.pointer_hand import PLACE, PointerHand
+from canhaptic.sim.plant.user import Hand
 
-PLACE: Final = "hand_place"
-"""State that is the place of the hand [m or rad]."""
 SPEED: Final = "hand_speed"
 """State that is the speed of the place [m/s or rad/s]."""
 PUSH: Final = "hand_push"
@@ -20,11 +18,8 @@ PUSH_RATE: Final = "hand_push_rate"
 """State that is the rate of that force [N/s or N*m/s]."""
 
 
-class GuidedHand(UserParameters):
+class GuidedHand(PointerHand):
     """A grip on the handle and a push, both set from outside."""
-
-    place: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
-    """Where the hand is at the start."""
 
     def add_to(self, scene: PlantModel) -> None:
         """Adds the hand and its states."""

@@ -25,7 +25,7 @@ _BULK: Final = (move, evaluate, pace, largest_term, stored, book)
 
 @cache
 def _unrolled_holds(size: int, works: int) -> Callable[..., None]:
-    """Returns `free_holds` for a state of `size` and some works, whose numbers are constants of the compiled code.
+    """Returns what takes sample times in a mode without guards; sizes of state and works are constants of its code.
 
     So LLVM unrolls every loop over them, and the state stays in registers: a sixth of the time. A symmetric form takes
     its lower triangle, and of the shifted state only the position differs (it holds the hand's deflection).

@@ -49,19 +49,29 @@ class PlantParameters(Parameters):
 
     def add_to(self, scene: PlantModel) -> None:
         """Adds the motor's body and its bearings."""
+        self.add_body(scene, "motor")
+        scene.parts.append(LinearPart("motor", self._write))
+
+    def add_body(self, scene: PlantModel, work: str) -> None:
+        """Adds the body, and the works of what drives it and of its bearings."""
         scene.add_state("position", self.initial_position)
         scene.add_state("velocity", self.initial_velocity)
         scene.bodies.append(Body("motor", self.mass, "velocity", (("position", 1.0),)))
-        scene.works["motor"] = "motor"
+        scene.works[work] = "motor"
         if self.damping:
             scene.works["bearings"] = "dissipated"
-        scene.parts.append(LinearPart("motor", self._write))
 
     def _write(self, rows: Rows) -> None:
         velocity, torque = rows.velocity(MOTOR), rows.row(**{rows.scene.motor_torque: 1.0})
-        rows.set_rate("position", velocity)
-        rows.forces[MOTOR] += torque - self.damping * velocity
+        rows.forces[MOTOR] += torque
         rows.add_power("motor", torque, velocity)
+        self.write_body(rows)
+
+    def write_body(self, rows: Rows) -> None:
+        """Adds the motion of the body, its bearings, and the force that is held over a substep."""
+        velocity = rows.velocity(MOTOR)
+        rows.set_rate("position", velocity)
+        rows.forces[MOTOR] -= self.damping * velocity
         if self.damping:
             rows.add_power("bearings", self.damping * velocity, velocity)
         if rows.scene.efforts:

@@ -11,7 +11,7 @@ from canhaptic.sim.plant.user import Hand, UserParameters
 from canhaptic.units import quantity
 
 PLACE: Final = "hand_place"
-"""State that is the place of the hand."""
+"""State that is the place of the hand [m or rad]."""
 
 
 class PointerHand(UserParameters):

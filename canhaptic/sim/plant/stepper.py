@@ -1,4 +1,4 @@
-"""The one stepper as pure functions on tables: interpreted, or compiled by numba (`compiled.py`).
+"""The one stepper as pure functions on tables: interpreted, or compiled by numba (`njit_stepper.py`).
 
 A hold is taken in the largest steps that the mode allows. When a guard is below zero at the end of a step, or the
 strict bound of `guard_bounds.py` does not exclude that it was inside, the step is halved, down to one tick; there the
@@ -114,7 +114,7 @@ def stored(storage: Any, state: Array) -> float:
 
 
 def book(works: Any, state: Array, books: Any) -> None:
-    """StepBuffers the work of a step that begins at `state`."""
+    """Books the work of a step that begins at `state`."""
     this = books[0]
     works(state, this.rows)
     this.contract(this.vector, this.totals_after)
@@ -291,9 +291,6 @@ def run_holds(
         State, spare state, sample times begun, and the ticks left of the last one: above zero at the limit of events;
         above zero, or zero, with counts[MISSING] set, when a mode has to be compiled first.
     """
-    if not tables.guard_counts[counts[MODE]]:
-        state, moved = free_holds(tables, state, moved, books, counts, torques, positions)
-        return state, moved, len(torques), 0
     for k in range(len(torques)):
         state[-2] = torques[k]
         counts[LIMIT] = counts[EVENTS] + settings.max_events + 1
@@ -302,19 +299,3 @@ def run_holds(
             return state, moved, k + 1, left
         positions[k] = state[0]
     return state, moved, len(torques), 0
-
-
-def free_holds(
-    tables: ModeTables, state: Array, moved: Array, books: Any, counts: Indices, torques: Array, positions: Array
-) -> tuple[Array, Array]:
-    """The same in a mode without guards, which nothing can leave; returns state and spare."""
-    mode = counts[MODE]
-    flow, work = tables.flows[mode][0], tables.works[mode][0]
-    for k in range(len(torques)):
-        state[-2] = torques[k]
-        move(flow, state, moved)
-        book(work, state, books)
-        state, moved = moved, state
-        positions[k] = state[0]
-    counts[PRODUCTS] += len(torques)
-    return state, moved

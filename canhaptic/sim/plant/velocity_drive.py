@@ -15,7 +15,7 @@ from typing import Annotated, ClassVar, Final
 
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, Guard, LinearPart, PlainPart, PlantModel, Rows
+from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Guard, LinearPart, PlainPart, PlantModel, Rows
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.effects.shaft_compliance import ShaftCompliance
 from canhaptic.sim.plant.force_sensor import ForceReading, SimulatedForceSensor
@@ -74,28 +74,12 @@ class _DrivenMass(PlantParameters):
 
     def add_to(self, scene: PlantModel) -> None:
         """Adds the mass, its bearings and the loop."""
-        scene.add_state("position", self.initial_position)
-        scene.add_state("velocity", self.initial_velocity)
-        scene.bodies.append(Body("motor", self.mass, "velocity", (("position", 1.0),)))
-        scene.works[_LOOP] = "motor"
-        if self.loop.integral_gain:
-            scene.add_state(_INTEGRAL)
-        if self.damping:
-            scene.works["bearings"] = "dissipated"
-        scene.parts.append(LinearPart("mass", self._write_mass))
+        self.add_body(scene, _LOOP)
+        scene.parts.append(LinearPart("mass", self.write_body))
         scene.parts.append(_Loop(self.loop))
         if self.loop.integral_gain:
+            scene.add_state(_INTEGRAL)
             scene.parts.append(_Integral(self.loop))
-
-    def _write_mass(self, rows: Rows) -> None:
-        velocity = rows.velocity(MOTOR)
-        rows.set_rate("position", velocity)
-        rows.forces[MOTOR] -= self.damping * velocity
-        if self.damping:
-            rows.add_power("bearings", self.damping * velocity, velocity)
-        if rows.scene.efforts:
-            rows.set_rate("travel", velocity)
-            rows.forces[MOTOR] += rows.row(effort=1.0)
 
 
 class _Loop(PlainPart):
