@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, cast
 
 import numpy as np
 
@@ -103,17 +103,13 @@ def located_states(
     Raises:
         InputError: scipy is missing, the solver fails, or it was stopped.
     """
-    try:
-        from scipy.integrate import solve_ivp
-    except ImportError as error:
-        raise InputError(_MISSING) from error
     period = sample_time_ns * 1e-9
     longest = min(0.25 * period, _LONGEST_STEP) if model.switches else math.inf
-    solve = partial(solve_ivp, method=method, rtol=rtol, atol=atol, max_step=longest)
+    solve = partial(_solve_ivp(), method=method, rtol=rtol, atol=atol, max_step=longest)
     state, modes, states = list(model.start), model.first, []
     for k, torque in enumerate(torques):
-        if stop is not None and k % 16 == 0 and stop():
-            raise InputError("stopped before the reference was there; nothing can be compared without it")
+        if k % 16 == 0:
+            _require_running(stop)
         begin, end = k * period, (k + 1) * period
         cuts = [begin, *(t for t in sorted(model.breaks) if begin < t < end), end]
         for start, finish in pairwise(cuts):
@@ -141,20 +137,15 @@ def states_at(
     Raises:
         InputError: scipy is missing, the solver fails, or it was stopped.
     """
-    try:
-        from scipy.integrate import solve_ivp
-    except ImportError as error:
-        raise InputError(_MISSING) from error
     longest = longest if model.switches else math.inf
-    solve = partial(solve_ivp, method="DOP853", rtol=rtol, atol=1e-3 * rtol, max_step=longest, dense_output=True)
+    solve = partial(_solve_ivp(), method="DOP853", rtol=rtol, atol=1e-3 * rtol, max_step=longest, dense_output=True)
     state, modes, found = list(model.start), model.first, [list(model.start)]
     wanted = iter(times[1:])
     due = next(wanted, math.inf)
 
     def read(result: Any) -> None:
         nonlocal due
-        if stop is not None and stop():
-            raise InputError("stopped before the reference was there; nothing can be compared without it")
+        _require_running(stop)
         while due <= result.t[-1]:
             found.append(result.sol(due).tolist())
             due = next(wanted, math.inf)
@@ -164,6 +155,21 @@ def states_at(
         if finish > start:
             state, modes = _hold(model, solve, state, modes, 0.0, (start, finish), read)
     return found
+
+
+def _solve_ivp() -> Callable[..., Any]:
+    """Returns the function of that name, or raises InputError where scipy is missing."""
+    try:
+        from scipy.integrate import solve_ivp
+    except ImportError as error:
+        raise InputError(_MISSING) from error
+    return cast(Callable[..., Any], solve_ivp)
+
+
+def _require_running(stop: Callable[[], bool] | None) -> None:
+    """Raises InputError where it was asked to stop."""
+    if stop is not None and stop():
+        raise InputError("stopped before the reference was there; nothing can be compared without it")
 
 
 def _hold(

@@ -82,6 +82,7 @@ class SensorNode:
         if node.node_id is None:
             self.state = NmtState.OPERATIONAL
             return
+        self._sdo.reset()
         self.state = NmtState.PRE_OPERATIONAL
         self._send(HEARTBEAT_BASE + node.node_id, bytes((NmtState.BOOT_UP,)))
 

@@ -178,18 +178,17 @@ class DisplayServo(Servo):
         step = (target - before + _WRAP // 2) % _WRAP - _WRAP // 2
         return step * self._per_position_count / self._period
 
-    def settle(self) -> bool:
+    def settle(self) -> None:
         """Makes the transitions that need no command; a drive that brakes stays until it is still."""
         if self._braking_since >= 0 and self.is_running:
             self._move()
             is_late = self.now - self._braking_since >= _LONGEST_BRAKING
             if abs(self.motor.velocity) > _STANDSTILL and not is_late:
                 self.has_event = True  # the owner times the next look
-                return False
+                return
         before = self.machine.state
-        has_moved = self.machine.settle(self._quick_stop_option.number)
+        self.machine.settle(self._quick_stop_option.number)
         self.update(before)
-        return has_moved
 
     def fault(self) -> None:
         """Begins the fault reaction: velocity 0."""

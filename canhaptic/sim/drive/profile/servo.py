@@ -213,11 +213,10 @@ class Servo:
             self._statusword.value = word
             self.has_event = True
 
-    def settle(self) -> bool:
-        """Makes the transitions that need no command; returns whether it made one."""
-        has_moved = self.machine.settle(self._quick_stop_option.number)
+    def settle(self) -> None:
+        """Makes the transitions that need no command."""
+        self.machine.settle(self._quick_stop_option.number)
         self.update()
-        return has_moved
 
     def fault(self) -> None:
         """Begins the fault reaction: torque 0 at once."""

@@ -32,10 +32,6 @@ class Mechanism(Protocol):
     def handle(self) -> tuple[float, float]:
         """Where the handle is in task space [m]."""
 
-    @property
-    def order(self) -> int | None:
-        """Order of the error in the substep; None when it is exact between its events."""
-
     def begin(self, now: int) -> None:
         """Starts its clock at `now` [ns]; until then it is at rest."""
 

@@ -97,15 +97,12 @@ class FiveBarMotion:
         substeps: In one sample time.
 
     Attributes:
-        order: Of the error in the substep.
         settings: What is fixed for a run.
         state: What is remembered.
 
     Raises:
         ParameterError: The initial angles are a singular pose.
     """
-
-    order = FiveBarLinkage.order
 
     def __init__(self, links: FiveBarLinkage, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> None:
         self._clock = SampleClock(sample_time_ns)

@@ -26,11 +26,6 @@ class SampleClock:
         self._epoch: int | None = None
         self.tick = 0
 
-    @property
-    def begun(self) -> bool:
-        """True once time passes."""
-        return self._epoch is not None
-
     def begin(self, now: int) -> None:
         """Makes `now` [ns] the epoch; later calls change nothing."""
         if self._epoch is None:

@@ -60,14 +60,11 @@ class XYMotion:
         sample_time_ns: T [ns].
 
     Attributes:
-        order: None: exact between events.
         state_names: Every state, and nothing else.
         force_places: Of the forces of the motors among them.
         position_places: Of the positions.
         is_linear: Whether one flow moves it: there is no dry friction.
     """
-
-    order: int | None = None
 
     def __init__(self, stage: XYStage, hand: TaskHand | None, sample_time_ns: int) -> None:
         self._clock = SampleClock(sample_time_ns)
