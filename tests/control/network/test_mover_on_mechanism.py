@@ -49,6 +49,6 @@ def moved(seed, delay, max_consecutive_losses):
 @pytest.mark.parametrize("delay", [0, 1, 2])
 def test_nothing_comes_out_beyond_what_the_mover_gives_though_the_pose_changes(delay, max_consecutive_losses):
     """Booked at the pose of the end of the hold, and certified at one before, 1.1 and 4.7 uJ came out (seed 42)."""
-    runs = [moved(seed, delay, max_consecutive_losses) for seed in (*range(20), 42)]
+    runs = [moved(seed, delay, max_consecutive_losses) for seed in (*range(9), 42)]
     assert min(least for least, _ in runs) >= -1e-9
-    assert sum(strongest > 0.1 for _, strongest in runs) >= 5
+    assert sum(strongest > 0.1 for _, strongest in runs) >= 3

@@ -76,8 +76,8 @@ def judge_scaled_step(rng, network, state, step, received, lost):
         assert energy_taken <= energy + 1e-12 * size
 
 
-def test_two_thousand_random_networks_are_solved_and_close_their_energy():
-    assert judge(2000, 1) == 0
+def test_random_networks_are_solved_and_close_their_energy():
+    assert judge(800, 1) == 0
 
 
 @pytest.mark.slow
@@ -95,7 +95,7 @@ def test_a_residual_that_falls_step_by_step_does_not_solve_all_of_them(monkeypat
 def test_networks_in_which_anything_acts_on_anything_are_solved_but_for_a_few():
     rng = random.Random(3)
     unsolved = 0
-    for _ in range(1000):
+    for _ in range(500):
         network = tangled_network(rng)
         state = [rng.gauss(0.0, 1.0) * 10.0 ** rng.uniform(-5, -2) for _ in range(network.states)]
         motion, sample_time = [rng.gauss(0.0, 1.0) * 10.0 ** rng.uniform(-7, -2.5)], 10.0 ** rng.uniform(-4, -2)
@@ -103,7 +103,7 @@ def test_networks_in_which_anything_acts_on_anything_are_solved_but_for_a_few():
         assert abs(evaluations) <= _EVALUATIONS
         assert evaluations < 0 or error <= 1e-10  # forces of springs on springs cancel to that rounding
         unsolved += evaluations < 0
-    assert unsolved <= 50
+    assert unsolved <= 25
 
 
 def test_energies_given_as_functions_are_solved_as_those_of_the_table():
