@@ -1,5 +1,7 @@
 """A comparison as a picture: one column per algorithm, the continuous environment in grey behind each of them.
 
+More algorithms than `_ACROSS` go on in further bands below.
+
 Position, force and energy account share their scale across a row, set by the continuous run, so that columns compare at
 one glance and an algorithm that diverges leaves its panel instead of flattening the others.
 """
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 
 
 _BUCKETS: Final = 1200
+_ACROSS: Final = 6
+"""Columns of one band: more are too small to read on a page."""
 _ROOM: Final = 0.35
 """Above and below the continuous run, as a part of its range."""
 _FLATTENING: Final = 4.0
@@ -39,17 +43,17 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
         InputError: matplotlib is not installed, the file cannot be written, or no algorithm ran.
     """
     require_matplotlib()
-    columns = max(len(_drawn(axis)) for axis in comparison.axes)
-    if columns == 0:
+    most = max(len(_drawn(axis)) for axis in comparison.axes)
+    if most == 0:
         raise InputError("no algorithm ran, there is nothing to draw; the table says why")
-    rows = 3 * len(comparison.axes)
+    bands = -(-most // _ACROSS)
+    columns = -(-most // bands)
+    rows = 3 * bands * len(comparison.axes)
     with drawing() as figure_type:
         figure = figure_type(figsize=(1.2 + 3.0 * columns, 0.9 + 2.5 * rows), dpi=110, layout="constrained")
         panels = figure.subplots(rows, columns, sharex=True, sharey="row", squeeze=False)
         for index, axis in enumerate(comparison.axes):
-            _draw_axis(axis, comparison, panels[3 * index : 3 * index + 3])
-        for panel in panels[-1]:
-            panel.set_xlabel("time [s]")
+            _draw_axis(axis, comparison, panels[3 * bands * index : 3 * bands * (index + 1)])
         figure.suptitle(_caption(comparison), x=0.01, ha="left", fontsize=9.5, color="#404040")
         save_picture(figure, path)
 
@@ -66,10 +70,11 @@ def _drawn(axis: AxisComparison) -> dict[str, LoopRun]:
 
 
 def _draw_axis(axis: AxisComparison, comparison: Comparison, panels: NDArray[Any]) -> None:
-    """Draws one axis into three rows of panels."""
+    """Draws one axis into bands of three rows of panels."""
     unit = axis.unit
     runs, reference, period = _drawn(axis), axis.reference, comparison.sample_time
-    for panel in panels[:, len(runs) :].flat:
+    places = [tuple(band[:, k]) for band in np.split(panels, len(panels) // 3) for k in range(panels.shape[1])]
+    for panel in (panel for place in places[len(runs) :] for panel in place):
         panel.set_visible(False)
     if not runs:
         return
@@ -80,18 +85,20 @@ def _draw_axis(axis: AxisComparison, comparison: Comparison, panels: NDArray[Any
         _scale(*_comparable([run.interaction for run in calm])),
     )
     accounts = comparison.result["axes"][axis.name]["algorithms"]
-    for column, (name, run) in enumerate(runs.items()):
-        position, force, energy = panels[:, column]
+    for (position, force, energy), (name, run) in zip(places, runs.items(), strict=False):
         title = name if len(comparison.axes) == 1 else f"{axis.name}: {name}"
         position.set_title(title, fontweight="bold", fontsize=10.0)
         _draw_position(position, run, reference, period, scales[0])
         _draw_force(force, run, reference, period, scales[1])
         _draw_energy(energy, run, period, scales[2])
+        energy.set_xlabel("time [s]")
+        energy.tick_params(labelbottom=True)
         _write_error(position, accounts[name], unit)
     for row, (what, symbol) in enumerate((("position", unit), ("force", effort_unit(unit)), ("energy", "J"))):
         scale, prefix, (low, high) = scales[row]
-        panels[row, 0].set_ylim(low / scale, high / scale)
-        panels[row, 0].set_ylabel(f"{what} [{prefix}{symbol}]")
+        for panel in panels[row::3, 0]:
+            panel.set_ylim(low / scale, high / scale)
+            panel.set_ylabel(f"{what} [{prefix}{symbol}]")
 
 
 _Scale = tuple[float, str, tuple[float, float]]
@@ -154,7 +161,7 @@ def _draw_energy(panel: "Axes", run: LoopRun, period: float, scale: _Scale) -> N
     panel.set_title(
         f"least in {si(run.least_interaction, 'J', 3)}, margin {si(run.least_margin, 'J', 3)}", fontsize=8.0, loc="left"
     )
-    if (place := panel.get_subplotspec()) is not None and place.is_first_col():
+    if (place := panel.get_subplotspec()) is not None and place.is_first_col() and place.rowspan.start == 2:
         panel.legend(loc="upper left", fontsize=7.5, ncols=1)
 
 

@@ -15,6 +15,7 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import load_scene
+from canhaptic.study import compare_picture
 from canhaptic.study.algorithms import _with_known_plant, with_algorithm
 from canhaptic.study.compare_picture import draw_comparison
 from canhaptic.study.compare_table import comparison_report
@@ -256,6 +257,21 @@ def test_a_picture_that_cannot_be_written_or_has_nothing_to_show_is_refused(scen
     refused = compare(scene("simulation.plant.damping=0", "passivity={algorithm: unprotected}"), ["energy_bounding"])
     with pytest.raises(InputError, match="nothing to draw"):
         draw_comparison(refused, tmp_path / "picture.png")
+
+
+def test_many_algorithms_are_drawn_in_bands_below_each_other(scene, monkeypatch):
+    comparison, kept = compare(scene(), ["unprotected"], duration=0.05, repeats=0), []
+    [axis], names = comparison.axes, [f"algorithm {k}" for k in range(7)]
+    [account] = comparison.result["axes"][axis.name]["algorithms"].values()
+    comparison.result["axes"][axis.name]["algorithms"] = dict.fromkeys(names, account)
+    monkeypatch.setattr(compare_picture, "save_picture", lambda figure, _: kept.append(figure))
+    draw_comparison(replace(comparison, axes=(replace(axis, runs=dict.fromkeys(names, axis.runs["unprotected"])),)), "")
+    [figure] = kept
+    shown = [panel for panel in figure.axes if panel.get_visible()]
+    assert [panel.get_title() for panel in shown if panel.get_title()] == names  # 4 in the first band, then 3
+    assert (len(figure.axes), len(shown)) == (2 * 3 * 4, 7 * 3)
+    low, high = shown[0].get_ylim()
+    assert all(panel.get_ylim() == (low, high) for panel in shown if panel.get_title())
 
 
 def test_a_run_that_ended_before_its_first_sync_is_left_out_of_times_and_pictures(scene, tmp_path):
