@@ -19,9 +19,9 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from math import nan
-from os import PathLike
+from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,8 @@ from canhaptic.result import RunResult
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.load import load_scene, scene_from_mapping
-from canhaptic.scene.models import Scene
+from canhaptic.scene.models import RunParameters, Scene
+from canhaptic.units import shown
 
 if TYPE_CHECKING:
     import pandas
@@ -269,7 +270,7 @@ def simulate(
     scene: str | PathLike[str] | Mapping[str, object] | Scene,
     changes: Mapping[str, object] | None = None,
     *,
-    duration: float | None = None,
+    duration: float | str | None = None,
     progress: bool = True,
     check: bool = True,
     allow_code: bool = False,
@@ -279,14 +280,15 @@ def simulate(
     Args:
         scene: A scene file, a mapping with the keys of one, or a scene that was loaded.
         changes: Replace values of the scene, by path: `{"environment.stiffness": "500 N/m"}`. Not for a loaded scene.
-        duration: Length of the run [s]; by default the scene's.
+        duration: Length of the run [s], or a text with a unit; by default the scene's.
         progress: Whether a progress bar is shown in a terminal or a notebook.
         allow_code: Whether program files that the scene names (`type: my_wall.py:MyWall`) may run.
         check: Whether a run that ends by itself before its time raises; otherwise the result carries its `error`.
 
     Raises:
         SceneError: The scene is wrong; lists every fault.
-        InputError: The scene simulates nothing, or neither it nor the call gives a duration.
+        InputError: The scene simulates nothing, a change is no plain value, or neither the scene nor the call gives a
+            duration.
         RigError: The run ended before its time, and `check` is true.
 
     Example:
@@ -300,7 +302,7 @@ def simulate(
             f"{loaded.source}: simulates nothing in this process (needs `simulation` and `bus.interface: virtual`); "
             "a real rig is started on purpose, by `canhaptic run`"
         )
-    length = duration if duration is not None else loaded.run.duration
+    length = loaded.run.duration if duration is None else RunParameters.validated({"duration": duration}).duration
     if length is None:
         raise InputError(
             f"{loaded.source}: duration: missing; add it to the scene or call simulate(..., duration=10.0)"
@@ -324,7 +326,7 @@ def _label(scene: Scene) -> str:
 def _scene(
     scene: str | PathLike[str] | Mapping[str, object] | Scene, changes: Mapping[str, object], allow_code: bool
 ) -> Scene:
-    overrides = [f"{path}={json.dumps(value)}" for path, value in changes.items()]
+    overrides = [_override(path, value) for path, value in changes.items()]
     if isinstance(scene, Scene):
         if changes:
             raise InputError(
@@ -334,6 +336,20 @@ def _scene(
     if isinstance(scene, Mapping):
         return scene_from_mapping(scene, overrides=overrides, allow_code=allow_code)
     return load_scene(Path(scene), overrides, allow_code=allow_code)
+
+
+def _override(path: str, value: object) -> str:
+    try:
+        return f"{path}={json.dumps(value, default=_plain)}"
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"changes: {path}: got {shown(value)}, expected a number, a text, a list or a mapping"
+        ) from error
+
+
+def _plain(value: object) -> object:
+    """Returns a number or array of NumPy, or a path, as a plain value."""
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else fspath(cast("PathLike[str]", value))
 
 
 def _run(experiment: Experiment, cycles: int, progress: bool) -> tuple[RunResult, CanHapticError | None]:

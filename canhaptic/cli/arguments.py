@@ -110,6 +110,16 @@ def seconds(text: str) -> float:
     return positive_number(text, ("s", "s"), "duration", 1e6)
 
 
+def number(text: str, units: tuple[str, str]) -> float:
+    """Returns a number in SI from a text; `units` and errors as for `positive_number`."""
+    from canhaptic.units import Unit
+
+    try:
+        return float(str(Unit(*units).read(text)))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"got {text!r}, {error}") from error
+
+
 def positive_number(text: str, units: tuple[str, str], name: str, most: float) -> float:
     """Returns a number above zero, SI, from a text with or without its unit.
 
@@ -122,12 +132,7 @@ def positive_number(text: str, units: tuple[str, str], name: str, most: float) -
     Raises:
         argparse.ArgumentTypeError: It is no number of this dimension, or out of range.
     """
-    from canhaptic.units import Unit
-
-    try:
-        value = float(str(Unit(*units).read(text)))
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"got {text!r}: {error}") from error
+    value = number(text, units)
     if not 0.0 < value <= most:
         shown = " or ".join(dict.fromkeys(units))
         raise argparse.ArgumentTypeError(f"got {text!r}, expected 0 < {name} <= {most:g} [{shown}]")

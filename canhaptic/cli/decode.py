@@ -23,10 +23,14 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: The log or the scene cannot be used.
     """
     scene = None if arguments.config is None else load_scene(arguments.config, leave_code=True)
-    skipped = Counter[SkippedKind]()
+    skipped, seen = Counter[SkippedKind](), dict[str, None]()
+    only = {kind.lower() for kind in arguments.only or ()}
     for frame in _decode_log(arguments.bus_log, scene, arguments.start, arguments.stop, skipped):
-        if not arguments.only or frame["kind"].lower() in {kind.lower() for kind in arguments.only}:
+        seen[frame["kind"]] = None
+        if not only or frame["kind"].lower() in only:
             write_line(json.dumps(frame) if arguments.json else line(frame))
+    if only.isdisjoint(kind.lower() for kind in seen) and only:
+        write_note(f"  no frame is of --only {', '.join(arguments.only)}; the log has: {', '.join(seen) or 'no frame'}")
     if skipped:
         write_note(f"  frames left out: {describe_skipped(skipped)}")
     return 0

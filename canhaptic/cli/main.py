@@ -14,7 +14,7 @@ from typing import Any, Final
 from canhaptic.cli.interrupt import INTERRUPTED, PromptEnd, say_interrupted
 from canhaptic.cli.options import OPTIONS
 from canhaptic.cli.output import print_failure, write_note
-from canhaptic.errors import CanHapticError, OldNameWarning
+from canhaptic.errors import CanHapticError, InputError, OldNameWarning
 
 _COMMANDS: Final = {
     "commission": "walk a new rig from zero torque to a measured configuration, asking before every torque",
@@ -87,10 +87,6 @@ def _show_old_names() -> None:
     warnings.showwarning = show
 
 
-def _module_of(command: str) -> str:
-    return command.replace("-", "_")
-
-
 class _ShowVersion(argparse.Action):
     """Looks the version up when it is asked for: the search takes as long as the rest of `--help`."""
 
@@ -106,7 +102,8 @@ class _ShowVersion(argparse.Action):
 
 def _execute(arguments: argparse.Namespace) -> int:
     try:
-        status: int = importlib.import_module(f"canhaptic.cli.{_module_of(arguments.command)}").execute(arguments)
+        command = importlib.import_module(f"canhaptic.cli.{arguments.command.replace('-', '_')}")
+        status: int = command.execute(arguments)
         sys.stdout.flush()
         return status
     except CanHapticError as error:
@@ -115,3 +112,9 @@ def _execute(arguments: argparse.Namespace) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader left; nothing to report to it
         return _BROKEN_PIPE
+    except OSError as error:
+        if error.filename is None:
+            raise
+        refused = InputError(f"{error.filename}: {error.strerror}; name another file")
+        print_failure(refused, as_json=getattr(arguments, "json", False))
+        return refused.exit_status

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Final
 
 from canhaptic.cli.arguments import add_allow_code, add_json, add_overrides, add_scene, names, seconds
-from canhaptic.cli.value_texts import budget, count, delays, length, port, rate, rates, samples
+from canhaptic.cli.value_texts import budget, delays, length, moment, rate, rates, samples, whole
 
+COUNT, SOME, WORKERS, PORT = whole(0, 10**9), whole(1, 10**9), whole(1, 1024), whole(0, 65_535)
 BUDGET: Final = 12.0
 """Time for timings [s]; as `study.accuracy.study.DEFAULT_BUDGET`, which is imported when the study begins."""
 TORQUE, TRAVEL, SPEED = 0.1, 0.02, 0.5
@@ -61,8 +62,8 @@ def _arena(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--delays", metavar="0,1", type=delays, help="whole holds; by default both")
     parser.add_argument("--duration", metavar="S", type=seconds, help="of a run at most [s]; 2 by default")
     parser.add_argument("--rig", metavar="CONFIG", type=Path, help="scene of the K-B plot; configs/arena_rig.yaml")
-    parser.add_argument("--walls", metavar="N", type=count, help="of the K-B plot a decade; 12 by default, 0: no plot")
-    parser.add_argument("--workers", metavar="N", type=count, help="processes on this machine; by default one a core")
+    parser.add_argument("--walls", metavar="N", type=COUNT, help="of the K-B plot a decade; 12 by default, 0: no plot")
+    parser.add_argument("--workers", metavar="N", type=WORKERS, help="processes on this machine; by default one a core")
     parser.add_argument(
         "--out", metavar="FOLDER", type=Path, default=Path("arena"),
         help="page, pictures, result and finished cases; the same command goes on with those (default: arena)",
@@ -151,8 +152,8 @@ def _decode(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `decode`."""
     parser.add_argument("bus_log", type=Path, metavar="BUSLOG", help="candump text, BLF, TRC or ASC")
     parser.add_argument("--config", type=Path, metavar="CONFIG", help="scene file, for names, units and dictionaries")
-    parser.add_argument("--from", dest="start", type=float, metavar="S", help="from this time on [s]")
-    parser.add_argument("--to", dest="stop", type=float, metavar="S", help="up to this time [s]")
+    parser.add_argument("--from", dest="start", type=moment, metavar="S", help="from this time on [s]")
+    parser.add_argument("--to", dest="stop", type=moment, metavar="S", help="up to this time [s]")
     parser.add_argument("--only", action="append", metavar="KIND", help="NMT, SYNC, EMCY, SDO, TPDO1, heartbeat, ...")
     add_json(parser, "one JSON object per line")
 
@@ -183,8 +184,8 @@ def _drive(parser: argparse.ArgumentParser) -> None:
 def _inspect(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `inspect`."""
     parser.add_argument("log", type=Path, help="an energy log (.h5), or a bus log together with --config")
-    parser.add_argument("--from", dest="start", type=float, metavar="S", help="count from this time on [s]")
-    parser.add_argument("--to", dest="stop", type=float, metavar="S", help="count up to this time [s]")
+    parser.add_argument("--from", dest="start", type=moment, metavar="S", help="count from this time on [s]")
+    parser.add_argument("--to", dest="stop", type=moment, metavar="S", help="count up to this time [s]")
     add_allow_code(parser)
     add_json(parser)
     parser.add_argument(
@@ -241,7 +242,9 @@ def _map(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--y", metavar="KEY", help="upwards, or one line per value")
     parser.add_argument("--metric", metavar="NAME", help="one map of this figure, instead of the usual ones")
     parser.add_argument("--axis", metavar="NAME", help="of a scene with several; by default the first")
-    parser.add_argument("--by", choices=JUDGEMENTS, help="what a wall must be to count; by default stable for direct")
+    parser.add_argument(
+        "--by", choices=JUDGEMENTS, help="what a wall must be to count; by default stable for unprotected"
+    )
     add_allow_code(parser)
     add_json(parser)
 
@@ -314,7 +317,7 @@ def _scope(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `scope`."""
     parser.add_argument("log", type=Path, nargs="?", metavar="LOG", help="energy log that a run writes or will write")
     parser.add_argument("--config", type=Path, metavar="CONFIG", help="scene file that names the log (log.energy)")
-    parser.add_argument("--port", type=port, default=5006, metavar="N", help="of the page; 0 for any that is free")
+    parser.add_argument("--port", type=PORT, default=5006, metavar="N", help="of the page; 0 for any that is free")
     parser.add_argument("--window", type=float, default=10.0, metavar="S", help="seconds shown")
     parser.add_argument("--open", action="store_true", help="open the page in a browser")
 
@@ -334,10 +337,10 @@ def _sweep(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sample", metavar="lhs:N", type=samples, default=0, help="N points of a Latin hypercube, no grid"
     )
-    parser.add_argument("--seed", metavar="N", type=count, default=0, help="of the hypercube")
+    parser.add_argument("--seed", metavar="N", type=COUNT, default=0, help="of the hypercube")
     length = parser.add_mutually_exclusive_group()
     length.add_argument("--duration", metavar="S", type=seconds, help="of every scene [s]; by default the scene's")
-    length.add_argument("--cycles", metavar="N", type=count, help="SYNCs of every scene, at any rate")
+    length.add_argument("--cycles", metavar="N", type=SOME, help="SYNCs of every scene, at any rate")
     parser.add_argument(
         "--metrics",
         metavar="A,B,...",
@@ -349,9 +352,9 @@ def _sweep(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--beyond-bus", action="store_true", help="judge rates that the bus could not carry, too")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", metavar="N", type=count, help="processes on this machine (1, or one a core)")
+    where.add_argument("--workers", metavar="N", type=WORKERS, help="processes on this machine (1, or one a core)")
     where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, as in tcp://10.0.0.5:8786")
-    parser.add_argument("--chunk", metavar="N", type=count, help="scenes that are finished together")
+    parser.add_argument("--chunk", metavar="N", type=SOME, help="scenes that are finished together")
     parser.add_argument("--out", metavar="FILE.h5", type=Path, help="results; each chunk is there once it is finished")
     again = parser.add_mutually_exclusive_group()
     again.add_argument("--resume", action="store_true", help="go on with FILE.h5 where it was stopped or killed")
@@ -363,7 +366,7 @@ def _touch(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `touch`."""
     add_scene(parser)
     parser.add_argument("--axis", metavar="NAME", help="which axis or group; by default the first")
-    parser.add_argument("--port", type=port, default=5007, metavar="N", help="of the page; 0 for any that is free")
+    parser.add_argument("--port", type=PORT, default=5007, metavar="N", help="of the page; 0 for any that is free")
     parser.add_argument(
         "--pace",
         choices=("even", "real"),

@@ -4,7 +4,7 @@ import argparse
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Any
 
 from canhaptic.cli.arguments import scene_of
 from canhaptic.cli.output import note_file, write_json, write_note
@@ -16,8 +16,6 @@ from canhaptic.study.sweep.summary import summary, summary_report
 from canhaptic.study.sweep.sweep_table import SweepTable
 from canhaptic.study.sweep.workers import Pool, dask_executor
 from canhaptic.view.energy_table import make_console
-
-_MOST_WORKERS: Final = 1024
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -62,8 +60,6 @@ def execute(arguments: argparse.Namespace) -> int:
 def _check(arguments: argparse.Namespace) -> None:
     if arguments.out is None and (arguments.resume or arguments.force):
         raise InputError("--resume and --force need a file; name it with --out FILE.h5")
-    if (arguments.workers or 1) > _MOST_WORKERS:
-        raise InputError(f"--workers: got {arguments.workers}, expected 1 to {_MOST_WORKERS}")
 
 
 def _workers(arguments: argparse.Namespace, stack: ExitStack) -> tuple[Any, int]:

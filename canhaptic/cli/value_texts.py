@@ -1,12 +1,14 @@
 """Values of options from their texts, each refused with what was expected."""
 
 import argparse
+import re
+from collections.abc import Callable
 from typing import Final
 
-from canhaptic.cli.arguments import names, positive_number, seconds
+from canhaptic.cli.arguments import names, number, positive_number, seconds
 
 _FASTEST: Final = 1e6  # [Hz]
-_LAST_PORT: Final = 65_535
+_DIGITS: Final = re.compile(r"[0-9]{1,12}")
 
 
 def length(text: str) -> float:
@@ -37,23 +39,25 @@ def delays(text: str) -> list[int]:
     return [int(one) for one in given]
 
 
-def port(text: str) -> int:
-    """Returns the number of a port."""
-    if not (text.isascii() and text.isdigit()) or int(text) > _LAST_PORT:
-        raise argparse.ArgumentTypeError(f"got {text!r}, expected a number from 0 to {_LAST_PORT}")
-    return int(text)
+def moment(text: str) -> float:
+    """Returns a time of a log [s]."""
+    return number(text, ("s", "s"))
+
+
+def whole(least: int, most: int) -> Callable[[str], int]:
+    """Returns what reads a whole number within limits."""
+
+    def read(text: str) -> int:
+        if not _DIGITS.fullmatch(text) or not least <= int(text) <= most:
+            raise argparse.ArgumentTypeError(f"got {text!r}, expected a whole number from {least} to {most}")
+        return int(text)
+
+    return read
 
 
 def samples(text: str) -> int:
     """Returns the points of a Latin hypercube from `lhs:N`."""
-    kind, _, number = text.partition(":")
-    if kind != "lhs" or not number.isdigit() or not 1 <= int(number) <= 100_000_000:
+    kind, _, points = text.partition(":")
+    if kind != "lhs":
         raise argparse.ArgumentTypeError(f"got {text!r}, expected lhs:N with N from 1 to 10^8")
-    return int(number)
-
-
-def count(text: str) -> int:
-    """Returns a whole number."""
-    if not (text.isascii() and text.isdigit()) or not 0 <= int(text) <= 1_000_000_000:
-        raise argparse.ArgumentTypeError(f"got {text!r}, expected a whole number from 0 to 10^9")
-    return int(text)
+    return whole(1, 100_000_000)(points)

@@ -73,7 +73,7 @@ def test_a_port_that_does_not_exist_is_refused(port: str, capsys: pytest.Capture
     assert ended.value.code == 2
     shown = capsys.readouterr().err
     assert "--port: " in shown
-    assert port == "-1" or "expected a number from 0 to 65535" in shown
+    assert port == "-1" or "expected a whole number from 0 to 65535" in shown
 
 
 HIDDEN = """
