@@ -58,6 +58,8 @@ _BASE_UNITS: Final[dict[str, tuple[float, _Dimension]]] = {
 }
 _PREFIXES: Final = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6, "G": 1e9}
 _NUMBER_AND_UNIT: Final = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?")
+_AS_PRINTED: Final = str.maketrans({"µ": "u", "μ": "u", "·": "*", "²": "^2", "³": "^3"})
+"""Letters of data sheets -> as units are read."""
 _FACTOR: Final = re.compile(r"([*/]?)\s*([A-Za-z]+|1|%)(?:\^(-?\d))?\s*")
 
 
@@ -110,7 +112,7 @@ def parse_unit(text: str) -> tuple[float, _Dimension]:
     """
     factor, position = 1.0, 0
     dimension: _Dimension = (0, 0, 0, 0, 0, 0)
-    text = text.strip()
+    text = text.strip().translate(_AS_PRINTED)
     while position < len(text):
         match = _FACTOR.match(text, position)
         if match is None or (position == 0) != (match.group(1) == ""):
@@ -274,7 +276,8 @@ def fault_text(fault: ErrorDetails, seen: object, expected: str = "") -> str:
     if kind == "missing":
         return f"missing{', expected ' + expected if expected else '; add it'}"
     if kind == "value_error":
-        return f"got {shown(seen)}, {fault['ctx']['error']}"
+        text = str(fault["ctx"]["error"])
+        return text if "got " in text else f"got {shown(seen)}, {text}"
     if expected and kind in _NUMBER_FAULTS:
         return f"got {shown(seen)}, expected {expected}"
     message = _MORE.sub("", _SHOULD.sub("expected", fault["msg"])).replace("a valid boolean", "true or false")

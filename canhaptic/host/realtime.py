@@ -12,8 +12,6 @@ from contextlib import ExitStack
 from functools import partial
 from typing import Annotated, Final
 
-from pydantic import Field
-
 from canhaptic.units import Parameters, quantity
 
 _LOCK_PRESENT: Final = 1  # MCL_CURRENT of mlockall(2); later pages are not locked, lest a limit makes them fail
@@ -25,7 +23,7 @@ class RealtimeParameters(Parameters):
 
     priority: Annotated[int, quantity("1", ge=1, le=99)] | None = None
     """SCHED_FIFO priority of the thread that runs the cycle; threads and processes it starts do not inherit it."""
-    cpus: Annotated[tuple[int, ...], Field(min_length=1)] | None = None
+    cpus: tuple[Annotated[int, quantity("1", ge=0, le=4095)], ...] | None = None
     """Processors that the thread may run on."""
     lock_memory: bool = False
     """Keeps every page that the process has at the start in memory."""

@@ -89,7 +89,7 @@ def _skipped_kind(path: Path, number: int, line: str) -> SkippedKind:
         return "CAN FD"
     if _REMOTE_LINE.fullmatch(line):
         return "remote"
-    raise LogFormatError(f"{path}:{number}: {line.strip()[:60]!r} is no frame of candump -L")
+    raise LogFormatError(f"{path}:{number}: {line.strip()[:60]!r} is no frame of candump -L, expected a bus log")
 
 
 def _read_with_python_can(path: Path, skipped: Counter[SkippedKind]) -> Iterator[Frame]:

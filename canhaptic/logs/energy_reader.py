@@ -219,7 +219,7 @@ def open_file(path: str | Path) -> tuple[Hdf5File, LogDescription]:
     try:
         file = Hdf5File(path, "live")
     except (OSError, RuntimeError) as error:  # h5py raises either for one kind of damage or another
-        raise LogFormatError(f"{path}: not a readable HDF5 file ({error})") from error
+        raise LogFormatError(f"{path}: not a readable HDF5 file ({error}), expected an energy log") from error
     try:
         return file, _description(path, file.attributes)
     except LogFormatError:

@@ -1,5 +1,6 @@
 """Files that should be logs."""
 
+from os.path import isdir, isfile
 from pathlib import Path
 from typing import Final
 
@@ -16,8 +17,8 @@ def log_file(path: str | Path) -> Path:
         LogFormatError: It is not there, is a folder, or is empty.
     """
     path = Path(path)
-    if not path.is_file():
-        raise LogFormatError(f"{path}: {'is a folder, expected a log' if path.is_dir() else 'no such file'}")
+    if not isfile(path):  # False for what no path can be, too
+        raise LogFormatError(f"{path}: {'is a folder' if isdir(path) else 'no such file'}, expected a log of a run")
     if path.stat().st_size == 0:
-        raise LogFormatError(f"{path}: the file is empty")
+        raise LogFormatError(f"{path}: the file is empty, expected a log of a run")
     return path

@@ -19,7 +19,7 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link, Recorder
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
-from canhaptic.errors import InputError
+from canhaptic.errors import InputError, ParameterError
 from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.scene.bus import echoes, open_bus, private_channel, suffers, with_effects
 from canhaptic.scene.log_writers import open_bus_log, open_energy_log
@@ -190,11 +190,14 @@ def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) ->
     axes = [axis for axis in scene.axes if name in (None, axis.bus)]
     motors = shared_motors(scene) if any(axis.simulated_drive is not None for axis in axes) else {}
     for axis in axes:
-        if axis.simulation is not None:
-            drives.append(build_simulated_drive(axis, axis.simulation, bus, period))
-        elif axis.simulated_drive is not None:
-            motor = motors[axis.parameters.name]
-            drives.append(build_mechanism_drive(axis, axis.simulated_drive, motor, bus, period))
+        try:
+            if axis.simulation is not None:
+                drives.append(build_simulated_drive(axis, axis.simulation, bus, period))
+            elif axis.simulated_drive is not None:
+                motor = motors[axis.parameters.name]
+                drives.append(build_mechanism_drive(axis, axis.simulated_drive, motor, bus, period))
+        except ParameterError as error:
+            raise ParameterError(f"{scene.source}: simulation.drive of {axis.parameters.name}: {error}") from error
     if not drives:
         raise InputError(f"{scene.source}: has no `simulation`, so there is no drive to simulate; add one")
     return DriveGroup(bus, drives)

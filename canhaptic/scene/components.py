@@ -29,7 +29,11 @@ class SceneReading(Protocol):
 
     @property
     def displays(self) -> Set[str]:
-        """Names of the axes that are admittance displays."""
+        """Names of the axes that are admittance displays, as far as they are read."""
+
+    @property
+    def is_display(self) -> bool:
+        """Whether the axis that is read, or the last one, is one."""
 
     def moving(self, motion: Motion | None) -> AbstractContextManager[object]:
         """Reads quantities in the units of this motion until the context ends."""
@@ -198,10 +202,8 @@ class ComponentByDisplay(ComponentOf):
 
     def read(self, value: object, info: ValidationInfo[SceneReading]) -> ComponentSpec:
         """Returns what a section names, from the table of the kind of display that the axis is."""
-        axis, names = info.data.get("parameters"), info.data.get("axes")
-        is_display = getattr(axis, "admittance", None) is not None
-        if axis is None and names:
-            is_display = info.context.displays >= set(names)
+        of_group = info.data.get("axes")
+        is_display = info.context.displays >= set(of_group) if of_group else info.context.is_display
         return self._admittance.read(value, info) if is_display else super().read(value, info)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:

@@ -24,7 +24,7 @@ def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMappin
     at = section.value_at("eds")
     folders = (at.folder, _SHIPPED)
     for folder in folders:
-        if is_file(folder / text):
+        if os.path.isfile(folder / text):
             found = section.copy()
             found.put("eds", str(folder / text), section.keys_at["eds"], at)
             return found
@@ -43,11 +43,3 @@ def path_for_scene(dictionary: Path, scene: Path | None) -> str:
     if scene is None:
         return str(dictionary.absolute())
     return os.path.relpath(dictionary.parent.resolve() / dictionary.name, scene.parent.resolve())
-
-
-def is_file(path: Path) -> bool:
-    """Returns whether there is a file of this path, also where the path is none that a system can have."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # too long, or with a NUL
-        return False

@@ -52,7 +52,7 @@ def refuse_unknown_keys(section: MarkedMapping, known: Iterable[str], faults: Di
 
 
 def note_errors(model: type, section: MarkedMapping, error: ValidationError, faults: Diagnostics) -> None:
-    """Notes every error of a validation at the place of its value.
+    """Notes every error of a validation at the place of its value; what several types refuse, once.
 
     Args:
         model: Class that was validated: a parameter model, or a dataclass of such.
@@ -60,9 +60,24 @@ def note_errors(model: type, section: MarkedMapping, error: ValidationError, fau
         error: What pydantic found.
         faults: Receives one line per error.
     """
+    noted: dict[tuple[SourceLocation, str], tuple[tuple[int | str, ...], list[str]]] = {}
     for fault in error.errors(include_url=False):
-        if fault.get("input") is not NOTED:
-            _note(_find(model, section, fault["loc"], fault.get("input")), fault, faults)
+        if fault.get("input") is NOTED:
+            continue
+        found = _find(model, section, fault)
+        at, text = _in_words(found, fault)
+        place = fault["loc"][: found.depth]
+        first, texts = noted.setdefault((at, found.name), (place, []))
+        if place == first:  # elsewhere it is the same value again, as in a simulated drive that takes its axis's scale
+            texts.append(text)
+    for (at, _), (_, texts) in noted.items():
+        faults.add(at, _either(texts))
+
+
+def _either(texts: Iterable[str]) -> str:
+    """Returns what is wrong with a value, and what each of its types expects."""
+    first, *others = dict.fromkeys(texts)
+    return " or ".join([first, *(text.partition("expected ")[2] or text for text in others)])
 
 
 class _KeyLocation(NamedTuple):
@@ -75,16 +90,18 @@ class _KeyLocation(NamedTuple):
     annotation: object  # of the field; None where no model has it
     names: tuple[str, ...]  # of all keys that its mapping may have
     motion: Motion | None
+    depth: int  # parts of the location of pydantic that lead to it; those behind are its own, as a branch of a union
 
 
-def _find(model: type, section: MarkedMapping, location: tuple[int | str, ...], seen: object) -> _KeyLocation:
-    """Walks models and values to a location; what is missing takes its owner's place and `seen` for its value."""
+def _find(model: type, section: MarkedMapping, fault: ErrorDetails) -> _KeyLocation:
+    """Walks models and values to a fault; what is missing takes its owner's place, and its value from pydantic."""
+    is_key = fault["type"] in {"missing", READY}
     owner: type | None = model
     container: object = section
     chosen: tuple[str, ...] = ()
     annotation, motion = None, section.motion
-    found = _KeyLocation("", section, section.mark, section.mark, None, (), motion)
-    for part in location:
+    found = _KeyLocation("", section, section.mark, section.mark, None, (), motion, 0)
+    for depth, part in enumerate(fault["loc"]):
         if isinstance(container, MarkedMapping) and part == container.get("type") and part not in container:
             owner = _named(annotation, part) or owner  # pydantic names the branch of a union that `type` chose
             continue
@@ -100,10 +117,10 @@ def _find(model: type, section: MarkedMapping, location: tuple[int | str, ...], 
         else:
             at, key_at = found.value_at, found.key_at
         value = _entry(container, name, part)
-        if value is _ABSENT and not isinstance(container, MarkedMapping):
-            return found._replace(value=seen)  # a part of pydantic's own, such as a branch of a union
-        container = seen if value is _ABSENT else value
-        found = _KeyLocation(name, container, at, key_at, annotation, names, motion)
+        if value is _ABSENT and not (isinstance(container, MarkedMapping) and is_key):
+            return found._replace(value=fault.get("input"))
+        container = fault.get("input") if value is _ABSENT else value
+        found = _KeyLocation(name, container, at, key_at, annotation, names, motion, depth + 1)
         if isinstance(container, MarkedMapping):
             owner, chosen = _model_in(annotation, container, owner)
             motion = container.motion or getattr(owner, "motion", None) or motion
@@ -165,18 +182,32 @@ def _model_in(annotation: object, section: MarkedMapping, owner: type | None) ->
     return owner, ()
 
 
-def _note(found: _KeyLocation, fault: ErrorDetails, faults: Diagnostics) -> None:
+def _in_words(found: _KeyLocation, fault: ErrorDetails) -> tuple[SourceLocation, str]:
+    """Returns where a fault is, and what it is."""
     kind, value = fault["type"], found.value
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
-        faults.add(found.key_at, unknown_key(found.name, found.names))
-    elif kind == READY:
-        faults.add(found.value_at, fault["msg"])
-    elif kind == "value_error" and isinstance(value, MarkedMapping):
-        faults.add(found.value_at, str(fault["ctx"]["error"]))  # which names the key
-    elif kind in _SHAPES:
-        faults.add(found.value_at, f"got {shown(value)}, expected {_SHAPES[kind].format(name=found.name)}")
-    else:
-        faults.add(found.value_at, fault_text(fault, value, _expected(found)))
+        return found.key_at, unknown_key(found.name, found.names)
+    if kind == READY:
+        return found.value_at, fault["msg"]
+    if isinstance(value, MarkedMapping):
+        if kind == "value_error":
+            return found.value_at, str(fault["ctx"]["error"])  # which names the key
+        if kind in ("union_tag_invalid", "union_tag_not_found"):
+            return value.value_at("type"), _tag_fault(found.annotation, value.get("type"))
+    if kind in _SHAPES:
+        units = next(
+            (part.unit.words(found.motion) for part in parts_of(found.annotation) if isinstance(part, Quantity)), None
+        )
+        name = found.name if units is None else f"numbers {units}".rstrip()
+        return found.value_at, f"got {shown(value)}, expected {_SHAPES[kind].format(name=name)}"
+    return found.value_at, fault_text(fault, value, _expected(found))
+
+
+def _tag_fault(annotation: object, seen: object) -> str:
+    """Returns what is wrong with the `type` that chooses a model of a union."""
+    fields = (_fields(part).get("type") for part in parts_of(annotation) if isinstance(part, type))
+    known = [str(name) for field in fields for name in parts_of(field) if isinstance(name, str)]
+    return f"{'missing' if seen is None else 'got ' + shown(seen)}, expected one of: {', '.join(known)}"
 
 
 def _expected(found: _KeyLocation) -> str:

@@ -58,9 +58,11 @@ def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence
         scene.set("simulation", _or_noted(whole))
     if simulation is not None and simulation.get("bus") is not None:
         scene.put("bus_effects", simulation["bus"], simulation.keys_at["bus"], simulation.values_at["bus"])
+    before = len(faults)
     groups = members_of(written, "groups", "groups, each with name, axes, network, ...", faults)
     mechanisms = members_of(simulation, "mechanisms", "mechanisms, each with type and axes", faults)
-    axes = _axes(written, simulation, groups, mechanisms, faults)
+    check_group_axes(groups, mechanisms, _axis_names(written), faults)
+    axes = _axes(written, simulation, groups, mechanisms, faults, is_known=len(faults) == before)
     scene.set("axes", axes)
     units: dict[str, Motion] = {str(a["parameters"].get("name")): a.motion for a in axes if a is not NOTED and a.motion}
     scene.set("groups", [group_layout(group, units) for group in groups])
@@ -169,7 +171,10 @@ def _axes(
     groups: Sequence[Members],
     mechanisms: Sequence[Members],
     faults: Diagnostics,
+    *,
+    is_known: bool,
 ) -> list[Any]:
+    """Returns the axes; `is_known` is whether groups and mechanisms are right, so that it is known who is in one."""
     at, buses = written.value_at("axes"), _bus_names(written)
     entries = read_list(written.get("axes"), at, faults, "axes, each with name, node_id, eds, ...")
     if entries is not None and not entries:
@@ -181,26 +186,29 @@ def _axes(
             axes.append(NOTED)
             continue
         name = str(section.get("name"))
-        axis = _axis(section, written, next((group for group in groups if name in group.axes), None), faults)
+        group = next((group for group in groups if name in group.axes), None)
+        axis = _axis(section, written, group, faults, is_known=is_known)
         if buses:
             axis["bus"] = _bus_of_axis(section, buses, faults)
         if simulation is not None:
             _put_far_side(axis, name, simulation, any(name in moved.axes for moved in mechanisms), faults)
         axes.append(axis)
     _check_names(written, simulation, groups, faults)
-    check_group_axes(groups, mechanisms, _axis_names(written), faults)
     return axes
 
 
-def _axis(section: MarkedMapping, written: MarkedMapping, group: Members | None, faults: Diagnostics) -> MarkedMapping:
+def _axis(
+    section: MarkedMapping, written: MarkedMapping, group: Members | None, faults: Diagnostics, *, is_known: bool
+) -> MarkedMapping:
     section = with_profile(section, faults)
     own = find_dictionary(section.without(*OWN_SECTIONS, "bus"), faults)
     unit = section.get("unit", AxisParameters.model_fields["unit"].default)
     axis = MarkedMapping(section.mark, unit if unit in get_args(Motion) else None)
     axis.set("parameters", own)
     if group is None:
-        passivity = _own_over_shared(written, section, "passivity", "algorithm", faults)
-        axis.set("environment", _or_noted(_own_over_shared(written, section, "environment", "type", faults)))
+        environment = _own_over_shared(written, section, "environment", "type", faults, is_needed=is_known)
+        passivity = _own_over_shared(written, section, "passivity", "algorithm", faults, is_needed=is_known)
+        axis.set("environment", _or_noted(environment))
         axis.set("passivity", _or_noted(passivity))
     else:
         passivity = _loop_in_group(section, group, faults)
@@ -213,11 +221,11 @@ def _axis(section: MarkedMapping, written: MarkedMapping, group: Members | None,
 
 
 def _own_over_shared(
-    shared: MarkedMapping, own: MarkedMapping, name: str, selector: str, faults: Diagnostics
+    shared: MarkedMapping, own: MarkedMapping, name: str, selector: str, faults: Diagnostics, *, is_needed: bool
 ) -> MarkedMapping | None:
     """Returns a section of an axis: its own keys over the shared ones, unless it names another type.
 
-    None, with a fault, when there is no such section.
+    None when there is no such section, with a fault where it is needed.
     """
     before, result = len(faults), None
     for owner in (shared, own):
@@ -230,7 +238,7 @@ def _own_over_shared(
             result = section
         else:
             result = section.over(result)
-    if result is None and len(faults) == before:
+    if result is None and is_needed and len(faults) == before:
         faults.add(shared.value_at(name), f"missing; give it here or in the axis, with {selector}")
     return result
 

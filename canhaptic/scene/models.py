@@ -107,7 +107,8 @@ class SceneContext(UnitContext):
 
     bus: BusParameters | None = None  # once it is validated
     code: OwnCode = field(default_factory=lambda: OwnCode(Path()))
-    displays: set[str] = field(default_factory=set)  # axes that are admittance displays, once they are validated
+    displays: set[str] = field(default_factory=set)  # axes that are admittance displays, as far as they are read
+    is_display: bool = False  # whether the last of them is one
 
 
 class RunParameters(Parameters):
@@ -137,6 +138,16 @@ class GroupMembership(Parameters):
     """Replaces environment and algorithm of an axis on which a group renders."""
 
     group: str
+
+
+def _axis(value: object, read: Callable[[object], object], info: Info[SceneContext]) -> object:
+    """Reads an axis in its unit, knowing which kind of display is asked for, right or wrong."""
+    written = value.get("parameters") if isinstance(value, MarkedMapping) else None
+    info.context.is_display = False
+    if isinstance(written, MarkedMapping) and written.get("admittance") is not None:
+        info.context.is_display = True
+        info.context.displays.add(str(written.get("name")))
+    return _in_its_unit(value, read, info)
 
 
 def _in_its_unit(value: object, read: Callable[[object], object], info: Info[SceneContext]) -> object:
@@ -231,11 +242,6 @@ class MechanismScene:
     substeps: int = 1
 
 
-def _known_displays(axes: tuple[AxisScene, ...], info: Info[SceneContext]) -> tuple[AxisScene, ...]:
-    info.context.displays = {axis.parameters.name for axis in axes if axis.parameters.admittance is not None}
-    return axes
-
-
 def _known_bus(bus: BusParameters, info: Info[SceneContext]) -> BusParameters:
     info.context.bus = bus
     return bus
@@ -260,7 +266,7 @@ class Scene:
     run: RunParameters
     log: LogParameters
     bus: Annotated[BusParameters, AfterValidator(_known_bus)]
-    axes: Annotated[tuple[Annotated[AxisScene, WrapValidator(_in_its_unit)], ...], AfterValidator(_known_displays)]
+    axes: tuple[Annotated[AxisScene, WrapValidator(_axis)], ...]
     simulation: SimulationParameters | None
     bus_effects: Annotated[BusEffects | None, OnDemand("canhaptic.sim.bus.bus_effects:BusEffects")] = None
     bus_name: BusName = ""  # of the first bus; empty where the only one has no name

@@ -184,14 +184,14 @@ def _module(path: Path, digest: str, content: bytes) -> ModuleType:
     sys.modules[name] = module  # pydantic looks up annotations there
     try:
         exec(compile(content, str(path), "exec"), module.__dict__)
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # a file that ends the process would end the command without a word
         del sys.modules[name]
-        line = error.lineno if isinstance(error, SyntaxError) else _line_in(error, path)
+        line = error.lineno or 1 if isinstance(error, SyntaxError) else _line_in(error, path)
         raise ParameterError(f"{path.name}:{line}: {type(error).__name__}: {error}") from error
     return module
 
 
-def _line_in(error: Exception, path: Path) -> int:
+def _line_in(error: BaseException, path: Path) -> int:
     """Returns the last line of the file that was running when it raised."""
     line, trace = 0, error.__traceback__
     while trace is not None:

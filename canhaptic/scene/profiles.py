@@ -5,6 +5,7 @@ scene. The axis's own keys win, key by key. What belongs to the rig and not to t
 scale, limits) cannot be in a profile. Where a drive is simulated, it has the same deviations (`simulated_defaults`).
 """
 
+from os.path import isfile
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +14,6 @@ from canhaptic.errors import SceneError
 from canhaptic.package_data import shipped
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedMapping, parse_yaml
-from canhaptic.scene.eds_path import is_file
 from canhaptic.scene.explain import read_mapping, refuse_unknown_keys
 from canhaptic.units import shown
 
@@ -72,7 +72,7 @@ def _path(name: str, at: SourceLocation) -> Path | None:
     if not name.endswith((".yaml", ".yml")):
         return _PROFILES / f"{name}.yaml" if name in _profile_names() else None
     path = at.folder / name
-    return path if is_file(path) else None
+    return path if isfile(path) else None  # None for what no path can be, too
 
 
 def _read(path: Path, faults: Diagnostics) -> MarkedMapping:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from canhaptic.scene.document import MarkedMapping
+from canhaptic.units import Unit
 
 _MILLI: Final = 1e-3
 _LARGEST_RATIO: Final = 1e9  # anything larger is a fault of the axis, noted there
@@ -44,12 +45,19 @@ def _twin_of(axis: Mapping[str, Any]) -> dict[str, Any]:
             twin[key] = _joined(twin.get(key), value)
     if axis.get("demand_reported") == "after":
         twin["torque_read_back"] = "after_update"
-    ratio = axis.get("transmission")
-    if (
-        isinstance(ratio, int | float) and not isinstance(ratio, bool) and abs(ratio) < _LARGEST_RATIO
-    ):  # 0x6076 counts the motor's torque
+    ratio = _ratio(axis.get("transmission"))
+    if ratio is not None:  # 0x6076 counts the motor's torque
         twin["rated_torque_resolution"] = ratio * twin.get("rated_torque_resolution", _MILLI)
     return twin
+
+
+def _ratio(written: object) -> float | None:
+    """Returns a transmission; None where there is none, or a wrong one, which is a fault of the axis."""
+    try:
+        ratio = Unit("1/m", "1").read(written)
+    except ValueError:
+        return None
+    return ratio if isinstance(ratio, int | float) and 0.0 < ratio < _LARGEST_RATIO else None
 
 
 def mirror_quirks(drive: MarkedMapping, axis: MarkedMapping) -> None:

@@ -78,7 +78,7 @@ class TorqueAxisParameters(Parameters):
         try:
             quirks_of(names)
         except ParameterError as error:
-            raise ValueError(str(error)) from error
+            raise ValueError(str(error).removeprefix("quirks: ")) from error
         return names
 
     @property
