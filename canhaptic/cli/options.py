@@ -196,10 +196,7 @@ def _inspect(parser: argparse.ArgumentParser) -> None:
         help="exit with 1 unless it holds: 'passive', 'margin >= -1 uJ', 'handle.deficit == 0', 'compute.p99 < 50 us'",
     )
     parser.add_argument(
-        "--compare",
-        type=Path,
-        metavar="OTHER",
-        help="exit with 1 unless the other log is the same; pictures show both",
+        "--compare", type=Path, metavar="OTHER", help="exit with 1 unless the other log is the same; pictures show both"
     )
     _inspect_files(parser)
     parser.add_argument(
