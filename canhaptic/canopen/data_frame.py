@@ -7,7 +7,7 @@ class DataFrame(can.Message):
     """A message of python-can of which only identifier, data and time differ from frame to frame.
 
     Everything else belongs to the class: a frame is made and filled for less than the constructor of `Message` costs.
-    Whoever sends it fills all five slots, hands it over, and neither changes nor sends it again, so that a bus inside
+    The sender fills all five slots, hands it over, and neither changes nor sends it again, so that a bus inside
     the process need not copy it.
     """
 

@@ -216,7 +216,7 @@ def test_the_mutator_makes_every_slip_once_and_leaves_text_alone(tmp_path: Path)
     ],
 )
 def test_no_mutant_is_made_of_a_comparison_whose_two_ways_meet(tmp_path: Path, text: str, is_same: bool) -> None:
-    """Of an order it makes the one the other way and, where equal numbers matter, the one with them or without."""
+    """It turns an order round and, where equal numbers matter, puts them on the other side."""
     path = tmp_path / "sample.py"
     path.write_text("def f(a, b, c, d):\n" + textwrap.indent(text, "  "))
     order = next(word for word in text.split() if word[0] in "<>")

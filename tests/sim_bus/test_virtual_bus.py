@@ -94,7 +94,7 @@ def test_a_frame_of_master_or_drive_arrives_as_any_other_and_no_two_takers_share
         assert message is not None
         assert message.equals(expected, timestamp_delta=0.0, check_direction=False)
         assert message.is_rx
-        message.data[0] = 9  # nobody else sees that
+        message.data[0] = 9  # no other reader sees that
 
 
 def test_frames_come_in_order_and_not_back_to_their_sender(pair: tuple[LeanVirtualBus, LeanVirtualBus]) -> None:

@@ -253,7 +253,7 @@ def _out_and_back(rig: _Rig, holds: int) -> tuple[Any, float]:
 
 @pytest.mark.parametrize("limit", [65.0, 1e3])
 def test_a_torque_limit_may_be_reached_where_no_sample_shows_it(limit: float) -> None:
-    """The handle stands where it stood before the gap; inside it the drive may have braked 75 N."""
+    """The handle is where it was before the gap; inside it the drive may have braked 75 N."""
     rig = _Rig(corner=20.0, acceleration=60.0, torque_limit=limit, bandwidth=50.0, delay=0)
     controller, speed = _out_and_back(rig, 8)
     assert (rig.gain * speed > limit) is (limit < 1e3)
