@@ -12,7 +12,7 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, NamedTuple
 
-from tests.mutation.same_program import EDGES, same_at_the_edge
+from tests.mutation.same_program import EDGES, same_at_the_edge, same_for_a_size
 
 _OTHERS: dict[type, tuple[type, ...]] = {
     ast.Lt: (ast.LtE, ast.Gt),
@@ -194,7 +194,7 @@ def _operators(node: ast.AST, is_same_at_the_edge: bool) -> _Sites:
     if isinstance(node, ast.Compare):
         for place, operator in enumerate(node.ops):
             for other in _OTHERS.get(type(operator), ()):
-                if is_same_at_the_edge and other is EDGES[type(operator)]:
+                if (is_same_at_the_edge and other is EDGES[type(operator)]) or same_for_a_size(node, other):
                     continue
                 yield node, "ops", [*node.ops[:place], other(), *node.ops[place + 1 :]]
     elif isinstance(node, ast.BinOp | ast.BoolOp | ast.AugAssign | ast.UnaryOp):

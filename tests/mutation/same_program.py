@@ -1,7 +1,7 @@
 """Comparisons of which one more or one less case changes nothing: `a if a > b else b` is `a if a >= b else b`.
 
 Of `<` and `<=`, `>` and `>=` the mutator makes no mutant where both ways out of the comparison are the same program for
-two equal numbers. Numbers are finite here, and the sign of zero does not count.
+two equal numbers. Numbers are finite here, and the sign of zero does not count. `losses == 0` is `losses <= 0` as well.
 """
 
 import ast
@@ -12,6 +12,11 @@ EDGES: Final[dict[type[ast.cmpop], type[ast.cmpop]]] = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt
 }  # fmt: skip
 """Each order and the one that differs from it for equal numbers alone."""
+_NEVER_NEGATIVE: Final = frozenset({
+    "losses", "late", "damping", "friction", "hand_speed", "encoder_count", "missed", "counts", "hand", "squares",
+    "net", "differs",
+})  # fmt: skip
+"""Names of counts and sizes, which no setting and no sum takes below zero."""
 
 
 def same_at_the_edge(statement: ast.stmt, following: ast.stmt | None) -> list[ast.Compare]:
@@ -28,6 +33,17 @@ def same_at_the_edge(statement: ast.stmt, following: ast.stmt | None) -> list[as
     if isinstance(statement, ast.If):
         found += [test for test in _orders(statement.test) if _changes_nothing(statement, following, test)]
     return found
+
+
+def same_for_a_size(node: ast.Compare, other: type[ast.cmpop]) -> bool:
+    """Whether an order that takes the place of a comparison with 0 says the same of a size, or of a sign, 1 or -1."""
+    if len(node.ops) != 1 or not _is(node.comparators[0], 0):
+        return isinstance(node.ops[0], ast.Eq) and other is ast.GtE and ast.unparse(node.comparators[0]) == "inf"
+    name = node.left.attr if isinstance(node.left, ast.Attribute) else ast.unparse(node.left)
+    if name == "sign":
+        return other is EDGES.get(type(node.ops[0]))
+    is_size = name in _NEVER_NEGATIVE
+    return is_size and (type(node.ops[0]), other) in ((ast.Eq, ast.LtE), (ast.NotEq, ast.Gt))
 
 
 def _heads(statement: ast.stmt) -> list[ast.AST]:

@@ -93,7 +93,6 @@ SUBJECTS = {
             "TorqueNotFiniteError": ("CycleFailedError",),
         },
         equivalent={
-            "LinkPolicy.action: if self.missed == 0: => if self.missed <= 0:": "a count is never negative",
             "LinkPolicy.torque_fraction: if self.missed <= self._hold_cycles: => "
             "if self.missed < self._hold_cycles:": "the ramp begins at 1",
         },
@@ -213,17 +212,29 @@ def test_the_mutator_makes_every_slip_once_and_leaves_text_alone(tmp_path: Path)
         ("if a > b: raise ValueError", False),
         ("if a > 1: return a * c\nreturn c", True),
         ("if a > 1: return a * c\nreturn c + 1", False),
+        ("if sign > 0.0: c = a", True),
     ],
 )
 def test_no_mutant_is_made_of_a_comparison_whose_two_ways_meet(tmp_path: Path, text: str, is_same: bool) -> None:
     """It turns an order round and, where equal numbers matter, puts them on the other side."""
     path = tmp_path / "sample.py"
-    path.write_text("def f(a, b, c, d):\n" + textwrap.indent(text, "  "))
+    path.write_text("def f(a, b, c, d, sign):\n" + textwrap.indent(text, "  "))
     order = next(word for word in text.split() if word[0] in "<>")
     edge = order[0] if "=" in order else f"{order}="
     found = [mutant.name.partition(" => ")[2] for mutant in mutants(path, {})]
     assert any(f" {edge} " in name for name in found) is not is_same
     assert any((" < " if order[0] == ">" else " > ") in name.replace("=", " ") for name in found)
+
+
+def test_a_size_is_compared_with_zero_in_one_way(tmp_path: Path) -> None:
+    path = tmp_path / "sample.py"
+    path.write_text(
+        "def f(a, losses):\n    if losses == 0 or a.late != 0.0 or a.more == 0.0 or -losses == 0: a = losses\n"
+    )
+    found = [mutant.name.partition(" => ")[2] for mutant in mutants(path, {})]
+    assert not [name for name in found if "if losses <= 0" in name or "a.late > 0.0" in name]
+    for other in ("if losses != 0", "if losses >= 0", "a.late < 0.0", "a.more <= 0.0", "-losses <= 0"):
+        assert any(other in name for name in found)
 
 
 @pytest.mark.slow
