@@ -1,7 +1,7 @@
 """The three bounds against worst users found independently: closed forms, brute force and simulated attack."""
 
 import math
-from dataclasses import astuple
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from canhaptic.control.certificates.hold_timing import hold_timing
 from canhaptic.control.certificates.scalar_bounds import (
     NO_RESPONSE,
+    WINDOW,
     displacement_response,
     hand_force_bound,
     next_displacement,
@@ -131,14 +132,31 @@ def test_the_stiffness_that_a_hand_speed_can_hold_stores_what_the_longest_path_t
 
 @pytest.mark.parametrize("delay", [0, 1])
 def test_above_the_start_speed_a_contact_starts_from_zero_energy(delay):
-    response = displacement_response(1e-3, 0.25, 10.0, 0.0, 0.1)
-    speed = start_speed(response, 1e-3, delay)
-    assert speed == pytest.approx((1 + delay) * 10.0 * 1e-3 / 0.25, rel=2e-3)
-    displacement = -1.001 * speed * 1e-3
-    for _ in range(delay):
-        displacement = next_displacement(displacement, 0.0, 0.0, response, response.hand)
-    base = next_displacement(displacement, 0.0, 0.0, response, response.hand)
-    assert hand_force_bound(0.0, base, response.during) > 0.0
+    for friction in (0.1, 50.0):  # of which the axis loses next to nothing, or a fifth, of its speed in a hold
+        response = displacement_response(1e-3, 0.25, 10.0, 0.0, friction)
+        speed = start_speed(response, 1e-3, delay)
+        assert friction > 1.0 or speed == pytest.approx((1 + delay) * 10.0 * 1e-3 / 0.25, rel=2e-3)
+        displacement = -1.001 * speed * 1e-3
+        for _ in range(delay):
+            displacement = next_displacement(displacement, 0.0, 0.0, response, response.hand)
+        base = next_displacement(displacement, 0.0, 0.0, response, response.hand)
+        assert hand_force_bound(0.0, base, response.during) > 0.0
+    assert start_speed(replace(response, retained=0.0), 1e-3, delay) == math.inf
+
+
+def test_without_a_hand_the_start_speed_is_what_the_longest_window_leaves_unsure():
+    assert start_speed(displacement_response(1e-3, 0.25, 0.0), 1e-3, 0, 1e-5) == pytest.approx(1e-5 / WINDOW / 1e-3)
+
+
+def test_friction_lengthens_the_way_back_inside_a_hold():
+    """y / (1 - e^-y): 1 without friction, and y where nothing is left of the speed."""
+    y = [0.0, 1e-9, 1.0, 200.0]
+    found = [displacement_response(1e-3, 0.25, 5.0, 0.0, 0.25 * each / 1e-3).swing for each in y]
+    assert found == pytest.approx([1.0, 1.0, 1.0 / (1.0 - math.exp(-1.0)), 200.0])
+
+
+def test_a_stiffness_at_no_torque_is_without_limit():
+    assert renderable_by_hand_force(displacement_response(1e-3, 0.25, 5.0), 1, 0.0) == math.inf
 
 
 def test_with_a_coarse_encoder_the_start_speed_no_longer_falls_with_the_rate():

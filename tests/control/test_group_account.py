@@ -196,7 +196,7 @@ def test_holds_that_ended_book_each_axis_with_the_torque_applied_and_what_was_in
         sent = [[*row] for row in commands.torques]
         dampers, modulated = [[*row] for row in commands.dampers], [[*row] for row in commands.modulated]
         ports, power = [row[0] for row in commands.ports], [*commands.power]
-        oldest, missed, limit = draw.choice([0, 1]), draw.choice([0, 1, 3]), 1.5
+        oldest, missed, limit = draw.choice([0, 1]), draw.choice([0, 1, 2, 3]), 1.5
         ended.position[:] = [1e-3, -2e-3]
         positions = [draw.uniform(-1e-3, 1e-3), draw.uniform(-1e-3, 1e-3)]
         queue = [oldest, 1 - oldest]  # places of the commands in their order; the newest goes on

@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from canhaptic.control.certificates.hold_timing import hold_timing
 from canhaptic.control.certificates.late_reach import LateMotion, by_reach_of_late
 from canhaptic.control.certificates.late_torque import (
     for_every_hand,
@@ -11,13 +12,18 @@ from canhaptic.control.certificates.late_torque import (
     largest_of_late,
     taken_under_way,
 )
+from canhaptic.control.certificates.scalar_bounds import displacement_response
+from canhaptic.control.certificates.torque_bound import Declared, TorqueBound, bound_memory
+from canhaptic.kernels import list_of_zeros
 from tests.control.late_formulas import (
     ANY,
     CASES,
     HELD_ON,
+    MASS,
     SENT,
     Case,
     Motion,
+    T,
     case_of,
     hand_of,
     hold,
@@ -42,6 +48,19 @@ def test_what_torques_under_way_take_is_the_least_of_four_bounds_in_every_hold(s
                 assert same(total, expected[0]), seed
                 assert same(worst, expected[1]), seed
                 assert all(same(a, b) for a, b in zip(motion, expected[2], strict=True)), seed
+
+
+def test_torques_under_way_may_need_more_than_they_take_in_the_end() -> None:
+    """An older torque runs on while the axis goes inward, and the next one then takes energy in."""
+    timing = hold_timing(T, 0.0, 3e-4, 0.0)
+    response = displacement_response(T, MASS, 5.0, timing=timing)
+    known = Declared(T, 2, 0, True, response, 0.0, 0.0, 0.0, timing.late, timing.late / T, timing.left)
+    bound = TorqueBound(displacement=-1e-4, torque=3.0, most=3.0, highest=3.0, lowest=3.0)
+    total, worst, _ = taken_under_way(
+        known, bound, bound_memory(known, [0.0, 2.0, 0.0], list_of_zeros), 1.0, 0.0, 2, ANY
+    )
+    first = taken_under_way(known, bound, bound_memory(known, [0.0, 2.0, 0.0], list_of_zeros), 1.0, 0.0, 1, ANY)[0]
+    assert worst == first > 0.0 > total
 
 
 def squares(case: Case, holds: int) -> float:
@@ -144,13 +163,31 @@ def best_of(case: Case, sign: float, speed: float) -> tuple[float, bool]:
     return max(found), is_tight
 
 
+def for_speed(case: Case, sign: float) -> None:
+    """By the hand's speed alone a torque that may be held on takes as much in each of the holds."""
+    known, speed = case.known, case.known.hand_speed
+    holds = known.delay + (known.losses + 1 if known.late else 0)
+    left = case.energy + case.bound.dissipated - under_way(case, -sign, speed, holds, ANY)[1]
+    found = []
+    for which in (SENT, HELD_ON) if known.delay == 1 else (ANY,):
+        given, _, motion = under_way(case, sign, speed, known.delay, which)
+        longest = (known.sample_time + known.late) * (known.losses + 1)
+        found.append(max(0.0, ((left - given) / speed - known.late * motion.highest) / longest))
+    assert same(largest_of_late(known, case.bound, case.memory, sign, case.energy)[0], min(found))
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_where_frames_may_be_lost_the_least_of_what_was_sent_and_held_on_counts(sign: float) -> None:
     used = 0
     for seed in range(250):
         case = case_of(seed, losses=(1, 3))
         known, hand = case.known, hand_of(case, sign)
-        if not known.by_hand_force or hand == math.inf or known.friction or known.damping:
+        if known.friction or known.damping:
+            continue
+        if not known.by_hand_force and known.hand_speed:
+            used += 1
+            for_speed(case, sign)
+        if not known.by_hand_force or hand == math.inf:
             continue
         holds = known.delay + (known.losses + 1 if known.late else 0)
         left = case.energy + case.bound.dissipated - under_way(case, -sign, 0.0, holds, ANY)[1]

@@ -62,12 +62,11 @@ def worst_out(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign:
     """Returns the most energy [J] that the torques under way may give out along `sign`, >= 0."""
     displacement, before = outward(declared, bound, memory, sign), sign * bound.torque
     hand = hand_along(declared, bound, sign)
-    worst = given = 0.0
+    given = 0.0
     for place in range(bound.first, bound.first + declared.delay):
         along = sign * memory.under_way[place]
         displacement = next_displacement(displacement, before, along, declared.response, hand)
         if along > 0.0:
             given += along * displacement
-            worst = max(worst, given)
         before = along
-    return worst
+    return max(0.0, given)  # less at first while the axis goes inward, then more

@@ -3,6 +3,7 @@
 n is the part of a torque above f_c, which friction pays for: f_c is 0 for A, and that of the device for B.
 """
 
+from math import inf
 from typing import NamedTuple
 
 from canhaptic.control.certificates.scalar_bounds import (
@@ -62,15 +63,13 @@ def takes_in(declared: Declared, hand: float, motion: LateMotion, friction: floa
     """Returns the largest n that takes energy in by itself, as far as a debt asks for it [N or N*m].
 
     Older torques push the axis while it acts: as if all of `late` of them were held, and `left` of them after the hold.
+    Below -start / gain the axis goes inward in the hold of the torque, so that its tail takes none of that motion.
     """
-    response, share = declared.response, declared.response.share
-    start, gain, base, _ = own_share(declared, hand, motion, friction)
-    pushed = response.during * response.late * motion.highest
-    ahead = response.tail_before * response.late * motion.highest
-    ahead += response.tail_during * declared.left * motion.highest
-    start, base = start + pushed + ahead, base + pushed
-    outside = hand_force_bound(energy, start + share * base, gain + share * response.during)
-    return min(outside, hand_force_bound(energy, start, gain))
+    response = declared.response
+    start, gain, _, _ = own_share(declared, hand, motion, friction)
+    start += (response.during + response.tail_before) * response.late * motion.highest
+    start += response.tail_during * declared.left * motion.highest
+    return hand_force_bound(energy, start, gain)
 
 
 def above_older(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
@@ -79,7 +78,7 @@ def above_older(declared: Declared, hand: float, motion: LateMotion, friction: f
     energy += max(0.0, motion.lowest - friction) * late
     share = declared.response.share
     largest = hand_force_bound(energy, start + share * base, gain + share * declared.response.during)
-    return largest if base >= 0.0 else min(largest, hand_force_bound(energy, start, gain))
+    return min(largest, hand_force_bound(energy, start, gain))
 
 
 def below_older(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
@@ -102,13 +101,12 @@ def below_older(declared: Declared, hand: float, motion: LateMotion, friction: f
     rise = response.tail_before * (1.0 - response.late) + response.tail_during * (1.0 - left)
     ahead = response.tail_before * response.late * highest + response.tail_during * left * highest
     ahead += response.tail_hand * hand + rise * friction
-    largest = -1.0
+    largest = inf
     for share in (0.0, response.share):  # of the displacement in the tail: counts where it is outward
         tail, more = ahead + share * base, rise + share * gain
         start = base - early + late + (1.0 - left) * tail + rest * more
         found = hand_force_bound(energy - older * early - rest * tail, start, gain + (1.0 - left) * more)
-        if largest < 0.0 or found < largest:
-            largest = found
+        largest = min(largest, found)
     return largest
 
 
@@ -126,7 +124,7 @@ def if_held_on(declared: Declared, hand: float, motion: LateMotion, friction: fl
     late = -response.behind * displacement if displacement < 0.0 else 0.0
     early = older * (tail_reach(displacement, before, highest, response, hand) + response.tail_during * friction)
     base = next_displacement(displacement, before, response.late * highest, response, hand)
-    inward, largest = max(0.0, -base), -1.0
+    inward, largest = max(0.0, -base), inf
     for holds in range(1, declared.losses + 2):
         lost = (1.0 - response.retained) * inward
         start, gain, ahead = sum_of_displacements(response, base, response.during, hand, lost, holds)
@@ -137,8 +135,7 @@ def if_held_on(declared: Declared, hand: float, motion: LateMotion, friction: fl
         start += late + left * (holds - 1) * response.behind * inward
         start += reach + older * response.tail_during + tail * more + (gain + more) * friction
         found = hand_force_bound(energy - early - tail * (reach + more * friction), start, gain + more)
-        if largest < 0.0 or found < largest:
-            largest = found
+        largest = min(largest, found)
     return largest
 
 

@@ -92,8 +92,7 @@ def taken_in_hold(
     if hand < inf:
         reach = tail_reach(motion.displacement, motion.counted, max(most, motion.highest), declared.response, hand)
         taken = along_reach(declared.response, motion, 0.0, most, least, following, reach)
-        if friction > 0.0:
-            taken = min(taken, along_reach(declared.response, motion, friction, most, least, following, reach))
+        taken = min(taken, along_reach(declared.response, motion, friction, most, least, following, reach))
     if net == 0.0 and older == 0.0:
         taken = min(taken, 0.0)
     elif declared.damping > 0.0:
@@ -117,7 +116,7 @@ def along_reach(
 ) -> float:
     """Returns what torques give out in a hold along the farthest motion [J]: A, or with friction B."""
     most, least = max(0.0, most - friction), max(0.0, least - friction)
-    highest, lowest = max(0.0, motion.highest - friction), max(0.0, motion.lowest - friction)
+    highest, lowest = motion.highest - friction, max(0.0, motion.lowest - friction)
     taken = (most if following > 0.0 else least) * following
     if highest > least:
         taken += (highest - least) * reach
@@ -209,14 +208,15 @@ def for_every_hand(declared: Declared, bound: TorqueBound, memory: BoundMemory, 
 
 def free_of_late(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
     """Returns how much of `energy`, with what the device dissipated, the torques under way do not need [J]."""
-    holds, known = declared.delay + declared.losses, energy + max(0.0, bound.dissipated)
+    holds, known = declared.delay + declared.losses, energy + bound.dissipated
     free = 0.0
     if declared.by_hand_force or declared.hand_speed > 0.0:
-        free = known - taken_under_way(declared, bound, memory, 1.0, declared.hand_speed, holds, _ANY)[1]
-        free -= taken_under_way(declared, bound, memory, -1.0, declared.hand_speed, holds, _ANY)[1]
+        known -= taken_under_way(declared, bound, memory, 1.0, declared.hand_speed, holds, _ANY)[1]
+        known -= taken_under_way(declared, bound, memory, -1.0, declared.hand_speed, holds, _ANY)[1]
+        free = max(free, known)
     if declared.damping > 0.0 or declared.friction > 0.0:
         free = max(free, for_every_hand(declared, bound, memory, energy + for_any(bound), holds))
-    return free if free > 0.0 else 0.0
+    return free
 
 
 def largest_of_late(
@@ -229,9 +229,9 @@ def largest_of_late(
     longest = (declared.sample_time + declared.late) * (declared.losses + 1)
     for_all = declared.friction
     left = for_every_hand(declared, bound, memory, energy + for_any(bound), declared.delay)
-    if left > 0.0 and declared.damping > 0.0:
+    if left > 0.0:
         for_all += sqrt(4.0 * declared.damping * left / longest)
-    known = energy + max(0.0, bound.dissipated)
+    known = energy + bound.dissipated
     by_force = for_all
     if declared.by_hand_force:
         by_force = max(for_all, largest_of_known(declared, bound, memory, sign, known, 0.0))
@@ -275,14 +275,11 @@ def largest_after(
         largest = max(largest, by_reach_of_late(declared, hand, motion, 0.0, budget))
         if friction > 0.0:
             largest = max(largest, friction + by_reach_of_late(declared, hand, motion, friction, budget))
-    if budget <= 0.0:
-        return largest
     older = max(0.0, motion.highest - friction)
     longest = (declared.sample_time + declared.late) * (losses + 1)
-    if declared.damping > 0.0:
-        squares = 4.0 * declared.damping * budget - declared.late * older * older
-        if squares > 0.0:
-            largest = max(largest, friction + sqrt(squares / longest))
+    squares = 4.0 * declared.damping * budget - declared.late * older * older
+    if squares > 0.0:
+        largest = max(largest, friction + sqrt(squares / longest))
     if speed > 0.0:
         largest = max(largest, friction + (budget / speed - declared.late * older) / longest)
     return largest

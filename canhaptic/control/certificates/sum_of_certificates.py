@@ -24,8 +24,7 @@ nothing is known; else the larger of the ends for each reach, where that of the 
     f^2 gain (1 - q) + f (base (1 - 2q) - f_c gain) <= S' + f_c base + (b/T) base^2,   q = (b/T) gain,
 
 if the displacement at its root is below n T / 2b, and is the end for any hand if not: the quadratic is (1) with a
-displacement that the hand would not choose, its root never the smaller one. For q >= 1/2 the device damping counts in
-the end for any hand alone.
+displacement that the hand would not choose, its root never the smaller one. q < 1, as `during` is that of a damping b.
 
 Each certificate alone is the same with the others left out, and none has a larger end.
 
@@ -75,11 +74,12 @@ def taken(declared: Declared, torque: float, reach: float) -> float:
 
 def taken_along(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, speed: float
-) -> tuple[float, float, float]:
-    """Returns what the torques under way along `sign` take together, and at worst [J], and the base of the next one.
+) -> tuple[float, float]:
+    """Returns what the torques under way along `sign` take together [J], and the base of the next one.
 
-    The base is the largest displacement in the next hold without a torque; infinite where the hand is not known.
-    `speed` is that of the hand [m/s or rad/s]; 0: it does not count.
+    They take less at first while the axis goes inward, and then more: what they take until then is no more than at the
+    end, or than nothing. The base is the largest displacement in the next hold without a torque; infinite where the
+    hand is not known. `speed` is that of the hand [m/s or rad/s]; 0: it does not count.
     """
     response, torques, first = declared.response, memory.under_way, bound.first
     hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
@@ -90,19 +90,17 @@ def taken_along(
             displacement = outward(declared, bound, memory, sign)
         else:
             displacement = sign * bound.displacement + bound.blur
-    total = worst = 0.0
+    total = 0.0
     for place in range(first, first + declared.delay):
         along = sign * torques[place]
         if hand < inf:
             displacement = next_displacement(displacement, before, along, response, hand)
         if along > 0.0:
             total += taken(declared, along, displacement if displacement < fastest else fastest)
-            if total > worst:
-                worst = total
         before = along
     if hand < inf:
         displacement = next_displacement(displacement, before, 0.0, response, hand)
-    return total, worst, displacement
+    return total, displacement
 
 
 def free_in_sum(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
@@ -114,9 +112,9 @@ def free_in_sum(declared: Declared, bound: TorqueBound, memory: BoundMemory, ene
             pushes = pushes or memory.under_way[place] > 0.0
             pulls = pulls or memory.under_way[place] < 0.0
         if pushes:  # else they take nothing that way
-            free -= taken_along(declared, bound, memory, 1.0, declared.hand_speed)[1]
+            free -= max(0.0, taken_along(declared, bound, memory, 1.0, declared.hand_speed)[0])
         if pulls:
-            free -= taken_along(declared, bound, memory, -1.0, declared.hand_speed)[1]
+            free -= max(0.0, taken_along(declared, bound, memory, -1.0, declared.hand_speed)[0])
     return free if free > 0.0 else 0.0
 
 
@@ -153,11 +151,11 @@ def left_under_way(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float
 ) -> tuple[float, float]:
     """Returns what the torques under way leave of an energy [J], and the base of `taken_along` [m or rad]."""
-    given, _, base = taken_along(declared, bound, memory, sign, speed)
+    given, base = taken_along(declared, bound, memory, sign, speed)
     energy -= given
     for place in range(bound.first, bound.first + declared.delay):
         if sign * memory.under_way[place] < 0.0:
-            energy -= taken_along(declared, bound, memory, -sign, speed)[1]
+            energy -= max(0.0, taken_along(declared, bound, memory, -sign, speed)[0])
             break
     return energy, base
 
@@ -185,8 +183,6 @@ def by_reach(declared: Declared, budget: float, base: float, for_all: float) -> 
     damped = declared.damping / declared.sample_time
     if budget < 0.0 or (friction == 0.0 and damped == 0.0):
         return hand_force_bound(budget, base, gain)
-    if 2.0 * damped * gain >= 1.0:
-        damped = 0.0
     share = damped * gain
     largest = hand_force_bound(
         budget + (friction + damped * base) * base, base * (1.0 - 2.0 * share) - friction * gain, gain * (1.0 - share)

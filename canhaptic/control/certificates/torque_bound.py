@@ -214,7 +214,7 @@ def doubt_of_late(declared: Declared, bound: TorqueBound, displacement: float, t
     differs = abs(change) + rest
     if differs == 0.0:
         return 0.0
-    count, damped = declared.encoder_count, 0.0
+    count = declared.encoder_count
     if declared.damping == 0.0:
         damped = differs * declared.late_share * 2.0 * (max(abs(displacement), abs(bound.displacement)) + count)
     else:
@@ -289,8 +289,7 @@ def end_gap(
     if declared.late > 0.0:  # older torques act in the last hold as well
         missed = holds
         largest = max(largest, bound.highest, -bound.lowest)
-        apart = max(apart, bound.highest - torque, torque - bound.lowest)
-        apart = max(apart, abs(largest - torque), abs(largest + torque))
+        apart = max(apart, largest + abs(torque))
         bound.most, bound.least = largest, -largest
         bound.highest, bound.lowest = largest, -largest
     bound.kept = 0
@@ -330,8 +329,7 @@ def excursion_unseen(declared: Declared, bound: TorqueBound, displacement: float
     start = abs(bound.displacement) + bound.blur + declared.encoder_count
     excursion = abs(displacement) + declared.encoder_count + further * (holds * (start + holds * step))
     bound.blur = 0.5 * (holds - 1) * step + (1.0 - response.retained) * holds * excursion
-    if further > 1.0:
-        bound.blur += (further - 1.0) * excursion
+    bound.blur += (further - 1.0) * excursion
     return excursion
 
 
@@ -356,7 +354,7 @@ def outward(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: f
     The displacement is known to one count. A mean over j holds is known to count / j, and the hand and the torques
     can have raised the last one above the mean only so far; the smallest of these bounds counts.
     """
-    if declared.encoder_count == 0.0 or bound.kept < 2:
+    if bound.kept < 2:  # of an ideal encoder none is kept
         return sign * bound.displacement + declared.encoder_count + bound.blur
     known = bound.upward if sign > 0.0 else bound.downward
     if isnan(known):

@@ -182,9 +182,9 @@ def response_to_late(
         size += torques[i] * response[i] * torques[i]
     size = math.sqrt(size)
     for i in range(len(response)):
-        above, below = max(0.0, highest[i] - held[i]), max(0.0, held[i] - lowest[i])
-        along, any_way = torques[i] * response[i], size * math.sqrt(response[i])
-        reply = max(above * max(0.0, any_way + along), below * max(0.0, any_way - along))
+        above, below = highest[i] - held[i], held[i] - lowest[i]  # of which one is above 0
+        along, any_way = torques[i] * response[i], size * math.sqrt(response[i])  # |along| <= any_way
+        reply = max(above * (any_way + along), below * (any_way - along))
         total += 0.5 * axes.timing.counted[i] * reply
     return total
 
@@ -199,8 +199,6 @@ def pass_range(axes: AxisLimits, highest: Buffer, lowest: Buffer, held: Buffer) 
 
 def _hand_term(axes: AxisLimits, torques: Buffer) -> float:
     """Returns how much the hand raises W . D in one hold [J]."""
-    if axes.hand == 0.0:
-        return 0.0
     total = 0.0
     for i in range(len(axes.before)):
         total += torques[i] * (axes.before[i] + axes.during[i]) * torques[i]
@@ -220,10 +218,9 @@ def _raised_by_friction(axes: AxisLimits, torques: Buffer, displacement: Buffer)
     """Returns how much of W . D_0 the inward parts lose by friction in one hold [J], >= 0."""
     total = 0.0
     for i in range(len(axes.lost)):
-        if axes.lost[i] != 0.0:
-            along = torques[i] * displacement[i] + abs(torques[i]) * axes.counts[i]
-            if along < 0.0:
-                total -= axes.lost[i] * along
+        along = torques[i] * displacement[i] + abs(torques[i]) * axes.counts[i]
+        if along < 0.0:
+            total -= axes.lost[i] * along
     return total
 
 
