@@ -77,6 +77,10 @@ class MapField:
         unit = _unit_of(self.scene, key)
         return f"{key} [{unit}]" if unit else key
 
+    def level(self, key: str, value: float) -> str:
+        """Returns one value of a key in words, such as `damping 5 N*s/m`."""
+        return f"{key.rpartition('.')[2]} {value:.3g} {_unit_of(self.scene, key)}".rstrip()
+
     def _is_varied(self, key: str) -> bool:
         return len(self._levels[key]) > 1 if self.is_grid else len(_levels(self._table.values(key))) > 1
 

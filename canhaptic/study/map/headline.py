@@ -53,8 +53,8 @@ def _panel(fields: list[MapField], z: str, x: str, at: dict[str, float]) -> Line
         style: CurveStyle = "ours" if one.algorithm == _OURS else "measured"
         curves.append(PanelCurve(one.algorithm, places, positive(border), style, number))
     curves += _theory(fields, x, places, at)
-    where = "".join(f", {key.rpartition('.')[2]} {level:.3g}" for key, level in at.items())
-    note = f"{JUDGEMENTS[common_judgement(field)]}; worst of all else; no line: no such wall was tried"
+    where = "".join(f", {field.level(key, value)}" for key, value in at.items())
+    note = f"{JUDGEMENTS[common_judgement(field)]}; worst of all else; no line: no wall tried passes"
     shown = tuple(curve for curve in curves if np.isfinite(curve.y).any())
     title = f"stiffest wall that is passive and within {100.0 * NEAR:g} %{where}"
     return Lines(title, field.label(x), field.label(z), shown, is_log(places), is_log(field.values[z]), note)

@@ -18,9 +18,11 @@ if TYPE_CHECKING:
 _WIDTH, _HEIGHT = 560, 380
 _DASHES: Final = {
     "measured": "solid", "ours": "solid", "colgate": "dashed", "abbott_okamura": "dotted", "eigenvalues": "dashdot",
-    "certificate": "dotdash",
+    "certificate": [12, 3],
 }  # fmt: skip
 _BLANK: Final = "#F2F2F2"
+_ACROSS: Final = 3  # entries of a legend
+_LEGEND_ROW: Final = 24  # pixels
 
 
 def write_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: Path) -> None:
@@ -84,10 +86,10 @@ def _lines(place: "Plot", panel: Lines) -> None:
     if panel.note:
         place.add_layout(Title(text=panel.note, text_font_size="8pt", text_font_style="normal"), "below")
     if panel.lines:
-        place.legend.background_fill_alpha = 0.7
-        place.legend.label_text_font_size = "8pt"
-        place.legend.click_policy = "hide"
-        place.legend.location = "top_left"
+        place.legend.label_text_font_size, place.legend.border_line_alpha = "8pt", 0.0
+        place.legend.click_policy, place.legend.ncols, place.legend.spacing = "hide", _ACROSS, 12
+        place.height += _LEGEND_ROW * -(-len(panel.lines) // _ACROSS)
+        place.add_layout(place.legend[0], "below")  # where it hides no line
 
 
 def _cells(place: "Plot", panel: Cells, limits: tuple[float, float]) -> None:

@@ -24,7 +24,7 @@ _LINES: Final[dict[str, dict[str, Any]]] = {
     "colgate": {"linewidth": 1.4, "linestyle": "--", "zorder": 4},
     "abbott_okamura": {"linewidth": 1.4, "linestyle": ":"},
     "eigenvalues": {"linewidth": 1.2, "linestyle": "-."},
-    "certificate": {"linewidth": 1.2, "linestyle": (0, (1, 3))},
+    "certificate": {"linewidth": 1.2, "linestyle": (0, (10, 3))},
 }
 _MANY: Final = 5
 """Lines from which a legend is written smaller."""

@@ -129,7 +129,7 @@ def _width(field: MapField, z: str, x: str, y: str | None, judgement: str) -> Pa
         kept = (
             border.value if level is None else border.value[:, int(np.flatnonzero(field.values[y or ""] == level)[0])]
         )
-        of_level = "" if level is None or y is None else f", {y.rpartition('.')[2]} {level:.3g}"
+        of_level = "" if level is None or y is None else f", {field.level(y, level)}"
         lines.append(PanelCurve(f"measured{of_level}", places, positive(kept[order]), "measured", colour))
         if z == _STIFFNESS and field.algorithm == "unprotected":
             lines += _theory(field, x, places, {} if level is None or y is None else {y: level}, of_level, colour)
@@ -190,7 +190,7 @@ def _shown(field: MapField, metric: str) -> tuple[Array, str, str]:
     """Returns a figure as it is drawn: energies below zero as what is missing, renderings as shares of the asked."""
     values = field.figure(metric)
     if metric in ("margin", "least_interaction", "believed_margin"):
-        words = {"margin": "missing in (4)", "least_interaction": "given out beyond what came in"}
+        words = {"margin": "missing in the margin, eq. 4", "least_interaction": "given out beyond what came in"}
         return (
             np.where(np.isnan(values), np.nan, np.maximum(-values, _LEAST_ENERGY)),
             f"{words.get(metric, metric)} [J]",

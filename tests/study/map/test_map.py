@@ -188,8 +188,8 @@ def test_the_usual_panels_and_one_of_a_chosen_figure(two_controllers):
     width = columns[0][0]
     assert isinstance(width, Lines)
     assert [line.label for line in width.lines if line.style == "measured"] == [
-        "measured, damping 0",
-        "measured, damping 2",
+        "measured, damping 0 N*s/m",
+        "measured, damping 2 N*s/m",
     ]
     assert any(line.style == "abbott_okamura" for line in width.lines)
     assert width.x_label == "bus.rate [Hz]"
