@@ -335,7 +335,7 @@ def _status(status: TouchStatus) -> str:
     facts = [
         f"{status.cycles} cycles",
         f"{status.late} of them late by more than a sample time",
-        f"99 % within {si(status.lateness[1], 's')}",
+        f"99 % of all begin within {si(status.lateness[1], 's')} of their time",
         f"{status.skipped} SYNCs skipped",
         f"{status.given_up:.2f} s not caught up" if status.given_up else "",
         f"pointer to cycle {si(status.answered[0], 's')}, 99 % {si(status.answered[1], 's')}",

@@ -227,8 +227,8 @@ def _plain(name: _Energy) -> Callable[[PortResult], str]:
 
 
 _OF_GROUPS: Final[dict[Literal["supplied", "unsure"], str]] = {
-    "supplied": "in by movers, not motors",
-    "unsure": "in doubt, taken off `in`",
+    "supplied": "input from moving surfaces",
+    "unsure": "uncertainty, taken off `in`",
 }
 """Rows that only a group may have, shown where they are not zero."""
 _PORT_ROWS: Final[tuple[tuple[str, Callable[[PortResult], str | Text]], ...]] = (

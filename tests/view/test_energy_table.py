@@ -145,8 +145,8 @@ def test_a_port_is_passive_in_doubt_or_not(least: float, unsure: float, verdict:
         ("certificates", {"certificates": ["exact", "hand_force"]}, "exact, hand force"),
         ("passive at the handle", {"energy_resolution": 0.0, "least_at_handle": -1e-3}, "in doubt"),
         ("passive at the handle", {"energy_resolution": 0.0, "least_at_handle": 0.0}, "yes"),
-        ("in by movers, not motors", {"supplied": 0.25}, "250.0 mJ"),
-        ("in doubt, taken off `in`", {"unsure": 0.25}, "250.0 mJ"),
+        ("input from moving surfaces", {"supplied": 0.25}, "250.0 mJ"),
+        ("uncertainty, taken off `in`", {"unsure": 0.25}, "250.0 mJ"),
         ("holds limited: singular", {"limits": {"singular": 12, "workspace": 0}}, "12"),
     ],
 )
