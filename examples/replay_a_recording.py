@@ -1,4 +1,4 @@
-"""Hold today's master against recorded frames: every frame that it sends must be that of the recording."""
+"""Compare today's master with recorded frames: it must send every frame as recorded."""
 
 from pathlib import Path
 

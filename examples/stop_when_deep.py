@@ -1,4 +1,4 @@
-"""Walk the cycle yourself and stop it by a rule of your own."""
+"""Run the cycle yourself and stop it by your own rule."""
 
 from pathlib import Path
 

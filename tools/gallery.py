@@ -29,8 +29,8 @@ _SIX: Final = "guarded,unprotected,a_priori_dissipation,internal_dissipation,pas
 _INTRODUCTION: Final = """\
 # Gallery
 
-Every picture is one command away; each was made by the lines below it. The page and its pictures are made by
-`python -m tools.gallery`, and a test runs every line. Grey in comparisons is the continuous wall under the same hand.
+Each picture was made by the command below it. The page and its pictures are made by `python -m tools.gallery`, and a
+test runs every command. Grey in comparisons is the continuous wall under the same hand.
 """
 
 
@@ -58,7 +58,7 @@ GALLERY: Final[tuple[Entry, ...]] = (
     ),
     Entry(
         "The same, with frames lost",
-        "One frame in fifty never arrives, the others come up to 200 us late; the account is booked at its worst.",
+        "One frame in fifty never arrives, the others come up to 200 us late; the account assumes the worst case.",
         (
             "canhaptic run configs/demo.yaml --duration 4 "
             "--set simulation.bus='{drop: 0.02, jitter: 200 us}' --png lossy.png",
@@ -75,7 +75,7 @@ GALLERY: Final[tuple[Entry, ...]] = (
         (f"canhaptic compare configs/hard/slot.yaml --algorithms {_SIX} --png slot.png",),
     ),
     Entry(
-        "A limit cycle, and none",
+        "A limit cycle, with and without",
         "Twice Colgate's limit under a constant push: the plain wall never comes to rest.",
         (f"canhaptic compare configs/hard/limit_cycle.yaml --algorithms {_SIX} --png limit_cycle.png",),
     ),
@@ -110,7 +110,7 @@ GALLERY: Final[tuple[Entry, ...]] = (
         ("canhaptic run configs/xy_box.yaml --png xy_box.png",),
     ),
     Entry(
-        "A five-bar strokes a disc",
+        "A disc felt with a five-bar",
         "Two motors, closed kinematics; the account is kept in the angles, where the torque is constant in a hold.",
         ("canhaptic run configs/five_bar_sphere.yaml --png five_bar_sphere.png",),
     ),

@@ -17,7 +17,7 @@ _ANALOG_INPUTS: Final = ("0x3160.1", "0x2205.1", "0x2205.0", "0x207C.1")
 _TYPES: Final = (DataType.INTEGER16, DataType.INTEGER32)
 DISPLAY_KEYS: Final = (
     ("speed_limit, admittance.acceleration_limit", "largest speed and rise of it that may be commanded"),
-    ("admittance.position_low, position_high", "beyond them no command leads further out"),
+    ("admittance.position_low, position_high", "lowest and highest position to which a command may lead"),
     ("admittance.velocity_counts", "counts of 0x60FF for 1 m/s or 1 rad/s; left out: those of 0x6064 per second"),
     ("admittance.handle_acceleration", "largest of the handle, by drive and hand: an over-estimate"),
     ("admittance.force.per_count, range, error, slew", "scale and limits of the sensor; canhaptic commission measures"),

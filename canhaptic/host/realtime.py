@@ -26,9 +26,9 @@ class RealtimeParameters(Parameters):
     cpus: tuple[Annotated[int, quantity("1", ge=0, le=4095)], ...] | None = None
     """Processors that the thread may run on."""
     lock_memory: bool = False
-    """Keeps every page that the process has at the start in memory."""
+    """Locks the memory that the process has at the start (mlockall), so that no page is swapped out."""
     freeze_garbage: bool = False
-    """Takes what exists at the start out of the garbage collector's sight."""
+    """Freezes the objects that exist at the start, so that the garbage collector skips them (gc.freeze)."""
 
 
 class Realtime:

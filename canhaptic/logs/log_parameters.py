@@ -17,7 +17,7 @@ class LogParameters(Parameters):
     file_size: Annotated[int, quantity("1", ge=0, le=1e12)] = 0
     """Bytes after which the bus log is put aside and a new one begun; 0 for one file without limit."""
     files: Annotated[int, quantity("1", ge=2, le=100_000)] = 10
-    """Bus logs kept in all when `file_size` is given; the oldest goes."""
+    """Largest number of bus logs when `file_size` is given; the oldest is deleted."""
     last: Annotated[float, quantity("s", ge=0.0, le=3600.0)] = 0.0
     """Above 0: the bus log is written only after a bad end, and holds this much of the run before it."""
     on_failure: Literal["stop", "continue"] = "stop"

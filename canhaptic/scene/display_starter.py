@@ -26,7 +26,7 @@ _AXIS: Final = Template(f"""\
       mode: $mode        # $mode_note
 $velocity_counts      acceleration_limit: 50 rad/s^2
       handle_acceleration: 80 rad/s^2 # {TO_SET}: by drive and hand together, an over-estimate
-      position_low: -0.5 rad # {TO_SET}: beyond them no command leads further out
+      position_low: -0.5 rad # {TO_SET}: lowest and highest position to which a command may lead
       position_high: 0.5 rad # {TO_SET}
       force:
 $source        per_count: $per_count N*m # {TO_SET}: negative where the sensor counts the other way

@@ -23,13 +23,13 @@ _WORDS: Final = {
     "environment": "What is rendered, chosen by `type`; of all axes, or inside one axis.",
     "passivity": "The algorithm that keeps the account, chosen by `algorithm`; of all axes, or inside one axis.",
     "simulation": "What is simulated behind the drives; only without hardware.",
-    "accuracy": "How the simulated plant is computed: what it spends on events and on effects that are not exact; or"
-    " `auto`, and the build chooses.",
+    "accuracy": "How the simulated plant is computed: the resolution of events and of effects that are not exact; or"
+    " `auto`, which chooses them.",
     "log": "Where a run is written to; paths are relative to the current folder, and options of `run` win over them.",
 }
 _OF_AXIS: Final = {
     "bus": "The bus that the drive is on; needed where there are several.",
-    "drive": "Profile of a drive, by its name or path: keys of an axis, laid under these.",
+    "drive": "Profile of a drive, by its name or path: keys of an axis, which the axis's own keys replace.",
     "environment": "Keys that replace those of the section `environment` for this axis alone.",
     "passivity": "Keys that replace those of the section `passivity` for this axis alone.",
 }
@@ -52,7 +52,7 @@ _OF_SIMULATION: Final = {
 }
 _OF_MECHANISM: Final = {
     "axes": "The axes of its motors, in the order of the mechanism.",
-    "hand": "What holds the handle, in task space; None: nothing does.",
+    "hand": "The hand at the handle, in task space; None: no hand.",
 }
 _TAKEN: Final = {"sample_time": "from `bus.rate`", "delay": "from `bus.rpdo`"}
 """Where a key of the loop comes from that the scene leaves out."""

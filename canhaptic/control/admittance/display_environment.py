@@ -22,9 +22,9 @@ class DisplayEnvironment(Parameters):
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """To ground."""
     lower_wall: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = -1e3
-    """Below it nothing goes."""
+    """Lower limit of the position."""
     upper_wall: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 1e3
-    """Above it nothing goes."""
+    """Upper limit of the position."""
 
     @model_validator(mode="after")
     def _walls_leave_room(self) -> Self:

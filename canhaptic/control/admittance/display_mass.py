@@ -16,7 +16,7 @@ class DisplayMass(DisplayEnvironment):
     """A mass that the hand moves."""
 
     mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
-    """Felt at the sensor."""
+    """Virtual mass felt at the sensor."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e8)] = 0.0
     """Stiffness of a spring to ground."""
     rest: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0

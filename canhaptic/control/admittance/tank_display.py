@@ -29,9 +29,9 @@ class TankDisplayParameters(Parameters):
     """Parameters of an admittance display with an energy tank."""
 
     initial: Annotated[float, quantity("J", ge=0.0, le=1e3)] = 0.0
-    """In the tank at the start."""
+    """Energy in the tank at the start."""
     capacity: Annotated[float, quantity("J", gt=0.0, le=1e3)] = 1.0
-    """It holds no more."""
+    """Largest energy in the tank."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ class GuardedGroupParameters(Parameters):
     energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
     """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -energy_allowance."""
     alpha: Alpha = 0.0
-    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
+    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
     prediction_holds: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.5
     """Prediction beyond the delay, in holds: 0.5 aims at the middle of the hold, and what is more calms a spring."""
     max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0

@@ -49,7 +49,7 @@ class ScaledGroupParameters(Parameters):
     """What is left to choose."""
 
     alpha: Alpha = 0.0
-    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
+    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
     compiled: bool = False
     """Whether the whole step runs compiled by numba (the extra `fast`); half a minute the first time, kept on disk."""
 

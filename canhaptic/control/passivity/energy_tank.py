@@ -46,11 +46,11 @@ class EnergyTankParameters(DamperVelocity):
     constant_stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)] = 0.0
     """K_c: rendered at every level of the tank."""
     initial_energy: Annotated[float, quantity("J", ge=0.0, le=1e3)] = 0.0
-    """In the tank at the start; it may be given out."""
+    """Energy in the tank at the start, which may be given out."""
     least_energy: Annotated[float, quantity("J", ge=0.0, le=1e3)] = 0.0
-    """Below it nothing is taken out."""
+    """Energy of the tank below which nothing is taken out."""
     most_energy: Annotated[float, quantity("J", gt=0.0, le=1e3)] = 3.0
-    """Above it the damper does not fill the tank; as in the source."""
+    """Energy of the tank above which the damper does not fill it; as in the source."""
 
 
 @dataclass(frozen=True, slots=True)

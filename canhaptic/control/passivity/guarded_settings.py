@@ -36,21 +36,21 @@ class GuardedParameters(Parameters):
     """Largest force with which the hand pulls out of the contact, or along the torque where a contact has no outside.
     None: the certificate is not used."""
     hand_push: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = None
-    """Largest force with which the hand pushes into the contact, along a torque that sticks (a damper's, going out).
-    None: any push, and by the hand force no torque sticks."""
+    """Largest force with which the hand pushes into the contact. It certifies torques that pull the handle back while
+    it leaves the contact (of a damper). None: not known, and the hand force certifies no such torque."""
     hand_speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
     """Largest speed of the hand. None: the certificate is not used. Alone it begins only with an energy allowance."""
     energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
     """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -energy_allowance."""
     earned_energy: Annotated[float, quantity("J", ge=0.0)] | None = None
-    """Energy that came in beyond what is stored, or that the device dissipated, kept for contacts to come: a contact
-    under a hand force starts at any speed. It came in before: sum(h_i) stays >= 0. None: as much as the environment
-    needs for that, by the hand's force or speed; 0: none."""
+    """Energy that came in beyond what is stored, or that the device dissipated, kept for later contacts, so that a
+    contact under a hand force starts at any speed. sum(h_i) stays >= 0. None: as much as the environment needs for
+    that, by the hand's force or speed; 0: none."""
     drag: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
     """Largest drag felt in free motion, while less than `earned_energy` is there; 0: none. There too the hand pulls
     away from the environment with no more than `hand_force`."""
     alpha: Alpha = 0.0
-    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
+    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
     prediction_holds: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.75
     """Prediction beyond the delay, in holds: 0.5 aims at the middle of the hold, and what is more calms a spring."""
     max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0

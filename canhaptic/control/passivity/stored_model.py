@@ -27,7 +27,7 @@ class StoredModelParameters(DamperVelocity):
     """Velocity of the damper, and recovery of the surplus."""
 
     alpha: Alpha = 0.0
-    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
+    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,7 +51,7 @@ class Mass(Parameters):
 
     type: Literal["mass"] = "mass"
     mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0)]
-    """m."""
+    """Mass m."""
 
 
 class QuadraticForm(Parameters):

@@ -28,7 +28,7 @@ class ForceParameters(Parameters):
     offset_counts: Annotated[float, quantity("count", ge=-2e9, le=2e9)] = 0.0
     """Counts at no force."""
     range: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
-    """A force beyond it is not believed: the rig stops."""
+    """Largest force that the sensor can show; beyond it the rig stops."""
     sampling: Literal["point", "mean", "impulse"] = "point"
     """What one value is: the force at the SYNC, its mean since the last, or its integral, modulo its bits."""
     latency: Annotated[int, quantity("count", ge=0, le=16)] = 0
@@ -90,9 +90,9 @@ class DisplayParameters(Parameters):
     handle_acceleration: Annotated[float, quantity("m/s^2", "rad/s^2", gt=0.0, le=1e6)]
     """Largest acceleration of the handle, an over-estimate: by the torque of the drive and the force of the hand."""
     position_low: Annotated[float, quantity("m", "rad", ge=-1e6, le=1e6)] | None = None
-    """Below it no command leads further down."""
+    """Lowest position to which a command may lead."""
     position_high: Annotated[float, quantity("m", "rad", ge=-1e6, le=1e6)] | None = None
-    """Above it no command leads further up."""
+    """Highest position to which a command may lead."""
     stop_time: Annotated[float, quantity("s", gt=0.0, le=10.0)] = 0.5
     """Time that a quick stop may take."""
     force: ForceParameters

@@ -41,8 +41,8 @@ class TorqueAxisParameters(Parameters):
     power_limit: Annotated[float, quantity("W", gt=0.0)] | None = None
     """Largest power that the torque may put into the user's side."""
     speed_limit: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
-    """A position that moves faster than this between two SYNCs is not believed: the rig stops. By default 10 m/s or
-    100 rad/s, faster than a hand."""
+    """Largest speed of the position between two SYNCs; beyond it the rig stops. By default 10 m/s or 100 rad/s, faster
+    than a hand."""
     energy_loss_limit: Annotated[float, quantity("J", gt=0.0, le=10.0)] | Literal["none"] | None = None
     """Energy that the port may give out beyond what was declared; then the rig stops. In a group the least of all axes
     counts. By default 10 mJ, in simulation for algorithms that promise passivity alone; `none` in simulation alone."""

@@ -24,9 +24,9 @@ class Window(Parameters):
     begin: Annotated[float, quantity("s", ge=0.0, le=1e6)] = 0.0
     """Counted from the first SYNC; from the first frame when `bring_up` is set."""
     duration: Annotated[float, quantity("s", gt=0.0, le=1e6)]
-    """From its begin to its end."""
+    """From its beginning to its end."""
     every: Annotated[float, quantity("s", gt=0.0, le=1e6)] | None = None
-    """From one begin to the next; None: it happens once."""
+    """Period from one beginning to the next; None: it happens once."""
 
     @model_validator(mode="after")
     def _check(self) -> "Window":
@@ -60,7 +60,7 @@ class BusEffects(Parameters):
     refuse: _Probability = 0.0
     """Share of the master's frames that its interface refuses to send (ENOBUFS)."""
     delay: Annotated[float, quantity("s", ge=0.0, le=10.0)] = 0.0
-    """Every frame arrives so much later."""
+    """Delay of every frame."""
     jitter: Annotated[float, quantity("s", ge=0.0, le=10.0)] = 0.0
     """And later again by anything between zero and this; no frame overtakes another of its direction."""
     direction: Literal["both", "to_drive", "to_master"] = "both"

@@ -29,7 +29,7 @@ class SimulatedForceSensor(Parameters):
     noise: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] = 0.0
     """Standard deviation of each value; it is cut at three of it."""
     quantum: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] = 0.0
-    """Step of the values, besides that of the object that carries them."""
+    """Step of the values, in addition to that of the object that carries them."""
     latency: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Whole samples by which a value is late."""
     freeze_at: Annotated[float, quantity("s", ge=0.0, le=1e6)] | None = None
