@@ -24,13 +24,13 @@ class _AbleAxis(NamedTuple):
     """An axis whose algorithm has what it needs."""
 
     axis: AxisScene
-    told: tuple[str, ...] = ()  # properties of its loop that the scene does not declare, taken from the plant
+    from_plant: tuple[str, ...] = ()  # properties of its loop that the scene does not declare, taken from the plant
 
     @property
     def remark(self) -> str:
         """What it takes from the plant, in words; "" where nothing."""
-        shown = [f"{key} {getattr(self.axis.loop, key):g}" for key in self.told if key != "device_damping_bound"]
-        return f"from the plant: {', '.join(shown)}" if self.told else ""
+        shown = [f"{key} {getattr(self.axis.loop, key):g}" for key in self.from_plant if key != "device_damping_bound"]
+        return f"from the plant: {', '.join(shown)}" if self.from_plant else ""
 
 
 def own_algorithms(scene: Scene) -> list[str]:
@@ -109,9 +109,9 @@ def _with_defaults(name: str, model: type[Parameters], remedy: str) -> Component
 def _with_known_plant(axis: AxisScene) -> _AbleAxis:
     """Returns an axis whose algorithm takes from the simulated plant what the scene does not declare."""
     plant = simulation_of(axis).plant
-    told = tuple(key for key in PLANT_OF if getattr(axis.loop, key) is None)
-    values = {key: getattr(plant, PLANT_OF[key]) for key in told}
-    return _AbleAxis(replace(axis, loop=axis.loop.model_copy(update=values)), told)
+    from_plant = tuple(key for key in PLANT_OF if getattr(axis.loop, key) is None)
+    values = {key: getattr(plant, PLANT_OF[key]) for key in from_plant}
+    return _AbleAxis(replace(axis, loop=axis.loop.model_copy(update=values)), from_plant)
 
 
 def able_under(axis: AxisScene, name: str, scene: Scene) -> _AbleAxis:

@@ -25,6 +25,18 @@ def cycles_of(scene: Scene, duration: float | None) -> int:
     return max(2, round((duration or scene.run.duration or _DEFAULT_DURATION) / scene.bus.sample_time))
 
 
+def require_design_room(margin: float, tolerance: float) -> None:
+    """Refuses a margin or a tolerance of a design that is out of range.
+
+    Raises:
+        InputError: One is.
+    """
+    if not 0.0 <= margin <= 10.0 or not 0.0 < tolerance < 1.0:
+        raise InputError(
+            f"got margin {margin:g} and tolerance {tolerance:g}, expected 0 <= margin <= 10, 0 < tolerance < 1"
+        )
+
+
 def require_single_axes(scene: Scene, command: str, axis: str | None = None) -> None:
     """Refuses axes that a group of the scene moves together.
 

@@ -13,9 +13,8 @@ from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.algorithms import display_group_under, display_under
-from canhaptic.touch.touch_scene import PLAIN, Side, TouchScene, on_two_buses, pointer_hand, reach, sliders_of
+from canhaptic.touch.touch_scene import GUARDED, PLAIN, Side, TouchScene, on_two_buses, pointer_hand, reach, sliders_of
 
-_GUARDED: Final = "guarded"
 _OVER: Final = 1.05
 """What is declared of a simulated drive over its true values, where the scene declares nothing."""
 _SLIDERS: Final = ("mass", "cup", "damping")
@@ -117,7 +116,7 @@ def _guard_of(*axes: AxisScene) -> ComponentSpec:
         drive_mass=_OVER * max(masses), loop_gain=_OVER * max(gains), integral_gain=_OVER * max(integrals),
         energy_allowance=1e-3,
     )  # fmt: skip
-    return ComponentSpec(_GUARDED, known)
+    return ComponentSpec(GUARDED, known)
 
 
 def _walls(environment: DisplayEnvironment, shown: tuple[float, float]) -> tuple[tuple[float, float], ...]:

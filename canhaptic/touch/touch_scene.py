@@ -12,6 +12,7 @@ from canhaptic.sim.plant.user import UserParameters
 from canhaptic.units import Parameters
 
 PLAIN: Final = "unprotected"
+GUARDED: Final = "guarded"
 _PATIENCE: Final = 10.0  # [s] until a silent peer counts as lost
 _LOST_CYCLES: Final = 2000
 HAND: Final = {"stiffness": 300.0, "damping": 3.0}

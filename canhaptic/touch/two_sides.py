@@ -20,6 +20,7 @@ from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.algorithms import able_under
 from canhaptic.touch.display_sides import display_line, display_plane
 from canhaptic.touch.touch_scene import (
+    GUARDED,
     HAND,
     PLAIN,
     Side,
@@ -30,7 +31,6 @@ from canhaptic.touch.touch_scene import (
     sliders_of,
 )
 
-_GUARDED = "guarded"
 _SLIDERS = ("stiffness", "damping")
 
 
@@ -66,7 +66,7 @@ def two_sides(scene: Scene, axis: str | None = None) -> TouchScene:
 
 def _line(scene: Scene, axis: AxisScene) -> TouchScene:
     plain = able_under(axis, PLAIN, scene).axis
-    guarded = axis if axis.passivity.name != PLAIN else able_under(axis, _GUARDED, scene).axis
+    guarded = axis if axis.passivity.name != PLAIN else able_under(axis, GUARDED, scene).axis
     protected = _name_of(guarded)
     sides = (Side(PLAIN, (PLAIN,)), Side(protected, (protected,)))
     simulation = simulation_of(axis)
@@ -97,7 +97,7 @@ def _line(scene: Scene, axis: AxisScene) -> TouchScene:
 
 def _name_of(axis: AxisScene) -> str:
     name = axis.passivity.name if axis.passivity.own is None else axis.passivity.own.__name__
-    return name if name != PLAIN else _GUARDED
+    return name if name != PLAIN else GUARDED
 
 
 def _solid(environment: Any, shown: tuple[float, float]) -> tuple[tuple[float, float], ...]:

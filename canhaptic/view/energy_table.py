@@ -104,7 +104,7 @@ def _energy_table(result: _Result, names: list[str]) -> Table:
         if any(result["ports"][port].get(of_group) for port in names):
             table.add_row(label, *(_cell(_plain(of_group), result["ports"][port]) for port in names))
     for limit in dict.fromkeys(limit for port in names for limit, count in _limits(result, port).items() if count):
-        counts = (f"{_limits(result, port)[limit]}   " if _limits(result, port) else "-   " for port in names)
+        counts = (f"{_limits(result, port)[limit]}   " if _limits(result, port) else _NOTHING for port in names)
         table.add_row(f"holds limited: {limit}", *counts)
     truth = result.get("truth") or {}
     if any(name in truth for name in names):
@@ -130,7 +130,7 @@ def _count(result: _Result, port: str, branch: str) -> int:
 
 
 def _count_text(result: _Result, port: str, branch: str) -> str:
-    return f"{_count(result, port, branch)}   " if "branches" in result["ports"][port] else "-   "
+    return f"{_count(result, port, branch)}   " if "branches" in result["ports"][port] else _NOTHING
 
 
 def _limits(result: _Result, port: str) -> Mapping[str, int]:
@@ -155,7 +155,7 @@ def _margin_place(port: PortResult) -> str:
 
 
 def _longest_hold(port: PortResult) -> str:
-    return f"{port['longest_hold']} T   " if "longest_hold" in port else "-   "
+    return f"{port['longest_hold']} T   " if "longest_hold" in port else _NOTHING
 
 
 def _uncommanded(port: PortResult) -> str:

@@ -133,8 +133,13 @@ def _setting_of(accuracy: AccuracyParameters, plant: Plant) -> str:
     if any(part.has_guards for part in plant.scene.parts):
         words.append(f"{accuracy.event_bits} bits")
     if not plant.is_exact:
-        words.append(f"{accuracy.substeps} substep{'s' if accuracy.substeps > 1 else ''}")
+        words.append(counted(accuracy.substeps, "substep"))
     return ", ".join(words) or "exact"
+
+
+def counted(count: int, what: str) -> str:
+    """Returns a number of things in words."""
+    return f"{count} {what}{'s' if count > 1 else ''}"
 
 
 def stepped(plant: Plant, torques: Sequence[float]) -> None:
@@ -155,8 +160,7 @@ def _fixed(
         motion = fixed_step(model, torques, sample_time_ns, METHODS[method][1](), substeps)
         return motion, model.evaluations, 0
 
-    setting = f"{substeps} step{'s' if substeps > 1 else ''}"
-    return Candidate(method, setting, 1.0 / substeps, order, None, run, run)
+    return Candidate(method, counted(substeps, "step"), 1.0 / substeps, order, None, run, run)
 
 
 def _adaptive(simulation: AxisSimulation, tolerance: float, torques: Sequence[float], sample_time_ns: int) -> Candidate:
@@ -173,7 +177,7 @@ def _mujoco(
 ) -> Candidate:
     plant = MujocoPlant(simulation, integrator, substeps, torques, sample_time_ns)
     price = (4 if integrator == "RK4" else 1) * substeps * len(torques)
-    setting = f"{substeps} step{'s' if substeps > 1 else ''}"
+    setting = counted(substeps, "step")
     return Candidate(
         f"{MUJOCO} {integrator}", setting, 1.0 / substeps, 1, None, lambda: (plant.motion(), price, 0), plant.run
     )  # order 1 for RK4 too: the hand's force is held over a step

@@ -21,7 +21,7 @@ from canhaptic.sim.textbook.event_location import located_states
 from canhaptic.sim.textbook.fixed_step import fixed_step_states, runge_kutta_4
 from canhaptic.sim.textbook.reference_group import GroupModel
 from canhaptic.sim.textbook.reference_motion import Motion
-from canhaptic.study.accuracy.candidates import LSODA, OURS, Candidate
+from canhaptic.study.accuracy.candidates import LSODA, OURS, Candidate, counted
 from canhaptic.study.accuracy.group_variants import finely_solved
 from canhaptic.study.accuracy.plant_solvers import FURTHEST, PlantSide, Row, named, orders_of
 from canhaptic.study.batch.group_loop import GroupRecorder, Motors, motors_of, render_group
@@ -234,7 +234,7 @@ class _Mechanism:
             table, evaluations = run(lambda m: (m.positions(), m.velocities(), m.work(), m.user_work()))
             return Motion(*(np.array(column) for column in zip(*table, strict=True))), evaluations, 0
 
-        setting = "exact" if self._order is None else f"{substeps} substep{'s' if substeps > 1 else ''}"
+        setting = "exact" if self._order is None else counted(substeps, "substep")
         return Candidate(
             OURS, setting, 1.0 / substeps, None, accuracy, observe, lambda: run(lambda _motors: None)
         )  # fmt: skip
@@ -252,7 +252,7 @@ class _Mechanism:
             states = fixed_step_states(model, self.torques.tolist(), period, runge_kutta_4, substeps)
             return _motion_of(model, states), model.evaluations, 0
 
-        return Candidate("RK4", f"{substeps} step{'s' if substeps > 1 else ''}", 1.0 / substeps, 4, None, run, run)
+        return Candidate("RK4", counted(substeps, "step"), 1.0 / substeps, 4, None, run, run)
 
     def _solved(self, model: GroupModel, method: str, rtol: float) -> Motion:
         """Returns the motion by one of scipy's solvers, hold by hold; errors as for `located_states`."""

@@ -64,7 +64,12 @@ def scenes_named(names: Sequence[str] | None) -> list[Path]:
 
 def label_of(algorithm: str) -> str:
     """Returns the name of an algorithm in results: of one's own the file without its folder, and the class."""
-    return Path(algorithm).name if _MARK in algorithm else algorithm
+    return Path(algorithm).name if is_own(algorithm) else algorithm
+
+
+def is_own(algorithm: str) -> bool:
+    """Whether an algorithm is one's own, named as `FILE.py:Class`."""
+    return _MARK in algorithm
 
 
 def entry_of(reference: str, path: Path, allow_code: bool) -> ComponentSpec:
@@ -96,7 +101,7 @@ def scene_under(path: Path, algorithm: str, *, allow_code: bool = False) -> Scen
     require_single_axes(scene, "arena")
     if len(scene.axes) != 1:
         raise InputError(f"{path}: has {len(scene.axes)} axes, expected one; make a scene of each")
-    if _MARK in algorithm:
+    if is_own(algorithm):
         own = entry_of(algorithm, path, allow_code)
         scene = replace(scene, axes=(replace(scene.axes[0], passivity=own),))
         algorithm = own.name

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.errors import InputError
-from canhaptic.study.arena.arena_cases import CaseFigures, CaseGroup, label_of
+from canhaptic.study.arena.arena_cases import CaseFigures, CaseGroup, is_own, label_of
 
 _COMPUTES: Final = ("control", "kernels", "scene", "sim", "study")
 """Folders of the package whose code decides what a case gives."""
@@ -82,8 +82,7 @@ class ArenaStore:
 
 
 def _key(group: CaseGroup, delay: int, algorithm: str) -> str:
-    file, mark, _ = algorithm.partition(".py:")
-    own = _hash_of(Path(f"{file}.py")) if mark else ""
+    own = _hash_of(Path(algorithm.rpartition(":")[0])) if is_own(algorithm) else ""
     parts: list[Any] = [_hash_of(group.path), group.rate, delay, algorithm, own, group.longest, code_hash()]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
 

@@ -11,7 +11,15 @@ from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import InputError
 from canhaptic.package_data import shipped
 from canhaptic.study.algorithms import chosen_algorithms
-from canhaptic.study.arena.arena_cases import CaseFigures, CaseGroup, entry_of, group_figures, label_of, scene_under
+from canhaptic.study.arena.arena_cases import (
+    CaseFigures,
+    CaseGroup,
+    entry_of,
+    group_figures,
+    is_own,
+    label_of,
+    scene_under,
+)
 from canhaptic.study.arena.arena_store import ArenaStore, code_hash
 from canhaptic.study.arena.rig_figures import borders, impedances, mass_widths, theory, times_of_steps
 from canhaptic.study.arena.standings import given_out, ranks, standings
@@ -76,11 +84,11 @@ class ArenaPlan:
             raise InputError(f"arena: got the delays {self.delays}, expected 0 (event) or 1 (synchronous)")
         if len(self.names()) < len(self.algorithms) or len({path.stem for path in self.scenes}) < len(self.scenes):
             raise InputError("arena: two scenes or two algorithms have one name; give each file another name")
-        chosen_algorithms([name for name in self.algorithms if ".py:" not in name] or None)
+        chosen_algorithms([name for name in self.algorithms if not is_own(name)] or None)
         for path in self.scenes:
             scene_under(path, "unprotected", allow_code=self.allow_code)
         for name in self.algorithms:
-            if ".py:" in name:
+            if is_own(name):
                 entry_of(name, self.scenes[0], self.allow_code)
 
 

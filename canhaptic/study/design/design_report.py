@@ -63,8 +63,8 @@ def _price(result: dict[str, Any]) -> list[Text]:
     lines.append(
         f" energy given out beyond what came in: {si(max(0.0, -result['least_interaction']), 'J', 3)}{covered}"
     )
-    if result["told"]:
-        lines.append(f" {result['told']}: on the rig declare what is certain, an under-estimate")
+    if result["remark"]:
+        lines.append(f" {result['remark']}: on the rig declare what is certain, an under-estimate")
     texts = [Text(line) for line in lines]
     if result["failing_below"]:
         count = f"{result['failing_below']} of {result['tried_below']}"

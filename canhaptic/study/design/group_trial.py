@@ -136,7 +136,7 @@ class GroupTrial:
             "certificate": WEAKEST_LAST[worst].name.lower(),
             "certified": {},
             "engine": self.engine,
-            "told": self.remark,
+            "remark": self.remark,
             "loop": {key: value for key in _DECLARED if (value := getattr(axes[0].loop, key)) is not None},
             "hand": hand,
         }

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from canhaptic.axis_units import stiffness_unit
-from canhaptic.errors import CheckFailedError, InputError
+from canhaptic.errors import CheckFailedError
 from canhaptic.scene.hints import stability_hints
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import Scene
@@ -33,6 +33,7 @@ from canhaptic.study.design.trial import (
     TrialVerdict,
 )
 from canhaptic.study.loop import Array
+from canhaptic.study.scenes import require_design_room
 from canhaptic.study.sweep.places import places_of
 from canhaptic.study.sweep.workers import Pool
 from canhaptic.units import Parameters
@@ -89,10 +90,7 @@ def design_wall(
         InputError: The scene cannot be designed for, or a margin or tolerance is out of range.
         CheckFailedError: Not even the softest wall passes.
     """
-    if not 0.0 <= margin <= 10.0 or not 0.0 < tolerance < 1.0:
-        raise InputError(
-            f"got margin {margin:g} and tolerance {tolerance:g}, expected 0 <= margin <= 10, 0 < tolerance < 1"
-        )
+    require_design_room(margin, tolerance)
     with ExitStack() as stack:
         trial = _trial_of(scene, tolerance, engine, stack)
         return _designed(trial, margin, tolerance, progress)
@@ -248,7 +246,7 @@ def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: flo
         "certificate": run.get("certificate"),
         "certified": {hint.certificate: hint.limit for hint in stability_hints(axis) if hint.certificate},
         "engine": trial.engine,
-        "told": trial.remark,
+        "remark": trial.remark,
         "loop": {key: value for key, value in _chosen(axis.loop).items() if key in _DEVICE},
         "hand": {"hand_force": getattr(parameters, "hand_force", 0.0), **_chosen(parameters)},
     }

@@ -24,7 +24,7 @@ from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import display_properties
 from canhaptic.study.displays.display_figures import display_figures
-from canhaptic.study.scenes import parts_of
+from canhaptic.study.scenes import parts_of, require_design_room
 from canhaptic.view.si import si
 
 _HANDS: Final = ((1.0, 1.0), (0.3, 1.0), (3.0, 1.0), (1.0, 0.3), (1.0, 3.0))
@@ -78,10 +78,7 @@ def design_displays(
         InputError: A display renders no virtual mass or has no hand, or a margin or tolerance is out of range.
         CheckFailedError: No mass passes.
     """
-    if not 0.0 <= margin <= 10.0 or not 0.0 < tolerance < 1.0:
-        raise InputError(
-            f"got margin {margin:g} and tolerance {tolerance:g}, expected 0 <= margin <= 10, 0 < tolerance < 1"
-        )
+    require_design_room(margin, tolerance)
     parts = parts_of(scene)
     trials = [_Trial(name, part, tolerance) for name, part in parts.items()]
     most, tried = len(trials) * (sum(_PLACES) + 1), 0

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.control.balance import Certificate, EnergyBalance
+from canhaptic.control.balance import RANKS, Certificate, EnergyBalance
 from canhaptic.drive.profile.force_channel import ForceChannel
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.scene.accuracy_choice import simulation_of
@@ -150,7 +150,7 @@ def _stepped(scene: Scene) -> tuple[Any, _Step]:
 
 
 def _walk(motors: list[_Motor], step: _Step, scene: Scene, cycles: int, found: DisplayRun) -> None:
-    period, ranks = scene.bus.sample_time_ns, {value: rank for rank, value in enumerate(_ranked())}
+    period = scene.bus.sample_time_ns
     under_way = deque([[0.0] * len(motors) for _ in range(scene.bus.delay)])
     held, before = [0.0] * len(motors), [0.0] * len(motors)
     for motor in motors:
@@ -170,22 +170,13 @@ def _walk(motors: list[_Motor], step: _Step, scene: Scene, cycles: int, found: D
         commands, account = step(positions, forces)
         found.held += held
         _take(motors, commands, account, found)
-        if ranks[account.certificate] > ranks[found.certificate]:
+        if RANKS[account.certificate] > RANKS[found.certificate]:
             found.certificate = account.certificate
         if found.ended or found.diverged:
             return
         before = positions
         under_way.append(commands)
         held = under_way.popleft()
-
-
-def _ranked() -> list[int]:
-    """Returns the numbers of the certificates, the weakest promise last."""
-    weakest_last = (
-        Certificate.EXACT, Certificate.VELOCITY_LOOP, Certificate.LARGEST_HAND_FORCE, Certificate.DECLARED_HAND,
-    )  # fmt: skip
-    others = [one.value for one in Certificate if one not in weakest_last and one.value != _NONE]
-    return [*(one.value for one in weakest_last), *others, _NONE]
 
 
 def _take(motors: list[_Motor], commands: list[float], account: EnergyBalance, found: DisplayRun) -> None:

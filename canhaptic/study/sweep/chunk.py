@@ -160,7 +160,7 @@ class _Chunk:
 
     def _run_group(self, rows: _Rows, batched: Sequence[str]) -> None:
         built = scene_of(self._recipe, self._row(int(rows[0])))
-        self._of_plant = built.remark if built.told else self._of_plant
+        self._of_plant = built.remark if built.from_plant else self._of_plant
         not_linear = self._closed_form(built, rows, batched) if RADIUS in self._recipe.metrics else ""
         if self._recipe.metrics == (RADIUS,):
             self._note_all(rows, 0 if not_linear else _CLOSED_FORM, _joined(not_linear, _remark_of(built)))
@@ -210,7 +210,7 @@ class _Chunk:
 
     def _varied(self, built: Built, scene: Scene, index: int, rows: _Rows, batched: Sequence[str]) -> dict[str, Array]:
         """Returns what differs inside a batch of one axis, by the names of the batch."""
-        follows = of_plant(built.told)
+        follows = of_plant(built.from_plant)
         varied: dict[str, Array] = {}
         for key in batched:
             name = batch_key(key, index, self._recipe.axes[index])

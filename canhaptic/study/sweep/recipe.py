@@ -83,7 +83,7 @@ class Built(NamedTuple):
 
     scene: Scene | None
     remark: str  # why it is refused, or what was given to an algorithm
-    told: tuple[str, ...] = ()  # loop properties taken from the plant
+    from_plant: tuple[str, ...] = ()  # loop properties taken from the plant
 
     def permitted(self) -> Scene:
         """Returns the scene.
@@ -254,7 +254,7 @@ def _under(scene: Scene, controller: str) -> Built:
     """Returns the scene with every axis under an algorithm, which takes from the plant what it cannot do without."""
     axes: list[AxisScene] = []
     remark = ""
-    told: tuple[str, ...] = ()
+    from_plant: tuple[str, ...] = ()
     if scene.groups:
         return Built(None, f"{CONTROLLER} {controller}: group {scene.groups[0].name!r} has algorithms of its own")
     for axis in scene.axes:
@@ -266,13 +266,13 @@ def _under(scene: Scene, controller: str) -> Built:
         except ParameterError as error:
             return Built(None, _first_line(error))
         axes.append(chosen.axis)
-        remark, told = chosen.remark or remark, chosen.told or told
-    return Built(replace(scene, axes=tuple(axes)), remark, told)
+        remark, from_plant = chosen.remark or remark, chosen.from_plant or from_plant
+    return Built(replace(scene, axes=tuple(axes)), remark, from_plant)
 
 
-def of_plant(told: tuple[str, ...]) -> dict[str, str]:
+def of_plant(from_plant: tuple[str, ...]) -> dict[str, str]:
     """Returns which batch key of the loop follows which of the plant, for properties that were taken from it."""
-    return {f"passivity.{key}": f"simulation.plant.{PLANT_OF[key]}" for key in told}
+    return {f"passivity.{key}": f"simulation.plant.{PLANT_OF[key]}" for key in from_plant}
 
 
 def _first_line(error: Exception) -> str:
