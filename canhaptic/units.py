@@ -328,7 +328,7 @@ PrintablePath = Annotated[Path, AfterValidator(_check_printable)]
 class Parameters(BaseModel, metaclass=_ParametersMeta):
     """Base of every parameter model: frozen, finite numbers only, unknown keys refused, defaults validated."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False, defer_build=True)
 
     @classmethod
     def validated(cls, values: Mapping[str, Any], motion: Motion | None = None) -> Self:
