@@ -12,10 +12,15 @@ import hashlib
 import os
 import pickle
 import platform
+import shutil
 import stat
 import sys
+import tempfile
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import Final, Protocol, cast
 
@@ -26,6 +31,7 @@ from llvmlite import binding
 from numba.core import caching
 
 _PRIVATE: Final = 0o700
+_UNUSED: Final = 30 * 86_400.0  # [s] after which code is deleted
 _DIGEST: Final = hashlib.sha256().digest_size
 
 
@@ -79,14 +85,9 @@ def kept_code(sources: Iterable[str]) -> Iterator[bool]:
     Args:
         sources: Everything that decides the machine code.
     """
-    folder = cache_folder()
-    if folder is None:
-        yield False
-        return
-    place = folder / code_key(sources)
-    try:
-        place.mkdir(mode=_PRIVATE, exist_ok=True)
-    except OSError:  # read-only, or no room: the code is compiled and not kept
+    place = _place_of(sources)
+    if place is None:
+        _say_that_nothing_is_kept()
         yield False
         return
     config = cast(_Config, numba.config)
@@ -97,12 +98,55 @@ def kept_code(sources: Iterable[str]) -> Iterator[bool]:
         config.CACHE_DIR = before
 
 
+def _place_of(sources: Iterable[str]) -> Path | None:
+    """Returns the folder for the code of these sources, marked as used now; None where none can be written."""
+    folder = cache_folder()
+    if folder is None:
+        return None
+    place = folder / code_key(sources)
+    try:
+        place.mkdir(mode=_PRIVATE, exist_ok=True)
+        with tempfile.TemporaryFile(dir=place):  # numba would keep the code elsewhere, by a key of its own
+            os.utime(place)
+    except OSError:
+        return None
+    _delete_unused(folder)
+    return place
+
+
+@cache
+def _delete_unused(folder: Path) -> None:
+    """Deletes what no process has used for 30 days, once in a process.
+
+    A folder gets another name first, so that no process finds half of it. One that is taken away from a process which
+    begins to use it just now is missing there, and missing code is compiled.
+    """
+    with os.scandir(folder) as entries:
+        used = {entry.path: entry.stat().st_mtime for entry in entries if entry.is_dir(follow_symlinks=False)}
+    for path, last in used.items():
+        if last < max(used.values()) - _UNUSED:  # the newest is the one that this process uses now
+            with suppress(OSError):  # another process was quicker
+                away = Path(path).rename(f"{path}.{os.getpid()}")
+                shutil.rmtree(away, ignore_errors=True)
+
+
+@cache
+def _say_that_nothing_is_kept() -> None:
+    """Says so once, in the process that the user started."""
+    if parent_process() is None:
+        text = (
+            "compiled code is not kept, and each run compiles for 1 to 10 s: the folder canhaptic/kernels in "
+            "XDG_CACHE_HOME, or in ~/.cache, cannot be written, or others can read it; make it yours alone (chmod 700)"
+        )
+        warnings.warn(text, RuntimeWarning, stacklevel=2)
+
+
 def cache_folder() -> Path | None:
     """Returns the folder of compiled kernels, made if need be; None where it is not the user's alone."""
     root = os.environ.get("XDG_CACHE_HOME", "")
-    base = Path(root) if Path(root).is_absolute() else Path.home() / ".cache"
-    folder = base / "canhaptic" / "kernels"
     try:
+        base = Path(root) if Path(root).is_absolute() else Path.home() / ".cache"
+        folder = base / "canhaptic" / "kernels"
         folder.mkdir(mode=_PRIVATE, parents=True, exist_ok=True)
         status = folder.lstat()
     except (OSError, RuntimeError):

@@ -2,8 +2,12 @@
 
 import importlib
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +15,7 @@ import pytest
 
 pytest.importorskip("numba")
 
+from canhaptic.kernels import code_cache
 from canhaptic.kernels.code_cache import cache_folder, code_key, kept_code
 from canhaptic.kernels.compiler import compiled
 
@@ -145,12 +150,75 @@ def test_no_name_of_machine_code_is_that_of_another_process(tmp_path: Path) -> N
     assert found[0].isdisjoint(found[1])
 
 
-def test_where_no_folder_can_be_made_the_code_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def first_time() -> Iterator[None]:
+    """A process that has neither said that nothing is kept nor deleted what is old."""
+    for once in (code_cache._say_that_nothing_is_kept, code_cache._delete_unused):
+        once.cache_clear()
+    yield
+    code_cache._say_that_nothing_is_kept.cache_clear()
+
+
+def test_where_no_folder_can_be_made_the_code_is_not_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first_time: None
+) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     folder = cache_folder()
     assert folder is not None
     (folder / code_key(["source"])).touch()  # a file where the folder would be
-    with kept_code(["source"]) as is_kept:
+    with pytest.warns(RuntimeWarning, match="compiled code is not kept"), kept_code(["source"]) as is_kept:
+        assert not is_kept
+    with kept_code(["source"]) as is_kept:  # said once: a warning is an error here
         assert not is_kept
     with kept_code(["another"]) as is_kept:
         assert is_kept
+
+
+def test_a_folder_that_cannot_be_written_is_no_error_and_numba_finds_no_other(first_time: None) -> None:
+    """numba would take the folder of the source file, under a key that misses kernels of other files."""
+    home = Path(tempfile.mkdtemp())
+    home.chmod(0o755)
+    child = os.fork()
+    if not child:  # as a user who may not write: the administrator may write anywhere
+        status = 1
+        with suppress(BaseException):
+            os.environ["XDG_CACHE_HOME"] = str(home / "cache")
+            home.chmod(0o777)
+            if os.getuid() == 0:
+                os.setuid(65_534)
+            with kept_code(["source"]) as is_kept:
+                status = 0 if is_kept else 2
+            folder = cache_folder()
+            assert folder is not None
+            (folder / code_key(["source"])).chmod(0o500)
+            with pytest.warns(RuntimeWarning, match="chmod 700"), kept_code(["source"]) as is_kept:
+                status += 4 if is_kept else 0
+            (folder / code_key(["source"])).chmod(0o700)
+            status += 8 * bool(importlib.import_module("numba").config.CACHE_DIR)
+            os._exit(status)
+        os._exit(16)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    shutil.rmtree(home)
+
+
+def test_what_was_not_used_for_30_days_is_deleted_once_in_a_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first_time: None
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    folder = cache_folder()
+    assert folder is not None
+    now = tmp_path.stat().st_mtime
+    days = {"old": 31, "young": 29, "left.by.a.process.that.was.killed": 400, "source": 31}
+    names = {name: code_key([name]) if name == "source" else name for name in days}
+    for name, age in days.items():
+        place = folder / names[name]
+        place.mkdir()
+        (place / "code.nbc").write_text(name)
+        os.utime(place, (now - age * 86_400.0,) * 2)
+    with kept_code(["source"]):
+        left = {path.name for path in folder.iterdir()}
+    assert left == {"young", names["source"]}
+    assert (folder / names["source"] / "code.nbc").read_text() == "source"
+    os.utime(folder / "young", (0.0, 0.0))
+    with kept_code(["source"]):
+        assert (folder / "young").exists()
