@@ -38,9 +38,9 @@ def vendor_eds() -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def _forked_writers() -> Iterator[None]:
-    """Forks the writer processes of logs, which saves their imports; see `forked_writer`."""
+    """Forks the writer processes of logs, which saves their imports; see `forked`."""
     if hasattr(os, "fork"):
-        from tests.forked_writer import fork_writer
+        from tests.forked import fork_writer
 
         WriterProcess._spawn = fork_writer  # type: ignore[assignment]
     yield

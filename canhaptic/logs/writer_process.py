@@ -125,10 +125,13 @@ class WriterProcess:
             start_new_session=True,  # Ctrl-C in the terminal is for the controller, which then closes the log
             text=True,
         )
+        self._give_job(process, restart)
+        return process
+
+    def _give_job(self, process: "subprocess.Popen[str]", restart: bool) -> None:
         if process.stdin is not None:
             process.stdin.write(json.dumps({**self._job, "restart": restart}))
             process.stdin.close()
-        return process
 
     def _await_ready(self) -> None:
         output = self._process.stdout

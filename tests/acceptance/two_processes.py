@@ -6,7 +6,6 @@ A third connection, in the test, records every frame and asks the drive.
 import os
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,9 +15,10 @@ import can
 import pytest
 
 from tests.acceptance.bus_frames import Frame, Report, reports
+from tests.forked import command
 
 HEARTBEAT_TIMEOUT = 300_000  # [us] long enough for a busy machine
-PATIENCE = 20.0  # [s] for two interpreters to start on a busy machine
+PATIENCE = 20.0  # [s] for two commands to start on a busy machine
 
 
 def private_bus() -> dict[str, Any]:
@@ -66,9 +66,7 @@ class Listener:
 @contextmanager
 def canhaptic(*words: str) -> Iterator["subprocess.Popen[str]"]:
     """The command in a process of its own, gone at the end of the block in any case."""
-    with subprocess.Popen(
-        [sys.executable, "-m", "canhaptic", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+    with command(*words) as process:
         try:
             yield process
         finally:

@@ -3,12 +3,13 @@
 import re
 import signal
 import subprocess
-import sys
+import threading
 from pathlib import Path
 
 import pytest
 
 from canhaptic.cli.stop_signal import StopSignal
+from tests.forked import command
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 IN_CONTACT = "simulation.user.rest=-0.2 m"  # the hand rests inside the wall, so that there is torque to take away
@@ -19,9 +20,7 @@ def test_a_signal_takes_the_torque_away_and_disables_the_drive(number: int, stat
     bus_log = tmp_path / "a.log"
     words = ["run", str(DEMO), "--pace", "real", "--duration", "60", "--bus-log", str(bus_log)]
     words += ["--set", IN_CONTACT, "--set", "bus.rate=200"]
-    with subprocess.Popen(
-        [sys.executable, "-m", "canhaptic", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+    with command(*words) as process:
         try:
             _wait_for_torque(process, bus_log)
             process.send_signal(number)
@@ -43,12 +42,11 @@ def test_a_signal_takes_the_torque_away_and_disables_the_drive(number: int, stat
 
 def _wait_for_torque(process: "subprocess.Popen[str]", bus_log: Path) -> None:
     """Returns when the log, which is written as the run goes on, shows a torque that is not zero."""
-    waiting = [sys.executable, "-c", "import time; time.sleep(0.1)"]
     for _ in range(150):
         if bus_log.exists() and re.search(r"201#0F00(?!0000)\w{4} ", bus_log.read_text()):
             return
         assert process.poll() is None, process.communicate()
-        subprocess.run(waiting, check=True)
+        threading.Event().wait(0.1)
     raise AssertionError("no torque in the bus log")
 
 
