@@ -79,9 +79,9 @@ def _close_all_but(*kept: int) -> None:
         begin = end + 1
 
 
-def command(*words: str) -> Forked:
+def command(*words: str, stdin: int | None = None) -> Forked:
     """Starts `canhaptic` with these words; its output and its messages go into pipes."""
-    return Forked(partial(main, list(words)), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    return Forked(partial(main, list(words)), stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
 def fork_writer(process: WriterProcess, restart: bool) -> "subprocess.Popen[str]":

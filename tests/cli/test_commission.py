@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from canhaptic.cli.main import main
+from tests.forked import command
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 DEMO = str(CONFIGS / "demo.yaml")
@@ -69,11 +70,10 @@ ANSWERS = {
 def commissioned_at_a_terminal(answers: dict[str, str], typed_ahead: str = "") -> tuple[int, dict[str, str], str]:
     """Exit status, verdict by item, and what was said, of a person who answers each question when it is asked."""
     person, terminal = pty.openpty()
-    words = [sys.executable, "-m", "canhaptic", "commission", DEMO, "--duration", "0.1", "--json"]
     said = ""
     try:
         os.write(person, typed_ahead.encode())
-        with subprocess.Popen(words, stdin=terminal, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        with command("commission", DEMO, "--duration", "0.1", "--json", stdin=terminal) as process:
             assert process.stderr is not None
             assert process.stdout is not None
             waiting = dict(answers)

@@ -14,6 +14,7 @@ from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.view import live_log
 from canhaptic.view.live_log import LiveLog
+from tests.forked import command
 from tests.view.chromium import chromium
 from tests.view.synthetic_run import PORTS, append, write_run, write_troubled_run
 
@@ -90,9 +91,7 @@ def test_the_scope_wants_to_know_its_log(tmp_path: Path, capsys: pytest.CaptureF
 
 @contextlib.contextmanager
 def scope(log: Path, number: signal.Signals = signal.SIGINT) -> Iterator[str]:
-    words = [sys.executable, "-m", "canhaptic", "scope", str(log), "--port", "0", "--window", "3"]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(words, stdout=pipe, stderr=pipe, text=True, cwd=DEMO.parents[1]) as process:
+    with command("scope", str(log), "--port", "0", "--window", "3") as process:
         assert process.stdout is not None
         try:
             line = process.stdout.readline()
