@@ -29,10 +29,10 @@ def test_json_is_one_object_and_page_picture_and_tables_are_written(capsys: Capt
     pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
     files = {kind: tmp_path / f"a.{kind}" for kind in ("png", "html", "markdown")}
     words = [word for kind, path in files.items() for word in (f"--{kind}", str(path))]
-    words += ["--duration", "0.03 s", "--budget", "0.02", "--tolerance", "1 um", "--json"]
+    words += ["--duration", "0.01 s", "--budget", "0.001", "--tolerance", "1 um", "--json"]
     assert main(["accuracy", SCENE, *words]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert (result["status"], result["holds"], result["tolerance"]) == ("completed", 15, 1e-6)
+    assert (result["status"], result["holds"], result["tolerance"]) == ("completed", 5, 1e-6)
     assert result["workload"]["seconds"] > 0.0
     assert result["advice"]["chosen"]["position_error"] <= 1e-6
     assert all(row["control_thread_us"] > row["controller_us"] > 0.0 for row in result["loop"])
@@ -84,7 +84,7 @@ def test_a_rate_beyond_the_bus_is_studied_where_it_is_asked_for(capsys: Captured
 )
 def test_an_effect_that_did_nothing_is_worth_nothing(capsys: Captured, effect: str, idle: bool) -> None:
     demo = str(REPOSITORY / "configs" / "demo.yaml")
-    words = ["--duration", "0.05 s", "--budget", "0", "--set", f"simulation.effects=[{effect}]"]
+    words = ["--duration", "0.02 s", "--budget", "0", "--set", f"simulation.effects=[{effect}]"]
     assert main(["accuracy", demo, *words, "--json"]) == 0
     [row] = json.loads(capsys.readouterr().out)["advice"]["effects"]
     assert (row["position_error"] == 0.0) is idle
@@ -94,7 +94,7 @@ def test_an_effect_that_did_nothing_is_worth_nothing(capsys: Captured, effect: s
 
 def test_a_time_in_which_nothing_is_felt_is_no_comparison_and_nothing_is_cut_off(capsys: Captured) -> None:
     demo = str(REPOSITORY / "configs" / "demo.yaml")
-    assert main(["accuracy", demo, "--duration", "0.1 s", "--budget", "0"]) == 0
+    assert main(["accuracy", demo, "--duration", "0.02 s", "--budget", "0"]) == 0
     printed = capsys.readouterr().out
     assert "nothing is felt, and nothing was compared; take a longer --duration" in printed
     assert "nearer:" not in printed
@@ -126,7 +126,7 @@ def test_a_bad_tolerance_ends_with_2(capsys: Captured) -> None:
 @pytest.fixture(scope="module")
 def whole() -> dict[str, Any]:
     """A study that nothing stopped."""
-    return AccuracyStudy(load_scene(SCENE), duration=0.04, budget=0.0).run()
+    return AccuracyStudy(load_scene(SCENE), duration=0.01, budget=0.0).run()
 
 
 @pytest.mark.slow_for("40", "10")
@@ -138,7 +138,7 @@ def test_a_study_that_is_stopped_keeps_what_it_measured(calls: int, whole: dict[
         asked.append(None)
         return len(asked) > calls
 
-    result = AccuracyStudy(load_scene(SCENE), duration=0.04, budget=0.0, stop=stop).run()
+    result = AccuracyStudy(load_scene(SCENE), duration=0.01, budget=0.0, stop=stop).run()
     assert result["status"] == "stopped"
     assert whole["status"] == "completed"
     kept, every = (  # which rows are on the Pareto front depends on all of them
@@ -201,7 +201,7 @@ def test_axes_that_are_not_their_own_have_no_accuracy_chosen(capsys: Captured, c
 )
 def test_a_group_is_studied_as_an_axis_is(capsys: Captured, config: str, name: str, words: str) -> None:
     path = str(REPOSITORY / "configs" / f"{config}.yaml")
-    assert main(["accuracy", path, "--budget", "0", "--duration", "0.03 s", "--json"]) == 0
+    assert main(["accuracy", path, "--budget", "0", "--duration", "0.02 s", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert (result["axis"], result["is_group"], result["status"]) == (name, True, "completed")
     assert re.fullmatch(words, result["advice"]["chosen"]["setting"])

@@ -14,7 +14,6 @@ from canhaptic.scene.load import load_scene
 REPOSITORY = Path(__file__).resolve().parents[2]
 OURS = REPOSITORY / "eds" / "cia402_servo.eds"
 TRAITS = REPOSITORY / "tests" / "sim_drive" / "eds"
-FITTING = ("elmo_gold.dcf", "kollmorgen_rgm.eds", "maxon_epos4.dcf", "zeroerr_erob.eds")
 UNFIT = {
     "elmo_simpliq.dcf": ["0x6502 supported drive modes: got 0x006d, expected bit 9"],
     "maxon_epos2.eds": ["0x6071 target torque: missing", "map: drive:"],
@@ -72,12 +71,6 @@ def test_the_loads_are_those_of_the_arithmetic_by_hand(capsys: Captured) -> None
     assert (loads[1000.0]["axes"], loads[100.0]["axes"]) == (2, 16)
 
 
-@pytest.mark.parametrize("name", FITTING)
-def test_vendor_drives_with_cyclic_torque_can_serve(name: str, vendor_eds: Path, capsys: Captured) -> None:
-    status, answer = checked(vendor_eds / name, capsys)
-    assert (status, answer["verdict"], answer["reasons"]) == (0, "fit with conditions", [])
-
-
 @pytest.mark.parametrize("name", UNFIT)
 def test_vendor_drives_without_cyclic_torque_cannot(name: str, vendor_eds: Path, capsys: Captured) -> None:
     status, answer = checked(vendor_eds / name, capsys)
@@ -99,7 +92,8 @@ def test_vendor_drives_without_cyclic_torque_cannot(name: str, vendor_eds: Path,
 def test_conditions_are_what_the_dictionary_leaves_open(
     name: str, conditions: list[str], vendor_eds: Path, capsys: Captured
 ) -> None:
-    _, answer = checked(vendor_eds / name, capsys)
+    status, answer = checked(vendor_eds / name, capsys)
+    assert (status, answer["verdict"], answer["reasons"]) == (0, "fit with conditions", [])
     assert [line.split(" ")[0] for line in answer["conditions"]] == conditions
 
 
@@ -167,16 +161,6 @@ def check_and_run(path: Path, folder: Path, capsys: Captured) -> dict[str, Any]:
     assert main(["run", str(simulated), "--duration", "1.4", "--json"]) == 0
     result: dict[str, Any] = json.loads(capsys.readouterr().out)
     return result
-
-
-@pytest.mark.slow_for("zeroerr*", "kollmorgen*")
-@pytest.mark.parametrize("name", FITTING)
-def test_a_started_configuration_is_accepted_and_runs_for_every_vendor(
-    name: str, vendor_eds: Path, tmp_path: Path, capsys: Captured
-) -> None:
-    result = check_and_run(vendor_eds / name, tmp_path, capsys)
-    assert result["status"] == "completed"
-    assert result["ports"]["axis1"]["in"] > 1e-5
 
 
 @pytest.mark.slow_for("cia402_servo")

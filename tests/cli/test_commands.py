@@ -12,7 +12,7 @@ import pytest
 
 from canhaptic.cli import drive as drive_command
 from canhaptic.cli.arguments import seconds
-from canhaptic.cli.main import _COMMANDS, main
+from canhaptic.cli.main import main
 from canhaptic.cli.progress import RunProgress
 from canhaptic.cycle import run
 from canhaptic.logs.energy_reader import EnergyLog
@@ -29,19 +29,6 @@ Captured = pytest.CaptureFixture[str]
 
 
 # --- main ---------------------------------------------------------------------------------------------------------
-
-
-def test_only_the_module_of_the_subcommand_is_imported() -> None:
-    program = (
-        "import sys, contextlib\n"
-        "from canhaptic.cli.main import main\n"
-        "with contextlib.suppress(SystemExit): main(['--help'])\n"
-        "heavy = ('can', 'h5py', 'matplotlib', 'rich', 'canhaptic.scene', 'canhaptic.sim')\n"
-        "print(sorted(set(heavy) & set(sys.modules)))\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"
-    assert all(name in done.stdout for name in _COMMANDS)
 
 
 def test_nothing_unknown_is_accepted(capsys: Captured) -> None:
@@ -68,42 +55,17 @@ def test_run_prints_the_energy_account(capsys: Captured) -> None:
 
 def test_run_json_is_one_object_with_the_names_of_the_design(capsys: Captured, tmp_path: Path) -> None:
     log = tmp_path / "a.h5"
-    assert main(["run", DEMO, "--duration", "1.9", "--json", "--log", str(log)]) == 0
+    assert main(["run", DEMO, "--duration", "0.5", "--json", "--log", str(log), "--set", "environment.side=above"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert {"status", "config_hash", "cycles", "ports", "truth", "timing", "link", "method"} <= result.keys()
-    assert (result["status"], result["cycles"]) == ("completed", 1900)
+    assert (result["status"], result["cycles"]) == ("completed", 500)
     port = result["ports"]["handle"]
     names = "in out stored dissipated surplus recovered leaked deficit margin least_interaction certificate branches"
     assert set(names.split()) | {"damping_rendered"} <= port.keys()
     assert port["in"] > 1e-3
     with EnergyLog.open(log) as opened:
-        assert opened.rows == 1900
+        assert opened.rows == 500
         assert sum(h for h in opened.ports["handle"]["h_i"] if h > 0) == pytest.approx(port["in"], rel=1e-12)
-
-
-@pytest.mark.parametrize("name", ["elmo_gold.dcf", "kollmorgen_rgm.eds", "maxon_epos4.dcf", "zeroerr_erob.eds"])
-def test_the_demo_runs_on_every_cyclic_torque_dictionary(name: str, vendor_eds: Path, capsys: Captured) -> None:
-    words = ["--set", f"axes.0.eds={vendor_eds / name}", "--set", "environment.side=above"]
-    assert main(["run", DEMO, "--duration", "0.5", "--json", *words]) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert result["ports"]["handle"]["in"] > 1e-3
-    assert result["truth"]["handle"]["believed_error"] < 1e-3 * result["ports"]["handle"]["in"]
-
-
-@pytest.mark.parametrize("name", ["elmo_simpliq.dcf", "maxon_epos2.eds", "schunk_prl.dcf"])
-def test_the_demo_refuses_every_dictionary_without_cyclic_torque(name: str, vendor_eds: Path, capsys: Captured) -> None:
-    assert main(["run", DEMO, "--set", f"axes.0.eds={vendor_eds / name}"]) == 2
-    err = capsys.readouterr().err
-    assert "0x6071 target torque: missing" in err or "expected bit 9 (cyclic synchronous torque) set" in err
-
-
-def test_two_runs_in_lock_step_give_the_same_bus_log(tmp_path: Path) -> None:
-    logs = [tmp_path / f"{name}.log" for name in "ab"]
-    for log in logs:
-        assert main(["run", *SHORT, "--pace", "free", "--bus-log", str(log)]) == 0
-    first, second = (log.read_bytes() for log in logs)
-    assert first == second
-    assert first.count(b"080#") >= 200
 
 
 def test_the_scene_names_its_logs_and_options_win(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,17 +84,13 @@ def test_a_picture_needs_no_log(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "status", "expected"),
     [
-        (["--set", "axes.0.nodeid=3"], 2, "unknown key; did you mean 'node_id'?"),
-        (["--set", "bus.bitrate=125000"], 2, "the cycle does not fit the bus"),
         (["--set", "bus.interface=telepathy", "--set", "bus.channel=x"], 2, "got 'telepathy', expected one of"),
         (["--log", "/nonexistent/a.h5"], 2, "/nonexistent/a.h5"),
         (["--bus-log", "/nonexistent/a.log"], 2, "/nonexistent/a.log"),
         (["--png", "/nonexistent/a.png"], 2, "no such folder /nonexistent"),
         (["--png", "a.nonsense"], 2, "expected a name that ends in .png, .svg or .pdf"),
         (["--pace", "free", "--set", "simulation=null", "--set", "bus.channel=x"], 2, "needs drives simulated"),
-        (["--set", "simulation=null", "--set", "bus.channel=nobody"], 3, "handle"),
         (["--set", "simulation.drive.objects.0x6502=0"], 3, "0x6502"),
-        (["--set", "simulation.drive.objects.0x1000=0x00020191"], 3, "0x1000"),
     ],
 )
 def test_a_failure_is_one_clear_message_and_its_exit_status(
@@ -223,13 +181,6 @@ def test_check_json_is_one_object(capsys: Captured) -> None:
     assert answer["config"]["axes"]["handle"]["environment"]["stiffness"] == 500.0
     assert [hint["exceeded"] for hint in answer["stability"]][:2] == [True, True]
     assert {finding["verdict"] for finding in answer["drives"]["handle"]} == {"fit"}
-
-
-def test_check_lists_everything_that_an_unfit_drive_lacks(capsys: Captured, vendor_eds: Path) -> None:
-    assert main(["check", DEMO, "--set", f"axes.0.eds={vendor_eds / 'schunk_prl.dcf'}"]) == 2
-    err = capsys.readouterr().err
-    assert "0x6071 target torque: missing" in err
-    assert "0x6502 supported drive modes: got 0x0043" in err
 
 
 def test_check_needs_no_bus(capsys: Captured) -> None:

@@ -59,7 +59,7 @@ def assert_whole(calls: list[Any]) -> None:
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("logs")
-    words = ["--log", str(folder / "run.h5"), "--bus-log", str(folder / "run.log"), "--duration", "3"]
+    words = ["--log", str(folder / "run.h5"), "--bus-log", str(folder / "run.log"), "--duration", "0.6"]
     assert main(["run", str(CONFIGS / "demo.yaml"), "--set", f"axes.0.name={LONG}", *words, "--json"]) == 0
     return folder / "run.h5"
 

@@ -15,6 +15,7 @@ DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 IN_CONTACT = "simulation.user.rest=-0.2 m"  # the hand rests inside the wall, so that there is torque to take away
 
 
+@pytest.mark.slow_for("15-143")
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_takes_the_torque_away_and_disables_the_drive(number: int, status: int, tmp_path: Path) -> None:
     bus_log = tmp_path / "a.log"

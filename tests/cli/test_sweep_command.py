@@ -47,7 +47,7 @@ def test_the_table_says_engine_and_reason(capsys: Captured) -> None:
         (["--resume"], "name it with --out"),
         (["--out", "/no/such/folder/a.h5"], "/no/such/folder/a.h5"),
         (["--metrics", "beauty"], "unknown metric"),
-        (["--dask", "nonsense://"], "--dask nonsense://"),
+        pytest.param(["--dask", "nonsense://"], "--dask nonsense://", marks=pytest.mark.slow),  # imports Dask
     ],
 )
 def test_bad_input_ends_with_2_and_one_clear_error(capsys: Captured, arguments: list[str], message: str) -> None:

@@ -66,16 +66,6 @@ def test_nothing_is_written_to_a_node_that_is_no_cia_402_drive(tmp_path: Path) -
     assert not [frame for frame in frames[answer + 1 :] if frame.split("#")[0] in {"000", "080", "201", "301", "601"}]
 
 
-@pytest.mark.parametrize("port", ["80000", "-1", "x"])
-def test_a_port_that_does_not_exist_is_refused(port: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["scope", "run.h5", "--port", port])
-    assert ended.value.code == 2
-    shown = capsys.readouterr().err
-    assert "--port: " in shown
-    assert port == "-1" or "expected a whole number from 0 to 65535" in shown
-
-
 HIDDEN = """
 import builtins, sys
 real = builtins.__import__

@@ -2,7 +2,6 @@
 
 import json
 import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -75,9 +74,9 @@ def test_an_own_wall_renders_from_the_command_line(folder: Path, capsys: pytest.
 def test_from_python_it_runs_with_permission_alone(folder: Path) -> None:
     values = {"type": "my_wall.py:CenteringSpring", "stiffness": 300.0, "damping": 1.0}
     with pytest.raises(SceneError, match="--allow-code"):
-        canhaptic.simulate(folder / "scene.yaml", {"environment": values}, duration=0.5)
+        canhaptic.simulate(folder / "scene.yaml", {"environment": values}, duration=0.05)
     assert not ran(folder)
-    result = canhaptic.simulate(folder / "scene.yaml", {"environment": values}, duration=0.5, allow_code=True)
+    result = canhaptic.simulate(folder / "scene.yaml", {"environment": values}, duration=0.05, allow_code=True)
     assert result.account.passive == "yes"
     assert list(result.scene.own_code) == ["my_wall.py"]
 
@@ -146,13 +145,10 @@ def test_a_log_names_the_code_and_another_code_is_not_its_scene(folder: Path, tm
 
 
 def test_its_folder_is_no_place_to_import_from(folder: Path) -> None:
-    code = (
-        "import sys\nfrom canhaptic import load_scene\n"
-        f"load_scene({str(folder / 'scene.yaml')!r}, [{ENVIRONMENT!r}], allow_code=True)\n"
-        f"print({str(folder)!r} in sys.path, 'my_wall' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
-    assert done.stdout.split() == ["False", "False"]
+    load_scene(folder / "scene.yaml", [ENVIRONMENT], allow_code=True)
+    assert ran(folder)
+    assert str(folder) not in sys.path
+    assert "my_wall" not in sys.modules
 
 
 HAND = """
@@ -309,7 +305,7 @@ def test_an_installed_plug_in_is_named_by_its_entry_point(folder: Path, plug_in:
     assert not ran(plug_in)
     scene = load_scene(path, environment)
     assert list(scene.own_code) == ["bumpy (bumpy-walls 1.2)"]
-    assert canhaptic.simulate(scene, duration=0.2).account.passive == "yes"
+    canhaptic.build(scene).close()
     with pytest.raises(SceneError, match=r"bumpy-walls 1\.2 cannot be used"):
         load_scene(path, ["environment={type: lost}"])
     with pytest.raises(SceneError, match="expected one of"):
