@@ -13,7 +13,7 @@ from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.view import html_report
 from canhaptic.view.live_log import LiveLog
-from canhaptic.view.run_picture import draw_energy
+from canhaptic.view.run_picture import energy_figure
 from canhaptic.view.series import PortSeries
 from canhaptic.view.task_plane import task_plane
 
@@ -76,14 +76,12 @@ def test_a_look_at_a_growing_log_knows_groups(path: Path) -> None:
     assert news.fresh_share == 1.0
 
 
-def test_the_picture_has_one_column_for_the_group(path: Path, tmp_path: Path) -> None:
+def test_the_picture_has_one_column_for_the_group(path: Path) -> None:
     with EnergyLog.open(path) as log:
-        draw_energy(log, tmp_path / "run.svg")
-    text = (tmp_path / "run.svg").read_text()
-    assert text.count("<!-- stage: position -->") == 1
-    assert "<!-- x -->" in text
-    assert "<!-- y -->" in text
-    assert "x: position" not in text
+        panels = energy_figure(log).axes
+    assert [panel.get_title(loc="left") for panel in panels[:3]] == ["stage: path", "stage: position", "force"]
+    assert [line.get_label() for line in panels[1].lines] == ["x", "y"]
+    assert {panel.get_subplotspec().colspan.start for panel in panels} == {0}
 
 
 @pytest.fixture(scope="module")
@@ -120,6 +118,7 @@ def test_the_page_shows_path_and_room(path: Path, page: Any) -> None:
     assert panel.frame_width / panel.frame_height == pytest.approx(width / height, rel=0.01)  # to the same scale
 
 
+@pytest.mark.slow
 def test_a_coupling_without_a_surface_has_no_path(tmp_path: Path) -> None:
     with build(load_scene(CONFIG.with_name("two_handles.yaml")), "free", tmp_path / "run.h5") as experiment:
         run(experiment.cycle, 20)
