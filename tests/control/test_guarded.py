@@ -77,7 +77,7 @@ def test_no_user_within_the_hand_force_takes_out_more_than_came_in(user, delay):
 def test_encoder_torque_quantum_and_lost_frames_do_not_make_it_active(share, delay, count, quantum):
     for seed, user in enumerate(USERS):
         for wall, rate in (((1e3, 5.0), 1000), ((1e4, 0.0), 400)):
-            truth = trial(wall, rate, delay, user, seed, cycles=400, count=count, quantum=quantum, share=share)
+            truth = trial(wall, rate, delay, user, seed, cycles=200, count=count, quantum=quantum, share=share)
             assert truth.least >= -ROUNDING
             if not share:
                 assert truth.believed_error <= truth.error_bound + ROUNDING

@@ -75,7 +75,7 @@ def dragged(delay: int, losses: int, seed: int) -> tuple[float, float]:
     return least, strongest
 
 
-@pytest.mark.slow_for("1-2", "2-1")
+@pytest.mark.slow_but("2-2")
 @pytest.mark.parametrize("losses", [1, 2])
 @pytest.mark.parametrize("delay", [1, 2])
 def test_a_reversal_in_a_lost_sample_is_booked_where_damping_alone_is_known(delay: int, losses: int) -> None:

@@ -58,7 +58,7 @@ HOLES = {
 }  # fmt: skip
 
 
-@pytest.mark.slow_for("a lag of three holds", "current loop, one sample late", "current loop", "late torque")
+@pytest.mark.slow_but("all together")
 @pytest.mark.parametrize("hole", HOLES)
 def test_what_is_declared_of_the_holds_is_certified(hole: str) -> None:
     how, declared, sample_time, delay, wall = HOLES[hole]

@@ -49,7 +49,7 @@ def presses(depth=-2e-3, steps=40, count=1):
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("algorithm", LITERATURE)
 def test_it_promises_nothing_and_books_what_the_plant_took(algorithm, delay):
-    run = render(scalar_case("spring_damper_wall", algorithm, delay=delay), 3000)
+    run = render(scalar_case("spring_damper_wall", algorithm, delay=delay), 1500)
     assert not run.ended
     assert abs(run.believed_error) <= 1e-9 * max(1.0, float(np.abs(run.interaction).max()))
     _, _, balances = rendered(algorithm, presses(), delay=delay)

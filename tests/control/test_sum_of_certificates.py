@@ -133,7 +133,7 @@ def test_no_hand_at_any_speed_takes_more_than_came_in_and_the_device_dissipates(
         sample_time=T, delay=delay, moving_mass=MASS, device_damping=damping or None, device_friction=friction or None,
         device_friction_bound=friction, encoder_count=count,
     )  # fmt: skip
-    for seed in range(12):
+    for seed in range(6):
         draw = random.Random(seed)
         one = Guarded(
             SpringDamperWall(stiffness=2500.0, damping=draw.choice([0.0, 5.0])),

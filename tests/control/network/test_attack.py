@@ -91,7 +91,7 @@ def search(kind, runs, cycles=150):
 )
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_attack_within_the_promise_takes_energy_out(kind):
-    least, rendered = search(kind, 10, 100)
+    least, rendered = search(kind, 6, 100)
     assert least >= -1e-9
     assert rendered >= 2
 

@@ -123,7 +123,7 @@ def held(torques):
 def test_what_lost_samples_leave_in_doubt_covers_every_motion(friction, pull, largest):
     """Booked with the last torque, the energy is too high by no more than the bound; and it comes close to that."""
     random_of, closest = random.Random(8), -math.inf
-    for _ in range(4000):
+    for _ in range(1500):
         holds = random_of.choice((2, 2, 3, 5))
         gap, torques, moved = gap_of(random_of, holds, pull, friction, largest)
         too_much = sum((f - torques[-1]) * d for f, d in zip(torques[1:], moved[1:], strict=True))
@@ -138,7 +138,7 @@ def test_what_lost_samples_leave_in_doubt_covers_every_motion(friction, pull, la
 def test_what_lost_samples_leave_in_doubt_for_every_hand_is_what_the_devices_dissipate_less():
     random_of, closest, damping = random.Random(9), -math.inf, 700.0
     loop = LoopProperties(sample_time=T, device_damping=damping * T)
-    for _ in range(3000):
+    for _ in range(1200):
         holds = random_of.choice((2, 3))
         torques = [random_of.uniform(-3.0, 3.0) for _ in range(holds)]
         more = [f - torques[-1] for f in torques]

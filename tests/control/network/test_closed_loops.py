@@ -195,7 +195,7 @@ ENVIRONMENTS = {
 }
 
 
-@pytest.mark.slow_for("0.0-[bmp]*-1", "*-0")
+@pytest.mark.slow_for("0.0-[bmph]*-1", "*-0")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("environment", ENVIRONMENTS)
 @pytest.mark.parametrize("hand_force", [0.0, 8.0])
