@@ -115,9 +115,7 @@ def known_energy(
     settings: _EnergyBoundingSettings, state: _EnergyBoundingState, hold: Hold, torque_applied: float
 ) -> float:
     """Takes the hold that ended and returns E_n less what the counts of the encoder hide [J]."""
-    axis, count = state.axis, settings.count
-    periods = hold.elapsed / settings.hold.sample_time + (axis.lasted - 1.0)
-    axis.lasted = 1.0
+    count, periods = settings.count, hold.elapsed / settings.hold.sample_time
     moved = max(0.0, abs(hold.displacement) - count)
     booked = add(state.energy, hold.h_i + settings.device_damping * (moved * moved) / (periods * settings.longest))
     state.changes += abs(torque_applied - state.torque)

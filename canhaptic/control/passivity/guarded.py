@@ -54,7 +54,7 @@ def step(
     state.zone = zone
     if not axis.started:
         return start(environment, settings, state, memory, position)
-    holds, same = axis.missed + 1, zone == zone_before
+    holds, same = axis.missed + axis.lasted, zone == zone_before
     displacement, damper, modulated, unsure = end(settings, state, memory, position, torque_applied)
     true = environment.true_state(position, displacement, state.true if same else 0.0) if zone else 0.0
     if not same and zone:
@@ -64,7 +64,7 @@ def step(
     h_r, deficit, leak, paid = book(settings, state, memory, h_i, h_pas, damper * displacement, ceiling)
     if zone:
         if environment.relaxes:
-            true, ceiling, lost = relax(environment, settings, state, true, ceiling)
+            true, ceiling, lost = relax(environment, settings, state, true, ceiling, holds)
             h_r += lost
         spring, moved = environment.effort(true), displacement / holds
         travel, inside = (true - state.true) / holds, moved
@@ -107,7 +107,7 @@ def way_out(environment: Environment, true: float) -> float:
 
 
 def motion_inside(
-    environment: Environment, settings: GuardedSettings, axis: Axis, travel: float, displacement: float, holds: int,
+    environment: Environment, settings: GuardedSettings, axis: Axis, travel: float, displacement: float, holds: float,
     true: float, same: bool,
 ) -> tuple[float, float]:  # fmt: skip
     """Returns the motion of storage and damper in a hold [m or rad], the smooth one where an encoder is coarse.

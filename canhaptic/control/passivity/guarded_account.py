@@ -68,11 +68,12 @@ def end(
     if axis.lasted > 1.0:
         shorten(declared, bound, axis.lasted)
         observe_mean(state.motion, displacement / axis.lasted)
+        restart_at_mean(settings, axis, memory.axis, displacement / axis.lasted)
         axis.lasted = 1.0
     else:
         observe(settings.prediction, state.motion, displacement, torque_applied)
-    if count:
-        update(axis.window, memory.axis.samples, count, settings.sample_time, position)
+        if count:
+            update(axis.window, memory.axis.samples, count, settings.sample_time, position)
     if commands.torques[oldest] == torque_applied:
         return displacement, commands.dampers[oldest], commands.modulated[oldest], unsure
     damper, modulated = efforts_inside(commands, oldest, torque_applied)
@@ -92,10 +93,15 @@ def end_several(
     axis.missed = 0
     observe_mean(state.motion, displacement / holds)
     state.bound.first = axis.oldest - settings.declared.delay
-    if settings.longest_window:
-        restart(axis.window, memory.axis.samples, axis.position)
-        axis.window.velocity = displacement / (holds * settings.sample_time)
+    restart_at_mean(settings, axis, memory.axis, displacement / holds)
     return end_gap(settings.declared, state.bound, displacement, torque_applied, holds, largest, apart)
+
+
+def restart_at_mean(settings: GuardedSettings, axis: Axis, memory: AxisMemory, moved: float) -> None:
+    """Begins the velocity's window anew where holds ended in which the axis moved so far on average [m or rad]."""
+    if settings.longest_window:
+        restart(axis.window, memory.samples, axis.position)
+        axis.window.velocity = moved / settings.sample_time
 
 
 def book(
@@ -135,10 +141,10 @@ def book(
 
 
 def relax(
-    environment: Environment, settings: GuardedSettings, state: GuardedState, true: float, ceiling: float
+    environment: Environment, settings: GuardedSettings, state: GuardedState, true: float, ceiling: float, holds: float
 ) -> tuple[float, float, float]:
-    """Returns (state, energy there, energy dissipated) after one hold of internal relaxation [m or rad, J, J]."""
-    relaxed = environment.relaxed(true, settings.sample_time)
+    """Returns (state, energy there, energy dissipated) after internal relaxation for some holds [m or rad, J, J]."""
+    relaxed = environment.relaxed(true, holds * settings.sample_time)
     left = environment.stored_energy(relaxed)
     lost = min(state.h_s, max(0.0, ceiling - left))
     state.h_s -= lost

@@ -51,7 +51,7 @@ class Hold(NamedTuple):
     damper: float  # effort of the model's damper [N or N*m]
     h_i: float  # [J]
     h_pas: float  # [J]
-    elapsed: float  # [s]; more than one sample time where positions were lost
+    elapsed: float  # [s]; more than one sample time where positions were lost or SYNCs skipped
     velocity: float  # measured: of this hold, or from the window [m/s or rad/s]
 
 
@@ -102,7 +102,7 @@ def hold_memory(settings: _WithHold, make_buffer: MakeBuffer) -> AxisMemory:
 
 def begin(axis: Axis, memory: AxisMemory, position: float) -> None:
     """Takes the first position [m or rad]."""
-    axis.started, axis.position, axis.missed, axis.h_dis = True, position, 0, 0.0
+    axis.started, axis.position, axis.missed, axis.lasted, axis.h_dis = True, position, 0, 1.0, 0.0
     if len(memory.samples) > 0:
         restart(axis.window, memory.samples, position)
 
@@ -117,21 +117,19 @@ def open_hold(settings: HoldSettings, axis: Axis, memory: AxisMemory, position: 
         position: At the end of the hold [m or rad].
         torque_applied: In the hold [N or N*m].
     """
-    displacement, elapsed = position - axis.position, settings.sample_time
-    h_i = -torque_applied * displacement  # `interaction_energy`
-    missed = axis.missed
-    if missed:
-        elapsed *= missed + 1
+    displacement, holds = position - axis.position, axis.missed + axis.lasted
+    h_i, elapsed = -torque_applied * displacement, settings.sample_time * holds  # `interaction_energy`
+    if axis.missed:
         h_i -= let_samples_pass(axis, memory.commands, displacement, torque_applied, settings.torque_limit)
     damper, modulated = efforts_inside(memory.commands, axis.oldest, torque_applied)
     velocity = displacement / elapsed
     if settings.tolerance:
-        if missed:
+        if holds > 1.0:
             restart(axis.window, memory.samples, position)
         else:
             update(axis.window, memory.samples, settings.tolerance, elapsed, position)
             velocity = axis.window.velocity
-    axis.position, axis.moved = position, displacement
+    axis.position, axis.moved, axis.lasted = position, displacement, 1.0
     return new(Hold, (displacement, damper, h_i, modulated * displacement, elapsed, velocity))
 
 
@@ -141,7 +139,7 @@ def let_samples_pass(
     """Lets the samples pass that were lost; returns the largest error of torque applied times displacement [J].
 
     Inside the holds the axis may have gone out and back, so that the excursion is not the displacement; it is taken as
-    that and the motion before, for every hold lost.
+    that and the motion before, for every hold lost. Any torque of the gap may have acted while SYNCs were skipped.
 
     Args:
         axis: Of which no sample is missing afterwards.
@@ -150,13 +148,15 @@ def let_samples_pass(
         torque_applied: In the last of them [N or N*m].
         torque_limit: Largest torque that limiter and drive let act [N or N*m].
     """
-    differences = 0.0
+    differences = largest = 0.0
     for _ in range(axis.missed):
-        differences += abs(as_far_as_limit(commands.torques[axis.oldest], torque_limit) - torque_applied)
+        difference = abs(as_far_as_limit(commands.torques[axis.oldest], torque_limit) - torque_applied)
+        differences, largest = differences + difference, max(largest, difference)
         axis.oldest = repeat(commands, axis.oldest)
-    excursion = abs(displacement) + axis.missed * abs(axis.moved)
+    skipped = axis.lasted - 1.0
+    excursion = abs(displacement) + (axis.missed + skipped) * abs(axis.moved)
     axis.missed = 0
-    return differences * excursion
+    return (differences + skipped * largest) * excursion
 
 
 def close_hold(

@@ -63,8 +63,8 @@ class SteppedController:
         return self._last.torque
 
     def lasted(self, periods: float) -> None:
-        """Says that the hold that the next `step` ends lasted so many sample times, SYNCs having been skipped."""
-        self._axis.lasted = periods
+        """Says that a hold that the next `step` ends lasted so many sample times, SYNCs having been skipped."""
+        self._axis.lasted += periods - 1.0
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
         """Accounts for the hold that ended; see `Controller.step`."""
