@@ -2,6 +2,8 @@
 
 import importlib
 import random
+from collections import deque
+from typing import Any
 
 import numpy as np
 import pytest
@@ -157,6 +159,22 @@ def test_a_full_tank_renders_the_wall_and_an_empty_one_only_its_constant_part():
         given = energy_tank.EnergyTankParameters(constant_stiffness=1000.0, initial_energy=energy, most_energy=20.0)
         _, torques, _ = rendered("energy_tank", inside, given)
         assert torques[-1] == pytest.approx(share * 5000.0 * 0.4e-3)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2])
+def test_over_lost_samples_a_tank_holds_what_came_in(delay):
+    """Of a variable spring alone: every torque is out of the tank, the ones repeated too."""
+    rng, sent, position = random.Random(delay), deque([0.0] * (delay + 1)), 1e-3
+    made: Any = build_controller(WALL, "energy_tank", None, LOOP.model_copy(update={"delay": delay}))
+    known = 0.0
+    for _ in range(300):
+        position = min(1e-3, max(-2e-3, position + rng.uniform(-2e-4, 2e-4)))
+        applied = sent.popleft()
+        balance = made.hold() if rng.random() < 0.2 else made.step(position, applied)
+        sent.append(balance.torque)
+        known += balance.h_i
+        assert made._state.brought == pytest.approx(known, abs=1e-12)
+    assert known != 0.0
 
 
 def test_the_switch_of_ultimate_passivity_has_hysteresis():

@@ -109,10 +109,12 @@ def step(
     if not axis.started:
         begin_model(environment, axis, model, memory.axis, position)
         return AT_REST
-    missed = axis.missed
+    missed, parts, oldest = axis.missed, memory.parts, axis.oldest
+    for behind in range(min(missed, len(parts))):  # the drive repeats the newest command
+        parts[oldest + behind - len(parts)] = parts[oldest - 1]
     hold = open_hold(settings.hold, axis, memory.axis, position, torque_applied)
     place = axis.oldest
-    part = 1.0 if missed else memory.parts[place]  # which command acted is then not known
+    part = 1.0 if missed else parts[place]  # which command acted is then not known
     fill(settings, state, hold, part)
     branch, h_r, contact, spring, damper = follow(environment, model, position, hold)
     variable = spring - constant_force(settings.constant_stiffness, model.true, spring)
