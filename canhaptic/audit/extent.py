@@ -37,7 +37,11 @@ def rows_to_draw(log: EnergyLog, start: float | None, stop: float | None) -> sli
 
 
 def contacts(branch: Array) -> list[tuple[int, int]]:
-    """Returns (first, last) row of every stretch in which a hold was booked by another branch than `free`."""
-    touching = np.concatenate(([False], branch != Branch.FREE.value, [False]))
-    edges = np.flatnonzero(touching[1:] != touching[:-1])
+    """Returns (first, last) row of every stretch in which a hold was booked by another branch than `free`.
+
+    A hold that was held on goes on with what was before it.
+    """
+    booked = np.where(branch != Branch.HELD.value, np.arange(len(branch)), 0)
+    touching = np.isin(branch[np.maximum.accumulate(booked)], (Branch.FREE.value, Branch.HELD.value), invert=True)
+    edges = np.flatnonzero(np.diff(touching, prepend=False, append=False))
     return [(int(start), int(end) - 1) for start, end in zip(edges[::2], edges[1::2], strict=True)]

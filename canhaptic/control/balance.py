@@ -83,8 +83,8 @@ class EnergyBalance(NamedTuple):
     state: float  # displacement of the storage after this step [m or rad]
 
 
-OUT_OF_CONTACT: Final = (Branch.FREE.value, Branch.EXIT.value, Branch.GROUP.value)
-"""Branches of holds without a contact of their own."""
+OUT_OF_CONTACT: Final = (Branch.FREE.value, Branch.EXIT.value, Branch.HELD.value, Branch.GROUP.value)
+"""Branches of holds without a contact of their own; one that is held on is booked, and counted, with the next."""
 
 AT_REST: Final = EnergyBalance(
     torque=0.0,

@@ -51,8 +51,12 @@ def test_frames_lost_are_certified_as_far_as_they_are_declared(
     max_consecutive_losses: int, certificate: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     drop = "simulation.bus={drop: 0.1}"
-    longest = account(capsys, drop)[0]["longest_hold"]
+    before, _ = account(capsys, drop)
+    longest, branches = before["longest_hold"], before["branches"]
     assert longest > 2
+    assert branches["held"] > 0
+    out = sum(branches[name] for name in ("free", "exit", "held"))  # a hold held on is counted with the next
+    assert before["contact"]["holds"] == sum(branches.values()) - out
     port, truth = account(capsys, drop, f"passivity.max_consecutive_losses={longest - 1 + max_consecutive_losses}")
     assert port["certificate"] == certificate
     assert port["longest_hold"] <= longest  # an RPDO that is lost shows only where the torque changes

@@ -7,6 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
+from canhaptic.audit.extent import contacts
 from canhaptic.audit.inspection import _quantiles, inspect
 from canhaptic.audit.log_difference import compare
 from canhaptic.audit.user_checks import check
@@ -69,17 +70,24 @@ def test_the_hold_in_which_the_hand_leaves_does_not_count_as_damping_that_was_no
     assert before["least"] > 0.0
 
 
+def test_a_hold_held_on_neither_begins_nor_ends_a_contact() -> None:
+    free, start, exact, held = (Branch[name].value for name in ("FREE", "START", "EXACT", "HELD"))
+    branch = [held, free, held, held, start, held, exact, free, held, start, held, held]
+    assert contacts(np.array(branch)) == [(4, 6), (9, 11)]
+    assert contacts(np.array([held, held])) == contacts(np.array([], int)) == []
+
+
 def test_contacts_are_found_with_depth_peak_and_energy(log: Path) -> None:
     with EnergyLog.open(log) as opened:
-        contacts = inspect(opened)["contacts"]["handle"]
+        found = inspect(opened)["contacts"]["handle"]
         port = opened.ports["handle"]
-        assert len(contacts) == 3
-        rows = slice(round(contacts[0]["start"] * 1000), round((contacts[0]["start"] + contacts[0]["duration"]) * 1000))
+        assert len(found) == 3
+        rows = slice(round(found[0]["start"] * 1000), round((found[0]["start"] + found[0]["duration"]) * 1000))
         assert (port["branch"][rows] == 2).all()
         assert port["branch"][rows.stop] == 0
-        assert contacts[0]["energy"] == pytest.approx(math.fsum(port["h_i"][rows]), rel=1e-9)
-        assert contacts[0]["peak_torque"] == np.abs(port["torque_applied"][rows]).max()
-        assert contacts[0]["depth"] == np.abs(port["state"][rows]).max()
+        assert found[0]["energy"] == pytest.approx(math.fsum(port["h_i"][rows]), rel=1e-9)
+        assert found[0]["peak_torque"] == np.abs(port["torque_applied"][rows]).max()
+        assert found[0]["depth"] == np.abs(port["state"][rows]).max()
 
 
 def test_syncs_that_were_skipped_in_a_contact_are_part_of_its_time(log: Path, tmp_path: Path) -> None:

@@ -153,3 +153,10 @@ def test_a_log_without_a_resolution_is_judged_by_counts_and_at_the_motor_no_damp
     assert account_verdict({**promised}) == "yes"
     assert account_verdict({**promised, "least_at_handle": 0.0}) == "in doubt"
     assert account_verdict({**promised, "energy_allowance": 1e-3}) == "in doubt"
+
+
+def test_a_hold_held_on_is_no_contact_without_damping() -> None:
+    ledger = Ledger()
+    ledger.add(AT_REST._replace(branch=Branch.EXACT.value, damping_rendered=5.0), 0)
+    ledger.add(AT_REST._replace(branch=Branch.HELD.value), 1)
+    assert (ledger.summary().damping_least, ledger.summary().damping_most) == (5.0, 5.0)
