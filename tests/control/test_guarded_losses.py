@@ -5,8 +5,9 @@ import random
 import pytest
 
 from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE
-from canhaptic.control.certificates.torque_bound import Declared, TorqueBound, end_gap
+from canhaptic.control.certificates.torque_bound import Declared, TorqueBound, end_gap, hand_along
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
@@ -115,3 +116,32 @@ def test_a_sync_that_was_skipped_behind_a_lost_sample_counts_as_another_lost_one
         balances = [controller.step(6e-3, held), controller.step(7e-3, held)]
         states.append((balances, controller._state.bound, controller._state.axis))
     assert states[0] == states[1]
+
+
+@pytest.mark.parametrize("late", [0.0, 1e-4])
+@pytest.mark.parametrize("delay", [0, 1, 2])
+def test_while_a_drag_acts_the_hand_may_pull_either_way(delay: int, late: float) -> None:
+    """A drag without an outside, behind it a contact that has one: the bound of a push until no drag acts any more."""
+    loop = LoopProperties(
+        sample_time=T, delay=delay, moving_mass=0.25, device_damping_bound=0.4, torque_window=late or None
+    )
+    made = Guarded(
+        TwoSidedWall(stiffness=500.0, lower=-0.01, upper=0.01),
+        GuardedParameters(hand_force=0.0, hand_push=20.0, drag=0.5, earned_energy=1.0),
+        loop,
+    )
+    sent, position = [0.0] * (delay + 1), 0.0
+    for _ in range(20):
+        position += 3e-4
+        sent.append(made.step(position, sent[-1 - delay]).torque)
+        dragged = [torque for torque in sent[-1 - delay - (late > 0.0) :] if torque]
+        if position > 0.0103:
+            break
+    made.step(0.0105, sent[-1 - delay])
+    declared, bound = made._settings.declared, made._state.bound
+    assert dragged
+    assert bound.out != 0.0
+    for _ in range(delay + (late > 0.0)):
+        assert hand_along(declared, bound, bound.out) == declared.response.push
+        made.step(0.0105, 0.0)
+    assert hand_along(declared, bound, bound.out) == declared.response.hand < declared.response.push

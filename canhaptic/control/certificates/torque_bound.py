@@ -77,8 +77,13 @@ def turn(declared: Declared, bound: TorqueBound, out: float) -> None:
     """
     if out != bound.out:
         if bound.out != 0.0:
-            bound.turning = declared.delay + (2 if declared.late > 0.0 else 1)
+            open_both_ways(declared, bound)
         bound.out = out
+
+
+def open_both_ways(declared: Declared, bound: TorqueBound) -> None:
+    """Lets the hand do along either direction what it may do against a contact, until a torque sent now has ended."""
+    bound.turning = declared.delay + (2 if declared.late > 0.0 else 1)
 
 
 def hand_along(declared: Declared, bound: TorqueBound, sign: float) -> float:

@@ -5,7 +5,7 @@ from typing import Final
 
 from canhaptic.control.balance import Certificate
 from canhaptic.control.certificates.certified_torque import largest_torques
-from canhaptic.control.certificates.torque_bound import TorqueBound, for_any, keep
+from canhaptic.control.certificates.torque_bound import TorqueBound, for_any, keep, open_both_ways
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.guarded_account import GuardedState, Memory, fade
 from canhaptic.control.passivity.guarded_settings import GuardedSettings
@@ -218,8 +218,8 @@ def drag(settings: GuardedSettings, state: GuardedState, memory: Memory, moved: 
     torque = -_DRAG_SHARE * settings.cap * step / settings.sample_time
     if torque == 0.0:
         return 0.0, _UNBOUNDED
-    if settings.outside == 0.0 and bound.turning < 2:  # which way is out is not known here
-        bound.turning = 2
+    if settings.outside == 0.0:  # which way is out is not known here
+        open_both_ways(settings.declared, bound)
     torque = min(max(torque, -settings.drag), settings.drag)
     size, certificate = permitted_size(settings, state, memory, torque, energy, moved)
     return towards_zero(copysign(size, torque), settings.quantum), certificate
