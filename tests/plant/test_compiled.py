@@ -1,6 +1,5 @@
 """Whole runs, interpreted and compiled, against holds called one by one."""
 
-import subprocess
 import sys
 
 import numpy as np
@@ -77,12 +76,6 @@ def test_compiled_holds_agree_with_interpreted_ones():
         plant.reset()
         again = run(plant, TORQUES[:holds].tolist())[1:]
         assert again.tobytes() == got.tobytes(), names(effects)
-
-
-def test_numba_is_imported_only_when_it_is_asked_for():
-    code = "import canhaptic.sim.plant.plant, sys, canhaptic.sim.plant.effects.hard_stop; print('numba' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
-    assert done.stdout.strip() == "False"
 
 
 def test_compiled_without_numba_names_the_extra(monkeypatch):

@@ -52,15 +52,20 @@ def effects_of(names: tuple[str, ...]) -> list[dict[str, Any]]:
     return chosen
 
 
-SETS = [(name,) for name in EFFECTS]
-SETS += [pair for pair in itertools.combinations(EFFECTS, 2) if possible(pair)]  # type: ignore[misc]
+PAIRS: list[tuple[str, ...]] = [pair for pair in itertools.combinations(EFFECTS, 2) if possible(pair)]
+SETS: list[tuple[str, ...]] = [*((name,) for name in EFFECTS), *PAIRS]
+
+
+def parameters(sets: list[tuple[str, ...]]) -> list[Any]:
+    """Sets of effects, most of the pairs marked as slow."""
+    return [pytest.param(s, marks=[pytest.mark.slow] if s in PAIRS and PAIRS.index(s) % 5 else []) for s in sets]
 
 
 def test_every_effect_has_a_variant_here():
     assert set(VARIANTS) == set(EFFECTS)
 
 
-@pytest.mark.parametrize("names", [s for s in SETS if not NEEDS_HAND.intersection(s)], ids="+".join)
+@pytest.mark.parametrize("names", parameters([s for s in SETS if not NEEDS_HAND.intersection(s)]), ids="+".join)
 def test_energy_never_rises_without_hand_and_torque(names):
     plant = make_plant(*effects_of(names), user=None, damping=0.0, initial_velocity=0.3, initial_position=0.001)
     plant.begin(0)
@@ -75,8 +80,7 @@ def test_energy_never_rises_without_hand_and_torque(names):
     assert residual(plant) <= 1e-12 * start
 
 
-@pytest.mark.slow_for("*cogging+*", "*torque_ripple+*", "*lugre*+*")
-@pytest.mark.parametrize("names", SETS, ids="+".join)
+@pytest.mark.parametrize("names", parameters(SETS), ids="+".join)
 def test_the_balance_closes_under_hand_and_torque(names):
     plant = make_plant(*effects_of(names), user=USER_S)
     plant.begin(0)

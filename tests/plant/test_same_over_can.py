@@ -18,7 +18,7 @@ EFFECTS = {
     "stop": "{type: hard_stop, position: -60 mm, side: lower, stiffness: 1 MN/m, damping: 30}",
     "shaft": "{type: backlash, gap: 1 mm}, {type: shaft_compliance, stiffness: 1e5, damping: 5, load_mass: 0.1}",
     "nonlinear": "{type: cogging, amplitude: 0.1, pitch: 10 mm}, {type: torque_ripple, amplitude: 0.05, pitch: 10 mm}",
-    "hand": "{type: tremor, amplitude: 0.5 mm}, {type: grasp_change, time: 0.4 s, stiffness: 200, damping: 3}",
+    "hand": "{type: tremor, amplitude: 0.5 mm}, {type: grasp_change, time: 0.2 s, stiffness: 200, damping: 3}",
     "encoder": "{type: encoder_noise, deviation: 5 um}, {type: encoder_quantisation, count: 20 um}",
 }
 
@@ -34,7 +34,7 @@ def test_can_and_direct_rig_agree_bit_for_bit(name, rpdo, tmp_path):
     path.write_text(f"{text}\n  effects: [{EFFECTS[name]}]\n  seed: 5\n")
     eds = REPOSITORY / "eds" / "cia402_servo.eds"
     scene = load_scene(path, [f"axes.0.eds={eds}", f"bus.rpdo={rpdo}", "simulation.user.motion.phase=2.6"])
-    axis, cycles, seen = scene.axes[0], 600, []
+    axis, cycles, seen = scene.axes[0], 400, []
     with build(scene, "free") as experiment:
         [controller] = experiment.cycle.controllers
         step = controller.step

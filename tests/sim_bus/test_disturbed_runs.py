@@ -125,7 +125,7 @@ def assert_ledger_bound_kept(outcome: Outcome) -> None:
     assert outcome.encoder_bound < 1e-3 * outcome.energy_in
 
 
-@pytest.mark.slow_for("guarded-0.0", "internal_dissipation-0.0", "internal_dissipation-0.01", "guarded-0.1")
+@pytest.mark.slow_but("guarded-0.01")
 @pytest.mark.parametrize("drop", [0.0, 0.01, 0.1])
 @pytest.mark.parametrize("passivity", [GUARDED, PAPER], ids=["guarded", "internal_dissipation"])
 def test_lost_frames_are_counted_to_the_frame_and_the_ledger_bound_is_kept(passivity: str, drop: float) -> None:
@@ -166,18 +166,7 @@ DISTURBANCES = [
 ]
 
 
-@pytest.mark.slow_for(
-    "guarded-reorder*",
-    "internal_dissipation-freeze*",
-    "guarded-bus6",
-    "guarded-duplicate*",
-    "guarded-freeze*",
-    "guarded-jitter: 200*",
-    "internal_dissipation-jitter*",
-    "internal_dissipation-stall*",
-    "internal_dissipation-reorder*",
-    "internal_dissipation-bus6",
-)
+@pytest.mark.slow_but("guarded-jitter: 100*", "internal_dissipation-stall*")
 @pytest.mark.parametrize("bus", DISTURBANCES)
 @pytest.mark.parametrize("passivity", [GUARDED, PAPER], ids=["guarded", "internal_dissipation"])
 def test_in_every_disturbance_the_ledger_never_believes_too_much(passivity: str, bus: str) -> None:
@@ -235,6 +224,7 @@ def test_faults_beyond_the_policy_stop_the_run_with_their_reason(bus: str, error
         assert set(rpdos[-2:]) == {0}
 
 
+@pytest.mark.slow_but("0", "1")
 @pytest.mark.parametrize("seed", range(6))
 def test_wrong_bits_never_end_in_an_unknown_error_or_in_torque_beyond_the_limit(seed: int) -> None:
     bus = f"corrupt: 0.02, truncate: 0.002, duplicate: 0.02, {AFTER_THE_START}"

@@ -38,22 +38,16 @@ def check(rig: Rig, frames: list[tuple[int, bytes, int]]) -> None:
             assert len(message.data) <= 8
 
 
-@settings(max_examples=examples(150), deadline=None)
-@given(FRAMES)
-def test_no_frames_make_the_drive_raise_or_push_while_not_enabled(frames: list[tuple[int, bytes, int]]) -> None:
-    with Rig() as rig:
-        check(rig, frames)
-
-
-@settings(max_examples=examples(150), deadline=None)
-@given(FRAMES)
-def test_no_frames_make_an_enabled_drive_raise_or_push_when_it_leaves_that_state(
-    frames: list[tuple[int, bytes, int]],
+@settings(max_examples=examples(200), deadline=None)
+@given(FRAMES, st.booleans())
+def test_no_frames_make_the_drive_raise_or_push_while_not_enabled(
+    frames: list[tuple[int, bytes, int]], enabled: bool
 ) -> None:
     with Rig() as rig:
-        rig.enable()
-        rig.send(0x205, "0f006400")
-        assert rig.drive.torque == 0.1
+        if enabled:
+            rig.enable()
+            rig.send(0x205, "0f006400")
+            assert rig.drive.torque == 0.1
         check(rig, frames)
 
 

@@ -101,7 +101,7 @@ def test_in_a_scene_the_measured_torque_is_that_of_the_current_loop(lag: float) 
         rig.stop()
 
 
-@pytest.mark.slow_for("5e-05-quirk0", "0.0002-quirk1", "0.001-quirk0", "0.005-quirk1", "0.0-quirk1")
+@pytest.mark.slow_but("0.0-quirk0", "0.001-quirk1", "0.005-quirk0")
 @pytest.mark.parametrize("quirk", [[], ["late_following"]])
 @pytest.mark.parametrize("lag", [0.0, 5e-5, 2e-4, 1e-3, 5e-3])
 def test_the_energy_of_a_measured_torque_is_known_to_its_bound(lag: float, quirk: list[str]) -> None:
