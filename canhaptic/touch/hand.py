@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canhaptic.drive.clock import WallClock
+from canhaptic.errors import InputError
 from canhaptic.scene.models import Scene
 from canhaptic.study.loop import Array
 from canhaptic.touch.hand_process import (
@@ -21,6 +22,7 @@ from canhaptic.touch.hand_process import (
     TouchPace,
     TouchStatus,
     columns,
+    no_run,
     work,
 )
 from canhaptic.touch.touch_scene import TouchScene
@@ -72,7 +74,7 @@ class TouchHand:
         """Begins a run anew with changed values; an error in them leaves the old run as it is.
 
         Raises:
-            InputError: Anything is wrong.
+            InputError: Anything is wrong, or the process is no more.
         """
         laid = (*self._given, *(f"{key}={value}" for key, value in changes.items()))
         job = replace(self._job, number=self._job.number + 1, overrides=laid)
@@ -81,7 +83,10 @@ class TouchHand:
         if job.number == 1:
             self._shared[: len(self.touched.start)] = self.touched.start
         self._shared[RUN] = job.number
-        self._pipe.send(job)
+        try:
+            self._pipe.send(job)
+        except OSError as error:
+            raise InputError(self._lost()) from error
 
     def move(self, place: tuple[float, ...], token: float = 0.0) -> None:
         """Puts the pointer at a place [m or rad], kept within what is shown; `token` comes back with the rows."""
@@ -93,16 +98,22 @@ class TouchHand:
     def look(self) -> TouchNews:
         """Returns what came since the last look, of the run that is on."""
         names, parts, status = columns(self.touched), [], None
+        is_alive = self._process.is_alive()  # before the last parcel is read: it may say why the process ended
         while _has_more(self._pipe):
             try:
                 rows, latest = self._pipe.recv()
-            except EOFError:
+            except (OSError, EOFError):
                 break
             if latest.run == self._job.number:
                 status = latest
                 parts += [rows] if len(rows) else []
+        if status is None and not is_alive:
+            status = no_run(self._job.number, self._lost())
         table = np.concatenate(parts) if parts else np.empty((0, len(names)))
         return TouchNews(dict(zip(names, table.T, strict=True)), status)
+
+    def _lost(self) -> str:
+        return f"the process of both handles ended (exit code {self._process.exitcode}); start canhaptic touch again"
 
     def close(self) -> None:
         """Ends the run and the process; a second call does nothing."""
@@ -116,5 +127,5 @@ class TouchHand:
 def _has_more(pipe: Connection) -> bool:
     try:
         return pipe.poll()
-    except (BrokenPipeError, EOFError):
+    except (OSError, EOFError):
         return False

@@ -99,6 +99,11 @@ class TouchStatus(NamedTuple):
     ended: str  # why the run ended; "" while it goes on
 
 
+def no_run(number: int, ended: str) -> TouchStatus:
+    """Returns the status of a run that did no cycle, or of which nothing more is known."""
+    return TouchStatus(number, 0, 0, 0, 0.0, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), ended)
+
+
 def columns(touched: TouchScene) -> list[str]:
     """Returns the names of the columns of a row: time, token, place of the hand, then those of each side.
 
@@ -257,7 +262,7 @@ class _HandRun:
     def _status(self, ended: str) -> TouchStatus:
         experiment: Experiment | None = getattr(self, "_experiment", None)
         if experiment is None:
-            return TouchStatus(self._job.number, 0, 0, 0, 0.0, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), ended)
+            return no_run(self._job.number, ended)
         cycle = experiment.cycle
         return TouchStatus(
             self._job.number,

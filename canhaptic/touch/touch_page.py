@@ -106,7 +106,7 @@ class TouchPage:
             for side in self._sides:
                 side.take(news, self._frame)
         if news.status is not None:
-            for side in self._sides:
+            for side in self._sides if news.status.cycles else ():
                 side.judge(news.status)
             self._status.text = _status(news.status)
 

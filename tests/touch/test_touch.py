@@ -24,12 +24,13 @@ ROOT = Path(__file__).parents[2]
 STIFF = ROOT / "configs" / "hard" / "stiff_wall.yaml"
 
 
-def news_of(hand: TouchHand, wanted: int) -> TouchNews:
-    """At least so many rows in one piece, and the last status."""
+def news_of(hand: TouchHand, wanted: int, token: float = 0.0) -> TouchNews:
+    """At least so many rows in one piece, computed since the pointer came with a token, and the last status."""
     pause, parts, status = threading.Event(), [], None
     for _ in range(3000):
         found = hand.look()
-        parts.append(found.rows)
+        since = found.rows["token"] == token
+        parts.append({name: column[since] for name, column in found.rows.items()})
         status = found.status or status
         if sum(len(rows["time"]) for rows in parts) >= wanted:
             break
@@ -44,29 +45,36 @@ def test_the_hand_follows_the_pointer_and_freezes_where_it_stops() -> None:
         hand.begin({})
         news_of(hand, 10)
         hand.move((-0.02,), 7.0)
-        rows, status = news_of(hand, 500)
+        rows, status = news_of(hand, 500, 7.0)
         assert status is not None
         assert status.ended == ""
         assert status.skipped == 0
-        assert rows["token"][-1] == 7.0
         still = rows["hand.x"][-100:]
         assert still == pytest.approx(-0.02, abs=1e-6)  # the pointer sends no more: the hand stays
         assert rows["time"] == pytest.approx(rows["time"][0] + 1e-3 * np.arange(len(rows["time"])))
         held = abs(rows["1.force.x"][-200:].mean())  # one sample is a few encoder counts of a stiff wall away from it
         assert held == pytest.approx(300.0 * 0.02, rel=0.05)  # the hand's spring on the wall
-        hand.move((5.0,))
-        rows, _ = news_of(hand, 300)
-        assert rows["hand.x"].max() <= hand.touched.shown[0][1]
+        hand.move((5.0,), 8.0)
+        rows, _ = news_of(hand, 300, 8.0)
+        assert rows["hand.x"].max() == pytest.approx(hand.touched.shown[0][1], abs=1e-4)
         with pytest.raises(InputError, match="stiffness"):
             hand.begin({"environment.stiffness": "-1"})
-        rows, status = news_of(hand, 20)
+        rows, status = news_of(hand, 20, 8.0)
         assert status is not None
         assert status.run == 1  # what is refused leaves the run as it is
         hand.begin({"environment.stiffness": "200", "bus.rate": "500"})
-        rows, status = news_of(hand, 20)
+        rows, status = news_of(hand, 20, 8.0)
         assert status is not None
         assert status.run == 2
         assert np.diff(rows["time"]) == pytest.approx(2e-3)
+        hand._process.kill()
+        hand._process.join()
+        status = None
+        while status is None or not status.ended:
+            status = hand.look().status
+        assert "exit code -9" in status.ended
+        with pytest.raises(InputError, match="start canhaptic touch again"):
+            hand.begin({})
     finally:
         hand.close()
 
