@@ -20,7 +20,7 @@ from canhaptic.study.arena.standings import COLUMNS
 from canhaptic.study.sweep.workers import Pool
 from canhaptic.view.energy_table import make_console
 from canhaptic.view.picture_style import require_matplotlib
-from canhaptic.view.table_style import plain_table
+from canhaptic.view.table_style import FigureTable
 
 STORE: Final = "cases.jsonl"
 
@@ -84,7 +84,10 @@ def _write(found: dict[str, Any], out: Path) -> None:
 def _table(found: dict[str, Any]) -> Any:
     shown = ("given_out", "beyond_device", "diverged", "position_error", "stiffness_error", "drag")
     heads = ("gave out", "beyond device", "diverged", "position error", "stiffness error", "drag [N]")
-    table = plain_table(f"{len(found['cases'])} cases", "algorithm", *heads)
+    table = FigureTable(title=f"{len(found['cases'])} cases; in brackets the rank", pad_edge=False)
+    table.add_column("algorithm", no_wrap=True)
+    for head in heads:
+        table.add_column(head, justify="right", no_wrap=True)
     for row in found["standings"]:
         ranks = found["ranks"][row["algorithm"]]
         table.add_row(row["algorithm"], *(_shown(row[key], ranks.get(key)) for key in shown if key in COLUMNS))

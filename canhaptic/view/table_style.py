@@ -6,10 +6,11 @@ from dataclasses import replace
 from typing import Any
 
 from rich import box
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.markup import escape
 from rich.measure import Measurement
 from rich.table import Table
+from rich.text import Text
 
 _ENDLESS = 100_000  # columns, to measure what a table would take
 
@@ -40,6 +41,10 @@ class FigureTable(Table):
     def __init__(self, *, keys: int = 1, **options: Any) -> None:
         super().__init__(box=box.SIMPLE_HEAD, title_justify="left", title_style="bold", **options)
         self._keys = keys
+
+    def add_column(self, header: RenderableType = "", footer: RenderableType = "", **options: Any) -> None:
+        """Adds a column; a unit in its heading, such as [m/s], is no markup."""
+        super().add_column(Text(header) if isinstance(header, str) else header, footer, **options)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Renders one table, or several below each other."""

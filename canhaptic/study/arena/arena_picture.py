@@ -142,10 +142,8 @@ def _draw_given_out(found: Found, path: Path) -> None:
         panel.set_xticks(range(len(scenes)), scenes, rotation=35, ha="right")
         panel.set_yticks(range(len(names)), names)
         panel.grid(visible=False)
-        panel.set_title(
-            f"cases of {of_all} that gave out energy beyond the device; colour: the most of one", loc="left"
-        )
-        figure.colorbar(drawn, ax=panel, label="[J]")
+        panel.set_title(f"cases of {of_all} that gave out\nenergy beyond the device", loc="left")
+        figure.colorbar(drawn, ax=panel, label="the most of one case [J]")
         save_picture(figure, path)
 
 
