@@ -94,7 +94,7 @@ class AxisMeter:
         self._damping, self._friction = accuracy.device_damping or 0.0, accuracy.device_friction or 0.0
         self._blur, self._sample_time = 2.0 * accuracy.position, accuracy.sample_time
         self._booked_at = -1.0
-        self._lazy = 0.0, 0.0  # where the laziest motion may be
+        self._lazy: tuple[float, float]  # where the laziest motion may be, from the first position on
         self.position = self._torque = self._changes = self._uneven = self._speed = 0.0
         self.resolution = self.dissipated = self.asked = 0.0
 

@@ -121,4 +121,4 @@ def residual(balance: EnergyBalance, stored_before: float) -> float:
 
 def certificates_of(bits: int) -> tuple[Certificate, ...]:
     """Returns the certificates of a set in which each is one bit, weakest last."""
-    return tuple(certificate for certificate in WEAKEST_LAST if bits >> certificate & 1)
+    return tuple(certificate for certificate in WEAKEST_LAST if bits & 1 << certificate)

@@ -7,6 +7,7 @@ import pytest
 
 from canhaptic.control.axis_meter import Accuracy, AxisMeter, SilentMeter
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.friction_watch import FrictionDeclared, FrictionWatch
 
 T = 1e-3
 
@@ -110,6 +111,20 @@ def test_what_was_asked_for_is_the_effort_of_the_wall_at_the_position_in_contact
         asked.append(abs(meter.asked))
     assert asked == pytest.approx([0.0, 1.0, 0.0, 0.5])
     assert AxisMeter().damping_asked == 0.0
+
+
+def test_the_friction_that_is_declared_is_compared_with_every_hold_that_the_meter_takes() -> None:
+    wall = SpringDamperWall(stiffness=500.0, damping=0.0, position=0.0)
+    declared = FrictionDeclared(0.5, 0.25, T, 0.0)
+    alone, watch = FrictionWatch(declared), FrictionWatch(declared)
+    meter, position = AxisMeter(Accuracy(device_friction=0.5), wall, watch), -0.02
+    for at in range(60):
+        torque = 0.1 * (at % 2)
+        meter.take(position, torque, at, touches=True)
+        alone.take(position, torque, at, 500.0 * position)
+        position += T * (0.0 if at < 20 else 0.2)
+    assert watch.excess == pytest.approx(alone.excess)
+    assert watch.excess > 0.1
 
 
 def test_a_silent_meter_knows_the_position_alone() -> None:

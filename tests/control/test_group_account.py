@@ -236,9 +236,20 @@ def test_what_encoders_leave_open_is_covered_by_what_was_kept_back(kept_back: fl
     assert certain_energy(account, 0.5) == pytest.approx(left)
 
 
-@pytest.mark.parametrize(("dissipated", "left"), [(0.0, 0.0), (2.0, 1.25), (-1.0, -1.0)])
-def test_past_dissipation_fades_with_the_account(dissipated: float, left: float) -> None:
-    account = GroupAccount(h_s=1.5, h_dis=0.5, dissipated=dissipated)
+@pytest.mark.parametrize(
+    ("stored", "dissipated", "left"),
+    [
+        (1.5, 0.0, 0.0),
+        (1.5, 2.0, 1.25),
+        (1.5, -1.0, -1.0),
+        (3.5, -1.0, -1.0),
+        (0.625, 0.25, 0.15625),
+        (0.0, 0.25, 0.25),
+    ],
+)
+def test_past_dissipation_fades_with_the_account(stored: float, dissipated: float, left: float) -> None:
+    """What is lacking does not: it would be energy for every hand that none was dissipated for."""
+    account = GroupAccount(h_s=stored, h_dis=0.5, dissipated=dissipated)
     fade(account, 0.75)
     assert account.dissipated == left
 

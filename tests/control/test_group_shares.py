@@ -303,3 +303,24 @@ def test_an_axis_at_rest_has_its_share_of_a_torque() -> None:
     found = apart.inward_first((2.0, 1.0), 1e-6)
     assert found[0] == pytest.approx(2.0 * found[1])
     assert found[1] > 0.01
+
+
+@pytest.mark.parametrize("late", [0.0, 2e-4])
+def test_mirrored_axes_that_act_apart_need_the_same_and_get_the_mirrored_torques(late: float) -> None:
+    loop = LoopProperties(
+        sample_time=T, delay=1, moving_mass=0.25, device_damping_bound=20.0, torque_window=late, encoder_count=1e-6
+    )  # fmt: skip
+    one, other = (AxesApart(axes_of((loop, loop), 1.0, None), 1, 1) for _ in range(2))
+    held = 0
+    for seed in range(40):
+        draw = random.Random(seed)
+        pairs = [(draw.uniform(-size, size), draw.uniform(-size, size)) for size in (1e-3, 3.0, 3.0, 5.0, 1e-4)]
+        found = []
+        for apart, sign in ((one, 1.0), (other, -1.0)):
+            moved, torques, under_way, asked, carried = ((sign * a, sign * b) for a, b in pairs)
+            apart.take(moved, (1e-7, 1e-7), torques, [under_way], [carried] * 3)
+            sent = apart.inward_first(asked, 2e-3)
+            found.append((apart.needed_by_hand(), apart.share_by_hand(asked, 5e-3), *(sign * f for f in sent)))
+        assert found[0] == pytest.approx(found[1], rel=1e-9, abs=1e-15), seed
+        held += 0.0 < found[0][1] < 1.0
+    assert held > 5

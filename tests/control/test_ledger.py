@@ -145,9 +145,44 @@ def test_what_is_taken_out_beyond_the_store_and_when_the_margin_was_least_are_in
     assert ledger.summary().as_json(0.5)["margin"] == {"value": -1.0, "cycle": 1, "time": 3.5}
 
 
+def test_a_verdict_changes_beyond_a_bound_and_not_on_it() -> None:
+    assert passive_verdict(-1e-9) == "yes"
+    assert passive_verdict(-1.1e-9) == "no"
+    assert passive_verdict(0.0, 0.2, energy_in=2.0) == "yes"
+    assert passive_verdict(0.0, 0.21, energy_in=2.0) == "in doubt"
+    assert passive_verdict(0.0, 0.0, has_open_hold=True) == "in doubt"
+
+
+@pytest.mark.parametrize(("cycles", "least", "expected"), [(0, 0.0, "yes"), (1, 0.0, "in doubt"), (1, -1.0, "no")])
+def test_a_torque_that_was_not_commanded_is_a_doubt_and_no_excuse(cycles: int, least: float, expected: str) -> None:
+    account = {"in": 1.0, "certificate": "none", "least_interaction": least, "uncommanded_cycles": cycles}
+    assert account_verdict(account) == expected  # type: ignore[arg-type]
+
+
+def test_every_flow_is_summed_under_its_name_and_the_surplus_at_its_largest() -> None:
+    draw, ledger = random.Random(1), Ledger()
+    rows = []
+    for cycle in range(20):
+        h_r, h_pas, gen, deficit, leak, paid = (draw.choice([0.0, draw.random()]) for _ in range(6))
+        h_i, surplus = draw.uniform(-1.0, 1.0), draw.random() if cycle < 9 else 0.1
+        row = AT_REST._replace(h_i=h_i, h_r=h_r, h_pas=h_pas, gen=gen, deficit=deficit, leak=leak, h_dis=surplus)
+        rows.append(row._replace(paid=paid if leak else 0.0))
+        ledger.add(rows[-1], cycle)
+    found = ledger.summary()
+    named = {"h_r": "dissipated", "h_pas": "recovered", "gen": "generated", "leak": "leaked"}
+    for name in ("h_r", "h_pas", "gen", "deficit", "leak", "paid"):
+        assert getattr(found, named.get(name, name)) == pytest.approx(sum(getattr(row, name) for row in rows)), name
+    assert found.energy_in == pytest.approx(sum(max(0.0, row.h_i) for row in rows))
+    assert found.energy_out == pytest.approx(sum(max(0.0, -row.h_i) for row in rows))
+    assert (found.surplus_max, found.surplus_end) == (max(row.h_dis for row in rows), 0.1)
+
+
 def test_a_log_without_a_resolution_is_judged_by_counts_and_at_the_motor_no_damping_promises() -> None:
     account = {"in": 1.0, "certificate": "hand_force", "certificates": ["none"], "unsure": 0.0}
     assert account_verdict({**account, "least_interaction": -5e-7}) == "yes"
+    assert account_verdict({**account, "least_interaction": -1e-5}) == "no"
+    del account["unsure"]
+    assert account_verdict({**account, "least_interaction": 0.0}) == "yes"
     assert account_verdict({**account, "least_interaction": -1e-5}) == "no"
     promised = {**account, "certificates": ["hand_force"], "least_interaction": -1e-3, "energy_resolution": 1.0}
     assert account_verdict({**promised}) == "yes"

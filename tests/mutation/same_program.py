@@ -38,6 +38,9 @@ def same_at_the_edge(statement: ast.stmt, following: ast.stmt | None) -> list[as
 def same_for_a_size(node: ast.Compare, other: type[ast.cmpop]) -> bool:
     """Whether an order that takes the place of a comparison with 0 says the same of a size, or of a sign, 1 or -1."""
     if len(node.ops) != 1 or not _is(node.comparators[0], 0):
+        text = isinstance(node.comparators[0], ast.Constant) and isinstance(node.comparators[0].value, str)
+        if text:  # of which none comes before another
+            return other in EDGES
         return isinstance(node.ops[0], ast.Eq) and other is ast.GtE and ast.unparse(node.comparators[0]) == "inf"
     name = node.left.attr if isinstance(node.left, ast.Attribute) else ast.unparse(node.left)
     if name == "sign":

@@ -166,8 +166,8 @@ def certain_energy(account: GroupAccount, credit: float) -> float:
 
 
 def fade(account: GroupAccount, share: float) -> None:
-    """Keeps a share of what the devices dissipated and the account together, out of contact."""
-    if account.dissipated != 0.0:
+    """Keeps a share of what the devices dissipated and the account together, out of contact; all that is lacking."""
+    if account.dissipated > 0.0:
         energy = account.h_s - account.h_dis
         keep(account, energy, share * max(0.0, energy + account.dissipated))
 

@@ -43,7 +43,7 @@ def write_late_cells(
                 if is_last:
                     before, new = max(before, sign * fixed[i]), sign * torques[i]
                 else:
-                    held = max(0.0, memory.along[index][i] if side == 0 else memory.against[index][i])
+                    held = memory.along[index][i] if side == 0 else memory.against[index][i]
                 older = max(0.0, before - held)
                 if older > 0.0 or new > 0.0:
                     place = write_tail(axes, limits, memory, i, side, index, norm, more, older, new, place)

@@ -88,17 +88,12 @@ def take_sent(
 
 
 def write_largest(limits: PerAxisLimits, memory: PerAxisMemory) -> None:
-    """Writes the largest torques that may act in each hold, of those sent."""
+    """Writes the largest torques that may act in each hold, of those sent, >= 0."""
     for index in range(limits.holds):
         for i in range(len(memory.largest)):
-            up, down, found = 0.0, 0.0, False
+            up = down = 0.0
             for place in range(first_of(limits, index + 1), end_of(limits, index + 1)):
-                torque = memory.sent[place][i]
-                if not found or torque > up:
-                    up = torque
-                if not found or -torque > down:
-                    down = -torque
-                found = True
+                up, down = max(up, memory.sent[place][i]), max(down, -memory.sent[place][i])
             memory.along[index][i], memory.against[index][i] = up, down
 
 
@@ -227,7 +222,7 @@ def given_at_most(limits: PerAxisLimits, memory: PerAxisMemory, share: float) ->
             active, largest = worst_of(memory, place, memory.ends[cell], share, least)
             value += largest
             a, b, c = a + memory.constant[active], b + memory.linear[active], c + memory.square[active]
-            if index == limits.delay or (index > limits.delay and value > most):
+            if index <= limits.delay or value > most:
                 most, worst_a, worst_b, worst_c = value, a, b, c
             place, cell = memory.ends[cell], cell + 1
         fixed, linear, square = fixed + worst_a, linear + worst_b, square + worst_c

@@ -29,7 +29,7 @@ class PerAxisMemory(NamedTuple):
     largest: Buffer  # size of any of them on each axis, (axes,)
     starts: Matrix  # displacement of the hold that ended along + and -, encoder and blur included, (axes, 2) [m or rad]
     lost: Matrix  # what friction takes of it in a hold, (axes, 2)
-    along: Matrix  # largest torque along + that may act in each hold, (holds, axes) [N*m or N]
+    along: Matrix  # largest torque along + that may act in each hold, >= 0, (holds, axes) [N*m or N]
     against: Matrix  # the same along -
     ends: Indices  # of each cell in the parabolas; a cell is one axis in one hold, (cells,)
     constant: Buffer  # A of the parabolas A + B l + C l^2, (pieces + 1,), the last of which is always 0
