@@ -52,7 +52,7 @@ _Inspected = TypedDict("_Inspected", {"from": float, "to": float})  # [s]
 
 
 class Inspection(_Inspected):
-    """What a log says of a run or of a part of it."""
+    """Summary of a log, or of a part of it."""
 
     file: str
     status: str

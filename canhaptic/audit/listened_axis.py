@@ -34,7 +34,7 @@ OF_A_NODE: Final = -1
 
 
 class DeclaredForce(NamedTuple):
-    """What a scene says of the force sensor of an admittance display."""
+    """Force sensor of an admittance display, as the scene declares it."""
 
     object_index: int
     per_count: float  # [N or N*m; of an impulse N*s or N*m*s]
@@ -61,7 +61,7 @@ class DeclaredDrive:
 
 
 class ListenedAxis:
-    """What the frames tell of one axis.
+    """One axis as seen in the frames.
 
     Raises:
         DictionaryError: Its dictionary cannot be read.

@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 
 class _Fit(NamedTuple):
-    """What least squares gave."""
+    """Result of least squares."""
 
     mass: float
     gain: float

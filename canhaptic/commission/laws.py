@@ -12,7 +12,7 @@ NO_TORQUE: Final[tuple[float, ...]] = ()
 
 
 class CommissioningLimits(Parameters):
-    """How far commissioning may go."""
+    """Limits of commissioning."""
 
     torque: Annotated[float, quantity("1", gt=0.0, le=0.3)] = 0.1
     """Largest torque, as a part of the rated torque; never beyond `torque_limit` of the axis."""

@@ -26,7 +26,7 @@ _STILL: Final = 1e-12  # [m or rad] in one sample time: the sign of the speed is
 
 
 class Dynamics(NamedTuple):
-    """What moves with the encoder; each value with one standard deviation."""
+    """Mass and friction that move with the encoder; each value with one standard deviation."""
 
     mass: float  # [kg or kg*m^2]
     mass_error: float

@@ -18,7 +18,7 @@ from canhaptic.signals import Truth
 
 
 class Session:
-    """What every step needs.
+    """Scene, rig and limits, shared by all steps.
 
     Args:
         scene: Axes on one or several buses; axes joined by a simulated mechanism cannot be tried one by one.

@@ -44,7 +44,7 @@ class ContactHolds(TypedDict):
 
 
 class RenderedShares(TypedDict):
-    """How much of what was asked was rendered in contact; None: none asked."""
+    """Part of the environment that was rendered in contact; None: none asked."""
 
     stiffness: float | None
     damping: float | None

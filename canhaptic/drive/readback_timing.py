@@ -25,7 +25,7 @@ _REGISTER_TAPS: Final = 0b110000  # of x^6 + x^5 + 1: 63 steps until it repeats
 
 
 class ReadBackTiming(NamedTuple):
-    """What the torques of one drive say of its timing."""
+    """Timing of one drive, from its torques."""
 
     reported: Reported | None  # the value for `demand_reported`; None when it cannot be decided
     before_error: float  # mean |reported - expected|, as part of the mean change of torque; 0 fits exactly

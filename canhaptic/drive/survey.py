@@ -96,7 +96,7 @@ class Survey(NamedTuple):
 
     @property
     def path(self) -> Path:
-        """Where the dictionary lies."""
+        """Path of the dictionary."""
         return self.axis.eds
 
     @property
@@ -106,7 +106,7 @@ class Survey(NamedTuple):
 
     @property
     def conditions(self) -> list[SurveyRow]:
-        """What must be configured, or is decided by the drive at the start."""
+        """Settings to configure, and those that the drive decides at the start."""
         return [row for row in self.rows if row.verdict is Verdict.UNKNOWN]
 
     @property

@@ -33,7 +33,7 @@ _TIME_COB_ID: Final = 0x100
 
 @dataclass(frozen=True, slots=True)
 class NodeDescription:
-    """What is known of one node beyond the log."""
+    """Description of one node that the log does not contain."""
 
     node_id: int
     name: str = ""
@@ -122,7 +122,7 @@ class BusDecoder:
 
 
 class _Node:
-    """What has been learnt of one node."""
+    """State of one node, learnt from the frames."""
 
     def __init__(self, description: NodeDescription) -> None:
         self._description = description

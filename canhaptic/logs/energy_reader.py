@@ -201,7 +201,7 @@ class EnergyLog:
 
 
 class LogDescription(NamedTuple):
-    """What the attributes of a log say of it."""
+    """Attributes of a log."""
 
     sample_time_ns: int
     ports: tuple[str, ...]

@@ -35,7 +35,7 @@ class RingShape(NamedTuple):
 
 
 class AreaState(IntEnum):
-    """What the producer wants of the writer."""
+    """Whether the producer goes on, or asks the writer to finish."""
 
     RUNNING = 0
     CLOSING = 1
@@ -61,7 +61,7 @@ class SharedArea:
 
     @property
     def state(self) -> AreaState:
-        """What the producer wants of the writer."""
+        """Whether the producer goes on, or asks the writer to finish."""
         return AreaState(self._cells[_STATE_CELL])
 
     @state.setter

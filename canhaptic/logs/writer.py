@@ -24,7 +24,7 @@ _INTERRUPTED: Final = "interrupted: the controlling process ended without closin
 
 
 class _Sink(Protocol):
-    """Where the records of an area go."""
+    """Destination of the records of an area."""
 
     def open(self, restart: bool) -> None:
         """Makes the file ready; after a restart, continues the one that a killed writer left."""

@@ -45,7 +45,7 @@ class ReplayedFrames(TypedDict):
 
 
 class ReplayResult(TypedDict):
-    """What a replay found; times in [s]."""
+    """Result of a replay; times in [s]."""
 
     status: Literal["identical", "different"]
     recording: str

@@ -55,7 +55,7 @@ def accounts_over_can(
 
 
 class Heading(TypedDict):
-    """What every comparison begins with."""
+    """Heading of a comparison."""
 
     scene: str
     config_hash: str

@@ -28,7 +28,7 @@ class _AbleAxis(NamedTuple):
 
     @property
     def remark(self) -> str:
-        """What it takes from the plant, in words; "" where nothing."""
+        """Properties that it takes from the plant, in words; "" for none."""
         shown = [f"{key} {getattr(self.axis.loop, key):g}" for key in self.from_plant if key != "device_damping_bound"]
         return f"from the plant: {', '.join(shown)}" if self.from_plant else ""
 

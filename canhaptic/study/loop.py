@@ -32,7 +32,7 @@ _COLUMNS: Final = ("position", "true_position", "torque", "interaction", "believ
 
 
 class Case(Protocol):
-    """What is rendered, on an axis or a group."""
+    """An environment with its algorithm and plant, on an axis or a group."""
 
     @property
     def sample_time_ns(self) -> int:
@@ -73,7 +73,7 @@ class LoopCase:
 
 
 class LoopRun(NamedTuple):
-    """What one run gave; row k belongs to SYNC k. Shapes (n,); energies are sums since the start [J]."""
+    """Result of one run; row k belongs to SYNC k. Shapes (n,); energies are sums since the start [J]."""
 
     position: Array  # as the controller saw it [m or rad]
     true_position: Array  # [m or rad]

@@ -63,7 +63,7 @@ class DeclaredHandSettings:
 
 @dataclass(slots=True)
 class DeclaredHand:
-    """What is known at the SYNC of the last force, and of the motion that the commands make."""
+    """State at the SYNC of the last force, and the motion that the commands make."""
 
     known: float = 0.0  # A, at least [J]
     speed: float = 0.0  # g now [m/s or rad/s]

@@ -47,7 +47,7 @@ _CLOSE: Final = 0.999  # of the budget used: near enough
 
 
 class _GroupAxis(GroupAxis):
-    """What one axis of a group knows and remembers."""
+    """Settings and state of one axis of a group."""
 
     def __init__(
         self, environment: GroupMotion, place: int, parameters: GuardedDisplayParameters, properties: DisplayProperties

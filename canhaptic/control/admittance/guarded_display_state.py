@@ -24,7 +24,7 @@ from canhaptic.kernels import Buffer, MakeBuffer
 
 @dataclass(frozen=True, slots=True)
 class GuardedDisplaySettings:
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     port: PortSettings
     motion: DisplayMotionSettings
@@ -37,7 +37,7 @@ class GuardedDisplaySettings:
 
 @dataclass(slots=True)
 class GuardedDisplayState:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     axis: Port = field(default_factory=Port)
     motion: DisplayMotion = field(default_factory=DisplayMotion)

@@ -27,7 +27,7 @@ from canhaptic.kernels import Buffer
 
 @dataclass(frozen=True, slots=True)
 class HandForceSettings:
-    """What is declared of the hand."""
+    """Declared properties of the hand."""
 
     force: float  # f, the largest that it pushes or pulls with [N or N*m]; 0: not declared
 

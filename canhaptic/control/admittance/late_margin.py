@@ -12,7 +12,7 @@ from canhaptic.kernels import Buffer, MakeBuffer
 
 @dataclass(slots=True)
 class LateMargin:
-    """What is known of W."""
+    """Bounds of the margin W."""
 
     known: float = 0.0  # at least [J]
     place: int = 0  # of this SYNC in the rings

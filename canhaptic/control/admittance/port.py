@@ -27,7 +27,7 @@ from canhaptic.kernels import Buffer, MakeBuffer, new
 
 @dataclass(frozen=True, slots=True)
 class PortSettings:
-    """What the account of a hold needs to know."""
+    """Settings of the account of a hold."""
 
     sample_time: float  # [s]
     is_mean: bool  # one force is the mean over a hold, and not its value at the SYNC
@@ -43,7 +43,7 @@ class PortSettings:
 
 @dataclass(slots=True)
 class Port:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     started: bool = False
     position: float = 0.0  # of the last SYNC that came [m or rad]
@@ -58,7 +58,7 @@ class Port:
 
 
 class BookedHold(NamedTuple):
-    """What one SYNC adds to the account."""
+    """Energies that one SYNC adds to the account."""
 
     energy: float  # that came in, at least [J]
     speed: float  # largest, at the time to which the account now reaches [m/s or rad/s]

@@ -34,7 +34,7 @@ _Vector = list[float]
 
 
 class GroupMotion(Protocol):
-    """What a group of displays renders, in motor axes; see `GroupMass`."""
+    """Environment of a group of displays, in motor axes; see `GroupMass`."""
 
     damping: float
 

@@ -41,7 +41,7 @@ class DisplaySettings:
 
 @dataclass(slots=True)
 class DisplayState:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     axis: Port = field(default_factory=Port)
     motion: DisplayMotion = field(default_factory=DisplayMotion)

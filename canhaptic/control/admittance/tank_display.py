@@ -36,7 +36,7 @@ class TankDisplayParameters(Parameters):
 
 @dataclass(frozen=True, slots=True)
 class TankSettings(DisplaySettings):
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     initial: float  # [J]
     capacity: float  # [J]

@@ -39,7 +39,7 @@ class UltimatelyPassiveDisplayParameters(Parameters):
 
 @dataclass(frozen=True, slots=True)
 class SlipSettings(DisplaySettings):
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     slip_per_energy: float  # slip per force, per surplus [m/(N*s*J) or rad/(N*m*s*J)]
     slip_most: float  # slip per force [m/(N*s) or rad/(N*m*s)]

@@ -31,7 +31,7 @@ from canhaptic.kernels import Buffer
 
 @dataclass(frozen=True, slots=True)
 class VelocityLoopSettings:
-    """What is declared of the drive."""
+    """Declared properties of the drive."""
 
     sample_time: float  # [s]
     delay: int
@@ -48,7 +48,7 @@ class VelocityLoopSettings:
 
 @dataclass(slots=True)
 class LoopState:
-    """What is known of the drive."""
+    """Motion of the drive, by encoder and commands."""
 
     lead: float = 0.0  # way commanded less way moved: f_I = k lead [m or rad]
     velocity: float = 0.0  # mean of the hold of the last sample that came [m/s or rad/s]

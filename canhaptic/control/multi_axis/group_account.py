@@ -26,7 +26,7 @@ class GroupAccount:
 
 
 class AccountSettings(NamedTuple):
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     axes: AxisLimits
     apart: PerAxisLimits

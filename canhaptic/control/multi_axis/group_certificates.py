@@ -51,7 +51,7 @@ from canhaptic.kernels import Buffer, Matrix
 
 
 class GroupTiming(NamedTuple):
-    """What is declared of the holds of a group; see `hold_timing`. Shapes (axes,)."""
+    """Declared timing of the holds of a group; see `hold_timing`. Shapes (axes,)."""
 
     is_ideal: bool  # whether every hold is exact, and no torque late
     growth: float  # longest hold over the shortest
@@ -96,7 +96,7 @@ def timing_of(loops: tuple[LoopProperties, ...], by_hand: bool, pull: float, spe
 
 
 class AxisLimits(NamedTuple):
-    """What the certificates know of the motor axes; shapes (axes,)."""
+    """Properties of the motor axes that the certificates use; shapes (axes,)."""
 
     before: Buffer  # response of the displacement to the torque of the hold before [m/N]
     during: Buffer  # and of the hold itself [m/N]

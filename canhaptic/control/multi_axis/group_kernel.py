@@ -29,7 +29,7 @@ _NO_CAP: Final = 1e12
 
 
 class GroupLoop(NamedTuple):
-    """What is fixed for a run, with every algorithm."""
+    """Constants of a run, the same for every algorithm."""
 
     delay: int  # whole holds between computation and action
     caps: Buffer  # of the damping, (axes,) [N*s/m or N*m*s/rad]
@@ -43,7 +43,7 @@ class GroupLoop(NamedTuple):
 
 @dataclass(slots=True)
 class Group:
-    """What is remembered from SYNC to SYNC, with every algorithm."""
+    """State kept from SYNC to SYNC by every algorithm."""
 
     started: bool = False
     oldest: int = 0  # place of the command whose hold ends next
@@ -59,7 +59,7 @@ class GroupMemory(NamedTuple):
 
 
 class GroupHold(NamedTuple):
-    """What a step of a group did with the hold that ended; see `GroupBalance`."""
+    """Account of the hold that ended, for a group; see `GroupBalance`."""
 
     account: EnergyBalance
     supplied: float

@@ -31,7 +31,7 @@ _LONGEST_WINDOW: Final = 0.02
 
 
 class World(NamedTuple):
-    """What a group renders, and through what."""
+    """Network of a group, and its kinematics."""
 
     mechanism: KinematicsKernel
     geometry: Geometry
@@ -41,7 +41,7 @@ class World(NamedTuple):
 
 
 class MotionSettings(NamedTuple):
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     sample_time: float  # [s]
     counts: Buffer  # of the encoders, (axes,); 0: ideal [m or rad]

@@ -26,7 +26,7 @@ _GRID_BACK: Final = 0.99
 
 
 class Rendering(NamedTuple):
-    """What was sent of what was asked for."""
+    """Damping rendered in a hold, and its certificate."""
 
     damping: float  # rendered along the motion [N*s/m or N*m*s/rad]
     certificate: int

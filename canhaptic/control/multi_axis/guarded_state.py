@@ -41,7 +41,7 @@ class GuardedGroupParameters(Parameters):
 
 
 class GuardedGroupSettings(NamedTuple):
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     loop: GroupLoop
     account: AccountSettings
@@ -58,7 +58,7 @@ class GuardedGroupSettings(NamedTuple):
 
 @dataclass(slots=True)
 class GuardedGroupState:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     was_engaged: bool = False
     group: Group = field(default_factory=Group)

@@ -8,7 +8,7 @@ from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, zeros
 
 
 class PerAxisLimits(NamedTuple):
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     delay: int  # whole holds between computation and action
     losses: int  # consecutive cycles in which an axis may be without a new torque

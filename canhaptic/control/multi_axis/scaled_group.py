@@ -46,7 +46,7 @@ _NO_PROMISE = Certificate.NONE.value
 
 
 class ScaledGroupParameters(Parameters):
-    """What is left to choose."""
+    """Free parameters of the algorithm."""
 
     alpha: Alpha = 0.0
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
@@ -55,7 +55,7 @@ class ScaledGroupParameters(Parameters):
 
 
 class ScaledGroupSettings(NamedTuple):
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     loop: GroupLoop
     alpha: float  # [s/m^2 or s/rad^2]

@@ -39,7 +39,7 @@ class PaidState:
 
 @dataclass(slots=True)
 class ScaledGroupState:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     h_dis: float = 0.0  # surplus still to be dissipated [J]
     group: Group = field(default_factory=Group)

@@ -54,7 +54,7 @@ from canhaptic.units import Parameters
 
 
 class APrioriDissipationParameters(StoredModelParameters):
-    """What ref. [12] leaves to choose."""
+    """Parameters that ref. [12] leaves open."""
 
     rearm: Literal["printed", "displacement"] = "printed"
     """Velocity of the start after the store emptied in contact: x / T as printed (eq. 14), or from the displacement."""
@@ -62,7 +62,7 @@ class APrioriDissipationParameters(StoredModelParameters):
 
 @dataclass(frozen=True, slots=True)
 class _APrioriDissipationSettings:
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     rearms_as_printed: bool
     model: StoredModelSettings
@@ -70,7 +70,7 @@ class _APrioriDissipationSettings:
 
 @dataclass(slots=True)
 class _APrioriDissipationState:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     axis: Axis = field(default_factory=Axis)
     storage: Storage = field(default_factory=Storage)

@@ -38,7 +38,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class AdaptiveReferenceParameters(PassivityObserverParameters):
-    """How hard it may brake, and from which speed on."""
+    """Limits of the braking force, and the speed from which it acts."""
 
     least_speed: Annotated[float, quantity("m/s", "rad/s", ge=0.0, le=10.0)] = 0.002
     """Below it the damper is off, as in the source."""
@@ -46,7 +46,7 @@ class AdaptiveReferenceParameters(PassivityObserverParameters):
 
 @dataclass(frozen=True, slots=True)
 class _AdaptiveReferenceSettings:
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     observer: ObserverSettings
     least_speed: float  # [m/s or rad/s]
@@ -54,7 +54,7 @@ class _AdaptiveReferenceSettings:
 
 @dataclass(slots=True)
 class _AdaptiveReferenceState:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     axis: Axis = field(default_factory=Axis)
     model: SampledModel = field(default_factory=SampledModel)

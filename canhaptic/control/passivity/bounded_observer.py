@@ -53,7 +53,7 @@ class BoundedObserverParameters(DamperVelocity):
 
 @dataclass(frozen=True, slots=True)
 class _BoundedObserverSettings:
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     speed_offset: float  # [m/s or rad/s]
     integral_holds: float
@@ -63,7 +63,7 @@ class _BoundedObserverSettings:
 
 @dataclass(slots=True)
 class _BoundedObserverState:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     axis: Axis = field(default_factory=Axis)
     model: SampledModel = field(default_factory=SampledModel)

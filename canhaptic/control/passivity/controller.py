@@ -49,7 +49,7 @@ class LoopProperties(Parameters):
 
     @property
     def timing(self) -> HoldTiming:
-        """What is declared of every hold.
+        """Declared timing of every hold.
 
         Raises:
             ParameterError: The window is as long as a hold.

@@ -45,7 +45,7 @@ class EnergyBoundingParameters(DamperVelocity):
 
 @dataclass(frozen=True, slots=True)
 class _EnergyBoundingSettings:
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     device_damping: float  # certain [N*s/m or N*m*s/rad]
     longest: float  # hold [s]
@@ -56,7 +56,7 @@ class _EnergyBoundingSettings:
 
 @dataclass(slots=True)
 class _EnergyBoundingState:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     axis: Axis = field(default_factory=Axis)
     model: SampledModel = field(default_factory=SampledModel)

@@ -55,7 +55,7 @@ class EnergyTankParameters(DamperVelocity):
 
 @dataclass(frozen=True, slots=True)
 class _EnergyTankSettings:
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     constant_stiffness: float  # [N/m or N*m/rad]
     initial_energy: float  # [J]
@@ -66,7 +66,7 @@ class _EnergyTankSettings:
 
 @dataclass(slots=True)
 class _EnergyTankState:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     axis: Axis = field(default_factory=Axis)
     model: SampledModel = field(default_factory=SampledModel)

@@ -51,7 +51,7 @@ class ForceAugmentationParameters(DamperVelocity):
 
 @dataclass(frozen=True, slots=True)
 class _ForceAugmentationSettings:
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     feedback_stiffness: float  # [N/m or N*m/rad]
     increment: float  # [N or N*m]
@@ -62,7 +62,7 @@ class _ForceAugmentationSettings:
 
 @dataclass(slots=True)
 class _ForceAugmentationState:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     axis: Axis = field(default_factory=Axis)
     model: SampledModel = field(default_factory=SampledModel)

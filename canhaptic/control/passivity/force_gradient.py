@@ -39,7 +39,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class ForceGradientParameters(PassivityObserverParameters):
-    """How hard the passivity controller may brake, and what counts as no force."""
+    """Limits of the passivity controller, and the force below which none is rendered."""
 
     least_force: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e3)] = 0.001
     """Force of the model below which none is rendered; as in the source."""
@@ -47,7 +47,7 @@ class ForceGradientParameters(PassivityObserverParameters):
 
 @dataclass(frozen=True, slots=True)
 class _ForceGradientSettings:
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     observer: ObserverSettings
     least_force: float  # [N or N*m]
@@ -55,7 +55,7 @@ class _ForceGradientSettings:
 
 @dataclass(slots=True)
 class _ForceGradientState:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     axis: Axis = field(default_factory=Axis)
     model: SampledModel = field(default_factory=SampledModel)

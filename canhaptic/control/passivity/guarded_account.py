@@ -28,7 +28,7 @@ _FADE: Final = 0.8
 
 @dataclass(slots=True)
 class GuardedState:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     zone: int = 0  # of contact
     true: float = 0.0  # displacement of the storage in the continuous environment [m or rad]

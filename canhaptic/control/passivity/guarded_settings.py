@@ -59,7 +59,7 @@ class GuardedParameters(Parameters):
 
 @dataclass(frozen=True, slots=True)
 class GuardedSettings:
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     sample_time: float  # [s]
     credit: float  # [J]

@@ -13,7 +13,7 @@ from canhaptic.kernels import Buffer, MakeBuffer, new
 
 @dataclass(frozen=True, slots=True)
 class HoldSettings:
-    """What the account of a hold needs to know."""
+    """Settings of the account of a hold."""
 
     sample_time: float  # [s]
     delay: int  # whole holds between computation and action
@@ -56,7 +56,7 @@ class Hold(NamedTuple):
 
 
 class HoldAccount(NamedTuple):
-    """What an algorithm did with a hold; energies in [J]."""
+    """Account of one hold by an algorithm; energies in [J]."""
 
     branch: int
     h_r: float

@@ -56,12 +56,12 @@ _EXACT, _STICKY = Branch.EXACT.value, Branch.STICKY.value
 
 
 class InternalDissipationParameters(StoredModelParameters):
-    """What the paper leaves to choose."""
+    """Parameters that the paper leaves open."""
 
 
 @dataclass(slots=True)
 class _InternalDissipationState:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     axis: Axis = field(default_factory=Axis)
     storage: Storage = field(default_factory=Storage)

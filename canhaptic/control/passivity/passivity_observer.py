@@ -44,7 +44,7 @@ class PassivityObserverParameters(DamperVelocity):
 
 @dataclass(frozen=True, slots=True)
 class ObserverSettings:
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     damping_limit: float  # of the passivity controller [N*s/m or N*m*s/rad]
     hold: HoldSettings
@@ -52,7 +52,7 @@ class ObserverSettings:
 
 @dataclass(slots=True)
 class _PassivityObserverState:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     axis: Axis = field(default_factory=Axis)
     model: SampledModel = field(default_factory=SampledModel)

@@ -31,7 +31,7 @@ _COUNTS: Final = 4.0
 
 @dataclass(frozen=True, slots=True)
 class PredictionSettings:
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     gain: float  # T^2 / m: displacement per hold that a torque adds in one [m/N or rad/(N*m)]; 0: mass not known
     lost: float  # 1 - e^(-b T / m): share of a motion that certain damping of the device takes in a hold

@@ -69,7 +69,7 @@ def solve_balance(stiffness: float, effort: float, energy: float, displacement: 
 
 
 class Balance(NamedTuple):
-    """What opposes a state change where the storage is not linear."""
+    """A nonlinear storage before its state changes, and the damper in parallel."""
 
     state: float  # old one [m or rad]
     stored: float  # energy there [J]

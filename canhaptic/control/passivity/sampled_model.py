@@ -26,7 +26,7 @@ class SampledModel:
 
 
 class ModelStep(NamedTuple):
-    """What one hold did to the sampled environment."""
+    """Change of the sampled environment in one hold."""
 
     branch: int
     h_r: float  # [J]

@@ -12,7 +12,7 @@ _HELD = Branch.HELD.value
 
 
 class Wording(NamedTuple):
-    """What a controller takes and gives, for its messages."""
+    """Names of input and output of a controller, for its messages."""
 
     effort: str  # in addition to the position
     command: str

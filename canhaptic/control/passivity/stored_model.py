@@ -32,7 +32,7 @@ class StoredModelParameters(DamperVelocity):
 
 @dataclass(frozen=True, slots=True)
 class StoredModelSettings:
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     cap: float  # of the damping [N*s/m or N*m*s/rad]
     damping: float  # of the model [N*s/m or N*m*s/rad]

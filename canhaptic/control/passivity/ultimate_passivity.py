@@ -59,7 +59,7 @@ class UltimatePassivityParameters(PassivityObserverParameters):
 
 @dataclass(frozen=True, slots=True)
 class _UltimatePassivitySettings:
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     observer: ObserverSettings
     lower: float  # [J]
@@ -70,7 +70,7 @@ class _UltimatePassivitySettings:
 
 @dataclass(slots=True)
 class _UltimatePassivityState:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     axis: Axis = field(default_factory=Axis)
     model: SampledModel = field(default_factory=SampledModel)

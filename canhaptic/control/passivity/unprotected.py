@@ -29,7 +29,7 @@ class UnprotectedParameters(DamperVelocity):
 
 @dataclass(slots=True)
 class _UnprotectedState:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     axis: Axis = field(default_factory=Axis)
     model: SampledModel = field(default_factory=SampledModel)

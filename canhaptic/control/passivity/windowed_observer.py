@@ -38,7 +38,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class WindowedObserverParameters(PassivityObserverParameters):
-    """How hard the passivity controller may brake, and how long energy is remembered."""
+    """Limits of the passivity controller, and the time for which energy is remembered."""
 
     window: Annotated[int, quantity("count", ge=1, le=100_000)] = 30
     """Holds that are remembered, independent of their energy; as in the source."""
@@ -46,7 +46,7 @@ class WindowedObserverParameters(PassivityObserverParameters):
 
 @dataclass(frozen=True, slots=True)
 class _WindowedObserverSettings:
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     observer: ObserverSettings
     window: int  # holds
@@ -54,7 +54,7 @@ class _WindowedObserverSettings:
 
 @dataclass(slots=True)
 class _WindowedObserverState:
-    """What is remembered between two SYNCs."""
+    """State kept from SYNC to SYNC."""
 
     axis: Axis = field(default_factory=Axis)
     model: SampledModel = field(default_factory=SampledModel)

@@ -12,7 +12,7 @@ from canhaptic.kernels import Buffer, Matrix, list_of_zeros, zeros
 
 
 class Workspace(NamedTuple):
-    """Where a step writes; shapes (n,), (d,) and (n, n)."""
+    """Buffers that a step writes; shapes (n,), (d,) and (n, n)."""
 
     step: Buffer  # s; the guess before, the solution after
     efforts: Buffer  # e

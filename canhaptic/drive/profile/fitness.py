@@ -35,7 +35,7 @@ _RATED_TORQUE_TOLERANCE: Final = 1e-3  # configuration and drive may differ by r
 
 
 class Verdict(Enum):
-    """What a finding means for cyclic torque."""
+    """Consequence of a finding for cyclic torque."""
 
     FIT = "fit"
     UNKNOWN = "unknown"

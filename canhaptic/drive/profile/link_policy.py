@@ -63,7 +63,7 @@ class StopReason(IntEnum):
 
 
 class Action(Enum):
-    """What the rig does with the torque of an axis."""
+    """Action of the rig on the torque of an axis."""
 
     RUN = "the controller's torque"
     HOLD = "the last torque held"

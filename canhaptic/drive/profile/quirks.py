@@ -13,7 +13,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class Quirks(Parameters):
-    """How a drive differs; the defaults are CiA 301/402 as printed."""
+    """Deviations of a drive; the defaults are CiA 301/402 as printed."""
 
     event_transmission_type: int = 255
     """Type of an event-driven RPDO: 255 (device profile) or 254 (manufacturer)."""

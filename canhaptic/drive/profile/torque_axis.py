@@ -37,7 +37,7 @@ class ReceivedEmergency(NamedTuple):
 
 
 class CycleRules(NamedTuple):
-    """What an axis needs to know of the cycle it runs in."""
+    """Properties of the cycle that an axis uses."""
 
     sample_time_ns: int
     sample_time: float  # the same [s]

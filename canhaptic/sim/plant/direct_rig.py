@@ -27,7 +27,7 @@ class _HasTorque(Protocol):
 
 
 class DirectRecord(NamedTuple):
-    """What one run gave; row k belongs to SYNC k."""
+    """Result of one run; row k belongs to SYNC k."""
 
     position: Array  # as the controller saw it, shape (n,) [m or rad]
     true_position: Array  # shape (n,) [m or rad]

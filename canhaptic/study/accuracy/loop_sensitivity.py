@@ -111,7 +111,7 @@ def _variant(
 
 @dataclass(frozen=True, slots=True)
 class LoopRow:
-    """What one variant did; errors are the largest over the run, None where it could not be run."""
+    """Result of one variant; errors are the largest over the run, None where it could not be run."""
 
     variant: Variant
     run: LoopRun

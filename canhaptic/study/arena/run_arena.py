@@ -38,7 +38,7 @@ _LOOK: Final = 0.2  # [s] between two looks at a request to stop
 
 @dataclass(frozen=True, slots=True)
 class ArenaPlan:
-    """What an arena is made of.
+    """Scenes, rates, delays and algorithms of an arena.
 
     Attributes:
         scenes: Files, of one simulated axis each.

@@ -67,7 +67,7 @@ class Losses:
 
 @dataclass(frozen=True, slots=True)
 class LoopSettings:
-    """What lies between plant and controller."""
+    """Properties of the loop between plant and controller."""
 
     delay: int = 0  # whole holds between computing a torque and its hold, 0 or 1
     counts_per_unit: float = 0.0  # of the encoder; 0: ideal

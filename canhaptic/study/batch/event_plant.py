@@ -30,7 +30,7 @@ _TIDY: Final = 1024
 
 @dataclass(slots=True)
 class EventState:
-    """What is remembered of a plant from hold to hold, in addition to its state vector."""
+    """State of a plant kept from hold to hold, in addition to its state vector."""
 
     changes: int = 0  # of the timetable that are done
     force: float = 0.0  # of the efforts in the substep before [N or N*m]

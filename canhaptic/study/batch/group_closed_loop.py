@@ -32,7 +32,7 @@ _SEEN: Final = 1e-9
 
 
 class GroupRig(NamedTuple):
-    """What lies between motors and controller."""
+    """Properties of the loop between motors and controller."""
 
     delay: int  # whole holds between computing a torque and its hold, 0 or 1
     loops: list[LoopSettings]  # of every motor

@@ -38,7 +38,7 @@ class EventMotors(NamedTuple):
 
 
 class EventMotorsPlan(NamedTuple):
-    """What motors with events are made of."""
+    """Plants of motors with events, and the places of the motors in them."""
 
     models: Sequence[Callable[[], PlantModel]]
     accuracy: Sequence[AccuracyParameters | None]

@@ -26,7 +26,7 @@ class FiveBarMotors(NamedTuple):
 
 
 class FiveBarPlan(NamedTuple):
-    """What they are made of."""
+    """A five-bar at its start, and the numbers of its two motors."""
 
     motion: FiveBarMotion  # at its start
     left: int

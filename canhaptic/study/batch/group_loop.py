@@ -24,7 +24,7 @@ _PER_MILLE: Final = 1e-3
 
 
 class Motors(NamedTuple):
-    """What a group moves."""
+    """The motors of a group."""
 
     positions: Callable[[], Sequence[float]]  # true
     velocities: Callable[[], Sequence[float]]  # true

@@ -24,7 +24,7 @@ BRIEF: Final = frozenset((
 
 @dataclass(frozen=True, slots=True)
 class MeterSettings:
-    """What the sums rest on."""
+    """Settings of the sums."""
 
     last_from: float = 0.0  # SYNC with which the last part of the run begins (`figures.last_rows`)
     damping_per_time: float = 0.0  # b / T of the device [N/m or N*m/rad]

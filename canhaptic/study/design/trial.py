@@ -64,7 +64,7 @@ Booleans = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class TrialVerdict:
-    """What many walls did, the worse of both hands; each of shape (n,)."""
+    """Verdicts on many walls, the worse of both hands; each of shape (n,)."""
 
     stiffness_share: Array  # rendered over asked
     damping_share: Array  # NaN where no damping is asked

@@ -41,7 +41,7 @@ def is_display(scene: Scene) -> bool:
 
 @dataclass
 class DisplayRun:
-    """What one run came to; energies in [J], of all axes together."""
+    """Result of one run; energies in [J], of all axes together."""
 
     cycles: int = 0  # SYNCs done
     ended: str = ""  # why it ended early; "" where it did not

@@ -97,7 +97,7 @@ def held(bench: Bench, stiffness: float, leaning: Leaning, damping: float = 0.0)
 
 
 class LargestHeld(NamedTuple):
-    """What `largest_held` found."""
+    """Result of `largest_held`."""
 
     stiffness: float  # 0: none [N/m or N*m/rad]
     softer: int  # walls that were tried and are softer

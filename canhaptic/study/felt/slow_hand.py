@@ -33,7 +33,7 @@ class SlowHand:
 
 
 class Entered(NamedTuple):
-    """What became of the hand."""
+    """Result of a slow hand."""
 
     depth: float  # mean, at rest [m or rad]
     drag: float  # largest |torque| before the surface [N or N*m]

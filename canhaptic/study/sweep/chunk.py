@@ -75,7 +75,7 @@ _Rows = NDArray[np.intp]
 
 
 class ChunkResult(NamedTuple):
-    """What a chunk gave, row by row; every array of shape (n_scenes,)."""
+    """Results of a chunk, row by row; every array of shape (n_scenes,)."""
 
     figures: dict[str, Array]  # by "axis/metric", NaN where there is nothing
     status: NDArray[np.uint8]  # index in STATUS

@@ -61,7 +61,7 @@ class _Sweep(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """How far a sweep is."""
+    """Progress of a sweep."""
 
     done: int  # scenes whose results are in the file
     total: int

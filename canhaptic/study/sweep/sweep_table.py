@@ -87,7 +87,7 @@ class SweepTable:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What the sweep is."""
+        """Identity of the sweep."""
         found: dict[str, Any] = json.loads(self._file.attrs["identity"])
         return found
 
@@ -97,7 +97,7 @@ class SweepTable:
 
     @property
     def keys(self) -> list[str]:
-        """What varies, in the order given."""
+        """Keys that vary, in the order given."""
         return [str(varied["key"]) for varied in self.identity["varied"]]
 
     @property

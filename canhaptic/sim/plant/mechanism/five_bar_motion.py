@@ -46,7 +46,7 @@ _NEAR: Final = 1e-3  # of the distal length, of the handle from the line of the 
 
 @dataclass(frozen=True, slots=True)
 class FiveBarSettings:
-    """What is fixed for a run."""
+    """Constants of a run."""
 
     links: Linkage
     hand: HandForce
