@@ -163,7 +163,7 @@ def test_a_full_tank_renders_the_wall_and_an_empty_one_only_its_constant_part():
 
 @pytest.mark.parametrize("delay", [0, 1, 2])
 def test_over_lost_samples_a_tank_holds_what_came_in(delay):
-    """Of a variable spring alone: every torque is out of the tank, the ones repeated too."""
+    """With a variable spring alone every torque is out of the tank, also a repeated one."""
     rng, sent, position = random.Random(delay), deque([0.0] * (delay + 1)), 1e-3
     made: Any = build_controller(WALL, "energy_tank", None, LOOP.model_copy(update={"delay": delay}))
     known = 0.0

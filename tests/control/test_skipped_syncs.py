@@ -17,7 +17,7 @@ RELAXING = ViscoelasticMedium(stiffness=500.0, relaxation_time=5e-3)
 
 
 def torque_after(made, holds, *, skipped, lost=0):
-    """The torque after 20 holds of steady motion and so many more, told of at every SYNC or at the last alone."""
+    """The torque after 20 holds of steady motion and so many more, each SYNC reported or the last alone."""
     torque = 0.0
     for hold in range(20):
         torque = made.step(-hold * MOVED, torque).torque
