@@ -6,9 +6,9 @@ from functools import partial
 from pathlib import Path
 
 from canhaptic.cli.arguments import (
-    check_folder,
     check_page,
     check_picture,
+    check_place,
     scene_of,
 )
 from canhaptic.cli.output import note_file, write_file, write_json
@@ -31,7 +31,7 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.html is not None:
         check_page(arguments.html)
     if arguments.markdown is not None:
-        check_folder(arguments.markdown)
+        check_place(arguments.markdown)
     if _is_of_display(scene, arguments.axis):
         return _study_display(scene, arguments)
     with StopSignal() as stop, run_progress(UNITS, scene.bus.sample_time, "free", every=1) as progress:

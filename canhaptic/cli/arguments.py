@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from canhaptic.errors import InputError
+from canhaptic.host.output_file import require_writable_place
 
 if TYPE_CHECKING:
     from canhaptic.scene.models import Scene
@@ -69,11 +70,11 @@ def check_picture(path: Path) -> None:
     """Refuses a picture that could not be written, before anything runs.
 
     Raises:
-        InputError: An unknown suffix, a folder that is not there, or matplotlib is not installed.
+        InputError: An unknown suffix, no place for it, or matplotlib is not installed.
     """
     if path.suffix not in _PICTURES:
         raise InputError(f"{path}: expected a name that ends in {', '.join(_PICTURES[:-1])} or {_PICTURES[-1]}")
-    check_folder(path)
+    check_place(path)
     from canhaptic.view.picture_style import require_matplotlib
 
     require_matplotlib()
@@ -83,22 +84,23 @@ def check_page(path: Path) -> None:
     """Refuses a page that could not be written, before anything runs.
 
     Raises:
-        InputError: There is no folder for it, or Bokeh is not installed.
+        InputError: There is no place for it, or Bokeh is not installed.
     """
     from canhaptic.view.html_page import require_bokeh
 
-    check_folder(path)
+    check_place(path)
     require_bokeh()
 
 
-def check_folder(path: Path) -> None:
-    """Refuses a file for which there is no folder, before anything runs.
+def check_place(path: Path) -> None:
+    """Refuses a file that could not be written, before anything runs.
 
     Raises:
-        InputError: There is none.
+        InputError: There is no folder for it, or at its place is no regular file.
     """
     if not path.absolute().parent.is_dir():
         raise InputError(f"{path}: no such folder {path.absolute().parent}; make it first")
+    require_writable_place(path)
 
 
 def seconds(text: str) -> float:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from typing import Final
 
-from canhaptic.cli.arguments import check_folder, scene_of
+from canhaptic.cli.arguments import check_place, scene_of
 from canhaptic.cli.output import failure, write_failure, write_file, write_json, write_line, write_note
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.commission.dialogue import Dialogue, Unattended
@@ -30,7 +30,7 @@ def execute(arguments: argparse.Namespace) -> int:
     scene = scene_of(arguments)
     limits = CommissioningLimits(torque=arguments.torque, travel=arguments.travel, speed=arguments.speed)
     if arguments.out is not None:
-        check_folder(arguments.out)
+        check_place(arguments.out)
     dialogue = _dialogue(scene, yes=arguments.yes)
     error: CanHapticError | None = None
     with StopSignal() as stop:

@@ -10,7 +10,7 @@ from canhaptic.audit.inspection import Inspection, inspect
 from canhaptic.audit.log_difference import compare
 from canhaptic.audit.recompute import recompute_all, scene_of
 from canhaptic.audit.user_checks import Checked, Outcome, check
-from canhaptic.cli.arguments import check_folder, check_page, check_picture
+from canhaptic.cli.arguments import check_page, check_picture, check_place
 from canhaptic.cli.output import write_json
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
@@ -88,7 +88,7 @@ def _check_files(arguments: argparse.Namespace) -> None:
         if path is not None:
             if path.suffix != f".{suffix}":
                 raise InputError(f"--{suffix} {path}: expected a name that ends in .{suffix}")
-            check_folder(path)
+            check_place(path)
             require_library(path)
     for path in (arguments.png, arguments.svg):
         if path is not None:

@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from canhaptic.cli.arguments import check_folder
+from canhaptic.cli.arguments import check_place
 from canhaptic.cli.check_eds import survey_of
 from canhaptic.cli.output import note_file, write_file
 from canhaptic.errors import InputError
@@ -19,7 +19,7 @@ def execute(arguments: argparse.Namespace) -> int:
     """
     out = arguments.out
     if out is not None:
-        check_folder(out)
+        check_place(out)
         if out.exists():
             raise InputError(f"{out} already exists; choose another name, or move it away first")
     found, profile = survey_of(arguments.file, arguments.display, arguments.force_object)
