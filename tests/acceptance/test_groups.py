@@ -26,7 +26,7 @@ from tests.acceptance.group_runs import AXES, GROUP, REPOSITORY, encoder_bound, 
 from tests.drive.drive_bench import TamperedBus
 
 NO_LOSS = "simulation.bus=null"
-CYCLES = 1000
+CYCLES = 600
 
 
 def lossless(name: str) -> list[str]:
@@ -80,7 +80,7 @@ def test_the_energies_of_what_is_simulated_close_over_the_run(whole: Whole) -> N
 
 
 def test_master_and_plant_agree_on_where_the_handle_is_though_neither_knows_the_other() -> None:
-    experiment = run_config("five_bar_sphere", 700)
+    experiment = run_config("five_bar_sphere", 400)
     assert experiment.far_side is not None
     motor = experiment.far_side.drives[0].servo.motor
     assert isinstance(motor, MechanismMotor)
@@ -95,7 +95,7 @@ def test_master_and_plant_agree_on_where_the_handle_is_though_neither_knows_the_
 @pytest.mark.parametrize("name", AXES)
 def test_log_and_frames_give_the_same_account_again_bit_for_bit(name: str, tmp_path: Path) -> None:
     energy, frames = tmp_path / "run.h5", tmp_path / "run.log"
-    experiment = run_config(name, 400, energy, (), frames)
+    experiment = run_config(name, 250, energy, (), frames)
     with EnergyLog.open(energy) as log:
         found = recompute_all(log)
         assert {entry["port"] for entry in found} == {*AXES[name], GROUP[name]}
@@ -228,7 +228,7 @@ def test_the_account_on_the_terminal_and_as_json_is_that_of_the_group(capsys: py
 def test_a_group_whose_axes_are_heard_in_turn_is_stopped(name: str, loses_commands: bool) -> None:
     """Each axis is heard at every second SYNC, and no SYNC brings a whole set: nothing is booked, nothing computed."""
     scene = load_scene(REPOSITORY / "configs" / f"{name}.yaml", lossless(name))
-    syncs, begin, end = 0, 400, scene.bus.stop_cycles
+    syncs, begin, end = 0, 200, scene.bus.stop_cycles
     with build(scene, "free") as experiment:
         [link] = experiment.rig.links
         bus = link._bus = TamperedBus(link._bus)  # type: ignore[assignment]

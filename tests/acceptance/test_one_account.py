@@ -50,7 +50,7 @@ def run_and_log(request: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     name, changes = RUNS[request.param]
     path = tmp_path / "run.h5"
     words = [word for value in changes for word in ("--set", value)]
-    main(["run", str(CONFIGS / name), "--pace", "free", "--duration", "1.5", "--log", str(path), "--json", *words])
+    main(["run", str(CONFIGS / name), "--pace", "free", "--duration", "0.8", "--log", str(path), "--json", *words])
     return json.loads(capsys.readouterr().out), path
 
 
