@@ -119,11 +119,11 @@ def _one_way(positions: _Array, half_base: int) -> tuple[NDArray[np.int64], NDAr
 def estimate_lateness(
     positions: _Array, applied: _Array, sample_time: float, half_base: int
 ) -> tuple[float, float] | None:
-    """Returns by how much the torque comes later than the SYNC it belongs to, and one standard deviation [s].
+    """Returns the delay of the torque after its SYNC, and one standard deviation [s].
 
-    It is the time for which the torque before acts on in every hold: window and lag together. Of a hold in which the
-    torque has changed by d, a mean torque less by late d / T acts, so that one more column of `estimate` finds it.
-    Arguments as of `estimate`; None when too little moved to tell.
+    It is the time for which the previous torque still acts in every hold: window and lag together. In a hold whose
+    torque changes by d the mean torque is less by late d / T, so that one more column of `estimate` finds it.
+    Arguments as of `estimate`; None when the motion was too small.
     """
     starts = np.arange(1, len(positions) - 2 * half_base, max(1, half_base // 4))
     step, weights = np.diff(positions), np.arange(2 * half_base)[None, :]

@@ -26,9 +26,9 @@ a bound for every hand, so that for a slow one it is large; an algorithm that kn
 (`certificates.lost_samples`).
 
 **Device.** A damping of b at least dissipates b D^2 / t at least in a time t in which the axis moves by D
-(Cauchy-Schwarz), for every torque. A dry friction of f_c at least dissipates f_c along its path. Of the path is
-known what the laziest motion within e of every position p has: it stays where it is until p is further than e away, and
-then follows at e. From one of its turns to the next no motion within e of p goes less far.
+(Cauchy-Schwarz), for every torque. A dry friction of f_c at least dissipates f_c along its path. The path is at
+least that of the shortest motion within e of every position p: it rests until p is further than e away, and then
+follows at e. Between two of its turns no motion within e of p is shorter.
 """
 
 from dataclasses import dataclass

@@ -98,9 +98,9 @@ class Outcome:
 
 
 def judged(scene: TruthScene) -> tuple[TruthScene, Outcome]:
-    """Returns the scene with its declarations raised to what hand and bus did, and what its run came to.
+    """Returns the scene with its declarations raised to what hand and bus did, and the outcome of its run.
 
-    Of the bus as far as `_MOST_LOSSES`.
+    Losses of the bus are declared up to `_MOST_LOSSES`.
     """
     outcome, watch = _run(scene)
     survives = scene.promises and "drive:after_update" not in scene.tags  # refused there

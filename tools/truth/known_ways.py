@@ -3,7 +3,7 @@
 Each names something of a real hold that the proof of an ideal one leaves out (`tools/attack/holes.py` attacks the same
 on a plant of its own). Three scenes each: the key that closes it is declared as it is; it is left out, so that it
 follows from the scene; it is declared falsely, as ideal. A way is closed where no hand gets energy out of the first
-two. Of a false declaration no account can say all: the last columns have the runs that gave energy out, and those of
+two. No account can notice every false declaration: the last columns have the runs that gave energy out, and those of
 them whose account did not say yes.
 """
 

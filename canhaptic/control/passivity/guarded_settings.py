@@ -144,8 +144,8 @@ def kept_for_contacts(
 ) -> float:
     """Returns the energy that is kept for contacts to come [J]; see `start_energy`.
 
-    Of an environment that is stiffer than half of what the certificate holds at the largest force, or is no spring, it
-    is that of this half: it holds any contact up to a push of half of the hand's pull.
+    If the environment is no spring, or is stiffer than half of what the certificate holds at the largest force, it is
+    the energy for this half, which holds any contact up to a push of half of the hand's pull.
 
     Raises:
         ParameterError: A drag that earns nothing.

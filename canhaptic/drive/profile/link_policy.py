@@ -1,6 +1,6 @@
 """Reaction to missing TPDOs and drive faults: the decision table as data, and the reason codes of a stop.
 
-Of axes that render together each counts the SYNCs at which any of them is missing.
+Axes of a group each count the SYNCs at which the TPDO of any of them is missing.
 
 missed TPDOs in a row   0            normal: the controller's torque
                         1 .. hold    the last torque is held

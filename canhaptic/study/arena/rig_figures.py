@@ -96,7 +96,8 @@ def _at_delay(scene: Scene, delay: int) -> Scene:
 def theory(rig: Path, delay: int) -> dict[str, Rows]:
     """Returns the lines of theory in the K-B plot by name, each a list of damping and stiffness.
 
-    Of the plain wall, and the largest stiffness that a certificate of `guarded` holds; see `study.map.theory`.
+    They are those of the plain wall, and the largest stiffness that a certificate of `guarded` holds; see
+    `study.map.theory`.
     """
     plain, ours = (_at_delay(scene_under(rig, name), delay) for name in ("unprotected", "guarded"))
     device = simulation_of(plain.axes[0]).plant.damping
@@ -117,7 +118,7 @@ def _points(line: Mapping[float, float | None]) -> Rows:
 def impedances(rig: Path, algorithm: str, delay: int, *, allow_code: bool = False) -> Rows:
     """Returns the impedance that an algorithm renders over the one asked for, at each of `FREQUENCIES`.
 
-    Of a spring with a damper that is always touched: size of the ratio, and its angle [rad].
+    The environment is a spring with a damper, always in contact: size of the ratio, and its angle [rad].
     """
     try:
         scene = _at_delay(scene_under(rig, algorithm, allow_code=allow_code), delay)

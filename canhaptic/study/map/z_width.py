@@ -30,7 +30,7 @@ SHARE: Final = "stiffness_rendered.share"
 class _Border(NamedTuple):
     """The largest value of a key that passes with all below it, or the largest near one of these.
 
-    Of the shape of the other keys of a field.
+    Arrays have the shape of the other keys of a field.
 
     NaN where a scene was not run; 0 where not even the least passes, or none is near; `open` where the largest passes.
     """
