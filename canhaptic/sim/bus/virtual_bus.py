@@ -48,7 +48,7 @@ class _Inbox:
         """Takes the first frame, waiting up to `timeout` [s] for one, None for ever.
 
         Raises:
-            Empty: None came.
+            Empty: None came, or the bell rang late, for a frame that was taken before: wait on.
         """
         frames, ring = self.frames, self._bell.acquire
         if block and not frames:
@@ -76,7 +76,7 @@ class LeanVirtualBus(VirtualBus):
         inbox = _Inbox()
         with channels_lock:
             self.channel[self.channel.index(self.queue)] = self.queue = cast(Any, inbox)
-        self._inbox, self.waiting = inbox, inbox.frames
+        self.waiting = inbox.frames
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Puts the frame, or a copy of one that the sender may use again, into the queue of every other connection.
@@ -115,14 +115,10 @@ class LeanVirtualBus(VirtualBus):
         Raises:
             can.CanOperationError: The connection was shut down.
         """
-        if not self._open or self._filters is not None:
-            return super().recv(timeout)
-        waiting = self.waiting
-        if waiting:
-            return waiting.popleft()
-        if timeout == 0.0:
-            return None
-        try:
-            return self._inbox.get(True, timeout)
-        except Empty:
-            return None
+        if self._open and self._filters is None:
+            waiting = self.waiting
+            if waiting:
+                return waiting.popleft()
+            if timeout == 0.0:
+                return None
+        return super().recv(timeout)  # waits on until the time is over

@@ -62,7 +62,7 @@ def _semi_implicit_euler(model: Model, now: float, state: Floats, torque: float,
     """Returns the state after a step of order 1: positions move with the new velocities."""
     rates = model.rates(now, state, torque, modes)
     after = [value + step * rate for value, rate in zip(state, rates, strict=True)]
-    for index, terms in model.kinematics().items():
+    for index, terms in model.kinematics.items():
         after[index] = state[index] + step * sum(factor * after[velocity] for velocity, factor in terms)
     return after
 

@@ -58,6 +58,7 @@ class Model:
         start: State at time 0.
         first: Mode of each element at time 0.
         breaks: Times at which the equations change by the clock [s].
+        kinematics: States that are integrals of velocities: place -> (place of the velocity, factor).
         evaluations: Number of evaluations of the forces.
         switches: Whether anything may leave its mode.
     """
@@ -72,7 +73,7 @@ class Model:
         self.start = [parameters.initial_position, parameters.initial_velocity]
         self._masses = [parameters.mass]
         self._places = [BodyPlace(VELOCITY, ((POSITION, 1.0),))]
-        self._kinematics: dict[int, tuple[tuple[int, float], ...]] = {POSITION: ((VELOCITY, 1.0),)}
+        self.kinematics: dict[int, tuple[tuple[int, float], ...]] = {POSITION: ((VELOCITY, 1.0),)}
         self._elements: list[Element] = []
         self.breaks: list[float] = []
         self.evaluations = 0
@@ -123,7 +124,7 @@ class Model:
             twist, load = self.add_state("twist"), self.add_state("load_velocity", self.start[VELOCITY])
             self._masses.append(shaft.load_mass)
             self._places.append(BodyPlace(load, ((POSITION, 1.0), (twist, -1.0))))
-            self._kinematics[twist] = ((VELOCITY, 1.0), (load, -1.0))
+            self.kinematics[twist] = ((VELOCITY, 1.0), (load, -1.0))
             if not self._one("backlash"):
                 self._elements.append(Shaft(shaft.stiffness, shaft.damping, twist, load))
         self._elements.append(Drag(parameters.damping))
@@ -185,7 +186,7 @@ class Model:
         forces = self._forces(time, state, torque, modes, rates, len(self._elements))
         for place, force, mass in zip(self._places, forces, self._masses, strict=True):
             rates[place.velocity] = force / mass
-        for index, terms in self._kinematics.items():
+        for index, terms in self.kinematics.items():
             rates[index] = sum(factor * float(state[velocity]) for velocity, factor in terms)
         return rates
 
@@ -231,10 +232,6 @@ class Model:
         """Returns every way out of these modes; valid until it is asked for others."""
         self._asked = modes
         return [way for i, element in enumerate(self._elements) for way in element.ways(i, modes[i])]
-
-    def kinematics(self) -> dict[int, tuple[tuple[int, float], ...]]:
-        """Returns the states that are integrals of velocities: place -> (place of the velocity, factor)."""
-        return self._kinematics
 
     @property
     def dynamic_size(self) -> int:
