@@ -5,12 +5,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from canhaptic.cli.arguments import (
-    check_page,
-    check_picture,
-    check_place,
-    scene_of,
-)
+from canhaptic.cli.arguments import check_page, check_picture, check_place, scene_of
 from canhaptic.cli.output import note_file, write_file, write_json
 from canhaptic.cli.progress import run_progress
 from canhaptic.cli.stop_signal import StopSignal

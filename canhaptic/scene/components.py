@@ -106,7 +106,7 @@ class ComponentOf:
             if not isinstance(name, str):
                 seen = "missing" if name is None else f"got {shown(name)}"
                 raise ParameterError(f"{seen}, expected one of: {', '.join(sorted(self.table))}")
-            code = _permitted(info)
+            code = info.context.code
             if name not in self.table and code.is_left(name, self.kind):
                 return ComponentSpec(name, UnreadParameters(written=dict(value.without(self.selector, *self.apart))))
             own = None if name in self.table else code.find(name, self.kind)
@@ -161,7 +161,7 @@ class OwnModel:
     ) -> object:
         if not isinstance(value, MarkedMapping) or "type" not in value:
             return handler(value)
-        name, code = value["type"], _permitted(info)
+        name, code = value["type"], info.context.code
         if not isinstance(name, str):
             raise ValueError(f"type: got {shown(name)}, expected FILE.py:Class")
         if code.is_left(name, self._kind):
@@ -239,10 +239,6 @@ class OnDemand:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         return handler(self.model_of().__pydantic_core_schema__)
-
-
-def _permitted(info: ValidationInfo[SceneReading]) -> OwnCode:
-    return info.context.code
 
 
 def _parameters_of(entry: Any) -> type[Parameters]:

@@ -246,7 +246,7 @@ def _check_dictionary(axis: AxisScene, entry: MarkedMapping, scene: Scene, fault
 
 
 def _check_groups(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
-    """Notes what network, kinematics and passivity of a group cannot do together, and axes apart in time."""
+    """Notes what network, kinematics and passivity of a group cannot do together."""
     for group, section in zip(scene.groups, sections.get("groups") or (), strict=True):
         try:
             build_group(scene, group)

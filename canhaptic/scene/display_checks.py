@@ -2,6 +2,8 @@
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.dictionary import Dictionary, is_writable
+from canhaptic.drive.axis_parameters import AxisParameters
+from canhaptic.drive.profile.display_parameters import DisplayParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import InputError
 from canhaptic.scene.diagnostics import Diagnostics
@@ -28,24 +30,21 @@ def check_display(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: D
     if simulation is not None and simulation.admittance is None:
         faults.add(at, "got an admittance display, but simulation.admittance is missing; add loop, grip and sensor")
     if not scene.simulated:
-        for key, missing in _needed(axis).items():
-            if missing:
-                faults.add(
-                    at, f"{key}: missing; an admittance display on a real interface does not move without, add it"
-                )
+        for key in _missing(axis.parameters, display):
+            faults.add(at, f"{key}: missing; an admittance display on a real interface does not move without, add it")
 
 
-def _needed(axis: AxisScene) -> dict[str, bool]:
-    """Returns what real hardware needs, and whether it is missing."""
-    given, display = axis.parameters, axis.parameters.admittance
-    return {
-        "admittance.position_low": display is None or display.position_low is None,
-        "admittance.position_high": display is None or display.position_high is None,
-        "admittance.acceleration_limit": display is None or display.acceleration_limit is None,
-        "admittance.force.frozen_after": display is None or display.force.frozen_after is None,
-        "speed_limit": "speed_limit" not in given.model_fields_set,
-        "watchdog: true": not given.watchdog,
+def _missing(given: AxisParameters, display: DisplayParameters) -> list[str]:
+    """Returns what real hardware needs and the axis does not have."""
+    needed = {
+        "admittance.position_low": display.position_low,
+        "admittance.position_high": display.position_high,
+        "admittance.acceleration_limit": display.acceleration_limit,
+        "admittance.force.frozen_after": display.force.frozen_after,
+        "speed_limit": given.speed_limit if "speed_limit" in given.model_fields_set else None,
+        "watchdog: true": given.watchdog or None,
     }
+    return [key for key, value in needed.items() if value is None]
 
 
 def limit_objection(axis: AxisScene, dictionary: Dictionary, scene: Scene) -> str | None:

@@ -2,6 +2,7 @@
 
 from math import pi, sqrt
 
+from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.admittance.damping_border import damping_border
 from canhaptic.control.admittance.declared_hand import declared_hand_settings, lightest
 from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters, loop_settings
@@ -19,8 +20,7 @@ def display_hints(scene: Scene) -> list[Hint]:
 
 def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
     given, properties = axis.parameters, display_properties(axis)
-    name, linear = given.name, given.unit == "m"
-    effort, speed_unit = ("N", "m/s") if linear else ("N*m", "rad/s")
+    name, effort, speed_unit = given.name, effort_unit(given.unit), f"{given.unit}/s"
     time = properties.sample_time
     doubt = properties.force_error + (0.0 if properties.sampling != "point" else 0.25 * properties.force_slew * time)
     text = "acts on the account like so much dry friction; slew T / 4 for point samples, and the error of a value"
@@ -40,7 +40,7 @@ def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
 def _of_guard(axis: AxisScene, known: GuardedDisplayParameters, speed_unit: str, asked: float | None) -> list[Hint]:
     properties, name = display_properties(axis), axis.parameters.name
     axis_unit = axis.parameters.unit
-    unit, effort = ("kg", "N") if axis_unit == "m" else ("kg*m^2", "N*m")
+    unit, effort = "kg" if axis_unit == "m" else "kg*m^2", effort_unit(axis_unit)
     time, gain, mass = properties.sample_time, known.loop_gain, known.drive_mass
     holds = properties.delay + 1 + known.max_consecutive_losses
     lag = (properties.delay + 0.5 + properties.latency) * time
@@ -62,7 +62,7 @@ def _of_guard(axis: AxisScene, known: GuardedDisplayParameters, speed_unit: str,
         if asked is not None and asked < never:
             border = damping_border(mass, gain, asked, known.hand_stiffness, lag)
             text = f"in place of that mass, for the declared hand_stiffness; {asked:g} {unit} asked"
-            hints.append(Hint(name, "damping from which it never acts", border, None, f"{effort}*s/{axis_unit}", text))
+            hints.append(Hint(name, "damping from which it never acts", border, None, damping_unit(axis_unit), text))
     if asked is not None and properties.speed_quantum:
         least = asked * properties.speed_quantum / time
         text = (
@@ -98,16 +98,9 @@ def _of_offset(axis: AxisScene, known: GuardedDisplayParameters, properties: Dis
     unit = "J/N" if axis.parameters.unit == "m" else "J/(N*m)"
     text = "an offset times the room between the limits of the position, never more"
     if known.drive_friction is None:
-        return Hint(
-            axis.parameters.name, "sensor with an offset", room, None, unit, f"{text}; found by commission only"
-        )
-    port, effort = port_settings(properties), "N" if axis.parameters.unit == "m" else "N*m"
+        text += "; found by commission only"
+        return Hint(axis.parameters.name, "sensor with an offset", room, None, unit, text)
+    port, effort = port_settings(properties), effort_unit(axis.parameters.unit)
     found = 2.0 * (known.drive_friction + port.error + (0.0 if port.is_mean else 0.25 * port.slew * port.sample_time))
-    return Hint(
-        axis.parameters.name,
-        "sensor with an offset",
-        room,
-        None,
-        unit,
-        f"{text}; noticed from about {found:.3g} {effort} on",
-    )
+    text += f"; noticed from about {found:.3g} {effort} on"
+    return Hint(axis.parameters.name, "sensor with an offset", room, None, unit, text)

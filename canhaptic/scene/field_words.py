@@ -13,16 +13,16 @@ def words_of(model: type[Parameters]) -> dict[str, str]:
     for owner in reversed(model.__mro__):
         if not issubclass(owner, Parameters) or owner is Parameters:
             continue
-        [body] = [node for node in ast.walk(ast.parse(_source(owner))) if isinstance(node, ast.ClassDef)][:1]
+        [body] = [
+            node
+            for node in ast.walk(ast.parse(inspect.cleandoc("\n" + inspect.getsource(owner))))
+            if isinstance(node, ast.ClassDef)
+        ][:1]
         found.update(_attributes(inspect.cleandoc(ast.get_docstring(body) or "")))
         for field, text in zip(body.body, body.body[1:], strict=False):
             if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
                 found[ast.unparse(field.target)] = " ".join(str(text.value.value).split())
     return found
-
-
-def _source(owner: type) -> str:
-    return inspect.cleandoc("\n" + inspect.getsource(owner))
 
 
 def _attributes(docstring: str) -> dict[str, str]:

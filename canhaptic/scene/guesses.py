@@ -9,7 +9,7 @@ from canhaptic.scene.models import Scene
 
 TO_SET: Final = "TO SET"
 """Marks every value that the user has to replace."""
-_MARKED: Final = re.compile(rf"^\s*(?:-\s+)?([^#\s][^#]*?)\s#\s*{TO_SET}\b[:,]?\s*(.*)$")
+_MARKED: Final = re.compile(rf"^\s*(?:-\s+)?([^#\s].*?)\s#\s*{TO_SET}\b[:,]?\s*(.*)$")
 
 
 class Guess(NamedTuple):

@@ -155,11 +155,9 @@ def _quantisation_hint(axis: AxisScene) -> Hint:
     """
     count, stiffness, friction = axis.loop.encoder_count, _asked(axis, "stiffness"), _simulated_friction(axis)
     limit = quantisation_bound(axis)
-    needed = "" if stiffness is None else f"needs {0.5 * stiffness * count:.3g} of Coulomb friction for what is asked"
-    if friction is None:
-        text = f"no Coulomb friction known; {needed}" if needed else "no Coulomb friction known"
-    else:
-        text = f"friction {friction:.3g} of the simulated plant; {needed}"
+    text = "no Coulomb friction known" if friction is None else f"friction {friction:.3g} of the simulated plant"
+    if stiffness is not None:
+        text += f"; needs {0.5 * stiffness * count:.3g} of Coulomb friction for what is asked"
     return _of_plain_wall(axis, "stiffness, quantisation bound 2 f_c / count", "stiffness", limit, stiffness, text)
 
 

@@ -103,7 +103,7 @@ def _run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, At
             f"{group.name}.kinematics": group.kinematics.name,
             f"{group.name}.algorithm": group.passivity.name,
             **_promise_attributes(group.name, group.passivity.parameters),
-            **({f"{group.name}.is_damped": 1} if _is_damped(scene, group.axes) else {}),
+            **({f"{group.name}.is_damped": 1} if all(scene.axis(axis).loop.brakes for axis in group.axes) else {}),
         }
     return attributes
 
@@ -131,10 +131,6 @@ def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
         if isinstance(value, str | float):
             attributes[f"{name}.wall_{key}"] = value
     return attributes
-
-
-def _is_damped(scene: Scene, axes: tuple[str, ...]) -> bool:
-    return all(scene.axis(axis).loop.brakes for axis in axes)
 
 
 def _promise_attributes(name: str, parameters: object) -> dict[str, Attribute]:

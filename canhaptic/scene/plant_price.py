@@ -99,7 +99,7 @@ def estimated_error(simulation: AxisSimulation, torques: Sequence[float], sample
         return None
     runs = _Runs(simulation, torques, sample_time_ns)
     travel = max(float(np.ptp(runs.of(accuracy))), 1e-12)
-    step = runs.apart(accuracy, 2)
+    step = runs.between(accuracy, 1, 2)
     bracket = _bracket_error(runs, accuracy) if switches else 0.0
     if plant.is_exact:
         doubt = _moved(step, travel) if step > _SUSPECT * max(bracket, _FLOOR * travel) else ""
@@ -130,10 +130,6 @@ class _Runs:
             plant = build_plant(changed, max(1, self._period // finer))
             self._found[key] = observed(plant, self._torques, self._period).position
         return self._found[key]
-
-    def apart(self, accuracy: AccuracyParameters, finer: int) -> float:
-        """Returns the largest difference from the same with shorter steps [m or rad]."""
-        return self.between(accuracy, 1, finer)
 
     def between(self, accuracy: AccuracyParameters, one: int, other: int) -> float:
         """Returns the largest difference of two lengths of step [m or rad]."""

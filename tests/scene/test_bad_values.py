@@ -8,7 +8,8 @@ import pytest
 from canhaptic import simulate
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError, SceneError
-from canhaptic.scene.load import load_scene
+from canhaptic.scene.guesses import guesses_left
+from canhaptic.scene.load import load_scene, scene_from_text
 from tests.scene.scene_text import REPOSITORY
 
 CONFIGS = REPOSITORY / "configs"
@@ -65,6 +66,12 @@ def test_a_unit_may_be_written_as_in_a_data_sheet() -> None:
 def test_a_transmission_that_is_a_text_scales_the_simulated_drive_too() -> None:
     one, other = (load_scene(DEMO, [f"axes.0.transmission={ratio}"]).axes[0] for ratio in ("2", "'2'"))
     assert one.simulation == other.simulation
+
+
+def test_a_mark_behind_a_value_with_a_hash_is_a_guess_all_the_same() -> None:
+    text = DEMO.read_text().replace("bus:\n", "bus:\n  channel: 'a #1'  # TO SET: its name\n# TO SET: nothing\n", 1)
+    [guess] = guesses_left(scene_from_text(text, str(DEMO)))
+    assert guess[1:] == ("channel", "'a #1'", "its name")
 
 
 def test_an_object_that_the_dictionary_lacks_is_named_with_its_scene_and_drive(
