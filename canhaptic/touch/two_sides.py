@@ -120,16 +120,26 @@ def _solid(environment: Any, shown: tuple[float, float]) -> tuple[tuple[float, f
 # --- in a plane ---------------------------------------------------------------------------------------------------
 
 
-def _plane(scene: Scene, name: str) -> TouchScene:
-    index, group = next((i, one) for i, one in enumerate(scene.groups) if one.name == name)
+def _stage_of(scene: Scene, group: GroupScene) -> tuple[MechanismScene, Box]:
+    """Returns the stage on which a group renders a box, and the box.
+
+    Raises:
+        InputError: It is no stage, or no box that is linear and solid outside.
+    """
     of = next((one for one in scene.mechanisms if one.axes == group.axes), None)
     box = group.network.parameters
     is_square = of is not None and of.mechanism.name == "xy_stage" and group.kinematics.name == "identity"
     if of is None or not is_square or not isinstance(box, Box) or box.side != "inside" or box.hardening:
         raise InputError(
-            f"{scene.source}: group {name!r} renders {group.network.name}; touch shows an axis by itself, or a box on "
-            "an xy_stage from inside, with linear springs"
+            f"{scene.source}: group {group.name!r} renders {group.network.name}; touch shows an axis by itself, or a "
+            "box on an xy_stage from inside, with linear springs"
         )
+    return of, box
+
+
+def _plane(scene: Scene, name: str) -> TouchScene:
+    index, group = next((i, one) for i, one in enumerate(scene.groups) if one.name == name)
+    of, box = _stage_of(scene, group)
     sides = (
         Side(PLAIN, tuple(f"{PLAIN} {axis}" for axis in group.axes)),
         Side(group.passivity.name, tuple(f"{group.passivity.name} {axis}" for axis in group.axes), name),

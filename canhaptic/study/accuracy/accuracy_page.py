@@ -5,8 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from canhaptic.errors import InputError
+from canhaptic.scene.accuracy_choice import FLOOR
 from canhaptic.study.accuracy.accuracy_picture import GROUPS, STYLES, price_of
 from canhaptic.study.accuracy.accuracy_table import Row, advice_lines, heading
+from canhaptic.study.accuracy.advice import front
 from canhaptic.view.html_page import decades, require_bokeh, write_page
 
 if TYPE_CHECKING:
@@ -60,7 +62,7 @@ def _ladder(result: Row, price: str, price_label: str, error: str, error_label: 
         width=620, height=540, x_axis_type="log", y_axis_type="log", tools=_TOOLS, x_axis_label=price_label,
         y_axis_label=error_label,
     )  # fmt: skip
-    least = 1e-18
+    least = FLOOR * result["reference"]["travel" if error == "position_error" else "energy"]
     for method in dict.fromkeys(r["method"] for r in result["plant"]):
         own = [r for r in result["plant"] if r["method"] == method and r["status"] == "ok" and r.get(price)]
         if not own:
@@ -79,21 +81,20 @@ def _ladder(result: Row, price: str, price_label: str, error: str, error_label: 
             "price", "error", source=source, marker=_MARKERS[marker], size=9, color=colour,
             line_color="edge", line_width=2, legend_label=method,
         )  # fmt: skip
-    edge = sorted((r[price], max(r[error], least)) for r in result["plant"] if r["pareto"] and r.get(price))
-    best = [point for k, point in enumerate(edge) if all(point[1] < other[1] for other in edge[:k])]
-    panel.step([x for x, _ in best], [y for _, y in best], mode="after", line_color="black", line_dash="dashed",
-               legend_label="Pareto front")  # fmt: skip
-    if error == "position_error" and edge:
-        panel.line([min(x for x, _ in edge), max(x for x, _ in edge)], result["tolerance"], line_color="#CC0000",
-                   line_dash="dotted", line_width=2, legend_label="tolerance")  # fmt: skip
+    points = [(r[price], max(r[error], least)) for r in result["plant"] if r["status"] == "ok" and r.get(price)]
+    if points:
+        x, y = zip(*sorted(front(points)), strict=True)
+        panel.step(x, y, mode="after", line_color="black", line_dash="dashed", legend_label="Pareto front")
+        panel.x_range = decades([price for price, _ in points])
+    if error == "position_error":
+        look = {"line_color": "#CC0000", "line_dash": "dotted", "line_width": 2, "legend_label": "tolerance"}
+        panel.hspan(y=[result["tolerance"]], **look)
     panel.add_tools(
         HoverTool(tooltips=[("", "@name"), (error_label, "@error"), (price_label, "@price"), ("", "@pareto")])
     )
     panel.legend.click_policy = "hide"
     panel.legend.ncols, panel.legend.border_line_alpha = 3, 0.0
     panel.add_layout(panel.legend[0], "below")  # where it hides no point
-    if edge:
-        panel.x_range = decades([r[price] for r in result["plant"] if r["status"] == "ok" and r.get(price)])
     return panel
 
 
