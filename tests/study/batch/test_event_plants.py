@@ -14,7 +14,7 @@ from canhaptic.study.batch.event_loops import run_event_plants
 from canhaptic.study.batch.marching import march
 from canhaptic.study.batch.varied import scene_with
 
-CYCLES = 700
+CYCLES = 450
 MOVING = ("environment.position=0.005", "simulation.user.motion.frequency=3")
 STOP = "{type: hard_stop, side: upper, position: 0.02, stiffness: 1e5, damping: 50}"
 FRICTION = "{type: coulomb_friction, kinetic: 0.3, static: 0.4}"
@@ -55,6 +55,7 @@ def demo(effects, *overrides, algorithm="guarded"):
     "cogging, ripple, lag",
     "two grasps and a stop",
     "current loop and friction",
+    "hot and saturated",
 )
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_batch_gives_the_figures_of_one_scene_at_a_time(plant):

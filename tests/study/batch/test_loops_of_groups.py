@@ -78,19 +78,19 @@ WITH_EVENTS = {
 }
 
 
-@pytest.mark.slow_for("stage with friction")
+@pytest.mark.slow_for("stage with friction", "handles with noise and saturation")
 @pytest.mark.parametrize("kind", WITH_EVENTS)
 def test_motors_with_events_do_what_the_plants_do(kind: str) -> None:
     scene = scene_of(*WITH_EVENTS[kind])
     case = group_case(scene, explains=True)
     assert case.why_not == ""
     axes = [scene.axis(axis) for axis in scene.groups[0].axes]
-    by_plants = values_of(group_meter(case._replace(motors=motors_of(scene, axes)), 300))
-    in_loop = values_of(group_meter(case, 300))
+    by_plants = values_of(group_meter(case._replace(motors=motors_of(scene, axes)), 200))
+    in_loop = values_of(group_meter(case, 200))
     assert in_loop == pytest.approx(by_plants, rel=1e-6, abs=1e-10)
     name, *effects = WITH_EVENTS[kind]
     if effects:
-        without = values_of(group_meter(group_case(scene_of(name)), 300))
+        without = values_of(group_meter(group_case(scene_of(name)), 200))
         assert in_loop["interaction"] != pytest.approx(without["interaction"], rel=1e-3)
     assert in_loop["torque_peak"] > 0.0
 
@@ -108,8 +108,8 @@ def test_motors_as_one_flow_do_what_the_plants_do(name: str, seed: int) -> None:
     case = group_case(scene, explains=True)
     assert case.is_compilable
     axes = [scene.axis(axis) for axis in scene.groups[0].axes]
-    by_plants = values_of(group_meter(case._replace(motors=motors_of(scene, axes)), 300))
-    by_flow = values_of(group_meter(case, 300))
+    by_plants = values_of(group_meter(case._replace(motors=motors_of(scene, axes)), 200))
+    by_flow = values_of(group_meter(case, 200))
     assert by_flow == pytest.approx(by_plants, rel=1e-9, abs=1e-13)
     assert by_flow["torque_peak"] > 0.0
 
