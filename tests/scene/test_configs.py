@@ -11,11 +11,13 @@ from tests.scene.scene_text import REPOSITORY
 
 PROFILES = REPOSITORY / "configs" / "drives"  # keys of an axis, and no scenes
 CONFIGS = sorted(path for path in (REPOSITORY / "configs").rglob("*.yaml") if path.parent != PROFILES)
+REAL = [path for path in CONFIGS if "interface: virtual" not in path.read_text(encoding="utf-8")]
+"""By their text: to load every scene takes longer than all the tests here."""
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
 def test_every_shipped_configuration_is_valid(path: Path) -> None:
-    assert load_scene(path).axes
+    assert (load_scene(path).bus.interface == "virtual") is (path not in REAL)
 
 
 def test_the_six_configurations_are_there() -> None:
@@ -42,12 +44,10 @@ def test_the_real_rig_differs_from_the_demo_in_the_bus_and_the_simulation_only()
     }
 
 
-REAL = [path for path in CONFIGS if load_scene(path).bus.interface != "virtual"]
-
-
 @pytest.mark.parametrize("path", REAL, ids=lambda path: path.stem)
 def test_a_scene_with_a_real_interface_marks_every_value_that_only_the_rig_knows(path: Path) -> None:
     scene = load_scene(path)
+    assert scene.bus.interface != "virtual"
     assert {guess.key for guess in guesses_left(scene)} == {
         *("channel", "bitrate", "node_id", "eds", "counts_per_unit", "rated_torque", "torque_limit", "moving_mass"),
         *("device_damping_bound", "device_friction_bound", "sync_jitter", "torque_window", "current_lag", "hand_push"),
