@@ -5,6 +5,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple, TypedDict
 
+import numpy as np
+
 from canhaptic.control.balance import Certificate, EnergyBalance
 from canhaptic.control.multi_axis.axis_group import GroupedControllers
 from canhaptic.errors import InputError
@@ -38,10 +40,15 @@ class Recomputed(TypedDict):
 
     port: str
     mismatch: dict[str, str | int | float] | None
+    rows: int  # recomputed: those before the first that is missing, or before a skipped SYNC where its time matters
+    unchecked_rows: int  # behind them
+    missing_rows: int  # that the log lost
 
 
 def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControllers) -> list[Mismatch]:
     """Returns of each axis and group the first logged output that differs from the one computed again.
+
+    Behind a row that is missing nothing is computed: what the controllers were fed in it is not known.
 
     Args:
         log: An open energy log that holds the run from its first cycle.
@@ -52,7 +59,9 @@ def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControlle
     names = (*axes, *(group.name for group in controllers.groups))
     inputs = [logged_rows(log, name, _INPUTS) for name in axes]
     outputs = [logged_rows(log, name, _OUTPUTS) for name in names]
-    for row, (seen, expected) in enumerate(zip(zip(*inputs, strict=True), zip(*outputs, strict=True), strict=True)):
+    rows = zip(periods_of(log), zip(*inputs, strict=True), zip(*outputs, strict=True), strict=False)
+    for row, (periods, seen, expected) in enumerate(rows):
+        controllers.lasted(periods)
         samples = [Sample(row, position, torque, 0, fresh=bool(fresh)) for position, torque, fresh in seen]
         balances = [*controllers.step(samples), *(group.balance.account for group in controllers.groups)]
         for name, balance, logged in zip(names, balances, expected, strict=True):
@@ -63,6 +72,22 @@ def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControlle
                 cycle = int(log.timing["sync_index"][row])
                 found[name] = Mismatch(name, cycle, _OUTPUTS[number], logged[number], balance[number])
     return list(found.values())
+
+
+def rows_before_a_gap(log: EnergyLog) -> int:
+    """Returns how many rows come before the first that the log lost."""
+    lost = log.timing["dropped_before"]
+    return int(np.argmax(lost > 0)) if lost.any() else log.rows
+
+
+def periods_of(log: EnergyLog) -> list[int]:
+    """Returns how many sample times the hold lasted that ended at each row before the first that the log lost.
+
+    By the deadlines of the SYNCs. One that was late, beside a skipped one, may be a sample time off.
+    """
+    rows, period = rows_before_a_gap(log), log.sample_time_ns
+    sent = log.deadlines(0, rows) * period + np.maximum(0, log.timing.read("wakeup_lateness", 0, rows))
+    return [1, *np.maximum(1, (np.diff(sent) + period // 2) // period).tolist()][:rows]
 
 
 def logged_rows(log: EnergyLog, port: str, columns: Sequence[str]) -> Iterator[tuple[float, ...]]:
@@ -93,7 +118,19 @@ def recompute_all(log: EnergyLog, config: Path | None = None, *, allow_code: boo
     controllers = GroupedControllers(build_axis_controllers(scene), build_axis_groups(scene))
     axes = [axis.parameters.name for axis in scene.axes]
     found = {mismatch.port: mismatch for mismatch in recompute(log, axes, controllers)}
-    return [{"port": name, "mismatch": found[name]._asdict() if name in found else None} for name in log.ports]
+    whole, skips = rows_before_a_gap(log), np.flatnonzero(np.diff(log.deadlines()) > 1) + 1
+    skipped = int(skips[0]) if len(skips) else log.rows
+    results: list[Recomputed] = []
+    for name in log.ports:
+        mismatch, rows = found.get(name), whole
+        if mismatch is not None and mismatch.cycle >= int(log.timing["sync_index"][min(skipped, log.rows - 1)]):
+            mismatch, rows = None, min(rows, skipped)  # how long that hold lasted is not in the log
+        values = None if mismatch is None else mismatch._asdict()
+        unchecked = log.rows - rows
+        results.append(
+            {"port": name, "mismatch": values, "rows": rows, "unchecked_rows": unchecked, "missing_rows": log.dropped}
+        )
+    return results
 
 
 def scene_of(log: EnergyLog, config: Path | None = None, *, allow_code: bool = False) -> "Scene":

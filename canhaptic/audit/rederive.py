@@ -26,10 +26,11 @@ from canhaptic.scene.parts import build_axis_controllers, build_axis_groups, gro
 from canhaptic.signals import Sample
 
 
-def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[list[Sample]]:
-    """Yields the samples of every cycle, from the first SYNC that all axes answered in OPERATION ENABLED to the last.
+def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[tuple[int, list[Sample]]]:
+    """Yields (sample times since the SYNC before, the samples of every axis) for every cycle.
 
-    The stop's ramp is included: the frames do not tell it from the run.
+    From the first SYNC that all axes answered in OPERATION ENABLED to the last that they answered. The stop's ramp is
+    included: the frames do not tell it from the run.
 
     Raises:
         LogFormatError: The bus log cannot be read.
@@ -38,7 +39,14 @@ def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[list[Sample]]:
     on_bus = [[a for a, of in zip(axes, scene.axes, strict=True) if of.bus == bus.name] for bus in scene.buses]
     place_of = Channels(scene).place_of
     together = {axis: group for group in group_places(scene) for axis in group}
-    cycle = -1
+    cycle, sent, periods, period = -1, 0, 1, scene.bus.sample_time_ns
+
+    def heard() -> tuple[int, list[Sample]]:
+        return periods, [
+            axis.sample(cycle, is_whole=all(axes[other].is_complete for other in together.get(number, ())))
+            for number, axis in enumerate(axes)
+        ]
+
     for frame in read_bus_log(bus_log):
         place = place_of(frame)
         if frame.can_id != od.SYNC_FRAME_COB_ID:
@@ -51,12 +59,13 @@ def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[list[Sample]]:
             return
         if cycle >= 0 or all(axis.is_enabled for axis in axes):
             cycle += 1
-            yield [
-                axis.sample(cycle, is_whole=all(axes[other].is_complete for other in together.get(number, ())))
-                for number, axis in enumerate(axes)
-            ]
+            yield heard()
+        periods, sent = (frame.timestamp_ns - sent + period // 2) // period or 1, frame.timestamp_ns
         for axis in axes:
             axis.forget()
+    if all(axis.is_enabled for axis in axes):  # behind the last SYNC none comes any more
+        cycle += 1
+        yield heard()
 
 
 def _declared(axis: AxisScene) -> DeclaredDrive:
@@ -110,9 +119,10 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     ledgers = [Ledger() for _ in names]
     judges = [] if log is None else [_Judge(log, name) for name in names]
     cycles = 0
-    for samples in _samples_of(bus_log, scene):
+    for periods, samples in _samples_of(bus_log, scene):
         if log is not None and cycles == log.rows:
             break
+        controllers.lasted(periods)
         balances = [*controllers.step(samples), *(group.balance.account for group in groups)]
         samples += [group.sample(samples) for group in groups]
         for port, (sample, balance) in enumerate(zip(samples, balances, strict=True)):

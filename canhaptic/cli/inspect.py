@@ -76,7 +76,7 @@ def _is_good(result: Inspection) -> bool:
         not result["findings"]
         and all(outcome["holds"] for outcome in result["checks"])
         and result.get("comparison", {}).get("identical", True)
-        and all(port["mismatch"] is None for port in result.get("recomputed", []))
+        and all(port["mismatch"] is None and not port["unchecked_rows"] for port in result.get("recomputed", []))
         and not result.get("rederived", {}).get("differences")
     )
 

@@ -95,6 +95,13 @@ def _finding_line(finding: ImpossibleValue) -> Text:
 
 
 def _recomputed_line(recomputed: Recomputed) -> Text:
+    if recomputed["mismatch"] is None and recomputed["unchecked_rows"]:
+        lost = f"{recomputed['missing_rows']} rows are missing"
+        skipped = "a SYNC was skipped, and how long its hold lasted is in the bus log alone: add --bus-log"
+        words = (
+            f" {recomputed['port']}: the first {recomputed['rows']} cycles recomputed, equal bit for bit; behind them "
+        )
+        return Text(words + (lost if recomputed["missing_rows"] else skipped), style="bold red")
     mismatch = recomputed["mismatch"]
     if mismatch is None:
         return Text(f" {recomputed['port']}: recomputed, every output equal bit for bit", style="green")

@@ -4,8 +4,10 @@ from pathlib import Path
 import h5py
 import pytest
 
+from canhaptic.audit.rederive import rederive
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError
+from canhaptic.scene.load import load_scene
 from tests.view import typed
 
 DEMO = Path(__file__).parents[2] / "configs" / "demo.yaml"
@@ -107,3 +109,47 @@ def test_a_recomputation_that_differs_is_shown_and_ends_with_one(
     (found,) = json.loads(capsys.readouterr().out)["recomputed"]
     assert found["port"] == "handle"
     assert found["mismatch"]["logged"] == pytest.approx(found["mismatch"]["recomputed"] + 1.0)
+
+
+def test_rows_that_are_missing_are_no_mismatch_but_counted(
+    logs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The log of a run that lost three rows, and one of a run whose SYNC was skipped for seven sample times."""
+    path = tmp_path / "run.h5"
+
+    def shown() -> str:
+        assert typed.inspect(path, "--recompute") == 1
+        return capsys.readouterr().out
+
+    path.write_bytes(logs[0].read_bytes())
+    with h5py.File(path, "r+") as file:
+        file["timing/dropped_before"][900] = 3
+        file["ports/handle/position"][900] += 1e-3
+    assert typed.inspect(path, "--recompute", "--json") == 1
+    [port] = json.loads(capsys.readouterr().out)["recomputed"]
+    assert port == {"port": "handle", "mismatch": None, "rows": 900, "unchecked_rows": 400, "missing_rows": 3}
+    assert "the first 900 cycles recomputed, equal bit for bit; behind them 3 rows are missing" in shown()
+    with h5py.File(path, "r+") as file:
+        file["timing/dropped_before"][900] = 0
+        file["timing/deadline_index"][900:] += 7
+    assert "900 cycles recomputed, equal bit for bit; behind them a SYNC was skipped" in shown()
+
+
+def test_the_account_is_derived_where_syncs_were_skipped_and_up_to_the_last_answer(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A log that ends with the answers to a SYNC, as that of a killed master does."""
+    energy, bus = tmp_path / "run.h5", tmp_path / "run.log"
+    stall = "simulation.bus={stall: [{begin: 1.05, duration: 6 ms, every: 0.0713}]}"
+    words = ["run", str(DEMO), "--duration", "1.3", "--pace", "free", "--log", str(energy), "--bus-log", str(bus)]
+    assert main([*words, "--json", "--set", stall, "--set", "environment.damping=20 N*s/m"]) == 0
+    capsys.readouterr()
+    assert typed.inspect(energy, "--bus-log", bus) == 0
+    assert "from the frames alone: 1300 cycles, samples and account equal bit for bit" in capsys.readouterr().out
+    lines = bus.read_text().splitlines(keepends=True)
+    last = [number for number, line in enumerate(lines) if " 181#" in line][-30]
+    bus.write_text("".join(lines[: last + 1]))
+    scene = load_scene(DEMO, [stall, "environment.damping=20 N*s/m"])
+    whole = rederive(bus, scene)["cycles"]
+    bus.write_text("".join(lines[:last]))
+    assert whole == rederive(bus, scene)["cycles"] + 1

@@ -126,6 +126,12 @@ class GroupedControllers:
         self._singles = list(zip((axis for axis in range(self.axes) if axis not in grouped), controllers, strict=True))
         self._balances: list[EnergyBalance] = [_axis_balance(0.0, 0.0, _GROUP, 0)] * self.axes
 
+    def lasted(self, periods: int) -> None:
+        """Says that SYNCs were skipped: the hold that ends next lasted so many sample times."""
+        for controller in (*(single for _, single in self._singles), *(group.controller for group in self.groups)):
+            if periods > 1 and hasattr(controller, "lasted"):
+                controller.lasted(float(periods))
+
     def step(self, samples: Sequence[Sample]) -> list[EnergyBalance]:
         """Returns one balance per axis; those of the groups are in `AxisGroup.balance`."""
         balances = self._balances.copy()
