@@ -130,8 +130,10 @@ class WriterProcess:
 
     def _give_job(self, process: "subprocess.Popen[str]", restart: bool) -> None:
         if process.stdin is not None:
-            process.stdin.write(json.dumps({**self._job, "restart": restart}))
-            process.stdin.close()
+            with suppress(BrokenPipeError):  # it has ended already: its status says why
+                process.stdin.write(json.dumps({**self._job, "restart": restart}))
+            with suppress(BrokenPipeError):  # what is buffered is written now
+                process.stdin.close()
 
     def _await_ready(self) -> None:
         output = self._process.stdout

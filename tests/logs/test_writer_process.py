@@ -6,7 +6,11 @@ from typing import Literal
 
 import pytest
 
+from canhaptic.errors import LogWriteError
+from canhaptic.logs import writer_process
 from canhaptic.logs.bus_log import BusLogWriter
+from canhaptic.logs.columns import PortDescription
+from canhaptic.logs.energy_log import EnergyLogWriter
 
 pytestmark = [
     pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system pins no process"),
@@ -39,3 +43,12 @@ def test_ctrl_c_in_the_terminal_is_not_for_the_writer(tmp_path: Path) -> None:
     log = BusLogWriter(tmp_path / "a.log", "can0")
     assert os.getpgid(log.writer_pid) != os.getpgid(0)
     log.close()
+
+
+def test_a_writer_that_ends_before_it_reads_is_no_broken_pipe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """More than a pipe holds, to a process that ends: its status is the reason."""
+    monkeypatch.setattr(writer_process, "_PROGRAM", "raise SystemExit(3)")
+    with pytest.raises(LogWriteError, match="the writer process ended with status 3 before it was ready"):
+        EnergyLogWriter(
+            tmp_path / "a.h5", [PortDescription("x", "m")], {"note": "x" * 200_000}, sample_time_ns=1_000_000
+        )
