@@ -2,6 +2,7 @@
 
 import math
 import random
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -254,3 +255,19 @@ def test_a_reset_group_is_as_new(algorithm):
     controller.reset()
     assert torques(controller) == first
     assert max(abs(t) for pair in first for t in pair) > 0.0
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, 2.0, 0.0), (1.0, -2.0, 0.5)])
+@pytest.mark.parametrize("along", [0.0, 0.3, -17.0])
+@pytest.mark.parametrize("side", ["inside", "outside"])
+def test_on_the_line_of_a_tube_the_way_out_is_across_it(
+    direction: tuple[float, ...], along: float, side: Literal["inside", "outside"]
+) -> None:
+    """Rounding, or a first coordinate that happened to be the line's own, pushed along it."""
+    place, size = (0.1, 0.2, -0.3), math.hypot(*direction)
+    tube = Tube(point=place, direction=direction, radius=0.01, side=side, stiffness=100.0).build(3).geometry
+    values, normal = [0.0], [0.0] * 3
+    tube.measure([p + along * d for p, d in zip(place, direction, strict=True)], values, [normal])
+    assert values[0] == pytest.approx(-0.01 if side == "outside" else 0.01)
+    assert math.hypot(*normal) == pytest.approx(1.0)
+    assert sum(n * d for n, d in zip(normal, direction, strict=True)) == pytest.approx(0.0, abs=1e-12 * size)

@@ -1,12 +1,15 @@
 """A straight tube to stay in, or a rod to touch from outside; along it the motion is free."""
 
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Final, Literal, NamedTuple
 
 from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, check_length
 from canhaptic.control.port_hamiltonian.shapes.surface import Surface, radial, unit_vector
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import Coordinates, Numbers, quantity
+
+_ON_THE_LINE: Final = 1e-12
+"""Part of the radius within which a position is on the line."""
 
 
 class Tube(Surface):
@@ -51,10 +54,17 @@ class AroundLine(NamedTuple):
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
         """Writes the distance from the surface and its normal."""
-        row, along = rows[0], 0.0
+        row, along, square, across = rows[0], 0.0, 0.0, 0
         for i in range(len(row)):
             row[i] = position[i] - self.point[i]
             along += row[i] * self.direction[i]
+            if abs(self.direction[i]) < abs(self.direction[across]):
+                across = i
         for i in range(len(row)):
             row[i] -= along * self.direction[i]
+            square += row[i] * row[i]
+        least = _ON_THE_LINE * self.radius
+        if square <= least * least:  # what rounding leaves points anywhere: take one of the shortest ways out
+            for i in range(len(row)):
+                row[i] = least * ((1.0 if i == across else 0.0) - self.direction[across] * self.direction[i])
         values[0] = radial(row, self.radius, self.sign)
