@@ -30,10 +30,10 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 @pytest.fixture(scope="session")
 def vendor_eds() -> Path:
     """The folder of real vendor dictionaries; skips, visibly, where it is absent."""
-    folder = Path(os.environ.get("CANHAPTIC_VENDOR_EDS", REPOSITORY.parent / "shared" / "eds"))
-    if not folder.is_dir():
-        pytest.skip(f"vendor dictionaries not found at {folder}; set CANHAPTIC_VENDOR_EDS")
-    return folder
+    folder = os.environ.get("CANHAPTIC_VENDOR_EDS")
+    if not folder or not Path(folder).is_dir():
+        pytest.skip(f"no vendor dictionaries: CANHAPTIC_VENDOR_EDS is {folder!r}, expected their folder")
+    return Path(folder)
 
 
 @pytest.fixture(scope="session", autouse=True)

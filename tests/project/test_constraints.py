@@ -29,3 +29,9 @@ def test_the_versions_satisfy_what_the_package_asks_for() -> None:
     for text in project["dependencies"]:
         requirement = Requirement(text)
         assert requirement.specifier.contains(PINS[canonicalize_name(requirement.name)]), text
+
+
+def test_tests_and_tools_look_for_nothing_outside_the_repository() -> None:
+    outside = re.compile(r"\b(ROOT|REPOSITORY)\.parent\b|parents\[[3-9]\]")
+    paths = [*(ROOT / "tests").rglob("*.py"), *(ROOT / "tools").rglob("*.py")]
+    assert not [path for path in paths if outside.search(path.read_text(encoding="utf-8")) and path != Path(__file__)]

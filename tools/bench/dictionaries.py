@@ -109,12 +109,17 @@ def table_of(verdicts: list[Verdict]) -> Table:
 
 def main() -> int:
     """Judges every dictionary, prints the table and writes it down; returns 1 when a drive that can serve did not."""
-    vendors = Path(os.environ.get("CANHAPTIC_VENDOR_EDS", ROOT.parent / "shared" / "eds"))
-    files = [*sorted((ROOT / "eds").glob("*.eds")), *sorted([*vendors.glob("*.eds"), *vendors.glob("*.dcf")])]
+    named = os.environ.get("CANHAPTIC_VENDOR_EDS")
+    vendors = [Path(named)] if named and Path(named).is_dir() else []
+    found = [path for folder in vendors for kind in ("*.eds", "*.dcf") for path in folder.glob(kind)]
+    files = [*sorted((ROOT / "eds").glob("*.eds")), *sorted(found)]
     verdicts = [judge(path) for path in files]
     Console(width=180).print(table_of(verdicts))
-    if not vendors.is_dir():
-        print(f"no vendor dictionaries in {vendors} (set CANHAPTIC_VENDOR_EDS); the result file is left as it is")
+    if not vendors:
+        print(
+            f"no vendor dictionaries: CANHAPTIC_VENDOR_EDS is {named!r}, expected their folder; "
+            "the result file is left as it is"
+        )
         return 0
     rows = [asdict(verdict) for verdict in verdicts]
     write_result(out_folder() / "dictionaries.json", ["canhaptic", "canopen"], {"rows": rows})
