@@ -1,4 +1,4 @@
-"""Where simulators of haptic rigs usually fail; each against something independent."""
+"""Where simulators of haptic rigs usually fail, beside the scenes of `test_hard_scenes`; each against a reference."""
 
 import math
 from typing import Any
@@ -26,7 +26,7 @@ from tests.plant.plant_scenes import (
 CURRENT = {"type": "current_loop", "time_constant": 5e-5}
 
 
-@pytest.mark.parametrize("period", [100_000, 500_000, MS, 5 * MS, 20 * MS])
+@pytest.mark.parametrize("period", [100_000, 500_000, 5 * MS])
 def test_an_elastic_stop_returns_the_speed_at_any_sample_time(period):
     """A mass that flies into 1e6 N/m and back: contact lasts pi sqrt(m / k), speed and energy come back whole."""
     plant = make_plant(
@@ -48,7 +48,7 @@ def test_an_elastic_stop_returns_the_speed_at_any_sample_time(period):
     assert residual(plant) <= 1e-12 * 0.5 * MASS * 0.3**2
 
 
-@pytest.mark.parametrize("depth", [1e-4, 1e-6, 1e-9, 1e-12])
+@pytest.mark.parametrize("depth", [1e-4, 1e-9, 1e-12])
 def test_grazing_contact_inside_one_hold_is_not_missed(depth):
     """At constant torque the mass rises to its apex `depth` beyond a stop and falls back within one hold."""
     period, torque, stiffness = 20 * MS, -2.5, 1e4
@@ -123,28 +123,6 @@ def test_the_stiff_scene_without_substeps_agrees_with_an_event_located_reference
     assert plant.events >= 2
     assert residual(plant) <= 1e-12 * largest_flow(plant)
     assert plant.products <= 400 * holds
-
-
-def test_a_mass_ratio_of_ten_thousand_agrees_with_the_exact_two_body_oscillation():
-    stiffness, load = 1e6, MASS / 1e4
-    shaft = {"type": "shaft_compliance", "stiffness": stiffness, "load_mass": load}
-    plant = make_plant(shaft, user=None, damping=0.0)
-    positions = run(plant, [1.0] * 200)
-    times = np.arange(201) * 1e-3
-    pace = math.sqrt(stiffness * (1 / MASS + 1 / load))
-    twist = 1.0 / (MASS * pace**2) * (1 - np.cos(pace * times))
-    expected = (0.5 * times**2 + load * twist) / (MASS + load)
-    assert np.abs(positions - expected).max() <= 1e-12 * expected.max()
-    assert residual(plant) <= 1e-12 * largest_flow(plant)
-
-
-def test_backlash_chatter_stays_under_the_cap_and_loses_energy():
-    shaft = {"type": "shaft_compliance", "stiffness": 1e6, "damping": 0.5, "load_mass": 0.1}
-    plant = make_plant(shaft, {"type": "backlash", "gap": 1e-5}, user=None, initial_velocity=0.3)
-    run(plant, [3.0 if k % 3 else -4.0 for k in range(300)])
-    assert plant.events > 100
-    assert plant.energy().dissipated > 0.0
-    assert residual(plant) <= 1e-12 * largest_flow(plant)
 
 
 STOPS = [
