@@ -136,12 +136,30 @@ def test_above_the_start_speed_a_contact_starts_from_zero_energy(delay):
         response = displacement_response(1e-3, 0.25, 10.0, 0.0, friction)
         speed = start_speed(response, 1e-3, delay)
         assert friction > 1.0 or speed == pytest.approx((1 + delay) * 10.0 * 1e-3 / 0.25, rel=2e-3)
+        assert speed * 1e-3 * response.retained ** (1 + delay) == pytest.approx((1 + delay) * response.hand)
         displacement = -1.001 * speed * 1e-3
         for _ in range(delay):
             displacement = next_displacement(displacement, 0.0, 0.0, response, response.hand)
         base = next_displacement(displacement, 0.0, 0.0, response, response.hand)
         assert hand_force_bound(0.0, base, response.during) > 0.0
     assert start_speed(replace(response, retained=0.0), 1e-3, delay) == math.inf
+
+
+def test_holds_that_jitter_and_late_torques_lengthen_every_response():
+    timing, mass, damping = hold_timing(1e-3, 0.02, 1e-4, 8e-5), 0.25, 40.0
+    longest, theta = 1.02e-3, 1.8e-4
+    found = displacement_response(1e-3, mass, 5.0, 0.0, damping, 9.0, timing)
+    share = theta / 0.98e-3
+    assert found.retained == pytest.approx(math.exp(-damping * longest / mass) * 0.98 / 1.02)
+    assert (found.hand, found.push) == pytest.approx((5.0 * longest**2 / mass, 9.0 * longest**2 / mass))
+    assert (found.growth, found.share, found.behind) == pytest.approx((1.02 / 0.98, share, share))
+    assert (found.late, found.tail_before) == pytest.approx((2.0 * share, 0.5 * theta * longest / mass))
+    assert found.tail_during == pytest.approx(theta**2 / mass)
+    assert found.tail_hand * found.hand == pytest.approx(theta * (0.5 * longest + theta) / mass * 5.0)
+    much = displacement_response(1e-3, mass, 5.0, 0.0, 3000.0, timing=hold_timing(1e-3, 0.0, 8e-4, 0.0))
+    assert (much.late, much.behind, much.push) == (1.0, much.retained, math.inf)
+    ideal = displacement_response(1e-3, mass, 5.0)
+    assert (ideal.growth, ideal.late, ideal.tail_during, ideal.tail_hand) == (1.0, 0.0, 0.0, 0.0)
 
 
 def test_without_a_hand_the_start_speed_is_what_the_longest_window_leaves_unsure():

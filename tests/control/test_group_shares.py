@@ -6,9 +6,15 @@ from typing import NamedTuple
 
 import pytest
 
-from canhaptic.control.certificates.scalar_bounds import DisplacementResponse, next_displacement
+from canhaptic.control.certificates.scalar_bounds import displacement_response, next_displacement
 from canhaptic.control.multi_axis.account_memory import AccountMemory, account_memory
-from canhaptic.control.multi_axis.group_account import AccountSettings, GroupAccount, end_group_gap, end_group_hold
+from canhaptic.control.multi_axis.group_account import (
+    AccountSettings,
+    GroupAccount,
+    end_group_gap,
+    end_group_hold,
+    largest_of,
+)
 from canhaptic.control.multi_axis.group_certificates import (
     Acting,
     along_last,
@@ -235,9 +241,23 @@ def test_lost_samples_with_late_torques_leave_more_in_doubt() -> None:
         case = case_of(seed)
         memory, ended, missed = case.memory, no_group_holds(2, DELAY), 1
         ended.displacement[:], ended.applied[:] = [2e-5, -1e-5], [case.draw.uniform(-3.0, 3.0), 1.0]
-        found = end_group_gap(case.settings, GroupAccount(), memory, ended, missed)[1]
-        apart = [doubt_of_late_gap(case.settings.axes, memory, ended, missed, i, 1.0) for i in range(2)]
-        assert 0.0 < found < sum(apart)  # an excursion of 1 m
+        kept = [*memory.displacement], [*memory.torques], [0.0, 0.0]
+        axes, older = case.settings.axes, ([*memory.before.highest], [*memory.before.lowest])
+        start, most = [*map(abs, memory.displacement)], [largest_of(memory, ended, missed, i) for i in range(2)]
+        roots = [math.sqrt(b + d) for b, d in zip(axes.before, axes.during, strict=True)]
+        push = math.hypot(*(r * f for r, f in zip(roots, most, strict=True))) + axes.hand
+        reach = [abs(ended.displacement[i]) + 2.0 * start[i] + 5.0 * roots[i] * push for i in range(2)]
+        late = sum(doubt_of_late_gap(axes, memory, ended, missed, i, reach[i]) for i in range(2))
+        found = []
+        for is_ideal in (False, True):
+            memory.before.highest[:], memory.before.lowest[:] = older
+            memory.displacement[:], memory.torques[:], memory.blur[:] = kept
+            known = axes._replace(timing=axes.timing._replace(is_ideal=is_ideal))
+            settings = AccountSettings(known, case.settings.apart, moves=False)
+            found.append(end_group_gap(settings, GroupAccount(), memory, ended, missed))
+        assert found[0][1] == pytest.approx(late)
+        assert found[0][0] - found[1][0] == pytest.approx(late)
+        assert found[1][1] == 0.0
 
 
 def test_friction_on_what_one_axis_has_left_is_not_made_good_by_another() -> None:
@@ -251,20 +271,31 @@ def test_friction_on_what_one_axis_has_left_is_not_made_good_by_another() -> Non
         assert base >= 1e-3 * (1.0 - kept ** (count + 1))
 
 
-def test_the_base_of_a_group_of_one_is_the_displacement_of_one_axis() -> None:
+@pytest.mark.parametrize(("lag", "jitter"), [(0.0, 0.0), (8e-5, 0.0), (0.0, 0.05), (2e-4, 0.05)])
+def test_the_base_of_a_group_of_one_is_the_displacement_of_one_axis(lag: float, jitter: float) -> None:
+    """Each hold counts its torque, and of an older one what exceeds it, as long as it acts."""
+    loop = LoopProperties(
+        sample_time=T, delay=DELAY, moving_mass=0.25, device_damping_bound=0.0, sync_jitter=jitter, current_lag=lag,
+        encoder_count=1e-6, device_friction_bound=0.5,
+    )  # fmt: skip
+    axes, timing = axes_of((loop,), 5.0, None), loop.timing
+    response = displacement_response(T, 0.25, 5.5, 0.0, 0.0, timing=timing)
     for seed in range(40):
-        case = case_of(seed, lag=0.0, axes=1)
-        axes, memory, way = case.settings.axes, case.memory, case.under_way
-        along = along_last(axes, [1.0], memory.displacement, memory.blur)
-        base = base_of(
-            axes, [1.0], memory.displacement, along, memory.torques, way.torques, way.first, DELAY, memory.now
-        )
-        response = DisplacementResponse(
-            1.0 - axes.lost[0], axes.before[0], axes.during[0], 5.0 * (axes.before[0] + axes.during[0])
-        )
-        moved, before = memory.displacement[0], memory.torques[0]
-        for torque in (case.sent(0)[0], case.sent(1)[0], 0.0):
-            moved, before = next_displacement(moved, before, torque, response, response.hand), torque
+        draw = random.Random(seed)
+        held = [draw.uniform(-3.0, 3.0) for _ in range(DELAY + 1)]
+        highest, lowest = held[0] + draw.random(), held[0] - draw.random()
+        start, blur = draw.uniform(-2e-4, 2e-5), draw.choice([0.0, 3e-6])
+        along = along_last(axes, [1.0], [start], [blur])
+        rows, now = [[torque] for torque in (*held[1:], 0.0)], Acting([highest], [lowest])
+        base = base_of(axes, [1.0], [start], along, held[:1], rows, 0, DELAY, now)
+        moved, older = start + blur + 1e-6, highest
+        for torque, following in zip(held, [*held[1:], None], strict=True):
+            counted = max(0.0, torque) + response.late * max(0.0, older - torque)
+            older = torque + timing.left * max(0.0, older - torque)
+            ahead = 0.0
+            if following is not None:
+                ahead = max(0.0, following) + response.late * max(0.0, older - following)
+            moved = next_displacement(moved, counted, ahead, response, response.hand)
         assert base == pytest.approx(moved), seed
 
 

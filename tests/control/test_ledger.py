@@ -142,6 +142,12 @@ def test_what_is_taken_out_beyond_the_store_and_when_the_margin_was_least_are_in
     ledger.add(AT_REST._replace(deficit=0.25), 0)
     ledger.add(AT_REST._replace(h_i=-1.0, deficit=0.5), 1, 7)
     assert ledger.summary().deficit == 0.75
+    assert ledger.summary().margin_deadline == 7
+    ledger.add(AT_REST._replace(h_i=-1.0), 2)
+    assert ledger.summary().margin_deadline == 2  # no SYNC was skipped
+    ledger = Ledger()
+    ledger.add(AT_REST._replace(deficit=0.25), 0)
+    ledger.add(AT_REST._replace(h_i=-1.0, deficit=0.5), 1, 7)
     assert ledger.summary().as_json(0.5)["margin"] == {"value": -1.0, "cycle": 1, "time": 3.5}
 
 

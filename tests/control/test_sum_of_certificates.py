@@ -9,8 +9,10 @@ import pytest
 
 from canhaptic.control.balance import AT_REST, Certificate
 from canhaptic.control.certificates.certified_torque import free_energy, largest_torques
+from canhaptic.control.certificates.hold_timing import hold_timing
+from canhaptic.control.certificates.late_torque import free_of_late
 from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, displacement_response, next_displacement
-from canhaptic.control.certificates.sum_of_certificates import largest_in_sum, taken
+from canhaptic.control.certificates.sum_of_certificates import free_in_sum, largest_in_sum, taken
 from canhaptic.control.certificates.torque_bound import BoundMemory, Declared, TorqueBound, bound_memory
 from canhaptic.control.environments.free_space import FreeSpace
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
@@ -41,6 +43,7 @@ def test_no_displacement_within_reach_takes_more(torque, damping, friction, reac
     most = max(torque * way - damping / T * way * way - friction * abs(way) for way in ways)
     found = taken(known, torque, reach)
     assert found >= most - ROUNDING
+    assert reach > 0.0 or found == torque * reach  # energy that comes in for certain, with friction or without
     if reach > 0.0:
         assert found == pytest.approx(most, abs=1e-7)
 
@@ -106,6 +109,27 @@ def test_in_debt_the_speed_of_the_hand_allows_no_torque_beyond_friction():
     known = declared(damping=20.0, friction=0.5, speed=0.3, delay=0)
     memory = bound_memory(known, [0.0], list_of_zeros)
     assert largest_in_sum(known, TorqueBound(), memory, 1.0, -1e-6)[0] == 0.5
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_in_debt_what_moves_inward_for_certain_allows_a_torque_as_without_friction(friction):
+    known = declared(hand_force=5.0, friction=friction, damping=20.0, delay=0)
+    memory, moved, debt = bound_memory(known, [0.0], list_of_zeros), -4e-4, -1e-4
+    base = next_displacement(moved, 0.0, 0.0, known.response, known.response.hand)
+    found = largest_in_sum(known, TorqueBound(displacement=moved), memory, 1.0, debt)[0]
+    assert found * (base + known.response.during * found) == pytest.approx(debt)
+
+
+@pytest.mark.parametrize(("losses", "late"), [(0, 0.0), (1, 0.0), (0, 2e-4)])
+def test_late_torques_and_lost_frames_are_certified_by_rules_of_their_own(losses, late):
+    timing = hold_timing(T, 0.0, late, 0.0)
+    response = displacement_response(T, MASS, 5.0, timing=timing)
+    known = Declared(T, 1, losses, True, response, 0.0, 0.0, 0.0, late, late / T, timing.left)
+    bound = TorqueBound(displacement=1e-4, torque=1.0, most=1.0, highest=1.0, lowest=0.5)
+    memory = bound_memory(known, [0.5, 0.0], list_of_zeros)
+    ways = [rule(known, bound, memory, 1e-3) for rule in (free_in_sum, free_of_late)]
+    assert (losses or late) == 0 or ways[1] < ways[0]
+    assert free_energy(known, bound, memory, 1e-3) == ways[1 if losses or late else 0]
 
 
 def needed(known: Declared, bound: TorqueBound, memory: BoundMemory, torque: float) -> float:

@@ -175,7 +175,7 @@ def _sites(
         yield from _exchanges(node, members, names)
     if isinstance(statement, ast.If):
         yield statement, "test", ast.UnaryOp(ast.Not(), statement.test)
-    elif isinstance(statement, ast.Return) and statement.value is not None:
+    elif isinstance(statement, ast.Return) and statement.value and ast.unparse(statement.value) != "None":
         yield statement, "value", ast.Constant(None)
 
 

@@ -181,7 +181,7 @@ def by_reach(declared: Declared, budget: float, base: float, for_all: float) -> 
         return 0.0
     friction, gain = declared.friction, declared.response.during
     damped = declared.damping / declared.sample_time
-    if budget < 0.0 or (friction == 0.0 and damped == 0.0):
+    if budget < 0.0:
         return hand_force_bound(budget, base, gain)
     share = damped * gain
     largest = hand_force_bound(

@@ -45,7 +45,7 @@ torques of the hold. Of one axis this is max(0, g - f) / m. The energy of older 
 import math
 from typing import NamedTuple
 
-from canhaptic.control.certificates.scalar_bounds import DisplacementResponse, displacement_response
+from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, displacement_response
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.kernels import Buffer, Matrix
 
@@ -129,7 +129,7 @@ def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_sp
             max(loop.device_damping or 0.0, loop.device_damping_bound or 0.0),
         )
         if by_hand
-        else DisplacementResponse(1.0, 0.0, 0.0, 0.0)
+        else NO_RESPONSE
         for loop in loops
     ]  # fmt: skip
     pull = (hand_force or 0.0) + max([loop.device_friction_bound or 0.0 for loop in loops])
