@@ -245,6 +245,24 @@ def test_a_ramp_in_the_drive_slows_the_velocity_demanded() -> None:
     assert max(abs(b - a) for a, b in pairwise(commands)) > 3e-3
 
 
+@pytest.mark.parametrize("mode", ["velocity", "position"])
+def test_a_limit_written_inside_a_hold_leaves_its_velocity(mode: str) -> None:
+    velocities: list[tuple[float, float]] = []
+    with build(load_scene(SCENE, [f"axes.0.admittance.mode={mode}"])) as experiment:
+        assert experiment.far_side is not None
+        [drive] = experiment.far_side.drives
+
+        def write(_cycles: int) -> None:
+            before, limit = drive.servo.torque, drive.store.find(0x6072)
+            assert limit is not None
+            assert drive.store.write(0x6072, 0, limit.number.to_bytes(2, "little")) is None
+            velocities.append((before, drive.servo.torque))
+
+        run(experiment.cycle, 100, progress=write)
+    assert any(before for before, _ in velocities)
+    assert all(before == after for before, after in velocities)
+
+
 _FRICTION = ("passivity.drive_friction=0.5 N", "passivity.drive_damping=2.2 N*s/m")
 
 

@@ -148,6 +148,11 @@ class DisplayServo(Servo):
             self._offset = offset
             self.motor.feed_forward(self._torque_sign * offset * self._stage.quantum)
 
+    def _reload_limits(self) -> None:
+        """Takes over new limits and scales; the command of this hold is a velocity, which they do not change."""
+        self._stage.reload()
+        self.update()
+
     def shown_force(self) -> float:
         """Returns what the sensor shows now, for a node of its own."""
         return self.motor.read_force()
