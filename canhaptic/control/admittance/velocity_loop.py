@@ -153,16 +153,17 @@ def sequence_loss(
 ) -> float:
     """Returns the largest loss of W over commands in a row, the first of which has the age `oldest` [J]."""
     time, way, squares, shifts = settings.sample_time, 0.0, 0.0, 0.0
-    for hold in range(holds):  # from the last to the first
-        command = sent(motion, commands, oldest - holds + 1 + hold)
+    newest = motion.newest - oldest + holds - 1
+    for place in range(newest, newest - holds, -1):  # from the last to the first; below 0 it wraps
+        command = commands[place]
         squares += command * command * time
         step = command * time
         shifts += time * (way * way + way * step + step * step / 3.0)
         way += step
-    loss = 0.25 * settings.gain * squares
-    if settings.integral > 0.0:
-        loss += _turned(settings, lead, way) + 0.25 * settings.integral * way * way
-        loss += settings.integral * settings.integral * shifts / (4.0 * settings.gain_least)
+    loss, integral = 0.25 * settings.gain * squares, settings.integral
+    if integral > 0.0:
+        loss += _turned(settings, lead, way) + 0.25 * integral * way * way
+        loss += integral * integral * shifts / (4.0 * settings.gain_least)
     return loss
 
 
@@ -190,7 +191,7 @@ def fastest(
     before = sequence_loss(settings, lead, commands, motion, delay, delay - 1)
     way, shift = 0.0, 0.0
     for age in range(delay):  # from the last under way to the first
-        step = sent(motion, commands, age) * time
+        step = commands[motion.newest - age] * time
         shift += time * (2.0 * way + step)
         way += step
     square = 0.25 * time * settings.gain + 0.25 * gain * time * time
@@ -266,7 +267,9 @@ def loss_under_way(settings: VelocityLoopSettings, lead: float, commands: Buffer
     total = largest = 0.0
     if settings.integral > 0.0:
         for holds in range(1, settings.delay + 2):
-            largest = max(largest, sequence_loss(settings, lead, commands, motion, holds, settings.delay))
+            loss = sequence_loss(settings, lead, commands, motion, holds, settings.delay)
+            if loss > largest:
+                largest = loss
         return largest
     if settings.losses == 0:
         for age in range(settings.delay + 1):

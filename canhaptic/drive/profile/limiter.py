@@ -98,16 +98,16 @@ class TorqueLimiter:
             highest += last
         else:
             lowest += last
-        least, most = -math.inf, math.inf  # by power
-        if velocity > 0.0:
-            most = self._power / velocity
-        elif velocity < 0.0:
-            least = self._power / velocity
         low = lowest if lowest > -limit else -limit
-        low = least if least > low else low
         high = highest if highest < limit else limit
-        high = most if most < high else high
-        saturation = 0
+        least, most, saturation = -math.inf, math.inf, 0  # by power
+        if self._power < math.inf:
+            if velocity > 0.0:
+                most = self._power / velocity
+            elif velocity < 0.0:
+                least = self._power / velocity
+            low = least if least > low else low
+            high = most if most < high else high
         if not low <= torque <= high:
             saturation = _cut(torque, ((-limit, limit), (lowest, highest), (least, most)))
             torque = low if torque < low else high
