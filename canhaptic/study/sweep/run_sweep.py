@@ -37,9 +37,6 @@ from canhaptic.study.sweep.workers import Pool, SerialExecutor
 _BATCH_CHUNK: Final = (1000, 5000)
 """Least and most scenes of a chunk unless the user says otherwise: fewer, and making the batch costs more than it."""
 _SCALAR_CHUNK: Final = (1, 50)
-_WORTH_COMPILING: Final = 1e4
-"""Batches times cycles from which "auto" compiles, too: each cycle of a batch costs NumPy some hundred calls, however
-few its scenes, and compiling takes 1 to 10 s in each worker."""
 _WORTH_A_POOL: Final = 1e6
 """Scenes times cycles that Python runs, from which a pool of processes pays: some 10 s on one core."""
 _FEWEST_CHUNKS: Final = 16
@@ -175,8 +172,7 @@ def _make_sweep(
         recipe = replace(recipe, alone=reason)
     least, most = _SCALAR_CHUNK if recipe.alone or _is_not_batchable(scene, controllers) else _BATCH_CHUNK
     chunk = chunk or min(most, max(least, -(-len(points) // _FEWEST_CHUNKS)))
-    batches = max(-(-len(points) // chunk), len(points) // max(1, together))
-    pays = _pays(scene, len(points), batches, recipe.cycles or cycles_of(scene, duration))
+    pays = _pays(scene, len(points), recipe.cycles or cycles_of(scene, duration))
     recipe = replace(recipe, engine=chosen_engine(engine, pays))
     return _Sweep(recipe, points, chunk, _identity(scene, recipe, points))
 
@@ -189,12 +185,12 @@ def _check(metrics: Sequence[str] | None, duration: float | None, cycles: int | 
         raise InputError("got a duration and a number of cycles; give one")
 
 
-def _pays(scene: Scene, scenes: int, batches: int, cycles: int) -> bool:
+def _pays(scene: Scene, scenes: int, cycles: int) -> bool:
     """Returns whether compiling takes less time than it saves."""
     if scene.groups:
         parts = [part for part in parts_of(scene).values() if part.groups]
         return scenes * cycles >= WORTH_COMPILING_GROUPS and any(group_case(part).is_compilable for part in parts)
-    return scenes * cycles >= WORTH_COMPILING or batches * cycles >= _WORTH_COMPILING
+    return scenes * cycles >= WORTH_COMPILING
 
 
 def _is_long(asked: _Sweep) -> bool:

@@ -15,6 +15,7 @@ from canhaptic.study.algorithms import with_algorithm
 from canhaptic.study.batch import run_scalar
 from canhaptic.study.sweep import sweep
 from canhaptic.study.sweep.chunk import _MORE, SLOTS
+from canhaptic.study.sweep.run_sweep import _pays
 from canhaptic.study.sweep.selected import Selected
 from canhaptic.study.sweep.summary import summary
 from canhaptic.study.sweep.sweep_table import SweepTable
@@ -216,3 +217,8 @@ def test_the_margin_of_guarded_is_short_by_no_more_than_the_counts_of_the_encode
     assert (figure["margin"] >= -hidden).all()
     assert (figure["believed_margin"] >= -1e-15).all()
     assert figure["margin"].min() < 0.0
+
+
+@pytest.mark.parametrize(("scenes", "cycles", "pays"), [(8, 10_000, False), (2000, 400, False), (1000, 1000, True)])
+def test_only_the_cycles_of_all_scenes_together_decide_whether_compiling_pays(scenes, cycles, pays):
+    assert _pays(load_scene(DEMO), scenes, cycles) is pays
