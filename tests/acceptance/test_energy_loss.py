@@ -99,17 +99,15 @@ def test_a_real_interface_has_a_limit_whatever_the_algorithm() -> None:
         load_scene(DEMO, [*real, "axes.0.energy_loss_limit=none"])
 
 
-@pytest.mark.slow_for("two_handles")
-@pytest.mark.parametrize("name", ["xy_box", "two_handles"])
-def test_of_a_group_the_sum_of_its_axes_counts(name: str) -> None:
+def test_of_a_group_the_sum_of_its_axes_counts() -> None:
     """One handle of a coupled pair gives out what the other took in: that is no loss."""
-    scene = load_scene(CONFIGS / f"{name}.yaml", ["axes.0.energy_loss_limit=2 mJ"])
+    scene = load_scene(CONFIGS / "two_handles.yaml", ["axes.0.energy_loss_limit=2 mJ"])
     [meter] = build_loss_meters(scene)
     assert (meter.limit, meter.axes) == (0.002, (0, 1))
     with build(scene, "free") as experiment:
-        run(experiment.cycle, 2000)
+        run(experiment.cycle, 700)
         ledgers = experiment.cycle.ledgers
-        assert min(ledger.summary().least_interaction for ledger in ledgers) < -0.002 or name == "xy_box"
+        assert max(ledger.summary().least_interaction for ledger in ledgers) < -0.002
 
 
 def sample(index: int, position: float, torque: float, *, fresh: bool = True) -> list[Sample]:
