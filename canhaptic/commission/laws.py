@@ -36,6 +36,7 @@ class OpenLoop:
         positions: At every SYNC since `reset` [m or rad].
         applied: Torque of the hold that ended there [N or N*m].
         tripped: Why the torque was taken away; "" while it was not.
+        has_gap: Whether a sample was lost: the positions are then not those of one SYNC after the other.
     """
 
     def __init__(self, torques: Sequence[float], travel: float = math.inf, largest_step: float = math.inf) -> None:
@@ -49,12 +50,13 @@ class OpenLoop:
         self.positions: list[float] = []
         self.applied: list[float] = []
         self.tripped = ""
+        self.has_gap = False
         self._next = 0
         self._last = AT_REST
 
     def hold(self) -> EnergyBalance:
         """Ends the torques: what is measured here has no use for a gap."""
-        self.tripped = self.tripped or "a TPDO was lost"
+        self.tripped, self.has_gap = self.tripped or "a TPDO was lost", True
         self._last = self._last._replace(torque=0.0, h_i=0.0, h_m=0.0, deficit=0.0, branch=Branch.HELD.value)
         return self._last
 

@@ -68,10 +68,19 @@ def pulse(session: Session, axis: int) -> float | None:
     while True:
         law = session.play(axis, doublet(torque, cycles), 4 * cycles + session.cycles(_REST))
         moved = _first_motion(law, cycles)
-        if abs(moved) * parameters.counts_per_unit >= _SEEN_COUNTS or torque >= most or session.stop_requested():
+        seen = abs(moved) * parameters.counts_per_unit >= _SEEN_COUNTS
+        if seen or law.tripped or torque >= most or session.stop_requested():
             break
         torque = min(most, 2.0 * torque)
-    if abs(moved) * parameters.counts_per_unit < _SEEN_COUNTS:
+    if session.stop_requested() and not seen:
+        session.not_tried("torque sign", [axis])
+        return None
+    is_unclear = not seen or (law.has_gap and moved > 0.0)
+    if law.tripped and is_unclear:  # a pulse that was cut short asks for no larger torque, and gives no mass
+        text = f"{law.tripped}; see to it, then commission again"
+        session.found(axis, "torque sign", "+", "broken off", StepVerdict.UNKNOWN, text)
+        return None
+    if not seen:
         text = "more friction than torque, a brake, or no current; raise --torque with care"
         session.found(axis, "torque sign", "+", f"no motion at {torque:.3g} {unit}", StepVerdict.UNKNOWN, text)
         return None

@@ -15,6 +15,7 @@ from canhaptic.commission.hand_motion import STANDSTILL, stand_still
 from canhaptic.commission.laws import CommissioningLimits
 from canhaptic.commission.sequence import commission
 from canhaptic.commission.session import Session
+from canhaptic.commission.torque_tests import pulse
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.errors import InputError, StartError
@@ -291,3 +292,22 @@ def test_a_stop_before_the_first_cycle_ends_the_standstill_without_a_finding() -
     with session.rig_of(with_hand=False):
         assert not stand_still(session, 0)
     assert row(session.report, STANDSTILL).found == "not tried"
+
+
+@pytest.mark.parametrize(("is_stopped", "found"), [(False, "broken off"), (True, "not tried")])
+def test_a_pulse_that_was_cut_short_says_nothing_of_friction_and_asks_for_no_larger_torque(
+    is_stopped: bool, found: str
+) -> None:
+    """A TPDO that is lost ends the pulse: what moved until then gave a mass, or asked for twice the torque."""
+    reports: list[Report] = []
+
+    def pulsed(at: str) -> None:
+        scene = load_scene(DEMO, ["simulation.bus={drop: 0.5, ids: [0x181]}", at])
+        session = Session(scene, Answers(), CommissioningLimits(), lambda: is_stopped)
+        with session.rig_of(with_hand=False):
+            assert pulse(session, 0) is None
+        reports.append(session.report)
+
+    frames = frames_of(pulsed, f"cut_short_{is_stopped}")
+    assert row(reports[0], "torque sign").found == found
+    assert max(map(abs, torques(frames)), default=0) <= 10  # 1 per cent of the rated torque
