@@ -83,7 +83,7 @@ def rows_before_a_gap(log: EnergyLog) -> int:
 def periods_of(log: EnergyLog) -> list[int]:
     """Returns how many sample times the hold lasted that ended at each row before the first that the log lost.
 
-    By the deadlines of the SYNCs. One that was late, beside a skipped one, may be a sample time off.
+    By the deadlines of the SYNCs. One that was late next to a skipped one may be a sample time off.
     """
     rows, period = rows_before_a_gap(log), log.sample_time_ns
     sent = log.deadlines(0, rows) * period + np.maximum(0, log.timing.read("wakeup_lateness", 0, rows))

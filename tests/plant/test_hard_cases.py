@@ -1,4 +1,4 @@
-"""Where simulators of haptic rigs usually fail, in addition to the scenes of `test_hard_scenes`; each against a reference."""
+"""Where simulators of haptic rigs usually fail, in addition to `test_hard_scenes`; each against a reference."""
 
 import math
 from typing import Any
