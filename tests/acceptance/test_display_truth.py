@@ -13,16 +13,16 @@ from tools.displays.random_display import random_display, with_true_bounds
 _CYCLES = 300
 
 
-@pytest.mark.slow_for("3", "0", "2")
-@pytest.mark.parametrize("batch", range(4))
+@pytest.mark.slow_but("1")
+@pytest.mark.parametrize("batch", range(8))
 def test_no_account_claims_what_the_plant_denies(batch: int) -> None:
     compared = 0
-    for seed in range(20 * batch, 20 * batch + 20):
+    for seed in range(10 * batch, 10 * batch + 10):
         judged = with_true_bounds(random_display(seed), _CYCLES)
         if judged is not None:
             assert not false_claims(*judged), seed
             compared += 1
-    assert compared >= 10
+    assert compared >= 5
 
 
 def test_energy_that_the_encoder_proves_leaves_the_error_of_the_encoder_open() -> None:
