@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import pytest
 
-from canhaptic.control.certificates.scalar_bounds import displacement_response, next_displacement
+from canhaptic.control.certificates.scalar_bounds import displacement_response, hand_force_bound, next_displacement
 from canhaptic.control.multi_axis.account_memory import AccountMemory, account_memory
 from canhaptic.control.multi_axis.group_account import (
     AccountSettings,
@@ -25,7 +25,14 @@ from canhaptic.control.multi_axis.group_certificates import (
     taken_by_mover,
 )
 from canhaptic.control.multi_axis.group_commands import no_group_holds
-from canhaptic.control.multi_axis.group_shares import UnderWay, extraction_of, free_energy, needed_under_way, shares
+from canhaptic.control.multi_axis.group_shares import (
+    UnderWay,
+    extraction_of,
+    free_energy,
+    needed_under_way,
+    shares,
+    worst_case,
+)
 from canhaptic.control.multi_axis.late_group import (
     doubt_of_late_gap,
     doubt_of_late_group,
@@ -190,8 +197,14 @@ def test_energy_that_a_torque_brings_in_pays_for_none_the_other_way(sign: float)
     memory, sent = case.memory, UnderWay([[0.5], [0.5], [0.0]], 0, DELAY)
     memory.displacement[0], memory.torques[0] = -1e-4, 0.0
     memory.coming[:] = [[0.0] for _ in memory.coming]
-    share = shares(case.settings, GroupAccount(), memory, sent, [sign * 0.5], 0.0)[0]
-    assert share > 0.1 if sign > 0.0 else share == 0.0
+    taken = [extraction_of(case.settings, memory, sent, hold) for hold in range(DELAY)]
+    assert max(taken) < 0.0
+    for energy in (0.0, 0.5 * sum(taken)):  # in debt half of what comes in pays for it
+        share, along = shares(case.settings, GroupAccount(), memory, sent, [sign * 0.5], energy)[0], sign * 0.5
+        base = worst_case(case.settings, memory, [along], sent, DELAY)
+        budget = energy - (sum(taken) if sign > 0.0 else 0.0)
+        assert share == pytest.approx(hand_force_bound(budget, base, gain_of(case.settings.axes, [along])))
+        assert (share > 0.0) is (sign > 0.0)
 
 
 def test_in_debt_a_torque_counts_with_what_it_makes_older_ones_give_out_more() -> None:

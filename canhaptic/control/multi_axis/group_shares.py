@@ -98,8 +98,6 @@ def free_energy(
     axes = settings.axes
     if settings.apart.is_apart:
         return free_if_apart(settings, account, memory, under_way, energy)
-    if under_way.holds == 0 and axes.timing.is_ideal:
-        return energy + account.dissipated
     free, moved = 0.0, moved_at_most(settings, memory, under_way)
     if axes.by_hand:
         free = max(free, energy - needed_under_way(settings, memory, under_way))
