@@ -53,6 +53,7 @@ SUBJECTS = {
         equivalent={
             "TorqueLimiter.limit: torque = low if torque < low else high => "
             "torque = low if torque <= low else high": "a torque on a bound is not cut",
+            "TorqueLimiter.limit: if self._power < math.inf: => if self._power <= math.inf:": "bounds without end",
             f"{_ALONE} is None and power_limit is None => {_LONE} is ... and power_limit is None": _SHORT,
             f"{_ALONE} is None and power_limit is None => {_LONE} is None and power_limit is ...": _SHORT,
             f"{_INSIDE} -limit <= torque <= limit: => if self._is_alone and -limit < torque <= limit:": _SHORT,
