@@ -97,9 +97,11 @@ def test_the_timing_of_a_group_is_that_of_its_axes() -> None:
     assert damped.squares == pytest.approx([4.0 * 2.0 / (longest + late)] * 2)
     free = axes_of((loop.model_copy(update={"device_damping_bound": None}),), None, None)
     assert free.timing.swing == [1.0]
-    assert axes_of(
-        (loop.model_copy(update={"sync_jitter": 0.0, "torque_window": 0.0, "current_lag": 0.0}),), 5.0, None
-    ).timing.is_ideal
+    exact = loop.model_copy(update={"sync_jitter": 0.0, "torque_window": 0.0, "current_lag": 0.0})
+    assert axes_of((exact,), 5.0, None).timing.is_ideal
+    assert not axes_of((exact.model_copy(update={"sync_jitter": 0.02}),), 5.0, None).timing.is_ideal
+    assert axes_of((exact.model_copy(update={"torque_window": 0.6 * T}),), 5.0, None).timing.counted == [1.0]
+    assert axes_of((exact.model_copy(update={"device_damping": 1e-4}),), None, None).by_damping
 
 
 def test_an_older_torque_moves_the_group_along_a_torque_by_half_the_sum_of_both_ways() -> None:
