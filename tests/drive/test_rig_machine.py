@@ -341,6 +341,6 @@ class RigUnderLongStress(RigUnderStress):
 
 
 TestRigUnderStress = RigUnderStress.TestCase
-TestRigUnderStress.settings = _case(100, 60)
+TestRigUnderStress.settings = _case(60, 40)
 TestRigUnderLongStress = pytest.mark.slow(pytest.mark.timeout(900)(RigUnderLongStress.TestCase))
 TestRigUnderLongStress.settings = _case(1500, 50)
