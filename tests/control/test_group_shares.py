@@ -284,20 +284,22 @@ def test_friction_on_what_one_axis_has_left_is_not_made_good_by_another() -> Non
         assert base >= 1e-3 * (1.0 - kept ** (count + 1))
 
 
-@pytest.mark.parametrize(("lag", "jitter"), [(0.0, 0.0), (8e-5, 0.0), (0.0, 0.05), (2e-4, 0.05)])
-def test_the_base_of_a_group_of_one_is_the_displacement_of_one_axis(lag: float, jitter: float) -> None:
+@pytest.mark.parametrize(
+    ("lag", "jitter", "damping"), [(0.0, 0.0, 4.0), (8e-5, 0.0, 40.0), (0.0, 0.05, 0.0), (2e-4, 0.05, 0.0)]
+)
+def test_the_base_of_a_group_of_one_is_the_displacement_of_one_axis(lag: float, jitter: float, damping: float) -> None:
     """Each hold counts its torque, and of an older one what exceeds it, as long as it acts."""
     loop = LoopProperties(
-        sample_time=T, delay=DELAY, moving_mass=0.25, device_damping_bound=0.0, sync_jitter=jitter, current_lag=lag,
+        sample_time=T, delay=DELAY, moving_mass=0.25, device_damping_bound=damping, sync_jitter=jitter, current_lag=lag,
         encoder_count=1e-6, device_friction_bound=0.5,
     )  # fmt: skip
     axes, timing = axes_of((loop,), 5.0, None), loop.timing
-    response = displacement_response(T, 0.25, 5.5, 0.0, 0.0, timing=timing)
+    response = displacement_response(T, 0.25, 5.5, 0.0, damping, timing=timing)
     for seed in range(40):
         draw = random.Random(seed)
         held = [draw.uniform(-3.0, 3.0) for _ in range(DELAY + 1)]
         highest, lowest = held[0] + draw.random(), held[0] - draw.random()
-        start, blur = draw.uniform(-2e-4, 2e-5), draw.choice([0.0, 3e-6])
+        start, blur = draw.uniform(-2e-4, 2e-5), 0.0 if damping else 3e-6
         along = along_last(axes, [1.0], [start], [blur])
         rows, now = [[torque] for torque in (*held[1:], 0.0)], Acting([highest], [lowest])
         base = base_of(axes, [1.0], [start], along, held[:1], rows, 0, DELAY, now)
