@@ -9,6 +9,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from canhaptic.control.certificates.late_torque import free_of_late, largest_of_late
+from canhaptic.control.certificates.torque_bound import doubt_of_late, end_gap
 from canhaptic.errors import EventLimitError
 from canhaptic.kernels.records import Records, number_in, records_of
 from canhaptic.scene.models import AxisSimulation
@@ -41,8 +43,10 @@ _PRODUCTS: Final = {
     getattr(stepper, function.__name__): function for function in (move, evaluate, pace, largest_term, stored)
 }
 
-CALLS: Final = (stepper.run, splitting.fixed_point, residual_of_plant)
-"""Long functions, called from several places."""
+CALLS: Final = (
+    stepper.run, splitting.fixed_point, residual_of_plant, doubt_of_late, end_gap, free_of_late, largest_of_late,
+)  # fmt: skip
+"""Long functions, called from several places, and certificates that most loops reach at few SYNCs, or never."""
 
 
 Plants = closed_loop.LinearPlants | EventPlants
