@@ -12,12 +12,17 @@ from typing import Any
 
 import pytest
 from hypothesis import settings
+from hypothesis.internal.conjecture import providers
 
 from canhaptic.logs.writer_process import WriterProcess
 
 settings.register_profile("thorough", derandomize=True, deadline=None, print_blob=False, max_examples=100)
 settings.register_profile("canhaptic", settings.get_profile("thorough"), max_examples=30)
 settings.load_profile("canhaptic")  # `make test-all` asks for the thorough one
+
+# Examples may not depend on which modules a worker happens to have imported: hypothesis would draw the numbers in their
+# source too, which takes two seconds to parse.
+providers._get_local_constants = lambda: providers._local_constants
 
 os.environ.pop("COLUMNS", None)  # that of the terminal in which the tests run says nothing about tables in pipes
 gc.set_threshold(5000, 10, 100)  # a test is short: its garbage need not be searched for as often as in a server

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from canhaptic.scene.json_schema import scene_schema
+from canhaptic.scene.layout import SECTIONS
 from tools import make_configuration, make_how_it_works, make_link_policy
 
 CONFIGURATION = make_configuration.PAGE.read_text(encoding="utf-8")
-SCHEMA = scene_schema()
 
 
 def test_the_page_of_the_link_policy_is_current() -> None:
@@ -27,33 +27,42 @@ def test_the_trace_of_a_cycle_is_current() -> None:
     assert make_how_it_works.page() == page, "run: python -m tools.make_how_it_works"
 
 
-def keys_of(schema: Any) -> Iterator[str]:
+def keys_of(schema: Any, named: dict[str, Any]) -> Iterator[str]:
     """Every key that a JSON schema accepts, at any depth, but for `type` and `algorithm`, which are in titles."""
     if isinstance(schema, list):
         for part in schema:
-            yield from keys_of(part)
+            yield from keys_of(part, named)
     elif isinstance(schema, dict) and schema:
         if "$ref" in schema:
-            yield from keys_of(SCHEMA["$defs"][schema["$ref"].removeprefix("#/$defs/")])
+            yield from keys_of(named[schema["$ref"].removeprefix("#/$defs/")], named)
         for name, inside in schema.get("properties", {}).items():
             if name not in ("type", "algorithm"):
                 yield name
-            yield from keys_of(inside)
+            yield from keys_of(inside, named)
         for part in ("anyOf", "oneOf", "prefixItems", "items", "additionalProperties"):
-            yield from keys_of(schema.get(part))
+            yield from keys_of(schema.get(part), named)
 
 
-@pytest.mark.parametrize("section", SCHEMA["properties"])
-def test_every_key_that_a_scene_may_have_is_in_its_section_of_the_page(section: str) -> None:
+@pytest.fixture(scope="module")
+def schema_of_scenes() -> dict[str, Any]:
+    schema = scene_schema()
+    assert set(schema["properties"]) == set(SECTIONS)
+    return schema
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_every_key_that_a_scene_may_have_is_in_its_section_of_the_page(
+    section: str, schema_of_scenes: dict[str, Any]
+) -> None:
     parts = re.split(r"^## ", CONFIGURATION, flags=re.MULTILINE)
     above, own = parts[1], [part for part in parts if re.match(rf"`{section}\b", part)]
     assert f"\n| `{section}` |" in above
     listed = set(re.findall(r"^\| \[?`(\w+)`", "".join(own), re.MULTILINE))
-    schema = SCHEMA["properties"][section]
+    schema = schema_of_scenes["properties"][section]
     if section == "axes":  # whose own environment and passivity are those of the sections of that name
         own_sections: dict[str, Any] = {"environment": {}, "passivity": {}}
         schema = {"properties": {**schema["items"]["properties"], **own_sections}}
-    expected = set(keys_of(schema))
+    expected = set(keys_of(schema, schema_of_scenes["$defs"]))
     assert expected <= listed
     assert expected or section == "duration"
 

@@ -5,7 +5,6 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import spearmanr
 
 from canhaptic.scene.accuracy_choice import fitted_order
 from canhaptic.study.accuracy.advice import (
@@ -123,6 +122,8 @@ def test_errors_of_rounding_and_of_instability_tell_no_order():
 
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5)), min_size=3, max_size=12))
 def test_ranks_agree_as_scipy_says(pairs):
+    from scipy.stats import spearmanr  # half a second, which not every worker needs
+
     one, other = [float(a) for a, _ in pairs], [float(b) for _, b in pairs]
     found = rank_agreement(one, other)
     if len(set(one)) == 1 or len(set(other)) == 1:
