@@ -90,7 +90,7 @@ def test_a_stiffer_wall_tells_the_algorithms_apart_as_the_page_says() -> None:
     assert least["one_sample_late_unprotected"] < -1.0
 
 
-@pytest.mark.slow_but("fig7")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FIGURES)
 def test_the_committed_picture_has_the_size_of_one_drawn_today(name: str, tmp_path: Path) -> None:
     committed = IMAGES / FIGURES[name].picture

@@ -30,7 +30,7 @@ CAN_IDS = st.sampled_from([0x000, 0x080, 0x081, 0x181, 0x201, 0x581, 0x601, 0x70
 )
 FRAMES = st.lists(st.tuples(st.integers(0, 5_000_000), CAN_IDS, st.binary(max_size=8), st.booleans()), max_size=40)
 LINES = st.lists(
-    st.text(st.characters(codec="utf-8"), max_size=60)
+    st.text(max_size=60)
     | st.builds(
         lambda time, channel, name, data, end: f"({time}) {channel} {name}#{data}{end}",
         st.from_regex(r"[0-9]{1,30}\.[0-9]{1,9}", fullmatch=True),

@@ -32,6 +32,7 @@ def test_the_account_under_the_scenes_own_algorithm_is_that_of_a_run(
     assert compared["step_scaling"]["in"] != compared["guarded"]["in"]
 
 
+@pytest.mark.slow
 def test_the_table_shows_the_algorithm_that_gives_energy(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", str(CONFIGS / "xy_box.yaml"), "--duration", "2"]) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -105,6 +105,7 @@ def test_a_part_of_a_run_can_be_drawn_and_an_empty_log_cannot(tmp_path: Path) ->
         typed.inspect(tmp_path / "run.h5", "--html", tmp_path / "missing" / "run.html")
 
 
+@pytest.mark.slow
 def test_two_runs_are_drawn_over_each_other(tmp_path: Path) -> None:
     write_run(tmp_path / "run.h5", cycles=3000, ports=("handle", "knob"))
     with EnergyLog.open(tmp_path / "run.h5") as log:

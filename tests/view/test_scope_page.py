@@ -75,6 +75,7 @@ def test_a_page_looks_again_in_its_period(tmp_path: Path) -> None:
     assert [callback.period for callback in document.session_callbacks] == [200]  # ms
 
 
+@pytest.mark.slow
 def test_another_run_in_the_same_file_begins_anew(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     page, document = page_of(path)

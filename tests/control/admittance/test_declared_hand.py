@@ -17,7 +17,7 @@ from tools.displays.random_display import with_true_bounds as with_true_display
 _LIGHT = DeclaredRig(virtual_mass=0.1, stiffness=1000.0, speed=0.3, damping=1.0, mass=0.05, seed=1)
 
 
-@pytest.mark.slow_for("2", "3")
+@pytest.mark.slow_but("0")
 @pytest.mark.parametrize("batch", range(4))
 def test_no_hand_as_declared_gets_more_than_it_gave(batch: int) -> None:
     used = 0

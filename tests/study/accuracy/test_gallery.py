@@ -132,9 +132,8 @@ def test_the_advised_line_keeps_the_tolerance_when_it_is_pasted_into_the_scene(n
     assert found.position <= golden["tolerance"]
 
 
-@pytest.mark.parametrize(
-    "name", ["paper_wall", *(pytest.param(n, marks=pytest.mark.slow) for n in ("delayed_bus", "stick_slip"))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["paper_wall", "delayed_bus", "stick_slip"])
 def test_auto_chooses_what_the_study_advises(name):
     golden = committed(name)
     scene = load_scene(FOLDER / f"{name}.yaml")

@@ -189,6 +189,7 @@ def test_a_wall_said_to_be_felt_is_held_in_a_scene_and_one_beyond_the_certificat
         assert (run["stiffness_at_rest"]["share"] > 0.95) == is_held
 
 
+@pytest.mark.slow
 def test_a_contact_is_felt_above_the_speed_that_the_hand_can_take_away(felt):
     """(1 + delay) F_h T / m, one sample late; the hand that is tried pushes as well, which takes time."""
     slowest = 2.0 * 5.0 * 0.01 / 0.2

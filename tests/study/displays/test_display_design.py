@@ -61,6 +61,7 @@ def test_masses_that_no_run_is_long_enough_to_feel_are_refused_in_words(monkeypa
         design_displays(load_scene(NODE), 0.0, 0.3)
 
 
+@pytest.mark.slow
 def test_progress_counts_up_to_what_is_said_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(display_design, "_PLACES", (3,))
     monkeypatch.setattr(display_design, "_DURATION", 0.5)

@@ -239,8 +239,8 @@ def test_the_eigenvalues_of_a_hand_that_hardly_holds_are_at_colgates_bound(plain
     assert theory.eigenvalues == pytest.approx(800.0, rel=0.04)
 
 
-@pytest.mark.slow_for("samples")
-@pytest.mark.parametrize("kind", [pytest.param("grid", marks=pytest.mark.slow), "samples", "one key"])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["grid", "samples", "one key"])
 def test_pictures_and_pages_are_made_of_grids_of_samples_and_of_one_key(request, kind, tmp_path):
     pytest.importorskip("matplotlib")
     path, scene = tmp_path / "a.h5", load_scene(DEMO)

@@ -98,6 +98,7 @@ def test_a_dask_cluster_that_loses_a_worker_gives_the_same_bits(demo, tmp_path, 
     assert (tmp_path / "dask.h5").read_bytes() == serial
 
 
+@pytest.mark.slow
 def test_an_address_where_no_scheduler_answers_is_named(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("canhaptic.study.sweep.workers._CONNECT", 0.5)
