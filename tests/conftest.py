@@ -17,7 +17,7 @@ from hypothesis.internal.conjecture import providers
 from canhaptic.logs.writer_process import WriterProcess
 
 settings.register_profile("thorough", derandomize=True, deadline=None, print_blob=False, max_examples=100)
-settings.register_profile("canhaptic", settings.get_profile("thorough"), max_examples=30)
+settings.register_profile("canhaptic", settings.get_profile("thorough"), max_examples=20)
 settings.load_profile("canhaptic")  # `make test-all` asks for the thorough one
 
 # Examples may not depend on which modules a worker happens to have imported: hypothesis would draw the numbers in their
