@@ -43,7 +43,7 @@ def progress():
 def designed(engine, progress):
     progress.clear()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(wall, "_ONE_BY_ONE", wall._Places((8, 5), (4, 3), 2))  # a third of them
+        patch.setattr(wall, "_ONE_BY_ONE", wall._Places((8, 5), (4, 3), 3))  # a third of them
         return design_wall(load_scene(DEMO, RIG), engine=engine, progress=lambda *seen: progress.append(seen))
 
 
