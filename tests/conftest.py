@@ -25,7 +25,7 @@ settings.load_profile("canhaptic")  # `make test-all` asks for the thorough one
 providers._get_local_constants = lambda: providers._local_constants
 
 os.environ.pop("COLUMNS", None)  # that of the terminal in which the tests run says nothing about tables in pipes
-gc.set_threshold(5000, 10, 100)  # a test is short: its garbage need not be searched for as often as in a server
+gc.set_threshold(50_000, 10, 100)  # a test is short: its garbage need not be searched for as often as in a server
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # in each of the hundreds of processes: no thread a core for nothing
 
 _FRESH = WriterProcess._spawn

@@ -33,6 +33,7 @@ def test_energy_that_the_encoder_proves_leaves_the_error_of_the_encoder_open() -
     assert not false_claims(*judged)
 
 
+@pytest.mark.slow
 def test_no_account_of_two_displays_claims_what_their_plants_deny() -> None:
     exchanged = 0.0
     for seed in range(8, 14):

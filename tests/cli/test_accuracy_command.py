@@ -16,6 +16,7 @@ import yaml
 
 from canhaptic.cli.main import main
 from canhaptic.scene.load import load_scene
+from canhaptic.study.accuracy import control_thread
 from canhaptic.study.accuracy.study import AccuracyStudy
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -25,7 +26,10 @@ SHORT = ["--duration", "0.03 s", "--budget", "0"]
 Captured = pytest.CaptureFixture[str]
 
 
-def test_json_is_one_object_and_page_and_tables_are_written(capsys: Captured, tmp_path: Path) -> None:
+def test_json_is_one_object_and_page_and_tables_are_written(
+    capsys: Captured, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(control_thread, "_TURNS", 1)
     pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
     files = {kind: tmp_path / f"a.{kind}" for kind in ("html", "markdown")}
     words = [word for kind, path in files.items() for word in (f"--{kind}", str(path))]
@@ -74,7 +78,7 @@ def test_a_rate_beyond_the_bus_is_studied_where_it_is_asked_for(capsys: Captured
     assert not any(row["bus_fits"] for row in result["loop"] if row["is_scene"])
 
 
-@pytest.mark.slow_for("{type: hard_stop*", "{type: cogging*")
+@pytest.mark.slow_but("{type: cogging*")
 @pytest.mark.parametrize(
     ("effect", "idle"),
     [

@@ -108,6 +108,7 @@ def test_a_motor_that_turns_against_its_encoder_gets_no_more_torque(wrong: str) 
     assert report.failed
 
 
+@pytest.mark.slow
 def test_a_rated_torque_that_the_drive_does_not_have_is_found_by_a_known_mass() -> None:
     report = commissioned(
         "axes.0.quirks=[rated_torque_absent]",

@@ -49,6 +49,7 @@ def test_a_late_sensor_with_an_offset_and_a_heavy_drive_are_found(capsys: pytest
     assert "  drive_mass: 3.2" in found["snippet"]
 
 
+@pytest.mark.slow
 def test_a_wrong_sign_fails(capsys: pytest.CaptureFixture[str]) -> None:
     status, found = _commissioned(capsys, "simulation.admittance.sensor.gain=-1")
     assert status == 1

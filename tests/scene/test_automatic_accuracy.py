@@ -85,6 +85,7 @@ def test_the_same_scene_is_chosen_alike_every_time(tmp_path: Path) -> None:
     assert first.axes[0].simulation.accuracy.event_bits < 24
 
 
+@pytest.mark.slow
 def test_a_tolerance_beyond_the_ladder_is_refused_with_what_can_be_reached(tmp_path: Path) -> None:
     scene = scene_with(tmp_path, COGGING, "accuracy={auto: 1e-15}")
     with pytest.raises(InputError, match=r"axis handle with tolerance 1e-15: the finest setting errs by"):

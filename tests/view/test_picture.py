@@ -122,6 +122,7 @@ def picture_of(path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return kept[0]
 
 
+@pytest.mark.slow
 def test_a_decimated_torque_of_a_picture_is_a_plain_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for cycles, styles in ((6000, {"default"}), (300, {"steps-post", "steps-pre"})):
         write_run(tmp_path / f"{cycles}.h5", cycles=cycles)

@@ -51,7 +51,7 @@ DAMPED = "dissipators: [{type: damper, viscous: 8, beside: 0}, {type: damper, vi
 ROOM = "{type: anisotropic_spring, stiffness: [[900, 300], [300, 400]], centre: [0, 0]%s}"
 
 
-@pytest.mark.slow_but("network1")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "network",
     [

@@ -144,6 +144,7 @@ def test_the_border_beside_dry_friction_and_a_coarse_encoder_is_that_of_abbott_a
         assert not _passes(field, "passive").any()  # the port gives out energy; the friction of the device takes it
 
 
+@pytest.mark.slow
 def test_what_is_not_drawn_counts_at_its_worst_and_one_failing_scene_ends_a_column(two_controllers):
     with SweepTable(two_controllers) as table:
         direct, guarded = fields_of(table)
