@@ -32,7 +32,7 @@ def test_frames_alone_give_the_logged_account_bit_for_bit(
     assert "recomputed, every output equal bit for bit" in text
 
 
-@pytest.mark.slow_for("axes.0.demand_reported=after", "axes.0.read_back=actual")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "override",
     [

@@ -78,7 +78,7 @@ def test_a_rate_beyond_the_bus_is_studied_where_it_is_asked_for(capsys: Captured
     assert not any(row["bus_fits"] for row in result["loop"] if row["is_scene"])
 
 
-@pytest.mark.slow_but("{type: cogging*")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "idle"),
     [

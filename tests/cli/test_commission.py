@@ -28,6 +28,7 @@ def test_a_right_configuration_ends_with_status_zero_and_values_to_paste(
     assert "moving_mass: 0.2247" in report["snippet"]
 
 
+@pytest.mark.slow
 def test_what_differs_ends_with_status_one(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["commission", DEMO, "--yes", "--duration", "0.1", "--set", "simulation.drive.counts_per_unit=5e5"]
     assert main(words) == 1

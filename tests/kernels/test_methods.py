@@ -16,6 +16,7 @@ def pull(spring: Spring, state: float) -> float:
     return spring.effort(state) + 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)  # half a second of compiling, longer on a busy machine
 def test_a_compiled_kernel_calls_the_method_of_a_named_tuple() -> None:
     pytest.importorskip("numba", reason="needs numba (the extra fast)")

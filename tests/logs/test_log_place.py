@@ -106,6 +106,7 @@ def test_a_log_that_is_harmed_while_it_is_written_is_noticed_before_it_is_closed
         log.close()
 
 
+@pytest.mark.slow_for("--bus-log")
 @pytest.mark.parametrize("option", ["--log", "--bus-log"])
 def test_a_run_whose_log_is_deleted_stops_and_says_so(
     tmp_path: Path, option: str, capsys: pytest.CaptureFixture[str]

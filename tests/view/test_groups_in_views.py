@@ -95,6 +95,7 @@ def page(path: Path) -> Any:
     return written[0]
 
 
+@pytest.mark.slow
 def test_the_page_has_a_tab_for_the_group_and_for_each_axis(page: Any) -> None:
     from bokeh.models import Button, TabPanel
 

@@ -20,7 +20,7 @@ def rendered(scene, losses, hand_force):
     return *shares(meter), meter.figures.least_interaction
 
 
-@pytest.mark.slow_for("two_handles-1-5", "two_handles-2-0", "xy_box-2-5")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "losses", "hand_force"),
     [("two_handles", 2, 0), ("two_handles", 1, 5), ("xy_box", 2, 5), ("xy_box", 0, 20)],

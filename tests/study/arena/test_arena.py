@@ -47,6 +47,7 @@ def result(out: Path) -> dict:
     return json.loads((out / "arena.json").read_text())
 
 
+@pytest.mark.slow
 def test_a_subset_gives_one_page_with_every_case(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert arena(tmp_path, "--algorithms", "unprotected,guarded") == 0
     assert "guarded" in capsys.readouterr().out

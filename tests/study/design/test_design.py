@@ -197,6 +197,7 @@ def test_a_contact_is_felt_above_the_speed_that_the_hand_can_take_away(felt):
     assert felt["drag"] == 0.0
 
 
+@pytest.mark.slow
 def test_a_drag_earns_the_energy_of_a_start_over_the_way_that_is_said(felt):
     without, drag = felt["drags"]
     assert (without["drag"], without["way"], without["start_speed"]) == (0.0, None, None)
