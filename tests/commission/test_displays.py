@@ -57,6 +57,7 @@ def test_a_wrong_sign_fails(capsys: pytest.CaptureFixture[str]) -> None:
     assert "per_count: -0.01 N" in found["snippet"]
 
 
+@pytest.mark.slow
 def test_friction_is_measured_and_judged_where_it_is_declared(capsys: pytest.CaptureFixture[str]) -> None:
     rough = "simulation.effects=[{type: coulomb_friction, kinetic: 3 N, static: 3.2 N}]"
     status, found = _commissioned(capsys, rough, "passivity.drive_friction=0.5")

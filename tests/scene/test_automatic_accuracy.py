@@ -131,6 +131,7 @@ def test_the_estimated_error_is_that_of_the_reference_within_a_factor_of_four(tm
 COARSE = ("bus.rate=40 Hz", "simulation.effects=[{type: cogging, amplitude: 1.5 N, pitch: 5 mm}]", QUICK_HAND)
 
 
+@pytest.mark.slow
 def test_an_estimate_that_cannot_be_trusted_says_so_and_what_to_do(tmp_path: Path) -> None:
     """Cogging with several detents a hold: one substep is off by a seventh of the travel, 16 by 0.1 %."""
     for substeps, trusted in ((1, False), (16, True)):

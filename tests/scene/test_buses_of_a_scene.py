@@ -124,6 +124,7 @@ def test_the_bus_log_names_the_bus_of_each_frame(recorded: tuple[Path, Path]) ->
         assert (log.attributes["left_x.bus"], log.attributes["right_y.bus"]) == ("left", "right")
 
 
+@pytest.mark.slow
 def test_the_frames_of_each_bus_are_decoded_for_their_own_axes(recorded: tuple[Path, Path]) -> None:
     scene = load_scene(TWO_BUSES)
     nodes = {(f["channel"], f["id"]): f["node"] for f in _decode_log(recorded[1], scene) if f["kind"] == "TPDO1"}

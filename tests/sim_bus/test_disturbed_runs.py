@@ -166,7 +166,7 @@ DISTURBANCES = [
 ]
 
 
-@pytest.mark.slow_but("guarded-jitter: 100*", "internal_dissipation-stall*")
+@pytest.mark.slow_but("guarded-stall*", "internal_dissipation-stall*")
 @pytest.mark.parametrize("bus", DISTURBANCES)
 @pytest.mark.parametrize("passivity", [GUARDED, PAPER], ids=["guarded", "internal_dissipation"])
 def test_in_every_disturbance_the_ledger_never_believes_too_much(passivity: str, bus: str) -> None:

@@ -39,7 +39,7 @@ def test_frames_are_lost_as_often_as_they_are_said_to_be(bus):
         assert (sent, heard / 20000) == (20000, pytest.approx(0.95, abs=0.006))
 
 
-@pytest.mark.slow_for("synchronous")
+@pytest.mark.slow
 @pytest.mark.parametrize("rpdo", ["synchronous", "event"])
 def test_a_controller_that_declares_losses_gives_out_nothing_although_its_account_is_further_off(rpdo):
     declared = figures(scene_of(LOSSY, "passivity.max_consecutive_losses=3", rpdo=rpdo))
