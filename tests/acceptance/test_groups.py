@@ -141,7 +141,7 @@ def test_at_the_edge_and_near_a_singular_pose_there_is_no_torque_and_the_log_say
         "simulation.mechanisms.0.hand.motion={y: {amplitude: 0.12, frequency: 0.5}}",
         "groups.0.network={type: sphere, centre: [0.0, 0.28], radius: 0.03, side: inside, stiffness: 100, damping: 1}",
     ]
-    with logged("five_bar_sphere", 1500, tmp_path, [*reaching, *overrides]) as (experiment, log):
+    with logged("five_bar_sphere", 1100, tmp_path, [*reaching, *overrides]) as (experiment, log):
         group, judge = experiment.cycle.groups[0], experiment.cycle.judge
         assert judge is not None
         assert group.limits[limit] > 50

@@ -25,7 +25,7 @@ from tools.truth.scenes import random_scene
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 SCENES = 150
-QUICK = 12
+QUICK = 9
 """Scenes of `make test`; `make test-all` runs all of them."""
 KNOWN: dict[str, str] = {}
 """Named by a scene with a false claim, and why. Each is needed: what is mended must go from here."""

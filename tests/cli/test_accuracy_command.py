@@ -26,6 +26,7 @@ SHORT = ["--duration", "0.03 s", "--budget", "0"]
 Captured = pytest.CaptureFixture[str]
 
 
+@pytest.mark.slow
 def test_json_is_one_object_and_page_and_tables_are_written(
     capsys: Captured, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,6 +16,7 @@ CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 DEMO = str(CONFIGS / "demo.yaml")
 
 
+@pytest.mark.slow
 def test_a_right_configuration_ends_with_status_zero_and_values_to_paste(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -53,7 +53,11 @@ def test_at_100_hz_a_credit_buys_contact_from_a_slow_start_under_a_hand_force(de
 
 
 @pytest.mark.slow_for(
-    "10000-0.0001-0.0-0.0-1", "1000-0.0001-0.0-5.0-1", "10000-0.0001-5.0-5.0-1", "10000-0.0001-0.0-5.0-1"
+    "10000-0.0001-0.0-0.0-1",
+    "1000-0.0001-0.0-5.0-1",
+    "10000-0.0001-5.0-5.0-1",
+    "10000-0.0001-0.0-5.0-1",
+    "10000-0.0001-5.0-0.0-1",
 )
 @pytest.mark.parametrize("delay", [pytest.param(0, marks=pytest.mark.slow), 1])
 @pytest.mark.parametrize("hand_force", [0.0, 5.0])

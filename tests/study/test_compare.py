@@ -123,7 +123,9 @@ def test_over_can_every_figure_is_the_same_to_the_last_bit(scene):
         assert direct["force_variation"]["value"] > 1.0
 
 
-@pytest.mark.slow_for("limit_cycle", "torque_saturation", "hardening_wall", "tremor_on_the_surface", "slot")
+@pytest.mark.slow_for(
+    "limit_cycle", "torque_saturation", "hardening_wall", "tremor_on_the_surface", "slot", "sudden_pull"
+)
 @pytest.mark.parametrize("path", HARD, ids=lambda path: path.stem)
 def test_guarded_gives_out_nothing_on_any_hard_scene(path):
     assert path.read_text().startswith("# ")  # what is hard about it
@@ -236,6 +238,7 @@ def text_of(result, width=100):
     return console.export_text()
 
 
+@pytest.mark.slow
 def test_table_and_json_show_every_algorithm(scene):
     done = []
     comparison = compare(scene(), duration=0.6, repeats=1, progress=done.append)
@@ -273,6 +276,7 @@ def test_many_algorithms_are_drawn_in_bands_below_each_other(scene, monkeypatch)
     assert len({panel.get_ylim() for panel in shown.values()}) == 1  # one scale
 
 
+@pytest.mark.slow
 def test_a_run_that_ended_before_its_first_sync_is_left_out_of_times_and_pictures(scene, tmp_path):
     comparison = compare(scene(), ["unprotected"], duration=0.1, repeats=0)
     [axis] = comparison.axes

@@ -154,6 +154,7 @@ def test_scope_and_page_have_the_same_panels_lines_and_colours(tmp_path: Path, m
         assert drawn(page, title) == drawn(scope, title), title
 
 
+@pytest.mark.slow
 def test_a_negative_margin_is_an_area_of_its_own_in_red(debt: tuple[Any, Any]) -> None:
     for content in debt:
         panel = panel_of(content, "energy")
@@ -164,6 +165,7 @@ def test_a_negative_margin_is_an_area_of_its_own_in_red(debt: tuple[Any, Any]) -
         assert np.abs(data[green.y2] - data[green.y1]).max() == 0.0
 
 
+@pytest.mark.slow
 def test_wall_and_contacts_are_in_page_and_scope(debt: tuple[Any, Any]) -> None:
     from bokeh.models import BoxAnnotation
 
@@ -179,6 +181,7 @@ def test_wall_and_contacts_are_in_page_and_scope(debt: tuple[Any, Any]) -> None:
         assert strip.data_source.data["end"] == pytest.approx([0.039])
 
 
+@pytest.mark.slow
 def test_skipped_syncs_are_counted_and_drawn(debt: tuple[Any, Any]) -> None:
     assert "SYNCs skipped 7" in debt[1].select_one({"name": "status"}).text
     for content in debt:
@@ -205,6 +208,7 @@ def test_a_fault_behind_skipped_syncs_is_marked_where_its_row_is(
         assert PortPicture(log, "handle", slice(0, log.rows)).faults() == "\n0.22 s: fault too hot"
 
 
+@pytest.mark.slow
 def test_a_bar_says_the_verdict(debt: tuple[Any, Any], tmp_path: Path) -> None:
     page, scope = debt
     for text in (page.select_one({"name": "heading"}).text, scope.select_one({"name": "status"}).text):

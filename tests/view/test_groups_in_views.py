@@ -37,6 +37,7 @@ def test_the_log_tells_its_groups(path: Path) -> None:
         assert not log.ports["stage"]["position"].any()
 
 
+@pytest.mark.slow
 def test_inspection_gives_the_account_to_the_group_and_counts_frames_once(path: Path) -> None:
     with EnergyLog.open(path) as log:
         result = inspect(log)

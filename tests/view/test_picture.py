@@ -132,6 +132,7 @@ def test_a_decimated_torque_of_a_picture_is_a_plain_line(tmp_path: Path, monkeyp
     assert [panel.get_title(loc="left") for panel in panels] == ["position", "force"]  # without contact
 
 
+@pytest.mark.slow
 def test_a_display_has_a_panel_of_the_velocity_it_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     described = [PortDescription("a", "rad", commands_velocity=True)]
     writer = EnergyLogWriter(tmp_path / "run.h5", described, {}, sample_time_ns=1_000_000)
