@@ -359,6 +359,7 @@ def test_what_several_displays_cannot_do_together_is_refused(override: str, word
         load_scene(SCENE.with_name("guided_path.yaml"), [override])
 
 
+@pytest.mark.slow
 def test_every_algorithm_is_compared_over_can(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", str(SCENE), "--duration", "0.2", "--json"]) == 0
     compared = json.loads(capsys.readouterr().out)["axes"]["handle"]

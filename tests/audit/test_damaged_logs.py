@@ -285,7 +285,7 @@ def test_a_text_that_claims_gigabytes_is_refused_at_once(whole: Path) -> None:
     assert resource.getrlimit(resource.RLIMIT_AS) == before
 
 
-@pytest.mark.parametrize("step", [4, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("step", [12, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_damaged_table_of_names_is_repaired_or_one_error(whole: Path, step: int) -> None:
     content = whole.read_bytes()
     for name in (b"SNOD", b"HEAP", b"TREE"):

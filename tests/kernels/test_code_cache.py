@@ -80,7 +80,7 @@ def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.slow_but("in the middle-code")
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".nbi", ".nbc"], ids=["index", "code"])
 @pytest.mark.parametrize("cut", [None, 0, 40], ids=["a bit", "to nothing", "in the middle"])
 def test_damaged_code_is_compiled_anew_and_kept_again(kept: Path, suffix: str, cut: int | None) -> None:

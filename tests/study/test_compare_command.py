@@ -22,6 +22,7 @@ def test_the_table_shows_that_the_original_fails_in_fig_5(capsys):
     assert paper < 1.5
 
 
+@pytest.mark.slow
 def test_json_is_one_object_and_the_picture_is_written(capsys, tmp_path):
     picture = tmp_path / "picture.png"
     arguments = ["--duration", "1.3 s", "--algorithms", "unprotected", "--set", "environment.stiffness=200", "--json"]

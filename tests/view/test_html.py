@@ -23,6 +23,7 @@ ROOT = Path(__file__).parents[2]
 READY = "window.Bokeh && Bokeh.documents.length && Bokeh.documents[0].is_idle"
 
 
+@pytest.mark.slow
 def test_what_is_drawn_keeps_spikes_and_every_row_around_worst_margin_and_faults(tmp_path: Path) -> None:
     write_hour(tmp_path / "run.h5", rows=200_000)
     with EnergyLog.open(tmp_path / "run.h5") as log:

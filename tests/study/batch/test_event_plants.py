@@ -49,6 +49,7 @@ def demo(effects, *overrides, algorithm="guarded"):
 
 
 @pytest.mark.slow_for(
+    "stop and friction",
     "LuGre",
     "backlash",
     "Stribeck and stop",
