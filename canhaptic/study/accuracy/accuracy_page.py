@@ -12,7 +12,7 @@ from canhaptic.study.accuracy.advice import front
 from canhaptic.view.html_page import decades, require_bokeh, write_page
 
 if TYPE_CHECKING:
-    from bokeh.models import Plot
+    from bokeh.models import ColumnDataSource, Plot
 
 
 _TOOLS: Final = "pan,wheel_zoom,box_zoom,reset,save"
@@ -55,7 +55,7 @@ def write_accuracy_page(result: Row, path: Path) -> None:
 
 
 def _ladder(result: Row, price: str, price_label: str, error: str, error_label: str) -> "Plot":
-    from bokeh.models import ColumnDataSource, HoverTool
+    from bokeh.models import HoverTool
     from bokeh.plotting import figure
 
     panel = figure(
@@ -68,15 +68,7 @@ def _ladder(result: Row, price: str, price_label: str, error: str, error_label: 
         if not own:
             continue
         colour, marker = STYLES[method]
-        source = ColumnDataSource(
-            {
-                "price": [r[price] for r in own],
-                "error": [max(r[error], least) for r in own],
-                "name": [f"{r['method']}, {r['setting']}" for r in own],
-                "edge": ["black" if r["pareto"] else colour for r in own],
-                "pareto": ["on the Pareto front" if r["pareto"] else "" for r in own],
-            }
-        )
+        source = _points_of(own, price, error, least, colour)
         panel.scatter(
             "price", "error", source=source, marker=_MARKERS[marker], size=9, color=colour,
             line_color="edge", line_width=2, legend_label=method,
@@ -96,6 +88,21 @@ def _ladder(result: Row, price: str, price_label: str, error: str, error_label: 
     panel.legend.ncols, panel.legend.border_line_alpha = 3, 0.0
     panel.add_layout(panel.legend[0], "below")  # where it hides no point
     return panel
+
+
+def _points_of(own: list[Row], price: str, error: str, least: float, colour: str) -> "ColumnDataSource":
+    """Returns the points of one method; an error below `least` is drawn there."""
+    from bokeh.models import ColumnDataSource
+
+    return ColumnDataSource(
+        {
+            "price": [r[price] for r in own],
+            "error": [max(r[error], least) for r in own],
+            "name": [f"{r['method']}, {r['setting']}" for r in own],
+            "edge": ["black" if r["pareto"] else colour for r in own],
+            "pareto": ["on the Pareto front" if r["pareto"] else "" for r in own],
+        }
+    )
 
 
 def _loop(result: Row) -> "Plot":
