@@ -107,7 +107,7 @@ class Cycle:
         self._ledgers = [*self.ledgers, *(group.ledger for group in self.groups)]
         self._axes = tuple(range(axes))  # walked by number: for one axis, `zip` or `enumerate` costs more than its body
         self.timing = {name: DurationHistogram() for name in CycleTiming._fields}
-        self.judge = EnergyAudit(axes, [group.axes for group in self.groups]) if truths is not None else None
+        self.judge = EnergyAudit(axes, self.groups) if truths is not None else None
         self.cycles = self.uneven = 0
         self._is_timed = not isinstance(rig.clock, VirtualClock)  # virtual time does not advance within a cycle
         self._log = log
@@ -255,25 +255,25 @@ class EnergyAudit:
     """Compares the energy each ledger believes in with the energy the simulated plant really took or gave.
 
     Args:
-        axes: Of the rig.
-        groups: Places of the axes of each group.
+        axes: How many the rig has.
+        groups: Axes that render together.
 
     Attributes:
-        least: Least true sum of h_i after any hold, per axis, then per group: of its motors together [J].
+        least: Least true sum of h_i after any hold, per axis, then per group: of its motors and movers together [J].
         least_at_handle: The same with what friction and bearings have dissipated [J].
         interaction: True sum of h_i, per axis and group [J].
         dissipated: By friction and bearings, per axis and group [J].
         believed_error: Largest |believed - true| sum of h_i after any hold, per axis and group [J].
     """
 
-    def __init__(self, axes: int, groups: Sequence[Sequence[int]] = ()) -> None:
+    def __init__(self, axes: int, groups: Sequence[AxisGroup] = ()) -> None:
         self.least = [0.0] * (axes + len(groups))
         self.least_at_handle = [0.0] * (axes + len(groups))
         self.interaction = [0.0] * (axes + len(groups))
         self.dissipated = [0.0] * (axes + len(groups))
         self.believed_error = [0.0] * (axes + len(groups))
         self._axes = tuple(range(axes))
-        self._groups = [(axes + place, tuple(members)) for place, members in enumerate(groups)]
+        self._groups = [(axes + place, group) for place, group in enumerate(groups)]
 
     def compare(self, ledgers: Sequence[Ledger], truths: Sequence[Truth], balances: Sequence[EnergyBalance]) -> None:
         """Takes the truth of the SYNC whose balances the ledgers have just taken.
@@ -286,18 +286,22 @@ class EnergyAudit:
         for axis in self._axes:
             _, (motor, _, dissipated, _) = truths[axis]
             self._take(axis, -motor, dissipated, ledgers[axis].interaction, balances[axis].branch != _HELD)
-        for place, axes in self._groups:
-            true = -sum([truths[axis].energy.motor for axis in axes])
-            dissipated = sum([truths[axis].energy.dissipated for axis in axes])
-            believed = sum([ledgers[axis].interaction for axis in axes])
-            self._take(place, true, dissipated, believed, balances[axes[0]].branch != _HELD)
+        for place, group in self._groups:
+            true = -sum([truths[axis].energy.motor for axis in group.axes])
+            dissipated = sum([truths[axis].energy.dissipated for axis in group.axes])
+            believed = sum([ledgers[axis].interaction for axis in group.axes])
+            supplied, booked = group.supplied + group.balance.supplied, balances[group.axes[0]].branch != _HELD
+            self._take(place, true, dissipated, believed, booked, supplied)
 
-    def _take(self, place: int, true: float, dissipated: float, believed: float, booked: bool) -> None:
-        self.interaction[place], self.dissipated[place] = true, dissipated
-        if true < self.least[place]:
-            self.least[place] = true
-            if true + dissipated < self.least_at_handle[place]:
-                self.least_at_handle[place] = true + dissipated
+    def _take(
+        self, place: int, true: float, dissipated: float, believed: float, booked: bool, supplied: float = 0.0
+    ) -> None:
+        came_in = true + supplied
+        self.interaction[place], self.dissipated[place] = came_in, dissipated
+        if came_in < self.least[place]:
+            self.least[place] = came_in
+            if came_in + dissipated < self.least_at_handle[place]:
+                self.least_at_handle[place] = came_in + dissipated
         error, most = believed - true, self.believed_error[place]
         if booked and (error > most or error < -most):
             self.believed_error[place] = abs(error)

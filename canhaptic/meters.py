@@ -1,13 +1,14 @@
 """What a run knows of its ports in addition to their ledgers, hold by hold: for the account and the rows of the log."""
 
 from collections.abc import Sequence
+from math import inf
 from typing import Final, NamedTuple, Protocol, runtime_checkable
 
-from canhaptic.control.axis_meter import AxisMeter
+from canhaptic.control.axis_meter import Accuracy, AxisMeter
 from canhaptic.control.balance import OUT_OF_CONTACT, Branch, EnergyBalance
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.multi_axis.axis_group import AxisGroup
-from canhaptic.drive.profile.torque_axis import TorqueAxis
+from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, ROUNDING
 from canhaptic.signals import Measured, Sample
 
 _HELD: Final = Branch.HELD.value
@@ -28,6 +29,70 @@ def promise_of(controller: object) -> Promise:
     return Promise(losses, float(getattr(controller, "energy_allowance", 0.0)))
 
 
+class HeldTorques(Protocol):
+    """What is known of the torques of one axis; `drive.profile.torque_axis` says what each is."""
+
+    read_back_bound: float
+    longest_hold: int
+    longest_gap: int
+    uncommanded: int
+    open_time: int
+    open_torque: float
+
+
+class ActiveLimits(NamedTuple):
+    """Constants of `Activity`."""
+
+    floor: float  # of booked energy and resolution together [J]; -inf: the resolution is an estimate
+    power: float  # that the device can dissipate at most [W]
+    sample_time: float  # longest period [s]
+
+
+def active_limits(accuracies: Sequence[Accuracy], allowance: float) -> ActiveLimits:
+    """Returns below what a port has given out energy for certain.
+
+    Args:
+        accuracies: One for each axis of the port.
+        allowance: Energy that it may give out [J].
+    """
+    floor = -inf if any(accuracy.is_estimate for accuracy in accuracies) else -(allowance + ROUNDING)
+    return ActiveLimits(floor, sum(each.most_dissipated for each in accuracies), accuracies[0].sample_time)
+
+
+class Activity:
+    """The first holds after which a port had given out energy for certain; see `control.verdict`.
+
+    Args:
+        limits: Constants.
+
+    Attributes:
+        limits: As given.
+        active: Bits of the log's column `active`.
+        since: Sample times from the first SYNC to the first such hold, at the motor; None: there was none.
+        at_handle_since: The same at the handle.
+    """
+
+    __slots__ = ("active", "at_handle_since", "limits", "since")
+
+    def __init__(self, limits: ActiveLimits) -> None:
+        self.limits, self.active = limits, 0
+        self.since: int | None = None
+        self.at_handle_since: int | None = None
+
+    def take(self, most: float, deadline: int) -> None:
+        """Takes a sum that is below the floor, or was.
+
+        Args:
+            most: Booked energy and resolution together [J].
+            deadline: Sample times from the first SYNC.
+        """
+        limits = self.limits
+        if self.since is None and most < limits.floor:
+            self.since, self.active = deadline, self.active | ACTIVE_AT_MOTOR
+        if self.at_handle_since is None and most + limits.power * (deadline + 1) * limits.sample_time < limits.floor:
+            self.at_handle_since, self.active = deadline, self.active | ACTIVE_AT_HANDLE
+
+
 @runtime_checkable
 class _StatesResolution(Protocol):
     """A controller that leaves something of its energy open itself."""
@@ -45,6 +110,7 @@ class AxisPort:
         controller: Renders it; None of an axis in a group.
 
     Attributes:
+        activity: When it was active.
         drives: Of the port.
         least_at_handle: Least sum of interaction and certain dissipation of the device after any hold [J]; None where
             no damping of the device is declared.
@@ -53,18 +119,22 @@ class AxisPort:
         damping: Sum of the damping that was rendered in contact [N*s/m].
         asked: Sum of the effort that the environment of an axis asked for [N].
         rendered: What was rendered there [N].
+        sizes_asked: Sum of the sizes of that effort, each as far as the drive may give it [N].
+        sizes_sent: Sum of the sizes of the torques that were sent there [N].
     """
 
     __slots__ = (
-        "_controller", "_drive", "_is_damped", "_lowest", "_meter", "asked", "contacts", "damping", "drives",
-        "least_at_handle", "rendered", "silent",
+        "_controller", "_drive", "_floor", "_is_damped", "_lowest", "_meter", "activity", "asked", "contacts",
+        "damping", "drives", "least_at_handle", "rendered", "silent", "sizes_asked", "sizes_sent",
     )  # fmt: skip
 
-    def __init__(self, meter: AxisMeter, drive: TorqueAxis, controller: object) -> None:
+    def __init__(self, meter: AxisMeter, drive: HeldTorques, controller: object) -> None:
         self._meter, self._drive, self.drives = meter, drive, (drive,)
         self._controller = controller if isinstance(controller, _StatesResolution) else None
-        self._lowest = self.asked = self.rendered = self.damping = 0.0
+        self._lowest = self.asked = self.rendered = self.damping = self.sizes_asked = self.sizes_sent = 0.0
         self.contacts = self.silent = 0
+        self.activity = Activity(active_limits([meter.accuracy], promise_of(controller).energy_allowance))
+        self._floor = -inf if controller is None else self.activity.limits.floor  # of a group only the sum counts
         self._is_damped = meter.is_damped
         self.least_at_handle = 0.0 if self._is_damped else None
 
@@ -86,26 +156,42 @@ class AxisPort:
             if drive.open_time:
                 exact = -torque * (position - before)
                 meter.leave_open(drive.open_torque, drive.open_time, abs(exact - balance.h_i))
-            if meter.asked:
-                self.asked += meter.asked
-                self.rendered -= balance.torque
+            if (asked := meter.asked) != 0.0:
+                self.asked += asked
+                self.rendered -= (torque := balance.torque)
+                size, most = abs(asked), meter.accuracy.largest_torque
+                self.sizes_asked += size if size < most else most  # a hand that is stronger than the drive feels it
+                self.sizes_sent += abs(torque)
         if touches:
             self.contacts += 1
             self.damping += balance.damping_rendered
             if not balance.torque:
                 self.silent += 1
-        if self._is_damped and ledger.interaction < self._lowest:
-            self._lowest = lowest = ledger.interaction
-            self.least_at_handle = _least(self.least_at_handle, lowest + meter.dissipated)
-        return self.measured()
+        interaction, resolution = ledger.interaction, self._resolution()
+        if self._is_damped and interaction < self._lowest:
+            self._lowest = interaction
+            self.least_at_handle = _least(self.least_at_handle, interaction + meter.dissipated)
+        if interaction + resolution < self._floor:
+            self.activity.take(interaction + resolution, int(sent))
+        return self._measured(resolution)
+
+    @property
+    def friction_excess(self) -> float | None:
+        """Force beyond declared friction and hand that the axis showed [N or N*m]; None where it is not watched."""
+        return None if self._meter.watch is None else self._meter.watch.excess
 
     def measured(self) -> Measured:
         """Returns what is known."""
+        return self._measured(self._resolution())
+
+    def _resolution(self) -> float:
+        left = self._meter.resolution + self._drive.read_back_bound
+        return left if self._controller is None else self._controller.energy_resolution + left
+
+    def _measured(self, resolution: float) -> Measured:
         meter, drive = self._meter, self._drive
-        left = meter.resolution + drive.read_back_bound
-        if self._controller is not None:
-            left = self._controller.energy_resolution + left
-        return _measured(Measured, (left, meter.dissipated, meter.asked, drive.longest_hold, drive.uncommanded))
+        known = resolution, meter.dissipated, meter.asked, drive.longest_hold, drive.uncommanded, self.activity.active
+        return _measured(Measured, known)
 
 
 class GroupPort:
@@ -117,20 +203,23 @@ class GroupPort:
         group: Axes that render together.
 
     Attributes:
+        activity: When the group was active; by the sum of its axes, never by one of them.
         drives: As given.
         least_at_handle: As of an axis, where damping is declared of every axis.
         contacts: As of an axis.
         silent: As of an axis.
     """
 
-    __slots__ = ("_group", "_lowest", "_meters", "contacts", "drives", "least_at_handle", "silent")
+    __slots__ = ("_group", "_lowest", "_meters", "activity", "contacts", "drives", "least_at_handle", "silent")
 
-    def __init__(self, meters: Sequence[AxisMeter], drives: Sequence[TorqueAxis], group: AxisGroup) -> None:
+    def __init__(self, meters: Sequence[AxisMeter], drives: Sequence[HeldTorques], group: AxisGroup) -> None:
         self._meters, self.drives, self._group = tuple(meters), tuple(drives), group
+        allowance = promise_of(group.controller).energy_allowance
+        self.activity = Activity(active_limits([meter.accuracy for meter in meters], allowance))
         self._lowest, self.contacts, self.silent = 0.0, 0, 0
         self.least_at_handle = 0.0 if all(meter.is_damped for meter in self._meters) else None
 
-    def take(self, _sample: Sample, balance: EnergyBalance, ledger: Ledger, _sent: float) -> Measured:
+    def take(self, _sample: Sample, balance: EnergyBalance, ledger: Ledger, sent: float) -> Measured:
         """Takes a hold, behind the axes of the group; returns what is known. See `AxisPort.take`."""
         if balance.branch not in OUT_OF_CONTACT:
             self.contacts += 1
@@ -140,19 +229,26 @@ class GroupPort:
             self._lowest = lowest = ledger.interaction
             now = lowest + sum([meter.dissipated for meter in self._meters])
             self.least_at_handle = _least(self.least_at_handle, now)
+        most = ledger.interaction + self._resolution()
+        if most < self.activity.limits.floor:
+            self.activity.take(most, int(sent))
         return self.measured()
+
+    def _resolution(self) -> float:
+        controller = self._group.controller
+        left = controller.energy_resolution if isinstance(controller, _StatesResolution) else 0.0
+        left += self._group.unsure + sum([meter.resolution for meter in self._meters])
+        return left + sum([drive.read_back_bound for drive in self.drives])
 
     def measured(self) -> Measured:
         """Returns what is known."""
-        meters, drives, group = self._meters, self.drives, self._group
-        left = group.controller.energy_resolution if isinstance(group.controller, _StatesResolution) else 0.0
-        left += group.unsure + sum([meter.resolution for meter in meters])
         return Measured(
-            left + sum([drive.read_back_bound for drive in drives]),
-            sum([meter.dissipated for meter in meters]),
+            self._resolution(),
+            sum([meter.dissipated for meter in self._meters]),
             0.0,
-            max([drive.longest_hold for drive in drives]),
-            sum([drive.uncommanded for drive in drives]),
+            max([drive.longest_hold for drive in self.drives]),
+            sum([drive.uncommanded for drive in self.drives]),
+            self.activity.active,
         )
 
 
@@ -175,7 +271,7 @@ class RunMeters:
     def __init__(
         self,
         axes: Sequence[AxisMeter],
-        drives: Sequence[TorqueAxis],
+        drives: Sequence[HeldTorques],
         controllers: Sequence[object],
         groups: Sequence[AxisGroup] = (),
     ) -> None:

@@ -1,21 +1,36 @@
 """The account of a run as plain values: what `canhaptic run --json` prints and every table and comparison reads.
 
-    {status, config_hash, cycles, passive, ports: {NAME: {passive, ...}}, truth: {NAME: {...}}, timing, link, method}
+    {status, config_hash, cycles, verdict, passive, ports: {NAME: {verdict, passive, ...}}, truth: {NAME: {...}},
+     timing, link, method}
 
-`passive` is a verdict on the sum of what came in with the torque of the motor (eq. 3); `passive_at_handle`, where a
-damping of the device is declared, on that sum with what the device has dissipated.
+`passive` is the account's own verdict, from frames alone, on the sum of what came in with the torque of the motor
+(eq. 3); `passive_at_handle`, where a damping of the device is declared, on that sum with what the device has
+dissipated. `plant_passive` and `plant_passive_at_handle` are those of the simulated plant. `verdict` is the word that
+is shown: the plant's where there is one, else the account's.
 
 A port is an axis or a group of axes. An axis in a group has `group` and what came in and went out by it; the account,
 whether it is passive included, is that of the group, which has `axes`. Energies in [J], times in [s].
 """
 
 from collections.abc import Mapping, Sequence
+from math import inf
 from typing import Final, NotRequired, TypedDict, cast
 
 from canhaptic.control.balance import Certificate
-from canhaptic.control.verdict import PortResult, RenderedShares, Verdict, account_verdict, handle_verdict
+from canhaptic.control.ledger import Ledger
+from canhaptic.control.verdict import (
+    Headline,
+    PortResult,
+    RenderedShares,
+    Verdict,
+    account_verdict,
+    contradict,
+    handle_verdict,
+    headline,
+    plant_verdict,
+)
 from canhaptic.cycle import Cycle
-from canhaptic.meters import Promise, RunMeters, promise_of
+from canhaptic.meters import AxisPort, GroupPort, Promise, RunMeters, promise_of
 
 
 class TruthResult(TypedDict):
@@ -34,8 +49,10 @@ class RunResult(TypedDict):
     config_hash: str
     cycles: int
     duration: float  # [s]
+    verdict: Headline
     passive: Verdict
     passive_at_handle: NotRequired[Verdict]
+    plant_passive: NotRequired[Verdict]
     ports: dict[str, PortResult]
     truth: dict[str, TruthResult]
     timing: Mapping[str, Mapping[str, float] | float | str]
@@ -51,18 +68,30 @@ _OF_AN_AXIS: Final = ("unit", "in", "out", "peak_torque", "limited_cycles", "rea
 
 
 _WORST_LAST: Final[tuple[Verdict, ...]] = ("yes", "in doubt", "no")
+_HEADLINES: Final[tuple[Headline, ...]] = ("no contact", "dry run", "yes", "in doubt", "nothing rendered", "no")
+"""The words that are shown, worst last; one handle that nobody touched does not make a run of several doubtful."""
 
 
-def overall(ports: Mapping[str, PortResult]) -> Verdict:
-    """Returns the worst verdict of all accounts; "in doubt" where there is none, as of a run without a cycle."""
-    found: list[Verdict] = [account["passive"] for account in ports.values() if "passive" in account]
-    return max(found, key=_WORST_LAST.index) if found else "in doubt"
+class Verdicts(TypedDict):
+    """The worst verdicts of all accounts; one that no account has is left out."""
+
+    verdict: Headline
+    passive: Verdict
+    passive_at_handle: NotRequired[Verdict]
+    plant_passive: NotRequired[Verdict]
 
 
-def at_handles(ports: Mapping[str, PortResult]) -> Verdict | None:
-    """Returns the worst verdict at the handle; None where no account has one."""
-    found = [account["passive_at_handle"] for account in ports.values() if "passive_at_handle" in account]
-    return max(found, key=_WORST_LAST.index) if found else None
+def overall(ports: Mapping[str, PortResult]) -> Verdicts:
+    """Returns the worst verdicts of all accounts; "in doubt" where there is none, as of a run without a cycle."""
+    accounts = [account for account in ports.values() if "passive" in account]
+    found: Verdicts = {
+        "verdict": max((of.get("verdict", of["passive"]) for of in accounts), key=_HEADLINES.index, default="in doubt"),
+        "passive": max((account["passive"] for account in accounts), key=_WORST_LAST.index, default="in doubt"),
+    }
+    for key in ("passive_at_handle", "plant_passive"):
+        if any(key in account for account in accounts):
+            found[key] = max((of[key] for of in accounts if key in of), key=_WORST_LAST.index)
+    return found
 
 
 def run_result(
@@ -78,37 +107,37 @@ def run_result(
         sample_time: [s]
         method: One line on how the far side was computed; empty with real drives.
     """
-    accounts = _accounts(cycle, ports, sample_time)
+    truth = _truth(cycle, [*(name for name, _ in ports), *(group.name for group in cycle.groups)])
+    accounts = _accounts(cycle, ports, sample_time, truth)
+    verdicts = overall(accounts)
     result: RunResult = {
         "status": status,
         "config_hash": config_hash,
         "cycles": cycle.cycles,
         "duration": (cycle.cycles + cycle.rig.skipped_syncs) * sample_time,
-        "passive": overall(accounts),
+        "verdict": verdicts["verdict"],
+        "passive": verdicts["passive"],
         "ports": accounts,
-        "truth": _truth(cycle, list(accounts)),
+        "truth": truth,
         "timing": {name: histogram.summary() for name, histogram in cycle.timing.items()},
         "link": cycle.rig.link_statistics(),
         "method": method,
     }
-    at_handle = at_handles(accounts)
-    if at_handle is not None:
-        result["passive_at_handle"] = at_handle
-    return result
+    return cast("RunResult", {**result, **verdicts})
 
 
-def _accounts(cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float) -> dict[str, PortResult]:
+def _accounts(
+    cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float, truth: Mapping[str, TruthResult]
+) -> dict[str, PortResult]:
     """Returns the account of each axis, then of each group."""
     drives, grouped = cycle.rig.drives, {axis for group in cycle.groups for axis in group.axes}
-    alone = iter(cycle.controllers)
+    alone, known = iter(cycle.controllers), cycle.meters.ports
     accounts: dict[str, PortResult] = {}
     for axis, (name, unit) in enumerate(ports):
         drive, promise = drives[axis], Promise() if axis in grouped else promise_of(next(alone))
         accounts[name] = {
             "unit": unit,
-            **cycle.ledgers[axis].summary().as_json(sample_time),
-            **_measured(cycle.meters, axis, promise),
-            **_compared(cycle.meters, axis),
+            **port_account(known[axis], cycle.ledgers[axis], promise, sample_time),
             "rendered": _rendered(cycle.meters, axis),
             "read_back": drive.map.read_back,
             "read_back_bound": drive.read_back_bound,
@@ -116,40 +145,48 @@ def _accounts(cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float
     for place, group in enumerate(cycle.groups, len(ports)):
         accounts[group.name] = {
             "unit": ports[group.axes[0]][1],
-            **group.ledger.summary().as_json(sample_time),
-            **_measured(cycle.meters, place, promise_of(group.controller)),
+            **port_account(known[place], group.ledger, promise_of(group.controller), sample_time),
             "supplied": group.supplied,
             "unsure": group.unsure,
             "limits": dict(group.limits),
         }
-    for name, place in zip(accounts, range(len(accounts)), strict=True):
-        gap = max(drive.longest_gap for drive in cycle.meters.ports[place].drives)
-        withdraw_certificates(accounts[name], longest_gap=gap)
-    return with_groups(accounts, {group.name: [ports[axis][0] for axis in group.axes] for group in cycle.groups})
+    groups = {group.name: [ports[axis][0] for axis in group.axes] for group in cycle.groups}
+    return with_groups(accounts, groups, truth)
 
 
-def _measured(meters: RunMeters, place: int, promise: Promise) -> PortResult:
-    """Returns what is known of a port in addition to its ledger."""
-    port = meters.ports[place]
-    measured, least = port.measured(), port.least_at_handle
-    at_handle: PortResult = {}
-    if least is not None:
-        at_handle = {"least_at_handle": least, "device_dissipated": measured.device_dissipated}
-    return {
+def port_account(port: AxisPort | GroupPort, ledger: Ledger, promise: Promise, sample_time: float) -> PortResult:
+    """Returns the account of a port without its verdicts.
+
+    Args:
+        port: What is known of it in addition to its ledger.
+        ledger: Its sums.
+        promise: What its certificates rest on.
+        sample_time: [s].
+    """
+    measured, least, activity = port.measured(), port.least_at_handle, port.activity
+    account: PortResult = {
+        **ledger.summary().as_json(sample_time),
         "energy_resolution": measured.energy_resolution,
-        **at_handle,
         "contact": {"holds": port.contacts, "without_torque": port.silent},
         "longest_hold": measured.longest_hold,
         "uncommanded_cycles": measured.uncommanded,
         "max_consecutive_losses": promise.max_consecutive_losses,
         "energy_allowance": promise.energy_allowance,
     }
-
-
-def _compared(meters: RunMeters, axis: int) -> PortResult:
-    """Returns the force beyond declared friction and hand that an axis showed; empty where it is not watched."""
-    watch = meters.axes[axis].watch
-    return {} if watch is None else {"friction_excess": watch.excess}
+    if least is not None:
+        account["least_at_handle"], account["device_dissipated"] = least, measured.device_dissipated
+    if isinstance(port, AxisPort):
+        account["contact"] |= {"asked": port.sizes_asked, "sent": port.sizes_sent}
+        if (excess := port.friction_excess) is not None:
+            account["friction_excess"] = excess
+    if activity.limits.floor == -inf:
+        account["resolution_is_estimated"] = True
+    if activity.since is not None:
+        account["active_since"] = activity.since * sample_time
+    if activity.at_handle_since is not None:
+        account["active_at_handle_since"] = activity.at_handle_since * sample_time
+    withdraw_certificates(account, longest_gap=max(drive.longest_gap for drive in port.drives))
+    return account
 
 
 def _rendered(meters: RunMeters, axis: int) -> RenderedShares:
@@ -170,8 +207,8 @@ def rendered_shares(asked: float, given: float, damping_asked: float, damping: f
 def withdraw_certificates(account: PortResult, *, longest_gap: int) -> None:
     """Takes the certificates off an account where a torque acted for longer than they covered, or was not commanded.
 
-    The same where one hold had none, being longer or shorter than declared, and where the axis moved as it cannot with
-    the friction that is declared (`friction_watch`).
+    The same where one hold had none, being longer or shorter than declared, where the axis moved as it cannot with
+    the friction that is declared (`friction_watch`), and where its own energies refute them.
 
     A certificate covers `max_consecutive_losses` sample times without a new torque. A skipped SYNC is no lost frame:
     the torque under way acts for longer, and the one behind it, which counted on a single hold, acts all the same.
@@ -187,22 +224,34 @@ def withdraw_certificates(account: PortResult, *, longest_gap: int) -> None:
     if is_broken and account["certificates"]:
         account["certificate"] = Certificate.NONE.name.lower()
         account["certificates"] = [account["certificate"]]
+    contradict(account)
 
 
-def with_groups(accounts: Mapping[str, PortResult], groups: Mapping[str, Sequence[str]]) -> dict[str, PortResult]:
-    """Returns the accounts of axes and groups with the verdict of each, and with what each says of the other.
+def with_groups(
+    accounts: Mapping[str, PortResult],
+    groups: Mapping[str, Sequence[str]],
+    truth: Mapping[str, TruthResult] | None = None,
+) -> dict[str, PortResult]:
+    """Returns the accounts of axes and groups with the verdicts of each, and with what each says of the other.
 
     Args:
         accounts: Accounts by the name of the port, each formed as if the port were alone.
         groups: Names of the axes of each group. An axis of a group alone proves nothing: its account keeps only the
             energy that came in and went out through it.
+        truth: What the simulated plant says of the ports; None where there is none.
     """
     found = {name: account.copy() for name, account in accounts.items()}
-    for account in found.values():
+    for name, account in found.items():
         account["passive"] = account_verdict(account)
         at_handle = handle_verdict(account)
         if at_handle is not None:
             account["passive_at_handle"] = at_handle
+        if truth is not None and name in truth:
+            allowance = account.get("energy_allowance", 0.0)
+            account["plant_passive"] = plant_verdict(truth[name]["least_interaction"], allowance)
+            if at_handle is not None:
+                account["plant_passive_at_handle"] = plant_verdict(truth[name]["least_at_handle"], allowance)
+        account["verdict"] = headline(account)
     for group, axes in groups.items():
         found[group] = {"unit": found[group]["unit"], "axes": list(axes), **found[group]}
         for name in axes:

@@ -41,6 +41,7 @@ class Measured(NamedTuple):
     effort_asked: float  # of the environment's storage at this position; 0 out of contact, and of a group [N or N*m]
     longest_hold: int  # the most sample times for which one torque was held
     uncommanded: int  # holds whose torque was never commanded
+    active: int  # `control.verdict.ACTIVE_AT_MOTOR` and `ACTIVE_AT_HANDLE`, each from the first such hold on
 
 
 class CycleTiming(NamedTuple):

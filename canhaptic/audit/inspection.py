@@ -1,7 +1,7 @@
 """What an energy log says about a run, as one dictionary: the names of `run --json`, with contacts and events added."""
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, NotRequired, TypedDict
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Final, NotRequired, TypedDict, cast
 
 import numpy as np
 
@@ -14,12 +14,12 @@ from canhaptic.audit.user_checks import Outcome
 from canhaptic.canopen.objects import StatusBit
 from canhaptic.control.balance import Branch, Certificate, certificates_of
 from canhaptic.control.ledger import LedgerSummary
-from canhaptic.control.verdict import PortResult, Verdict
+from canhaptic.control.verdict import Headline, PortResult, Verdict
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.columns import Event
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.logs.hdf5 import Array
-from canhaptic.result import TruthResult, at_handles, overall, with_groups
+from canhaptic.result import TruthResult, overall, with_groups
 from canhaptic.signals import CycleTiming
 
 if TYPE_CHECKING:
@@ -60,8 +60,10 @@ class Inspection(_Inspected):
     cycles: int
     rate: float  # [Hz]
     findings: list[ImpossibleValue]
+    verdict: Headline
     passive: Verdict
     passive_at_handle: NotRequired[Verdict]
+    plant_passive: NotRequired[Verdict]
     ports: dict[str, PortResult]
     truth: dict[str, TruthResult]
     timing: dict[str, int | dict[str, float]]
@@ -87,7 +89,9 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
     """
     rows = rows_between(log, start, stop)
     sync_index, time = log.timing["sync_index"][rows], log.deadlines(rows.start, rows.stop) * log.sample_time
-    ports = _ports(log, rows)
+    truth = {name: _truth(log, name, rows) for name in log.truth}
+    ports = _ports(log, rows, truth)
+    verdicts = overall(ports)
     found: Inspection = {
         "file": str(log.path),
         "status": log.status,
@@ -97,18 +101,16 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
         "from": float(time[0]) if len(time) else 0.0,
         "to": float(time[-1]) if len(time) else 0.0,
         "findings": impossible_values(log),
-        "passive": overall(ports),
+        "verdict": verdicts["verdict"],
+        "passive": verdicts["passive"],
         "ports": ports,
-        "truth": {name: _truth(log, name, rows) for name in log.truth},
+        "truth": truth,
         "timing": _timing(log, rows),
         "link": _link(log, rows, sync_index),
         "contacts": {n: _contacts(log, port, rows) for n, port in log.ports.items() if n not in log.group_of},
         "events": [_logged(event, log) for event in log.events],
     }
-    at_handle = at_handles(ports)
-    if at_handle is not None:
-        found["passive_at_handle"] = at_handle
-    return found
+    return cast("Inspection", {**found, **verdicts})
 
 
 def _logged(event: Event, log: EnergyLog) -> LoggedEvent:
@@ -149,12 +151,12 @@ def _port(log: EnergyLog, port_name: str, rows: slice) -> PortResult:
     }
 
 
-def _ports(log: EnergyLog, rows: slice) -> dict[str, PortResult]:
+def _ports(log: EnergyLog, rows: slice, truth: Mapping[str, TruthResult]) -> dict[str, PortResult]:
     """The account of each port; of an axis in a group what came in and went out by it."""
     accounts = {name: _port(log, name, rows) for name in log.ports}
     for group in log.groups:
         accounts[group]["state_unit"] = log.ports[group].unit("state")
-    return with_groups(accounts, log.groups)
+    return with_groups(accounts, log.groups, truth)
 
 
 def _record(log: EnergyLog, name: str, rows: slice) -> PortResult:
@@ -220,14 +222,14 @@ def _last(values: Array) -> float:
 def _truth(log: EnergyLog, name: str, rows: slice) -> TruthResult:
     """True energies of the simulated axis against the believed ones.
 
-    The interaction is minus the motor's work on the moving mass; both count from the first row of the part.
+    The interaction is minus the motor's work on the moving mass, of a group less that of movers; both count from the
+    first row of the part.
     """
-    motor = log.truth[name].read("motor", rows.start, rows.stop)
-    if not len(motor):
+    interaction = _taken_in(log, name, rows)
+    if not len(interaction):
         return {"interaction": 0.0, "least_interaction": 0.0, "least_at_handle": 0.0, "believed_error": 0.0}
-    before = log.truth[name].read("motor", rows.start - 1, rows.start)[0] if rows.start else motor[0]
-    interaction = before - motor
-    axes = log.groups.get(name, (name,))  # of a group, what came in by its motors: a mover of its own is no motor
+    axes = log.groups.get(name, (name,))
+    by_motors = sum(_taken_in(log, axis, rows) for axis in axes)
     h_i = np.sum([log.ports[axis].read("h_i", rows.start, rows.stop) for axis in axes], axis=0)
     believed = _running(h_i) if rows.start else _running(h_i) - h_i[0]
     booked = log.ports[axes[0]].read("branch", rows.start, rows.stop) != Branch.HELD
@@ -236,8 +238,14 @@ def _truth(log: EnergyLog, name: str, rows: slice) -> TruthResult:
         "interaction": float(interaction[-1]),
         "least_interaction": min(0.0, float(interaction.min())),
         "least_at_handle": min(0.0, float((interaction + dissipated - dissipated[0]).min())),
-        "believed_error": float(np.abs((believed - interaction)[booked]).max(initial=0.0)),
+        "believed_error": float(np.abs((believed - by_motors)[booked]).max(initial=0.0)),
     }
+
+
+def _taken_in(log: EnergyLog, name: str, rows: slice) -> Array:
+    """Returns the true energy that came in since the row before the first, or since the first row of the log [J]."""
+    motor = log.truth[name].read("motor", max(0, rows.start - 1), rows.stop)
+    return (motor[:1] - motor)[1 if rows.start else 0 :]
 
 
 def _timing(log: EnergyLog, rows: slice) -> dict[str, int | dict[str, float]]:

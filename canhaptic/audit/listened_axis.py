@@ -115,6 +115,11 @@ class ListenedAxis:
         return {od.STATUSWORD, od.POSITION_ACTUAL} <= set(self._fields) and any(t in self._fields for t in efforts)
 
     @property
+    def shows_demand(self) -> bool:
+        """Whether the torque of the last SYNC is the demand, which is exact; a force is as exact as is declared."""
+        return self._drive.force is not None or od.TORQUE_DEMAND in self._fields
+
+    @property
     def is_enabled(self) -> bool:
         """Whether the last SYNC was answered in OPERATION ENABLED."""
         return self.is_complete and state_text(self._fields[od.STATUSWORD]) == ENABLED

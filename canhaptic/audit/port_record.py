@@ -1,15 +1,17 @@
 """What an energy log holds of a port in addition to its ledger, read in pieces from a finished or a growing log."""
 
+from math import inf
+
 import numpy as np
 
 from canhaptic.control.balance import OUT_OF_CONTACT, Branch, certificates_of
 from canhaptic.control.friction_watch import FrictionDeclared, FrictionWatch
-from canhaptic.control.verdict import PortResult
+from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, PortResult
 from canhaptic.errors import LogFormatError
-from canhaptic.logs.columns import FRICTION_DECLARED
+from canhaptic.logs.columns import ACTIVE_LIMITS, FRICTION_DECLARED
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
-from canhaptic.meters import Promise
+from canhaptic.meters import ActiveLimits, Promise
 from canhaptic.result import rendered_shares, withdraw_certificates
 
 
@@ -27,16 +29,21 @@ class PortRecord:
         losses = int(log.attributes.get(f"{name}.max_consecutive_losses", 0))
         self._promise = Promise(losses, float(log.attributes.get(f"{name}.energy_allowance", 0.0)))
         self._is_damped = f"{name}.is_damped" in log.attributes
+        self._largest_torque = float(log.attributes.get(f"{name}.torque_limit", inf))
         self._damping_asked = float(log.attributes.get(f"{name}.damping_asked", 0.0))
         self._is_group = name in log.groups
-        self._is_measured = "energy_resolution" in log.ports[name]
+        self._is_measured, self._knows_active = "energy_resolution" in log.ports[name], "active" in log.ports[name]
+        self._sample_time, self._since = log.sample_time, dict[int, float]()
+        limits = limits_of(log, name)
+        self._is_estimate = limits is not None and limits.floor == -inf
         before = start - 1
         self._dissipated = self._at(log, "device_dissipated", before) if start else 0.0
         self._unknown = self._at(log, "energy_resolution", before) if start else 0.0
         self._resolution, self._longest_hold, self._gap = self._unknown, 1, 1
+        self._before = int(self._at(log, "active", before)) if start and self._knows_active else 0
         self._certificates = self._contacts = self._silent = self._uncommanded = 0
         self._interaction, self._least, self._at_handle = np.longdouble(0.0), 0.0, 0.0
-        self._device = self._asked = self._given = self._damping = 0.0
+        self._device = self._asked = self._given = self._damping = self._sizes_asked = self._sizes_sent = 0.0
         self._is_open, self._in = False, 0.0
         self._watch = _watch(log, f"{name}.{FRICTION_DECLARED}")
 
@@ -78,11 +85,21 @@ class PortRecord:
         booked = (asked != 0.0) & (branch != Branch.HELD)
         self._asked += float(asked[booked].sum())
         self._given -= float(torque[booked].sum())
+        self._sizes_asked += float(np.minimum(np.abs(asked[booked]), self._largest_torque).sum())
+        self._sizes_sent += float(np.abs(torque[booked]).sum())
+        if self._knows_active:
+            self._take_active(log, start, port.read("active", start, stop))
         if self._watch is not None:
             self._take_motion(self._watch, log, start, stop, branch)
         deadlines = log.deadlines(max(0, start - 1), stop)
         if len(deadlines) > 1:
             self._gap = max(self._gap, int(np.diff(deadlines).max()))
+
+    def _take_active(self, log: EnergyLog, start: int, active: Array) -> None:
+        for bit in (ACTIVE_AT_MOTOR, ACTIVE_AT_HANDLE):
+            if bit not in self._since and not self._before & bit and active[-1] & bit:
+                row = start + int(np.argmax(active & bit > 0))
+                self._since[bit] = float(log.deadlines(row, row + 1)[0]) * self._sample_time
 
     def _take_motion(self, watch: FrictionWatch, log: EnergyLog, start: int, stop: int, branch: Array) -> None:
         port, booked = log.ports[self._name], branch != Branch.HELD
@@ -113,6 +130,9 @@ class PortRecord:
         if self._is_measured:
             account["energy_resolution"] = self._resolution + self._unknown
             account["longest_hold"], account["uncommanded_cycles"] = self._longest_hold, self._uncommanded
+            self._add_activity(account)
+            if not self._is_group:
+                account["contact"] |= {"asked": self._sizes_asked, "sent": self._sizes_sent}
             if self._is_damped:
                 account["least_at_handle"], account["device_dissipated"] = self._at_handle, self._device
             if self._watch is not None:
@@ -122,6 +142,30 @@ class PortRecord:
                 account["rendered"] = rendered_shares(self._asked, self._given, asked, self._damping)
             withdraw_certificates(account, longest_gap=self._gap)
         return account
+
+    def _add_activity(self, account: PortResult) -> None:
+        if self._is_estimate:
+            account["resolution_is_estimated"] = True
+        if self._before & ACTIVE_AT_MOTOR:
+            account["active_before"] = True
+        if ACTIVE_AT_MOTOR in self._since:
+            account["active_since"] = self._since[ACTIVE_AT_MOTOR]
+        if ACTIVE_AT_HANDLE in self._since:
+            account["active_at_handle_since"] = self._since[ACTIVE_AT_HANDLE]
+
+
+def limits_of(log: EnergyLog, name: str) -> ActiveLimits | None:
+    """Returns what the column `active` of a port follows from; None where the log does not hold it.
+
+    Raises:
+        LogFormatError: The attribute is damaged.
+    """
+    if f"{name}.{ACTIVE_LIMITS}" not in log.attributes:
+        return None
+    numbers = log.decoded(f"{name}.{ACTIVE_LIMITS}", dict[str, float]())
+    if not all(key in ActiveLimits._fields and isinstance(value, float) for key, value in numbers.items()):
+        raise LogFormatError(f"{log.path}: attribute {name}.{ACTIVE_LIMITS} cannot be used; the file is damaged")
+    return ActiveLimits(numbers.get("floor", -inf), numbers.get("power", inf), numbers.get("sample_time", 0.0))
 
 
 def _watch(log: EnergyLog, name: str) -> FrictionWatch | None:

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypedDict
 
 import numpy as np
 
+from canhaptic.audit.port_record import limits_of
 from canhaptic.control.balance import Certificate, EnergyBalance
 from canhaptic.control.multi_axis.axis_group import GroupedControllers
+from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.signals import Sample
@@ -20,6 +22,8 @@ _INPUTS: Final = ("position", "torque_applied", "fresh")
 _OUTPUTS: Final = tuple("torque_command" if name == "torque" else name for name in EnergyBalance._fields)
 _CERTIFICATE: Final = EnergyBalance._fields.index("certificate")
 _NONE: Final = Certificate.NONE.value
+_ROUNDING: Final = 1e-12
+"""Largest difference of a sum of energies from the run's own [J]."""
 _BLOCK: Final = 65_536  # rows held in memory at a time
 _ALL: Final = struct.Struct(f"{len(_OUTPUTS)}d")
 _ONE: Final = struct.Struct("d")
@@ -74,6 +78,29 @@ def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControlle
     return list(found.values())
 
 
+def activity_mismatch(log: EnergyLog, name: str) -> Mismatch | None:
+    """Returns the first row whose `active` is not what energies and resolution so far say; None where there is none.
+
+    Rows behind the first that the log lost are not looked at, nor logs of a format that lacks the column.
+    """
+    port, rows = log.ports[name], rows_before_a_gap(log)
+    limits = limits_of(log, name)
+    if "active" not in port or limits is None or not rows:
+        return None
+    logged = port.read("active", 0, rows)
+    most = np.cumsum(port.read("h_i", 0, rows), dtype=np.longdouble) + port.read("energy_resolution", 0, rows)
+    at_handle = most + limits.power * limits.sample_time * (log.deadlines(0, rows) + 1)
+    for bit, energy in ((ACTIVE_AT_MOTOR, most), (ACTIVE_AT_HANDLE, at_handle)):
+        surely, likely = (np.maximum.accumulate(energy < limits.floor + more) for more in (-_ROUNDING, _ROUNDING))
+        is_active = logged & bit > 0
+        wrong = np.flatnonzero((surely & ~is_active) | (is_active & ~likely))
+        if len(wrong):
+            row = int(wrong[0])
+            expected = logged[row] ^ bit
+            return Mismatch(name, int(log.timing["sync_index"][row]), "active", float(logged[row]), float(expected))
+    return None
+
+
 def rows_before_a_gap(log: EnergyLog) -> int:
     """Returns how many rows come before the first that the log lost."""
     lost = log.timing["dropped_before"]
@@ -117,7 +144,9 @@ def recompute_all(log: EnergyLog, config: Path | None = None, *, allow_code: boo
     scene = scene_of(log, config, allow_code=allow_code)
     controllers = GroupedControllers(build_axis_controllers(scene), build_axis_groups(scene))
     axes = [axis.parameters.name for axis in scene.axes]
-    found = {mismatch.port: mismatch for mismatch in recompute(log, axes, controllers)}
+    found: dict[str, Mismatch | None] = {of.port: of for of in recompute(log, axes, controllers)}
+    for name in log.ports:
+        found.setdefault(name, activity_mismatch(log, name))
     whole, skips = rows_before_a_gap(log), np.flatnonzero(np.diff(log.deadlines()) > 1) + 1
     skipped = int(skips[0]) if len(skips) else log.rows
     results: list[Recomputed] = []

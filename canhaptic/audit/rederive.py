@@ -5,7 +5,8 @@ codecs and its record of the run take no part, so the account can be held agains
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
+from math import inf
 from pathlib import Path
 from typing import Final, NotRequired, TypedDict
 
@@ -15,19 +16,38 @@ from canhaptic.audit.user_checks import Outcome
 from canhaptic.canopen import objects as od
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.multi_axis.axis_group import GroupedControllers
-from canhaptic.control.verdict import PortResult, Verdict
+from canhaptic.control.verdict import Headline, PortResult, Verdict
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.result import overall, with_groups
+from canhaptic.meters import RunMeters, promise_of
+from canhaptic.result import overall, port_account, with_groups
 from canhaptic.scene.channels import Channels
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.scene.parts import build_axis_controllers, build_axis_groups, group_places
+from canhaptic.scene.parts import build_axis_controllers, build_axis_groups, build_axis_meters, group_places
 from canhaptic.signals import Sample
 
 
-def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[tuple[int, list[Sample]]]:
-    """Yields (sample times since the SYNC before, the samples of every axis) for every cycle.
+@dataclass(slots=True)
+class _Heard:
+    """What the frames show of the torques of one axis: once one is missing, which torque acted is not known."""
+
+    read_back_bound: float = 0.0
+    longest_hold: int = 1
+    longest_gap: int = 1
+    uncommanded: int = 0
+    open_time: int = 0
+    open_torque: float = 0.0
+
+    def take(self, sample: Sample, periods: int, shows_demand: bool) -> None:
+        """Takes the next SYNC."""
+        self.longest_gap = max(self.longest_gap, periods)
+        if not sample.fresh or periods > 1 or not shows_demand:
+            self.read_back_bound = inf
+
+
+def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[tuple[int, list[Sample], list[bool]]]:
+    """Yields sample times since the SYNC before, and the sample of every axis and whether its torque is the demand.
 
     From the first SYNC that all axes answered in OPERATION ENABLED to the last that they answered. The stop's ramp is
     included: the frames do not tell it from the run.
@@ -41,11 +61,13 @@ def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[tuple[int, list[S
     together = {axis: group for group in group_places(scene) for axis in group}
     cycle, sent, periods, period = -1, 0, 1, scene.bus.sample_time_ns
 
-    def heard() -> tuple[int, list[Sample]]:
-        return periods, [
+    def heard() -> tuple[int, list[Sample], list[bool]]:
+        shown = [axis.shows_demand for axis in axes]
+        samples = [
             axis.sample(cycle, is_whole=all(axes[other].is_complete for other in together.get(number, ())))
             for number, axis in enumerate(axes)
         ]
+        return periods, samples, shown
 
     for frame in read_bus_log(bus_log):
         place = place_of(frame)
@@ -96,6 +118,7 @@ class Rederived(TypedDict):
 
     status: NotRequired[str]
     cycles: int
+    verdict: Headline
     passive: Verdict
     ports: dict[str, PortResult]
     differences: NotRequired[list[Departure]]  # with a log: the first of each port
@@ -113,27 +136,40 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     Raises:
         InputError: The log holds no answered SYNC with all axes enabled.
     """
-    groups = build_axis_groups(scene)
-    controllers = GroupedControllers(build_axis_controllers(scene), groups)
+    groups, alone = build_axis_groups(scene), build_axis_controllers(scene)
+    controllers, torques = GroupedControllers(alone, groups), [_Heard() for _ in scene.axes]
+    meters, deadline = RunMeters(build_axis_meters(scene), torques, alone, groups), -1
     names = [*(axis.parameters.name for axis in scene.axes), *(group.name for group in groups)]
     ledgers = [Ledger() for _ in names]
     judges = [] if log is None else [_Judge(log, name) for name in names]
     cycles = 0
-    for periods, samples in _samples_of(bus_log, scene):
+    for periods, samples, shown in _samples_of(bus_log, scene):
         if log is not None and cycles == log.rows:
             break
         controllers.lasted(periods)
+        for axis, sample, is_demand in zip(torques, samples, shown, strict=True):
+            axis.take(sample, periods, is_demand)
         balances = [*controllers.step(samples), *(group.balance.account for group in groups)]
         samples += [group.sample(samples) for group in groups]
+        deadline += periods if cycles else 1
+        for group in groups:
+            group.book(cycles, deadline)
         for port, (sample, balance) in enumerate(zip(samples, balances, strict=True)):
             ledgers[port].add(balance, cycles)
             if judges:
                 judges[port].compare(cycles, (sample.position, sample.torque_applied, *balance[1:]))
+        meters.take(samples, balances, ledgers, deadline)
         cycles += 1
     if not cycles:
         raise InputError(f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}")
-    ports = _accounts(scene, ledgers)
-    result: Rederived = {"cycles": cycles, "passive": overall(ports), "ports": ports}
+    ports = _accounts(scene, ledgers, meters)
+    verdicts = overall(ports)
+    result: Rederived = {
+        "cycles": cycles,
+        "verdict": verdicts["verdict"],
+        "passive": verdicts["passive"],
+        "ports": ports,
+    }
     if log is not None:
         result["differences"] = [judge.difference for judge in judges if judge.difference is not None]
         if cycles < log.rows:  # the frames end early: of the rows behind nothing was derived
@@ -148,14 +184,16 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     return result
 
 
-def _accounts(scene: Scene, ledgers: Sequence[Ledger]) -> dict[str, PortResult]:
+def _accounts(scene: Scene, ledgers: Sequence[Ledger], meters: RunMeters) -> dict[str, PortResult]:
     """Returns the accounts of the axes, then of the groups; of an axis in a group what came in and went out by it."""
     units: dict[str, str] = {axis.parameters.name: axis.parameters.unit for axis in scene.axes}
     units |= {group.name: units[group.axes[0]] for group in scene.groups}
-    ports: dict[str, PortResult] = {}
-    for (name, unit), ledger in zip(units.items(), ledgers, strict=True):
-        ports[name] = {"unit": unit}
-        ports[name].update(ledger.summary().as_json(scene.bus.sample_time))
+    rendered = [*(axis.passivity for axis in scene.axes), *(group.passivity for group in scene.groups)]
+    promises = [promise_of(passivity.parameters) for passivity in rendered]
+    ports: dict[str, PortResult] = {
+        name: {"unit": unit, **port_account(port, ledger, promise, scene.bus.sample_time)}
+        for (name, unit), port, ledger, promise in zip(units.items(), meters.ports, ledgers, promises, strict=True)
+    }
     return with_groups(ports, {group.name: group.axes for group in scene.groups})
 
 

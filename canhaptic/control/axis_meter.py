@@ -52,8 +52,24 @@ class Accuracy:
     late_speed: float | None = None  # of the axis in that time; None: estimated [m/s or rad/s]
     counts_losses: bool = True  # whether the algorithm leaves what lost positions leave open to this meter
     largest_speed: float = inf  # of the axis [m/s or rad/s]
+    largest_torque: float = inf  # that is ever sent [N or N*m]
     device_damping: float | None = None  # at least [N*s/m or N*m*s/rad]; None: not declared
     device_friction: float | None = None  # dry, in motion, at least [N or N*m]; None: not declared
+    device_damping_bound: float | None = None  # at most [N*s/m or N*m*s/rad]; None: not declared
+    device_friction_bound: float | None = None  # dry, at most [N or N*m]; None: not declared
+
+    @property
+    def is_estimate(self) -> bool:
+        """Whether what late torques leave open is an estimate."""
+        return self.late > 0.0 and self.late_speed is None
+
+    @property
+    def most_dissipated(self) -> float:
+        """Largest power that the device can dissipate [W]; infinite where that is not declared."""
+        damping, friction, speed = self.device_damping_bound, self.device_friction_bound, self.largest_speed
+        if damping is None or friction is None or speed == inf:
+            return inf
+        return (damping * speed + friction) * speed
 
 
 IDEAL: Final = Accuracy()
@@ -68,6 +84,7 @@ class AxisMeter:
         watch: Compares the motion with declared friction; None where nothing can be compared.
 
     Attributes:
+        accuracy: As given.
         watch: As given.
         resolution: Largest |booked - true| sum of interaction so far, by sensors and drive [J]; never falls.
         dissipated: Dissipated by the device so far, at least [J].
@@ -77,9 +94,24 @@ class AxisMeter:
     """
 
     __slots__ = (
-        "_accuracy", "_blur", "_booked_at", "_changes", "_damping", "_environment", "_friction", "_lazy",
-        "_sample_time", "_speed", "_torque", "_uneven", "asked", "damping_asked", "dissipated", "position",
-        "resolution", "watch",
+        "_blur",
+        "_booked_at",
+        "_changes",
+        "_damping",
+        "_environment",
+        "_friction",
+        "_lazy",
+        "_sample_time",
+        "_speed",
+        "_torque",
+        "_uneven",
+        "accuracy",
+        "asked",
+        "damping_asked",
+        "dissipated",
+        "position",
+        "resolution",
+        "watch",
     )  # fmt: skip
 
     def __init__(
@@ -88,7 +120,7 @@ class AxisMeter:
         environment: Environment | None = None,
         watch: FrictionWatch | None = None,
     ) -> None:
-        self._accuracy, self.watch = accuracy, watch
+        self.accuracy, self.watch = accuracy, watch
         self._environment = None if environment is None or environment.relaxes else environment
         self.damping_asked = 0.0 if environment is None else environment.damping
         self._damping, self._friction = accuracy.device_damping or 0.0, accuracy.device_friction or 0.0
@@ -101,7 +133,7 @@ class AxisMeter:
     @property
     def is_damped(self) -> bool:
         """Whether damping or friction of the device is declared."""
-        return self._accuracy.device_damping is not None or self._accuracy.device_friction is not None
+        return self.accuracy.device_damping is not None or self.accuracy.device_friction is not None
 
     def leave_open(self, torque: float, time: int, booked: float) -> None:
         """Takes holds whose torques are not known, behind `take` of the hold that they were booked with.
@@ -111,7 +143,7 @@ class AxisMeter:
             time: They lasted [sample times].
             booked: Energy that the algorithm took off for their sake [J].
         """
-        accuracy = self._accuracy
+        accuracy = self.accuracy
         if accuracy.counts_losses:
             energy = booked
             if torque:
@@ -154,7 +186,7 @@ class AxisMeter:
             self._speed = moved / holds
 
     def _begin(self, position: float, torque: float) -> None:
-        blur = self._accuracy.position
+        blur = self.accuracy.position
         self._lazy = position - blur, position + blur
         self._compare(position, torque)
 
@@ -165,7 +197,7 @@ class AxisMeter:
     def _path_to(self, position: float) -> float:
         """Returns how far the axis has gone at least to be at a position [m or rad]; see the module."""
         low, high = self._lazy
-        lowest, highest = position - self._accuracy.position, position + self._accuracy.position
+        lowest, highest = position - self.accuracy.position, position + self.accuracy.position
         if lowest > high:
             self._lazy = lowest, lowest
             return lowest - high
@@ -176,7 +208,7 @@ class AxisMeter:
         return 0.0
 
     def _leave_open(self, torque: float, moved: float, holds: float) -> None:
-        accuracy, size, change = self._accuracy, abs(torque), abs(torque - self._torque)
+        accuracy, size, change = self.accuracy, abs(torque), abs(torque - self._torque)
         mean, before = moved / holds, self._speed
         self._speed = mean
         if accuracy.late:

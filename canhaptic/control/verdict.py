@@ -1,17 +1,46 @@
-"""PortResult: what is known of a port after a run. Verdicts: whether the port was passive by it."""
+"""PortResult: what is known of a port after a run. Verdicts: whether the port was passive by it.
 
+**Active.** A sum of energy that is booked with an error of at most R fell below -A for certain where booked + R < -A,
+at any time. R grows in a run and the sum may recover, so the end of a run does not show it: a run notes the first such
+hold of each port, and the verdict stays "no" from there on. A is the energy that may be given out (`energy_allowance`).
+At the motor this refutes every certificate, unless damping or friction of the device is declared. Then the promise is
+that at the handle, and it is refuted where booked + R + D < -A, with D the most that the device can have dissipated.
+An R that is an estimate, and no bound, refutes nothing.
+"""
+
+from collections.abc import Mapping
 from math import inf
-from typing import Final, Literal, TypedDict
+from typing import Final, Literal, NotRequired, TypedDict
 
 Verdict = Literal["yes", "no", "in doubt"]
 """Whether a port was passive; "in doubt" where energy that is not known for certain decides."""
+Headline = Literal["yes", "no", "in doubt", "nothing rendered", "no contact", "dry run"]
+"""The word that is shown of a port: the verdict of its simulated plant, else of its account, or why there is none."""
 
 PASSIVE_TOLERANCE: Final = 1e-6
 """Energy below zero that still counts as zero, for counts of the encoder, where its resolution is not known [J]."""
-_ROUNDING: Final = 1e-9
+ROUNDING: Final = 1e-9
 """The same where the resolution of the energy is known [J]."""
+ACTIVE_AT_MOTOR: Final = 1
+"""Bit of the column `active`: the sum at the motor fell below the allowance for certain."""
+ACTIVE_AT_HANDLE: Final = 2
+"""The same of the sum at the handle."""
 _LARGEST_DOUBT: Final = 0.1
 """Resolution over the energy that came in beyond which nothing is said of a port without certificates."""
+_LEAST_RENDERED: Final = 0.1
+"""Part of the torque asked for in contact below which nothing was rendered."""
+_SUSPECTS: Final[Mapping[str, tuple[str, ...]]] = {
+    "hand_force": ("moving_mass", "hand_force"),
+    "hand_speed": ("hand_speed",),
+    "device_damping": ("device_damping",),
+    "device_friction": ("device_friction",),
+    "velocity_loop": ("velocity_loop",),
+    "largest_hand_force": ("largest_hand_force",),
+    "declared_hand": ("hand_stiffness", "hand_mass"),
+}
+"""Declarations that each certificate rests on, the likeliest to be wrong first."""
+_OF_EVERY_TORQUE: Final = ("current_lag", "torque_window", "delay")
+"""Declarations that the account itself rests on."""
 
 
 class Extremes(TypedDict):
@@ -37,10 +66,12 @@ class LeastMargin(TypedDict):
 
 
 class ContactHolds(TypedDict):
-    """Holds in contact."""
+    """Holds in contact; the last two are those of an axis alone."""
 
     holds: int
     without_torque: int
+    asked: NotRequired[float]  # sum of the efforts asked for, each at most the torque limit [N or N*m]
+    sent: NotRequired[float]  # sum of the sizes of the torques that were sent there [N or N*m]
 
 
 class RenderedShares(TypedDict):
@@ -95,38 +126,51 @@ class PortResult(_Flows, total=False):
     limits: dict[str, int]
     group: str
     axes: list[str]
+    resolution_is_estimated: bool  # `energy_resolution` is no bound of every error
+    active_since: float  # first time at which the sum at the motor was below the allowance for certain [s]
+    active_at_handle_since: float  # the same of the sum at the handle [s]
+    active_before: bool  # of a part of a log: that was before the part
+    contradicted: list[str]  # certificates that this refutes
+    suspects: list[str]  # declarations of which one is wrong then
     passive: Verdict
     passive_at_handle: Verdict
     passive_at_sensor: Verdict  # of an admittance display while it is touched
+    plant_passive: Verdict  # by the energy of the simulated plant
+    plant_passive_at_handle: Verdict
+    verdict: Headline
+    advice: str  # where nothing was rendered: what keeps the torque away, and what would help
 
 
 def passive_verdict(
     least: float, resolution: float = 0.0, *, energy_in: float = inf, is_promised: bool = False,
-    has_open_hold: bool = False,
+    has_open_hold: bool = False, allowance: float = 0.0, is_estimated: bool = False,
 ) -> Verdict:  # fmt: skip
-    """Returns whether a sum of energy stayed at zero or above.
+    """Returns whether a sum of energy stayed at minus the allowance or above.
 
-    Without certificates it may have fallen to minus the resolution: "yes" only where that is small.
+    Without certificates it may have fallen by the resolution: "yes" only where that is small.
 
     Args:
         least: Its least value after any hold, as booked [J].
         resolution: Largest difference of that from the true one [J].
-        energy_in: That came in, all in all [J].
-        is_promised: Whether certificates held in every hold that rule out less than zero.
+        energy_in: Energy that came in, all in all [J].
+        is_promised: Whether certificates held in every hold that rule out less.
         has_open_hold: Whether the run ended in holds that are not booked, because no position came any more. What is
             promised is promised of them too: a torque that acts for longer than its certificate covers loses it.
+        allowance: Energy that may be given out [J].
+        is_estimated: Whether the resolution is an estimate, so that a sum below it is a doubt.
     """
-    if least + resolution < -_ROUNDING:
+    floor = -(allowance + ROUNDING)
+    if least + resolution < floor and not is_estimated:
         return "no"
-    is_small = resolution <= max(PASSIVE_TOLERANCE, _LARGEST_DOUBT * energy_in)
-    is_sure = is_promised or (least >= -_ROUNDING and is_small and not has_open_hold)
+    is_small = resolution <= max(PASSIVE_TOLERANCE, allowance, _LARGEST_DOUBT * energy_in)
+    is_sure = is_promised or (least >= floor and is_small and not has_open_hold)
     return "yes" if is_sure else "in doubt"
 
 
 def is_certified(account: PortResult) -> bool:
-    """Returns whether every torque of a port had a certificate that promises no less than zero."""
+    """Returns whether every torque of a port had a certificate, none of them withdrawn or refuted."""
     names = account.get("certificates", [account["certificate"]])
-    return bool(names) and "none" not in names and not account.get("energy_allowance", 0.0)
+    return bool(names) and "none" not in names
 
 
 def account_verdict(account: PortResult) -> Verdict:
@@ -135,8 +179,10 @@ def account_verdict(account: PortResult) -> Verdict:
     Where a damping of the device is declared, certificates promise the sum at the handle and not this one.
 
     Args:
-        account: As `LedgerSummary.as_json` has it, with what is known in addition.
+        account: The sums of `LedgerSummary.as_json`, with what is known in addition.
     """
+    if "active_since" in account or account.get("active_before"):
+        return "no"
     least, resolution = account["least_interaction"], account.get("energy_resolution")
     if resolution is None:  # of an older log, which does not hold it
         least, resolution = least + PASSIVE_TOLERANCE, account.get("unsure", 0.0)
@@ -150,19 +196,75 @@ def handle_verdict(account: PortResult) -> Verdict | None:
     None where no damping of the device is declared. It may have dissipated more, so that a sum below zero is a doubt.
 
     Args:
-        account: As for `account_verdict`.
+        account: The same as for `account_verdict`.
     """
     least = account.get("least_at_handle")
     if least is None:
         return None
+    if "active_at_handle_since" in account:
+        return "no"
     found = _verdict_of(account, least, account["energy_resolution"], is_certified(account))
     return "in doubt" if found == "no" else found
 
 
 def _verdict_of(account: PortResult, least: float, resolution: float, is_promised: bool) -> Verdict:
-    open_hold = account.get("open_hold", False)
     found = passive_verdict(
-        least, resolution, energy_in=account["in"], is_promised=is_promised, has_open_hold=open_hold
+        least,
+        resolution,
+        energy_in=account["in"],
+        is_promised=is_promised,
+        has_open_hold=account.get("open_hold", False),
+        allowance=account.get("energy_allowance", 0.0),
+        is_estimated=account.get("resolution_is_estimated", False),
     )
     is_other = account.get("uncommanded_cycles", 0) > 0  # what is read back may be of another hold than is declared
     return "in doubt" if is_other and found == "yes" else found
+
+
+def contradict(account: PortResult) -> None:
+    """Makes void what an account's own energies refute: certificates of a port that was active for certain.
+
+    Args:
+        account: Of a port, with `active_since` where it was; changed.
+    """
+    key = "active_since" if account.get("least_at_handle") is None else "active_at_handle_since"
+    names = [name for name in account.get("certificates", ()) if name not in ("exact", "none")]
+    if key not in account or not names:
+        return
+    account["contradicted"] = names
+    account["suspects"] = [*(key for name in names for key in _SUSPECTS.get(name, ())), *_OF_EVERY_TORQUE]
+    account["certificate"], account["certificates"] = "none", ["none"]
+
+
+def plant_verdict(least: float, allowance: float) -> Verdict:
+    """Returns whether the energy of a simulated plant stayed at minus the allowance or above; both in [J]."""
+    return "yes" if least >= -(allowance + PASSIVE_TOLERANCE) else "no"
+
+
+def headline(account: PortResult, *, is_dry: bool = False) -> Headline:
+    """Returns the word that is shown of a port, from its verdicts and contacts.
+
+    Passive at the handle is passive: there the port ends where the device is part of the promise.
+
+    Args:
+        account: Of a port, with its verdicts.
+        is_dry: Whether the run sent no torque on purpose.
+    """
+    if is_dry:
+        return "dry run"
+    passive = account.get("plant_passive", account["passive"])
+    at_handle = account.get("plant_passive_at_handle", account.get("passive_at_handle"))
+    found: Verdict = "yes" if at_handle == "yes" else passive
+    contact = account.get("contact")
+    if found == "no" or contact is None:
+        return found
+    if not contact["holds"]:
+        return "no contact"
+    return "nothing rendered" if _is_silent(contact) else found
+
+
+def _is_silent(contact: ContactHolds) -> bool:
+    """Returns whether less than a tenth was rendered: of the efforts asked for, else of the holds of contact."""
+    if contact.get("asked"):
+        return contact["sent"] < _LEAST_RENDERED * contact["asked"]
+    return contact["holds"] - contact["without_torque"] < _LEAST_RENDERED * contact["holds"]

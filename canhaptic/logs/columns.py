@@ -9,14 +9,17 @@ from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.logs.ring import RingShape
 from canhaptic.signals import CycleTiming, Measured, PlantEnergy, Sample
 
-FORMAT_VERSION: Final = 2
-"""1: without `timing/deadline_index` and without what a run measures of its ports (`Measured`)."""
+FORMAT_VERSION: Final = 3
+"""1: without `timing/deadline_index` and without what a run measures of its ports (`Measured`). 2: without `active`."""
 FORMAT_NAME: Final = "canhaptic energy log"
 
 Attribute = str | int | float
 
 GROUP_AXES: Final = "group_axes"
 """`NAME.group_axes`: of a port that is a group, the names of its axes (JSON). It has the account and no position."""
+
+ACTIVE_LIMITS: Final = "active_limits"
+"""`NAME.active_limits`: what the column `active` follows from, see `ActiveLimits`; infinite ones left out (JSON)."""
 
 FRICTION_DECLARED: Final = "friction_declared"
 """`NAME.friction_declared`: what the motion of an axis is compared with, see `friction_watch` (JSON)."""
@@ -28,6 +31,7 @@ _INTEGERS: Final = {
     "certificate": "u1",
     "longest_hold": "u4",
     "uncommanded": "u4",
+    "active": "u1",
 }
 _BALANCE_NAMES: Final = {"torque": "torque_command"}
 _MEANINGS: Final = {
@@ -42,6 +46,7 @@ _MEANINGS: Final = {
     "effort_asked": "of the storage of the environment at this position; 0 out of contact",
     "uncommanded": "holds so far whose torque was never commanded",
     "longest_hold": "the most sample times for which one torque was held so far",
+    "active": "1 the sum at the motor fell below the allowance for certain, 2 that at the handle, 3 both; never falls",
 }
 
 
@@ -106,7 +111,7 @@ class LogSchema:
         for port in self.ports:
             columns += _sample_columns(port) + _balance_columns(port)
             if self.version > 1:
-                columns += _measured_columns(port)
+                columns += _measured_columns(port)[: None if self.version > 2 else -1]
         if self.with_truth:
             for port in self.ports:
                 columns.append(_LogColumn(f"truth/{port.name}/position", port.unit, "f8"))
@@ -161,7 +166,7 @@ def _balance_columns(port: PortDescription) -> list[_LogColumn]:
 
 
 def _measured_columns(port: PortDescription) -> list[_LogColumn]:
-    units = {"effort_asked": effort_unit(port.unit), "longest_hold": "1", "uncommanded": "1"}
+    units = {"effort_asked": effort_unit(port.unit), "longest_hold": "1", "uncommanded": "1", "active": "1"}
     return [
         _LogColumn(f"ports/{port.name}/{name}", units.get(name, "J"), _INTEGERS.get(name, "f8"))
         for name in Measured._fields

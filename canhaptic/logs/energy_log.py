@@ -51,7 +51,7 @@ class EnergyLogWriter:
     ) -> None:
         _check_names(ports)
         self._further = tuple(range(1, len(ports)))  # behind the first
-        self._nothing = (Measured(0.0, 0.0, 0.0, 1, 0),) * len(ports)
+        self._nothing = (Measured(0.0, 0.0, 0.0, 1, 0, 0),) * len(ports)
         self.path = Path(path).absolute()
         self._free = pace == "free"
         chunk = _FREE_CHUNK if self._free else max(16, min(_FREE_CHUNK, _FLUSH_TIME_NS // sample_time_ns))

@@ -4,13 +4,15 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict
 from importlib.metadata import version
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 from canhaptic.logs.bus_log import BusLogWriter
-from canhaptic.logs.columns import FRICTION_DECLARED, GROUP_AXES, Attribute, PortDescription
-from canhaptic.meters import promise_of
+from canhaptic.logs.columns import ACTIVE_LIMITS, FRICTION_DECLARED, GROUP_AXES, Attribute, PortDescription
+from canhaptic.meters import active_limits, promise_of
 from canhaptic.scene.models import AxisScene, Scene, task_unit
+from canhaptic.scene.parts import build_axis_meters
 from canhaptic.scene.sensor_errors import friction_declared
 
 if TYPE_CHECKING:
@@ -105,7 +107,21 @@ def _run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, At
             **_promise_attributes(group.name, group.passivity.parameters),
             **({f"{group.name}.is_damped": 1} if all(scene.axis(axis).loop.brakes for axis in group.axes) else {}),
         }
-    return attributes
+    return attributes | _active_attributes(scene)
+
+
+def _active_attributes(scene: Scene) -> dict[str, Attribute]:
+    """Returns what the column `active` of each port with an account of its own follows from."""
+    meters = {axis.parameters.name: meter for axis, meter in zip(scene.axes, build_axis_meters(scene), strict=True)}
+    ports = {axis.parameters.name: ([axis.parameters.name], axis.passivity) for axis in scene.axes if not axis.group}
+    ports |= {group.name: (list(group.axes), group.passivity) for group in scene.groups}
+    found: dict[str, Attribute] = {}
+    for name, (axes, passivity) in ports.items():
+        allowance = promise_of(passivity.parameters).energy_allowance
+        limits = active_limits([meters[axis].accuracy for axis in axes], allowance)
+        finite = {key: value for key, value in limits._asdict().items() if isfinite(value)}
+        found[f"{name}.{ACTIVE_LIMITS}"] = json.dumps(finite)
+    return found
 
 
 def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
@@ -116,6 +132,7 @@ def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
         f"{name}.eds_hash": axis.dictionary_hash(),
         f"{name}.environment": axis.environment.name,
         f"{name}.algorithm": axis.passivity.name,
+        f"{name}.torque_limit": axis.parameters.torque_limit,
         **_promise_attributes(name, axis.passivity.parameters),
         **({f"{name}.is_damped": 1} if axis.loop.brakes else {}),
     }

@@ -54,8 +54,11 @@ def accuracy_of(axis: AxisScene, algorithm: str) -> Accuracy:
         late_speed=axis.parameters.largest_speed if certifies else None,
         counts_losses=bool(axis.group) or not bounds_motion,
         largest_speed=axis.parameters.largest_speed,
+        largest_torque=axis.parameters.torque_limit,
         device_damping=loop.device_damping,
         device_friction=loop.device_friction,
+        device_damping_bound=loop.device_damping_bound,
+        device_friction_bound=loop.device_friction_bound,
     )
 
 

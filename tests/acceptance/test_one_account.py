@@ -19,6 +19,10 @@ WALL = ["environment.stiffness=2000", "environment.damping=4", "passivity.device
 LATE = "{ids: [0x80], direction: to_drive, delay: 0.4 ms, during: [{duration: 1.2 ms, every: 8 ms}]}"
 UNTRUE = ["passivity.hand_force=0", "passivity.device_friction=1", "passivity.device_friction_bound=1"]
 """Friction that the plant does not have: a wall pushes the handle out faster."""
+FALSE = [
+    "environment.stiffness=4e4", "environment.damping=0", "passivity.hand_force=10", "passivity.moving_mass=0.75",
+    "simulation.user.motion.phase=2.5", "simulation.user.motion.frequency=1",
+]  # fmt: skip
 RUNS = {
     "ideal": ("demo.yaml", WALL),
     "skipped SYNCs": ("demo.yaml", [*WALL, "simulation.bus={stall: [{begin: 0.3, duration: 5 ms, every: 0.21}]}"]),
@@ -26,14 +30,18 @@ RUNS = {
     "late SYNCs": ("demo.yaml", [*WALL, *UNTRUE, f"simulation.bus={LATE}"]),
     "losses": ("demo.yaml", [*WALL, "simulation.bus={drop: 0.02}"]),
     "the paper's": ("paper_fig7_40hz.yaml", []),
+    "a false mass": ("demo.yaml", FALSE),
     "group with losses": ("two_handles.yaml", ["groups.0.passivity.device_damping=0.05"]),
 }  # fmt: skip
 OF_A_PORT = (
     "passive", "passive_at_handle", "certificate", "certificates", "least_interaction", "least_at_handle",
     "energy_resolution", "contact", "rendered", "longest_hold", "open_hold", "in", "out",
-    "branches", "damping_rendered", "friction_excess",
+    "branches", "damping_rendered", "friction_excess", "resolution_is_estimated", "active_since", "contradicted",
 )  # fmt: skip
-NOT_ALWAYS = ("rendered", "passive_at_handle", "least_at_handle", "friction_excess")
+NOT_ALWAYS = (
+    "rendered", "passive_at_handle", "least_at_handle", "friction_excess", "resolution_is_estimated", "active_since",
+    "contradicted",
+)  # fmt: skip
 
 
 def same(left: Any, right: Any) -> bool:

@@ -48,7 +48,7 @@ def columns(path: Path) -> list[str]:
     found: list[str] = []
     with h5py.File(path) as file:
         file.visititems(lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None)
-    assert len(found) == 40
+    assert len(found) == 41
     return found
 
 

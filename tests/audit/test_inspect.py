@@ -2,6 +2,7 @@ import json
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -245,9 +246,16 @@ def test_the_verdict_is_one_word_for_machines(log: Path, tmp_path: Path, capsys:
 
 
 def test_the_verdict_of_a_run_is_its_worst() -> None:
-    assert overall({"a": {"passive": "yes"}, "b": {"passive": "in doubt"}, "c": {"group": "b"}}) == "in doubt"
-    assert overall({"a": {"passive": "no"}, "b": {"passive": "in doubt"}}) == "no"
-    assert overall({}) == "in doubt"
+    doubtful = overall({"a": {"passive": "yes"}, "b": {"passive": "in doubt"}, "c": {"group": "b"}})
+    assert doubtful == {"verdict": "in doubt", "passive": "in doubt"}
+    assert overall({"a": {"passive": "no"}, "b": {"passive": "in doubt"}})["passive"] == "no"
+    assert overall({}) == {"verdict": "in doubt", "passive": "in doubt"}
+    by_plant: Any = {"a": {"passive": "yes", "verdict": "yes"}, "b": {"passive": "in doubt", "plant_passive": "no"}}
+    assert overall(by_plant)["plant_passive"] == "no"
+    words = ("no contact", "dry run", "yes", "in doubt", "nothing rendered", "no")
+    for worst, better in zip(words[1:], words, strict=False):
+        ports: Any = {"a": {"passive": "yes", "verdict": worst}, "b": {"passive": "yes", "verdict": better}}
+        assert overall(ports)["verdict"] == worst
 
 
 def test_a_value_that_is_not_a_number_fails_every_check() -> None:

@@ -3,12 +3,22 @@
 import json
 import math
 import random
+from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, certificates_of
 from canhaptic.control.ledger import Ledger
-from canhaptic.control.verdict import account_verdict, handle_verdict, passive_verdict
+from canhaptic.control.verdict import (
+    account_verdict,
+    contradict,
+    handle_verdict,
+    headline,
+    passive_verdict,
+    plant_verdict,
+)
 
 
 def hold(h_i=0.0, h_r=0.0, **more):
@@ -194,7 +204,7 @@ def test_a_log_without_a_resolution_is_judged_by_counts_and_at_the_motor_no_damp
     promised = {**account, "certificates": ["hand_force"], "least_interaction": -1e-3, "energy_resolution": 1.0}
     assert account_verdict({**promised}) == "yes"
     assert account_verdict({**promised, "least_at_handle": 0.0}) == "in doubt"
-    assert account_verdict({**promised, "energy_allowance": 1e-3}) == "in doubt"
+    assert account_verdict({**promised, "energy_allowance": 1e-3}) == "yes"
 
 
 def test_a_hold_held_on_is_no_contact_without_damping() -> None:
@@ -202,3 +212,70 @@ def test_a_hold_held_on_is_no_contact_without_damping() -> None:
     ledger.add(AT_REST._replace(branch=Branch.EXACT.value, damping_rendered=5.0), 0)
     ledger.add(AT_REST._replace(branch=Branch.HELD.value), 1)
     assert (ledger.summary().damping_least, ledger.summary().damping_most) == (5.0, 5.0)
+
+
+def test_what_went_out_within_the_allowance_is_passive() -> None:
+    assert passive_verdict(-1e-4, allowance=1e-4) == "yes"
+    assert passive_verdict(-1.1e-4, allowance=1e-4) == "no"
+    assert passive_verdict(-1.1e-4, 2e-5, allowance=1e-4) == "in doubt"
+    assert passive_verdict(0.0, 1e-4, energy_in=1e-4, allowance=1e-4) == "yes"
+    assert (plant_verdict(-1e-4, 1e-4), plant_verdict(-1.1e-4, 1e-4)) == ("yes", "no")
+
+
+def test_an_estimate_refutes_nothing() -> None:
+    assert passive_verdict(-1.0, 1e-3, is_estimated=True) == "in doubt"
+
+
+@given(least=st.floats(-1.0, 1.0), resolution=st.floats(0.0, 10.0), certificate=st.sampled_from(["hand_force", "none"]))
+def test_a_port_that_was_active_is_active_whatever_comes_later(
+    least: float, resolution: float, certificate: str
+) -> None:
+    account: Any = {"in": 1.0, "least_interaction": least, "energy_resolution": resolution}
+    account |= {"certificate": certificate, "certificates": [certificate]}
+    assert account_verdict({**account, "active_since": 0.5}) == "no"
+    assert account_verdict({**account, "active_before": True}) == "no"
+    damped: Any = {**account, "least_at_handle": least, "active_since": 0.5}
+    assert handle_verdict({**damped, "active_at_handle_since": 0.6}) == "no"
+    assert handle_verdict(damped) != "no"
+
+
+@pytest.mark.parametrize(
+    ("known", "left"),
+    [
+        ({"active_since": 1.0}, ["none"]),
+        ({"active_since": 1.0, "least_at_handle": -1.0}, ["exact", "hand_force"]),
+        ({"active_since": 1.0, "least_at_handle": -1.0, "active_at_handle_since": 2.0}, ["none"]),
+        ({}, ["exact", "hand_force"]),
+    ],
+)
+def test_a_certificate_is_refuted_where_its_own_sum_is(known: dict[str, float], left: list[str]) -> None:
+    account: Any = {"certificate": "hand_force", "certificates": ["exact", "hand_force"], **known}
+    contradict(account)
+    assert account["certificates"] == left
+    assert account.get("contradicted", []) == ([] if len(left) == 2 else ["hand_force"])
+    assert ("suspects" in account) is (left == ["none"])
+
+
+TOUCHED = {"holds": 100, "without_torque": 0, "asked": 50.0, "sent": 49.0}
+
+
+@pytest.mark.parametrize(
+    ("account", "word"),
+    [
+        ({"passive": "yes"}, "yes"),
+        ({"passive": "in doubt", "plant_passive": "no"}, "no"),
+        ({"passive": "in doubt", "plant_passive": "yes"}, "yes"),
+        ({"passive": "no", "passive_at_handle": "yes"}, "yes"),
+        ({"passive": "no", "passive_at_handle": "in doubt"}, "no"),
+        ({"passive": "no", "passive_at_handle": "yes", "plant_passive": "no", "plant_passive_at_handle": "no"}, "no"),
+        ({"passive": "yes", "contact": {**TOUCHED, "holds": 0}}, "no contact"),
+        ({"passive": "yes", "contact": {**TOUCHED, "sent": 5.0}}, "yes"),
+        ({"passive": "yes", "contact": {**TOUCHED, "sent": 4.9}}, "nothing rendered"),
+        ({"passive": "no", "contact": {**TOUCHED, "sent": 0.0}}, "no"),
+        ({"passive": "in doubt", "contact": {"holds": 100, "without_torque": 91}}, "nothing rendered"),
+        ({"passive": "in doubt", "contact": {"holds": 100, "without_torque": 90}}, "in doubt"),
+    ],
+)
+def test_the_word_that_is_shown(account: Any, word: str) -> None:
+    assert headline(account) == word
+    assert headline(account, is_dry=True) == "dry run"

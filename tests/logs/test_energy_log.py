@@ -199,8 +199,8 @@ def test_foreign_and_newer_files_are_named_as_such(tmp_path: Path, finished: Pat
     newer = tmp_path / "newer.h5"
     newer.write_bytes(finished.read_bytes())
     with h5py.File(newer, "r+") as file:
-        file.attrs["format_version"] = 3
-    with pytest.raises(LogFormatError, match="version 3, this program reads up to 2"):
+        file.attrs["format_version"] = 4
+    with pytest.raises(LogFormatError, match="version 4, this program reads up to 3"):
         EnergyLog.open(newer)
     lacking = tmp_path / "lacking.h5"
     lacking.write_bytes(finished.read_bytes())

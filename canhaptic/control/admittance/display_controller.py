@@ -21,9 +21,9 @@ class DisplayController(SteppedController):
 
     @property
     def energy_resolution(self) -> float:
-        """Sum of what was unsure in the energy, which the account has taken off [J]."""
+        """Width of what is known of the sum of h_i [J]; what is booked is its lower end."""
         doubt: float = self._axis.doubt
-        return doubt
+        return 2.0 * doubt
 
     def lasted(self, periods: float) -> None:
         """Counts the SYNCs that were skipped as samples that were lost; the command acted on."""

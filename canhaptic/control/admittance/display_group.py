@@ -140,7 +140,7 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
 
     Attributes:
         axes: How many.
-        energy_resolution: Sum of what was unsure in the energy of all axes, which the account has taken off [J].
+        energy_resolution: Width of what is known of the energy of all axes; what is booked is its lower end [J].
 
     Raises:
         ParameterError: Parts do not fit together, or a hand is declared.

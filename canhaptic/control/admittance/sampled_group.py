@@ -113,8 +113,8 @@ class DisplayGroup(ABC, Generic[_Axis]):
 
     @property
     def energy_resolution(self) -> float:
-        """Sum of what was unsure in the energy of all axes [J]."""
-        return sum(axis.port.doubt for axis in self._each)
+        """Width of what is known of the sum of h_i of all axes [J]; what is booked is its lower end."""
+        return 2.0 * sum(axis.port.doubt for axis in self._each)
 
     @abstractmethod
     def reset(self) -> None:
@@ -178,7 +178,7 @@ class UnprotectedDisplayGroup(DisplayGroup[_SampledAxis]):
 
     Attributes:
         axes: How many.
-        energy_resolution: Sum of what was unsure in the energy of all axes, which the account has taken off [J].
+        energy_resolution: Width of what is known of the energy of all axes; what is booked is its lower end [J].
 
     Raises:
         ParameterError: Parts do not fit together.

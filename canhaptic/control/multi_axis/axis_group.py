@@ -102,13 +102,14 @@ class AxisGroup:
         return Sample(samples[0].sync_index, 0.0, square**0.5, words, fresh)
 
     def truth(self, truths: Sequence[Truth]) -> Truth:
-        """Returns the true energies of its axes together.
+        """Returns the true energies of its axes together; work of movers counts as that of motors.
 
         Args:
-            truths: Of the whole rig.
+            truths: One for each axis of the rig.
         """
         energies = [truths[axis].energy for axis in self.axes]
-        return Truth(0.0, PlantEnergy(*(sum(parts) for parts in zip(*energies, strict=True))))
+        motor, user, dissipated, stored = (sum(parts) for parts in zip(*energies, strict=True))
+        return Truth(0.0, PlantEnergy(motor - self.supplied, user, dissipated, stored))
 
 
 class GroupedControllers:

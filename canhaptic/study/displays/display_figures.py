@@ -15,7 +15,7 @@ DISPLAY_METRICS: Final[dict[str, str]] = {
     "interaction": "true energy through the sensors at the end [J]",
     "least_interaction": "least true energy through the sensors after any hold, eq. 3 [J]",
     "believed_error": "largest |believed - true| energy after any hold [J]",
-    "energy_resolution": "energy that the account took off for what is unsure [J]",
+    "energy_resolution": "width of what is known of the energy that came in [J]",
     "surplus_end": "h_dis at the end [J]",
     "mass_felt": "mass that fits true force and velocity best [kg or kg*m^2]",
     "mass_felt.share": "that over the mass asked",

@@ -50,7 +50,7 @@ class DisplayRun:
     least_interaction: float = 0.0  # true, after any hold
     believed: float = 0.0
     believed_error: float = 0.0
-    resolution: float = 0.0  # that the account took off
+    resolution: float = 0.0  # width of what is known of the energy [J]
     surplus: float = 0.0  # at the end
     moving: int = 0  # holds with a command, or with one that was cut to nothing
     cut: int = 0  # holds that a certificate cut
