@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.control.verdict import Verdict
+from canhaptic.control.verdict import Headline, Verdict
 from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError, InputError
@@ -63,7 +63,12 @@ class PortAccount:
         least_interaction: Least sum of interaction energy after any hold (eq. 3), as the controller knows it.
         true_least_interaction: The same sum by the plant's own energy; NaN for an axis that has none of its own.
         certificate: Weakest certificate of the run by name, `none` where nothing was certified.
-        passive: Verdict on `least_interaction`; an axis in a group has that of the group.
+        passive: Verdict on `least_interaction` by the account alone; an axis in a group has that of the group.
+        verdict: Word that is shown: the verdict of the simulated plant where it is known, or that nothing was rendered
+            ("nothing rendered", "no contact", "dry run").
+        plant_passive: Verdict by the plant's own energy.
+        active_since: First time at which energy had gone out for certain [s]; None: at no time.
+        advice: Where nothing was rendered: what keeps the torque away and what would help; empty otherwise.
         group: The group that the axis belongs to, whose account counts; empty otherwise.
     """
 
@@ -78,6 +83,10 @@ class PortAccount:
     true_least_interaction: float
     certificate: str
     passive: Verdict
+    verdict: Headline
+    plant_passive: Verdict | None = None
+    active_since: float | None = None
+    advice: str = ""
     group: str = ""
 
 
@@ -90,7 +99,7 @@ class Account(Mapping[str, PortAccount]):
 
     def __init__(self, raw: RunResult) -> None:
         self.raw: RunResult = raw.copy()
-        self._passive: Verdict = raw["passive"]
+        self._passive, self._verdict = raw["passive"], raw["verdict"]
         self._ports = {name: _port_account(name, raw) for name in raw["ports"]}
 
     def __getitem__(self, name: str) -> PortAccount:
@@ -104,11 +113,16 @@ class Account(Mapping[str, PortAccount]):
 
     @property
     def passive(self) -> Verdict:
-        """The worst verdict of all ports."""
+        """The worst verdict of all ports, by the account alone."""
         return self._passive
 
+    @property
+    def verdict(self) -> Headline:
+        """The worst word that is shown of any port; see `PortAccount`."""
+        return self._verdict
+
     def __repr__(self) -> str:
-        return f"<Account: passive {self.passive}; {', '.join(self._ports)}>"
+        return f"<Account: passive {self.verdict}; {', '.join(self._ports)}>"
 
 
 class SimulationResult:
@@ -234,12 +248,12 @@ class SimulationResult:
 
     def __repr__(self) -> str:
         cycles = self.account.raw["cycles"]
-        return f"<SimulationResult {self.scene.source}: {self.status}, {cycles} cycles, passive {self.account.passive}>"
+        return f"<SimulationResult {self.scene.source}: {self.status}, {cycles} cycles, passive {self.account.verdict}>"
 
     def _repr_html_(self) -> str:
         """Returns the verdict, the energies and the picture for a notebook."""
         rows = "".join(
-            f"<tr><th>{html.escape(name)}</th><td>{port.passive}</td><td>{port.energy_in:.4g}</td>"
+            f"<tr><th>{html.escape(name)}</th><td>{port.verdict}</td><td>{port.energy_in:.4g}</td>"
             f"<td>{port.energy_out:.4g}</td><td>{port.dissipated:.4g}</td><td>{html.escape(port.certificate)}</td></tr>"
             for name, port in self.account.items()
         )
@@ -412,5 +426,9 @@ def _port_account(name: str, raw: RunResult) -> PortAccount:
         true_least_interaction=nan if truth is None else truth["least_interaction"],
         certificate=whole["certificate"],
         passive=whole["passive"],
+        verdict=whole["verdict"],
+        plant_passive=whole.get("plant_passive"),
+        active_since=whole.get("active_since"),
+        advice=whole.get("advice", ""),
         group=group,
     )

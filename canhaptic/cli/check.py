@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Mapping
+from math import inf
 from typing import Any, Final, NamedTuple
 
 import yaml
@@ -20,12 +21,14 @@ from canhaptic.drive.profile.fitness import Finding, Verdict
 from canhaptic.host.realtime import GRANTED, Realtime
 from canhaptic.scene.build import require_buildable
 from canhaptic.scene.display_hints import display_hints
+from canhaptic.scene.first_contact import advice, can_be_tried, slowest_felt
 from canhaptic.scene.guesses import TO_SET, Guess, guesses_left, refuses_guesses
 from canhaptic.scene.hints import Hint, group_hints, stability_hints
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.view.energy_table import make_console
 from canhaptic.view.table_style import plain_table
 
+NO_WALL: Final = "NO WALL"
 _TO_BE_SET: Final = 1  # exit status: a run is refused until the marked values are set
 _COLOURS: Final = {Verdict.FIT: "green", Verdict.UNKNOWN: "yellow", Verdict.REFUSED: "red"}
 
@@ -54,7 +57,8 @@ def execute(arguments: argparse.Namespace) -> int:
         require_buildable(scene)
     hints = [hint for axis in scene.axes for hint in stability_hints(axis)] + group_hints(scene)
     hints += display_hints(scene)
-    found = _CheckFindings(scene, budgets, findings, hints)
+    felt = {axis.parameters.name: slowest_felt(axis) for axis in scene.axes if can_be_tried(axis)}
+    found = _CheckFindings(scene, budgets, findings, hints, felt)
     if arguments.json:
         write_json(_as_json(found))
     else:
@@ -69,6 +73,17 @@ class _CheckFindings(NamedTuple):
     budgets: dict[str, BusBudget]
     findings: dict[str, list[Finding]]
     hints: list[Hint]
+    felt: dict[str, float]  # axis -> approach speed from which its wall is felt [m/s or rad/s], infinite: from none
+
+    def wall(self) -> str:
+        """Returns what a handle that comes in feels of the wall that is felt least; "" where none can be tried."""
+        if not self.felt:
+            return ""
+        name = max(self.felt, key=self.felt.__getitem__)
+        axis, at = self.scene.axis(name), "" if len(self.scene.axes) == 1 else f" at {name}"
+        if self.felt[name] == inf:
+            return f"{NO_WALL}{at}: {advice(axis)}"
+        return f"felt from {self.felt[name]:.2g} {axis.parameters.unit}/s{at}"
 
     @property
     def refused(self) -> bool:
@@ -86,6 +101,7 @@ class _CheckFindings(NamedTuple):
         unknown = sum(f.verdict is Verdict.UNKNOWN for rows in self.findings.values() for f in rows)
         load = max(budget.periodic_load for budget in self.budgets.values())
         parts = [
+            "" if inf in self.felt.values() else self.wall(),
             f"{marks} value{'s are' if marks != 1 else ' is'} still marked {TO_SET}" if marks else "",
             f"{len(self.findings)} drive{'s fit' if len(self.findings) != 1 else ' fits'} by its dictionary",
             f"{unknown} to be read from the drive" if unknown else "",
@@ -97,12 +113,14 @@ class _CheckFindings(NamedTuple):
 
 
 def _as_json(found: _CheckFindings) -> dict[str, Any]:
-    scene, budgets, findings, hints = found
+    scene, budgets, findings, hints, felt = found
     buses = {name: _budget_as_json(budget) for name, budget in budgets.items()}
     return {
         "status": "ok",
         "ready": not found.refused,
         "verdict": found.verdict(),
+        "wall": found.wall(),
+        "felt_from": felt,  # infinite: null
         "config_hash": None if scene.unread else scene.config_hash(),  # it holds the defaults of own code
         "unread": list(scene.unread),
         "to_set": [guess._asdict() for guess in guesses_left(scene)],
@@ -129,7 +147,9 @@ def _budget_as_json(budget: BusBudget) -> dict[str, Any]:
 
 
 def _print(console: Console, found: _CheckFindings, *, resolved: bool) -> None:
-    scene, budgets, findings, hints = found
+    scene, budgets, findings, hints, felt = found
+    if inf in felt.values():
+        console.print(f"[bold red]{escape(found.wall())}[/]", soft_wrap=True)
     colour = "red" if found.refused else "yellow" if found.exceeded else "green"
     console.print(f"[bold {colour}]{escape(found.verdict())}[/]", soft_wrap=True)
     where = "; ".join(f"{bus.parameters.interface} {bus.parameters.channel or ''}".strip() for bus in scene.buses)

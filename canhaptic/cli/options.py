@@ -301,7 +301,7 @@ def _run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bus-log", metavar="FILE.log", type=Path, help="bus log (candump text)")
     parser.add_argument("--png", metavar="FILE", type=Path, help="picture of the run (.png, .svg, .pdf)")
     parser.add_argument(
-        "--strict", action="store_true", help="exit with 1 unless every account says that the run was passive"
+        "--strict", action="store_true", help="exit with 1 unless every port that was touched is shown as passive"
     )
     add_json(parser)
 

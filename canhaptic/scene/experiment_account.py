@@ -2,6 +2,7 @@
 
 from canhaptic.result import RunResult, run_result
 from canhaptic.scene.build import Experiment
+from canhaptic.scene.first_contact import advice, can_be_tried
 from canhaptic.scene.method import method_line
 from canhaptic.scene.plant_price import plant_prices
 
@@ -25,6 +26,10 @@ def experiment_account(experiment: Experiment, status: str, elapsed: float) -> R
         method=method_line(scene, experiment.plants, cycle.cycles, prices),
     )
     names = [axis.parameters.name for axis in scene.axes if axis.simulation is not None]  # with a plant of its own
+    for axis in scene.axes:
+        port = account["ports"][axis.parameters.name]
+        if port.get("verdict") == "nothing rendered" and can_be_tried(axis):
+            port["advice"] = advice(axis)
     account["plants"] = {
         name: {"events": plant.events, "products": plant.products}
         for name, plant in zip(names, experiment.plants, strict=False)

@@ -12,6 +12,7 @@ from rich.text import Text
 from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE, PortResult, Verdict, account_verdict, handle_verdict
 from canhaptic.result import TruthResult
+from canhaptic.view.headline import headline_text
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable, in_lines
 
@@ -56,9 +57,11 @@ def print_energy(result: _Result, console: Console | None = None) -> None:
 
 
 def energy_report(result: _Result) -> RenderableType:
-    """Returns energy table, timing line, link line and method line of a run."""
+    """Returns the word of each port, energy table, timing line, link line and method line of a run."""
     names = _ordered(result.get("ports", {}))
-    parts: list[RenderableType] = [_heading(result)]
+    accounts = {name: result["ports"][name] for name in names}
+    parts: list[RenderableType] = [headline_text(name, of) for name, of in accounts.items() if "verdict" in of]
+    parts.append(_heading(result))
     if names:
         parts.append(_energy_table(result, names))
     for name in ("timing", "link", "method"):
@@ -184,7 +187,7 @@ def _silent(port: PortResult) -> str | Text:
     """Returns how many holds of contact had no torque; a wall that renders nothing is absent."""
     contact = port["contact"]
     if contact["holds"] and contact["without_torque"] == contact["holds"]:
-        return Text("all: NOTHING WAS RENDERED   ", style="bold red")
+        return Text("all   ", style="bold red")
     return f"{contact['without_torque']} of {contact['holds']}   " if contact["holds"] else _NOTHING
 
 

@@ -1,0 +1,165 @@
+"""Whether a wall is there: the scene's own algorithm against a handle that comes in at a constant speed.
+
+A hand that moves the handle at a constant speed brings in all that a contact can bring in, so that the algorithm is as
+free as it ever is at that speed. Positions are those that the encoder shows, and torques act in the hold that is
+declared; no plant and no bus take part.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from math import inf
+from typing import Any, Final, NamedTuple, cast
+
+from canhaptic.axis_units import effort_unit
+from canhaptic.control.environments.environment import Environment
+from canhaptic.scene.models import AxisScene
+from canhaptic.scene.parts import build_axis_controller
+
+PUSH: Final = 0.25
+"""Effort up to which a contact is judged, as a part of the torque limit."""
+FELT: Final = 0.5
+"""Part of the wall that is rendered in a contact that is felt."""
+_OUTSIDE: Final = 30
+"""Holds before the contact."""
+_MOST: Final = 600
+"""Holds of one contact."""
+_PHASE: Final = 0.37
+"""Place of the positions between two counts."""
+_SPEEDS: Final = tuple(3.0**-power for power in range(9))
+"""Speeds that are tried, as parts of the largest of the axis."""
+_STEPS: Final = 6
+"""Bisections of a speed or of a value."""
+_TO_BLAME: Final = ("current_lag", "torque_window", "hand_force", "device_friction_bound", "device_damping_bound")
+"""Declarations that may keep a torque away; less of each is better."""
+_ALLOWANCES: Final = tuple(10.0**power for power in range(-9, -2))
+"""Energies that are tried as an allowance [J]."""
+
+
+class Remedy(NamedTuple):
+    """A declaration that keeps the wall away."""
+
+    key: str
+    value: float  # as declared
+    enough: float  # with which the wall is felt, all else as it is
+    unit: str
+
+    @property
+    def text(self) -> str:
+        """The declaration and what would help, in words."""
+        return f"{self.key} {self.value:.3g} {self.unit} keeps it away, {self.enough:.2g} {self.unit} would not"
+
+
+def can_be_tried(axis: AxisScene) -> bool:
+    """Whether a contact can be computed: one impedance axis, of which everything is read, with an outside."""
+    if axis.group or axis.parameters.admittance is not None or not axis.is_read:
+        return False
+    return _inward(_environment(axis)) is not None
+
+
+def slowest_felt(axis: AxisScene) -> float:
+    """Returns the approach speed from which the wall is felt [m/s or rad/s]; infinite where there is no wall."""
+    speeds = [part * axis.parameters.largest_speed for part in _SPEEDS]
+    felt = [is_felt(axis, speed) for speed in speeds]
+    if not any(felt):
+        return inf
+    last = max(place for place, is_one in enumerate(felt) if is_one)
+    if last == len(speeds) - 1:
+        return speeds[last]
+    low, high = speeds[last + 1], speeds[last]
+    for _ in range(_STEPS):
+        middle = (low * high) ** 0.5
+        low, high = (low, middle) if is_felt(axis, middle) else (middle, high)
+    return high
+
+
+def is_felt(axis: AxisScene, speed: float) -> bool:
+    """Returns whether at least half of a wall is rendered in a contact at a speed [m/s or rad/s]."""
+    return rendered_share(axis, speed) >= FELT
+
+
+def rendered_share(axis: AxisScene, speed: float) -> float:
+    """Returns the part of the wall's effort that is rendered in a contact, 0 to 1.
+
+    Args:
+        axis: One that can be tried.
+        speed: Of the handle into the wall, constant, > 0 [m/s or rad/s].
+    """
+    asked = sent = 0.0
+    for effort, torque in _contact(axis, speed):
+        asked += abs(effort)
+        sent += min(abs(torque), abs(effort))
+    return sent / asked if asked else 0.0
+
+
+def remedies(axis: AxisScene, speed: float) -> list[Remedy]:
+    """Returns the declarations of which less lets the wall be felt at a speed [m/s or rad/s], the nearest first."""
+    units = {"current_lag": "s", "torque_window": "s", "device_damping_bound": f"N*s/{axis.parameters.unit}"}
+    found = []
+    for key in _TO_BLAME:
+        value = getattr(axis.loop, key, None) or getattr(axis.passivity.parameters, key, None)
+        if not value or not is_felt(_with(axis, key, 0.0), speed):
+            continue
+        low, high = 0.0, 1.0
+        for _ in range(_STEPS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if is_felt(_with(axis, key, middle * value), speed) else (low, middle)
+        found.append(Remedy(key, value, low * value, units.get(key, effort_unit(axis.parameters.unit))))
+    return sorted(found, key=lambda remedy: -remedy.enough / remedy.value)
+
+
+def enough_allowance(axis: AxisScene, speed: float) -> float | None:
+    """Returns the least energy of `_ALLOWANCES` with which the wall is felt at a speed [J]; None: none is enough."""
+    if not hasattr(axis.passivity.parameters, "energy_allowance"):
+        return None
+    return next((each for each in _ALLOWANCES if is_felt(_with(axis, "energy_allowance", each), speed)), None)
+
+
+def advice(axis: AxisScene) -> str:
+    """Returns what keeps the torque of a wall away that is not felt, and the value that would help."""
+    slowest, unit = slowest_felt(axis), f"{axis.parameters.unit}/s"
+    begins = "no approach" if slowest == inf else f"an approach slower than {slowest:.3g} {unit}"
+    aim = 0.01 * axis.parameters.largest_speed if slowest == inf else slowest / 3.0
+    ways = [remedy.text for remedy in remedies(axis, aim)[:1]]
+    if (allowance := enough_allowance(axis, aim)) is not None:
+        ways.append(f"energy_allowance: {allowance:g} J starts it")
+    return f"{begins} {'starts' if slowest == inf else 'does not start'} this wall; {'; '.join(ways) or 'see check'}"
+
+
+def _environment(axis: AxisScene) -> Environment:
+    return cast(Environment, axis.environment.parameters)  # every class of ENVIRONMENTS is one
+
+
+def _inward(environment: Environment) -> tuple[float, float] | None:
+    """Returns where a contact begins [m or rad] and its direction, 1 or -1; None where none is found."""
+    start = float(getattr(environment, "position", 0.0))
+    return next(((start, sign) for sign in (1.0, -1.0) if environment.contact(start + sign * 1e-6)), None)
+
+
+def _with(axis: AxisScene, key: str, value: float) -> AxisScene:
+    """Returns the axis with another value of a declaration."""
+    if hasattr(axis.loop, key):
+        return replace(axis, loop=axis.loop.model_copy(update={key: value}))
+    parameters: Any = axis.passivity.parameters
+    return replace(axis, passivity=axis.passivity._replace(parameters=parameters.model_copy(update={key: value})))
+
+
+def _contact(axis: AxisScene, speed: float) -> Iterator[tuple[float, float]]:
+    """Yields the effort asked for and the torque sent in each hold of a contact [N or N*m]."""
+    environment, loop, limit = _environment(axis), axis.loop, axis.parameters.torque_limit
+    found = _inward(environment)
+    if found is None:
+        return
+    start, sign = found
+    controller, step, count = build_axis_controller(axis), sign * speed * loop.sample_time, loop.encoder_count
+    queue = [0.0] * (1 + loop.delay)
+    for hold in range(-_OUTSIDE, _MOST):
+        position = start + hold * step
+        if count:
+            position = count * (round(position / count) + _PHASE)
+        torque = max(-limit, min(limit, controller.step(position, queue.pop(0)).torque))
+        queue.append(torque)
+        if environment.contact(position):
+            effort = environment.effort(environment.true_state(position, 0.0, 0.0))
+            yield effort, torque
+            if abs(effort) >= PUSH * limit:
+                return

@@ -1,0 +1,92 @@
+"""Whether a wall is there, from its configuration alone, and what keeps it away."""
+
+from math import inf
+from pathlib import Path
+
+import pytest
+
+import canhaptic
+from canhaptic.cli.main import main
+from canhaptic.scene.first_contact import (
+    advice,
+    can_be_tried,
+    enough_allowance,
+    is_felt,
+    remedies,
+    rendered_share,
+    slowest_felt,
+)
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import AxisScene
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+LATE = ["environment.stiffness=1000", "passivity.current_lag=2 ms"]
+
+
+def axis(*changes: str, name: str = "demo.yaml") -> AxisScene:
+    return load_scene(CONFIGS / name, changes).axes[0]
+
+
+def test_a_wall_for_a_hand_that_does_not_pull_is_felt_from_the_start_and_one_for_a_strong_hand_from_a_speed() -> None:
+    weak, strong = axis(), axis("passivity.hand_force=20")
+    assert slowest_felt(weak) < 2e-3
+    assert 0.05 < slowest_felt(strong) < 0.5
+    assert is_felt(strong, 1.01 * slowest_felt(strong))
+    assert not is_felt(strong, 0.9 * slowest_felt(strong))
+
+
+def test_the_speed_is_that_from_which_a_run_feels_the_wall() -> None:
+    slowest = slowest_felt(axis("passivity.hand_force=20"))
+    for factor, word in ((0.5, "nothing rendered"), (2.0, "yes")):
+        motion = f"{{type: sinusoid, amplitude: 20 mm, offset: -40 mm, frequency: {factor * slowest / 0.109}}}"
+        result = canhaptic.simulate(
+            load_scene(CONFIGS / "demo.yaml", ["passivity.hand_force=20", "simulation.user.stiffness=20000",
+                       "simulation.user.damping=50", f"simulation.user.motion={motion}",
+                       "simulation.plant.initial_position=-0.04"]), duration=0.9, progress=False,
+        )  # fmt: skip
+        assert result.account["handle"].verdict == word, factor
+
+
+def test_no_wall_names_the_declaration_that_keeps_it_away_and_a_value_that_does_not() -> None:
+    late = axis(*LATE)
+    assert slowest_felt(late) == inf
+    first = remedies(late, 0.1)[0]
+    assert (first.key, first.value) == ("current_lag", 2e-3)
+    assert 0.0 < first.enough < 1e-3
+    assert is_felt(axis(LATE[0], f"passivity.current_lag={first.enough} s"), 0.1)
+    allowed = enough_allowance(late, 0.1)
+    assert allowed is not None
+    assert is_felt(axis(*LATE, f"passivity.energy_allowance={allowed} J"), 0.1)
+    assert not is_felt(axis(*LATE, f"passivity.energy_allowance={0.1 * allowed} J"), 0.1)
+    assert advice(late).startswith("no approach starts this wall; current_lag 0.002 s keeps it away")
+
+
+def test_check_and_run_say_that_there_is_no_wall_and_strict_fails(capsys: pytest.CaptureFixture[str]) -> None:
+    words = [word for value in LATE for word in ("--set", value)]
+    scene = str(CONFIGS / "demo.yaml")
+    assert main(["check", scene, *words]) == 0
+    assert capsys.readouterr().out.startswith("NO WALL: no approach starts this wall; current_lag 0.002 s")
+    assert main(["run", scene, *words, "--duration", "1.4", "--pace", "free", "--strict"]) == 1
+    said = capsys.readouterr()
+    assert said.out.startswith(" handle: NOTHING RENDERED: no approach starts this wall; current_lag 0.002 s")
+    assert "--strict: handle: NOTHING RENDERED" in said.err
+    result = canhaptic.simulate(scene, dict(value.split("=") for value in LATE), duration=1.4, progress=False)
+    port = result.account["handle"]
+    assert (port.verdict, port.passive, result.account.verdict) == ("nothing rendered", "yes", "nothing rendered")
+    assert "current_lag" in port.advice
+
+
+def test_a_wall_that_was_not_reached_is_no_contact_and_keeps_strict(capsys: pytest.CaptureFixture[str]) -> None:
+    scene = str(CONFIGS / "demo.yaml")
+    assert main(["run", scene, "--duration", "0.2", "--pace", "free", "--strict"]) == 0
+    assert capsys.readouterr().out.startswith(" handle: no contact\n")
+    assert main(["check", scene]) == 0
+    assert capsys.readouterr().out.startswith("ready: felt from 0.0015 m/s, ")
+
+
+def test_what_has_no_outside_or_is_of_a_group_is_not_tried() -> None:
+    assert not can_be_tried(axis(name="five_bar_sphere.yaml"))
+    assert not can_be_tried(axis(name="admittance/wall.yaml"))
+    assert not can_be_tried(axis("environment={type: free_space}"))
+    assert rendered_share(axis("environment={type: free_space}"), 0.1) == 0.0
+    assert can_be_tried(axis("environment={type: detents, peak: 5 N, pitch: 4 mm}"))
