@@ -3,21 +3,21 @@
 A claim is false when
 
     error         |believed - true| sum of interaction is larger than the energy resolution that is stated
-    passive yes   and the true sum fell below minus that resolution
-    passive no    and the true sum never fell below zero
+    passive yes   and the true sum fell below minus that resolution and the allowance
+    passive no    and the true sum never fell below minus the allowance, or a later account says something else
     certificate   is named that the scene does not declare, or with a true sum below minus that resolution
 
-after any hold.
+after any hold, by the resolution of that hold: the account is judged at every moment and not at the end alone.
 """
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
-from canhaptic.cycle import run
+from canhaptic.cycle import Cycle, run
 from canhaptic.errors import CanHapticError
-from canhaptic.result import TruthResult, run_result
+from canhaptic.result import RunResult, run_result
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import scene_from_mapping
 from tools.truth.faults import FaultWatch
@@ -33,8 +33,8 @@ LOSS_LIMIT: Final = 0.01
 """Energy given out beyond what is declared at which a rig stops by default [J]."""
 _MOST_LOSSES: Final = 4
 """Cycles in a row with a loss that a scene declares, once its bus has really lost so many."""
-_PROMISES_NO_YES: Final = frozenset(("timing:stall", "declares:energy_allowance"))
-"""A host that stalls makes a hold longer than is declared; an allowance is energy that may be given out on purpose."""
+_PROMISES_NO_YES: Final = frozenset(("timing:stall",))
+"""A host that stalls makes a hold longer than is declared."""
 _TRIES: Final = 4
 
 
@@ -140,12 +140,13 @@ def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
     status, text = "completed", ""
     with experiment:
         watch, asked, faults = HandWatch(experiment, scene.outward), _Asked(experiment), FaultWatch(experiment, scene)
-        losses, moved = LossWatch(experiment), _Moved(experiment)
+        axes = [(axis.parameters.name, axis.parameters.unit) for axis in loaded.axes]
+        losses, moments = LossWatch(experiment), _Moments(experiment, axes, scene.passivity)
 
         def each(cycles: int) -> None:
             watch(cycles)
             asked()
-            moved()
+            moments()
             faults(cycles)
             losses()
 
@@ -153,15 +154,13 @@ def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
             run(experiment.cycle, max(1, round(scene.duration / loaded.bus.sample_time)), progress=each)
         except CanHapticError as error:
             status, text = "stopped", str(error)
-        axes = [(axis.parameters.name, axis.parameters.unit) for axis in loaded.axes]
-        account = run_result(
-            experiment.cycle, axes, status=status, config_hash="", sample_time=loaded.bus.sample_time, method=""
-        )
-        moved.count(account["truth"])
+        account = account_of(experiment.cycle, axes, status)
+        moments.judge(account)
         reaction, to_zero = "", 0
         if status == "stopped":
             reaction, to_zero = experiment.rig.stop_reason.name, faults.syncs_to_zero()
     outcome = _outcome(scene, account, watch, asked, status, text)
+    outcome = replace(outcome, false_claims=(*outcome.false_claims, *moments.claims))
     declared = int(scene.passivity.get("max_consecutive_losses", 0))
     outcome = replace(outcome, losses=losses.longest, declared_losses=declared, skipped=losses.skipped)
     return replace(outcome, reaction=reaction, to_zero=to_zero), watch
@@ -195,31 +194,73 @@ class _Asked:
                 self.asked = max(self.asked, abs(environment.effort(state)))
 
 
-class _Moved:
-    """Least true sums of interaction of groups in which a mover of the environment's own works, with its energy.
+class _Moments:
+    """Holds what an account claims at every moment against what the plant did up to then.
 
-    The truth of a run is that of the motors; the promise counts what the mover gives (`moving_wall`).
+    Once a true sum was below minus allowance and resolution, no later resolution makes a promise of it true again.
     """
 
-    def __init__(self, experiment: Experiment) -> None:
-        self._cycle = experiment.cycle
-        first = len(experiment.scene.axes)
-        self._groups = list(enumerate(experiment.cycle.groups, first))
-        self._least: dict[str, tuple[float, float]] = {}  # at the motors, at the handle
+    def __init__(self, experiment: Experiment, axes: Sequence[tuple[str, str]], section: Mapping[str, Any]) -> None:
+        self._cycle, self._axes, self._section = experiment.cycle, axes, section
+        groups = experiment.cycle.groups
+        self._names = [*(name for name, _ in axes), *(group.name for group in groups)]
+        grouped = {axis for group in groups for axis in group.axes}
+        self._places = [place for place in range(len(self._names)) if place not in grouped]
+        self._error, self._active = [0.0] * len(self._names), [0] * len(self._names)
+        self._below: set[tuple[int, str]] = set()
+        self._cycles = 0
+        self.claims: dict[str, None] = {}
 
     def __call__(self) -> None:
-        judge = self._cycle.judge
-        for place, group in self._groups:
-            if judge is not None:
-                now = judge.interaction[place] + group.supplied
-                least, at_handle = self._least.get(group.name, (0.0, 0.0))
-                self._least[group.name] = min(now, least), min(now + judge.dissipated[place], at_handle)
+        judge, self._cycles = self._cycle.judge, self._cycles + 1
+        if judge is None:
+            return
+        allowance, due = self._section.get("energy_allowance", 0.0), self._cycles % 50 == 0 and bool(self._below)
+        for place in self._places:
+            port, name = self._cycle.meters.ports[place], self._names[place]
+            resolution = port.measured().energy_resolution
+            if judge.believed_error[place] > max(self._error[place], resolution + ROUNDING):
+                self._claim(f"{name}: error {judge.believed_error[place]:.3g} J, resolution {resolution:.3g} J")
+            self._error[place] = judge.believed_error[place]
+            sums = {"least_interaction": judge.least[place], "least_at_handle": judge.least_at_handle[place]}
+            for key, least in sums.items():
+                if least < -resolution - allowance - ROUNDING and (place, key) not in self._below:
+                    self._below.add((place, key))
+                    due = True
+            for bit, least in zip((1, 2), sums.values(), strict=True):
+                if port.activity.active & bit & ~self._active[place] and least >= -allowance - ROUNDING:
+                    self._claim(f"{name}: active, true least {least:.3g} J")
+            self._active[place] = port.activity.active
+        if due:
+            self.judge(account_of(self._cycle, self._axes, "running"))
 
-    def count(self, truth: dict[str, TruthResult]) -> None:
-        """Takes these sums into the truth of a run."""
-        for _, group in self._groups:
-            if group.supplied:
-                truth[group.name]["least_interaction"], truth[group.name]["least_at_handle"] = self._least[group.name]
+    def judge(self, account: Mapping[str, Any]) -> None:
+        """Takes an account, of a moment or of the end."""
+        for place in self._places:
+            name, port = self._names[place], account["ports"][self._names[place]]
+            at_motor, at_handle = ((place, key) in self._below for key in ("least_interaction", "least_at_handle"))
+            if at_motor and port["passive"] == "yes":
+                self._claim(f"{name}: passive yes after {self._cycles} cycles, {account['truth'][name]}")
+            if at_handle and port.get("passive_at_handle") == "yes":
+                self._claim(f"{name}: passive at the handle yes after {self._cycles} cycles")
+            if self._active[place] & 1 and port["passive"] != "no":
+                self._claim(f"{name}: passive {port['passive']} after it was active")
+            if (place, _promised(self._section)) in self._below and certificates(port):
+                self._claim(f"{name}: certificates {certificates(port)} after {self._cycles} cycles")
+
+    def _claim(self, text: str) -> None:
+        self.claims[text] = None
+
+
+def account_of(cycle: Cycle, axes: Sequence[tuple[str, str]], status: str) -> RunResult:
+    """Returns the account of a run so far.
+
+    Args:
+        cycle: The run.
+        axes: (name, unit "m" or "rad") of each axis.
+        status: How it ended.
+    """
+    return run_result(cycle, axes, status=status, config_hash="", sample_time=cycle.rig.bus.sample_time, method="")
 
 
 def _outcome(
@@ -285,13 +326,13 @@ def _false_claims(
     claims = []
     if error > resolution + ROUNDING:
         claims.append(f"{name}: error {error:.3g} J, resolution {resolution:.3g} J")
-    if port["passive"] == "yes" and least < -resolution - ROUNDING:
+    if port["passive"] == "yes" and least < -resolution - allowance - ROUNDING:
         claims.append(f"{name}: passive yes, true least {least:.3g} J, resolution {resolution:.3g} J")
-    if port["passive"] == "no" and least >= -ROUNDING:
+    if port["passive"] == "no" and least >= -allowance - ROUNDING:
         claims.append(f"{name}: passive no, true least {least:.3g} J")
-    if port.get("passive_at_handle") == "yes" and truth["least_at_handle"] < -resolution - ROUNDING:
+    if port.get("passive_at_handle") == "yes" and truth["least_at_handle"] < -resolution - allowance - ROUNDING:
         claims.append(f"{name}: passive at the handle yes, true least {truth['least_at_handle']:.3g} J")
-    if port.get("passive_at_handle") == "no" and truth["least_at_handle"] >= -ROUNDING:
+    if port.get("passive_at_handle") == "no" and truth["least_at_handle"] >= -allowance - ROUNDING:
         claims.append(f"{name}: passive at the handle no, true least {truth['least_at_handle']:.3g} J")
     # with declared damping or friction the promise is that of the handle, whichever certificate is the weakest of a run
     below = truth[_promised(section)]
