@@ -86,6 +86,10 @@ class ComponentOf:
         name = section.get(self.selector) if isinstance(section, MarkedMapping) else None
         return self._model(name) if isinstance(name, str) and name in self.table else None
 
+    def table_for(self, _section: object) -> "ComponentOf":
+        """Returns the table that a section is read from."""
+        return self
+
     def _model(self, name: str) -> type[Parameters]:
         return _parameters_of(load(self.table, name, self.kind))
 
@@ -196,9 +200,15 @@ class ComponentByDisplay(ComponentOf):
         super().__init__(impedance.table, impedance.kind, impedance.selector, impedance.apart)
         self._admittance = admittance
 
-    def model_of(self, section: object) -> type[Parameters] | None:
-        """Returns the model of either table that a section names; None when it names none, or a user's own code."""
-        return super().model_of(section) or self._admittance.model_of(section)
+    def table_for(self, section: object) -> ComponentOf:
+        """Returns the table whose model has more of the keys of a section: a fault is said in its words."""
+        keys = section.keys() if isinstance(section, MarkedMapping) else set()
+
+        def known(table: ComponentOf) -> int:
+            model = table.model_of(section)
+            return -1 if model is None else len(keys & {*model.model_fields, *table.apart})
+
+        return self._admittance if known(self._admittance) > known(self) else self
 
     def read(self, value: object, info: ValidationInfo[SceneReading]) -> ComponentSpec:
         """Returns what a section names, from the table of the kind of display that the axis is."""

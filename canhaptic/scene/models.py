@@ -63,6 +63,8 @@ LOOP_KEYS: Final = (
     *("sync_jitter", "torque_window", "current_lag", "delay", "sample_time"),
 )
 """Keys of `passivity` that describe the loop and not the algorithm; the last two follow from the bus."""
+DISPLAY_LOOP_KEYS: Final = ("sync_jitter",)
+"""Those of an admittance display: the rest of its loop is in `admittance`."""
 _MOVES_IN_METRES: Final = ("planar_2r", "five_bar")
 """Kinematics whose task space is in metres, for linear and rotary motors."""
 
@@ -78,14 +80,16 @@ Algorithm = Annotated[
     ComponentSpec,
     ComponentByDisplay(
         ComponentOf(ALGORITHMS, "passivity algorithm", "algorithm", LOOP_KEYS),
-        ComponentOf(DISPLAY_ALGORITHMS, "algorithm of an admittance display", "algorithm"),
+        ComponentOf(DISPLAY_ALGORITHMS, "algorithm of an admittance display", "algorithm", DISPLAY_LOOP_KEYS),
     ),
 ]
 GroupAlgorithm = Annotated[
     ComponentSpec,
     ComponentByDisplay(
         ComponentOf(GROUP_ALGORITHMS, "group algorithm", "algorithm", LOOP_KEYS),
-        ComponentOf(DISPLAY_GROUP_ALGORITHMS, "algorithm of several admittance displays", "algorithm"),
+        ComponentOf(
+            DISPLAY_GROUP_ALGORITHMS, "algorithm of several admittance displays", "algorithm", DISPLAY_LOOP_KEYS
+        ),
     ),
 ]
 GroupNetwork = Annotated[
@@ -368,6 +372,8 @@ def _drop_later(axis: dict[str, Any]) -> None:
     for key in LATER_LOOP_KEYS:
         if not axis["loop"][key]:
             del axis["loop"][key]
+    if "admittance" in axis and not axis["admittance"]["limit_in_drive"]:
+        del axis["admittance"]["limit_in_drive"]
     passivity = axis["passivity"]
     for key, default in (("hand_push", None), ("earned_energy", None), ("drag", 0.0)):
         if key in passivity and passivity[key] == default:
