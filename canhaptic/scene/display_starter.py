@@ -43,7 +43,7 @@ environment:
   mass: $mass kg*m^2
   damping: $damping N*m*s/rad
 
-# Every command is certified by the drive's own velocity loop, for every hand.
+# $certified
 passivity:
   algorithm: guarded
   drive_mass: $drive_mass kg*m^2 # {TO_SET}: all that the drive moves up to the sensor, an over-estimate
@@ -53,6 +53,11 @@ passivity:
   # drive_damping: $bearings N*m*s/rad
 $integral$timing  energy_allowance: $allowance J # given out at most; motion starts with it
 """)
+
+_CERTIFIED: Final = "Every command is certified by the drive's own velocity loop, for every hand."
+_UNCERTIFIED: Final = (
+    "Mode 8 has an integral: nothing is certified where holds are uneven (sync_jitter); mode 9 has none."
+)
 
 _BETWEEN: Final = Template("""\
   admittance:
@@ -73,7 +78,7 @@ def display_axis(display: DisplayParameters, counts: float, limit: float, unlimi
     """
     named = display.force.object
     node = f"        node: {{node_id: 9}}  # {TO_SET}: the drive has no analog input that is known\n"
-    why = f"once torque_limit is set in the drive with the vendor's tool: 0x6072 is {unlimited}"
+    why = f"keep it once torque_limit is set with the vendor's tool (0x6072 is {unlimited})"
     is_velocity = display.mode == "velocity"
     scale = f"      velocity_counts: {counts:.10g} # {TO_SET}: counts of 0x60FF for 1 rad/s of the axis\n"
     return _AXIS.substitute(
@@ -97,6 +102,7 @@ def display_rendered(display: DisplayParameters, limit: float, sample_time: floa
     is_position = display.mode == "position"
     line = f"  integral_gain: {number(_OVER * 10.0 * gain)} N*m/rad # {TO_SET}: position gain times loop_gain\n"
     return _RENDERED.substitute(
+        certified=_UNCERTIFIED if is_position and not simulate else _CERTIFIED,
         mass=number(_HELD * (mass + 1.5 * sample_time * gain)),
         damping=number(mass),
         drive_mass=number(_OVER * mass),

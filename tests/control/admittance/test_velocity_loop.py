@@ -89,7 +89,9 @@ def test_the_gain_by_encoder_and_command_is_the_least_of_all_motions_of_that_way
 @pytest.mark.parametrize("evenness", [1.0, 0.4])
 def test_a_drive_at_its_torque_limit_proves_no_more_than_it_brakes(evenness: float) -> None:
     random, gain, limit, time, acceleration = np.random.default_rng(5), 1600.0, 300.0, 2e-3, 400.0
-    settings = replace(_settings(gain, 0.0, time=time), torque_limit=limit, acceleration=acceleration, evenness=evenness)
+    settings = replace(
+        _settings(gain, 0.0, time=time), torque_limit=limit, acceleration=acceleration, evenness=evenness
+    )
     at_limit = 0
     for _ in range(300):
         step = time * random.uniform(evenness, 1.0) / 400
