@@ -26,7 +26,7 @@ DEMO := configs/hard/stiff_wall.yaml
 
 demo: $(VENV)/.installed-plot
 	@mkdir -p demo_output
-	$(BIN)/canhaptic run $(DEMO) --pace free --log demo_output/demo.h5 --bus-log demo_output/demo.log
+	$(BIN)/canhaptic run $(DEMO) --pace free --force --log demo_output/demo.h5 --bus-log demo_output/demo.log
 	$(BIN)/canhaptic compare $(DEMO) --algorithms unprotected,guarded --png demo_output/demo.png
 
 test: $(VENV)/.installed-dev

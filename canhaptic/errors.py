@@ -88,6 +88,10 @@ class OldNameWarning(FutureWarning):
     """A scene, an override or an option uses a name of an earlier release; the text says what it is called now."""
 
 
+class OverrideWarning(UserWarning):
+    """An override names another type, and keys that only the old one has are dropped; the text says which."""
+
+
 class SceneConflictError(SceneError):
     """A scene whose values are right on their own and do not go together: a rate that its bus cannot carry."""
 

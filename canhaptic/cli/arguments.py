@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from canhaptic.errors import InputError
 from canhaptic.host.output_file import require_writable_place
+from canhaptic.logs.log_file import CONVERTIBLE
 
 if TYPE_CHECKING:
     from canhaptic.scene.models import Scene
@@ -101,6 +102,18 @@ def check_place(path: Path) -> None:
     if not path.absolute().parent.is_dir():
         raise InputError(f"{path}: no such folder {path.absolute().parent}; make it first")
     require_writable_place(path)
+
+
+def require_new(*logs: Path) -> None:
+    """Refuses logs that would take the place of a file, before anything is started.
+
+    Raises:
+        InputError: One of them exists, or what a killed run left of it.
+    """
+    for path in logs:
+        unfinished = [path.with_name(f"{path.name}.log")] if path.suffix.lower() in CONVERTIBLE else []
+        for taken in filter(Path.exists, [path, *unfinished]):
+            raise InputError(f"{taken} already exists; --force replaces it, or name another file")
 
 
 def seconds(text: str) -> float:

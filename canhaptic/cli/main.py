@@ -15,7 +15,7 @@ from typing import Any, Final
 from canhaptic.cli.interrupt import INTERRUPTED, PromptEnd, say_interrupted
 from canhaptic.cli.options import OPTIONS
 from canhaptic.cli.output import print_failure, write_note
-from canhaptic.errors import CanHapticError, InputError, OldNameWarning
+from canhaptic.errors import CanHapticError, InputError, OldNameWarning, OverrideWarning
 
 _COMMANDS: Final = {
     "commission": "walk a new rig from zero torque to a measured configuration, asking before every torque",
@@ -76,11 +76,11 @@ def _run(words: list[str], name: str) -> int:
 
 
 def _show_old_names() -> None:
-    """Shows a warning of an old name as one line, like every note; others as Python does."""
+    """Shows a warning of a scene as one line, like every note; others as Python does."""
     before = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-        if issubclass(category, OldNameWarning):
+        if issubclass(category, (OldNameWarning, OverrideWarning)):
             write_note(f"canhaptic: warning: {message}")
         else:
             before(message, category, *where, **more)

@@ -299,6 +299,7 @@ def _run(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--log", metavar="FILE.h5", type=Path, help="energy log (HDF5)")
     parser.add_argument("--bus-log", metavar="FILE.log", type=Path, help="bus log (candump text)")
+    parser.add_argument("--force", action="store_true", help="replace logs that exist")
     parser.add_argument("--png", metavar="FILE", type=Path, help="picture of the run (.png, .svg, .pdf)")
     parser.add_argument(
         "--strict", action="store_true", help="exit with 1 unless every port that was touched is shown as passive"

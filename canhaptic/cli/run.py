@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
-from canhaptic.cli.arguments import check_picture, scene_of
+from canhaptic.cli.arguments import check_picture, require_new, scene_of
 from canhaptic.cli.output import failure, note_file, write_failure, write_json, write_note
 from canhaptic.cli.progress import run_progress
 from canhaptic.cli.stop_signal import StopSignal
@@ -29,18 +29,21 @@ def execute(arguments: argparse.Namespace) -> int:
     """Runs the scene; returns 0, 1 when --strict was asked for and not kept, or 130 or 143 after a signal."""
     scene = scene_of(arguments)
     with ExitStack() as stack:
-        energy_log = arguments.log or scene.log.energy
+        energy_log, bus_log = arguments.log or scene.log.energy, arguments.bus_log or scene.log.bus
+        elsewhere = logs_elsewhere(scene, energy=arguments.log is None, bus=arguments.bus_log is None)
+        if not arguments.force:
+            require_new(*filter(None, (energy_log, bus_log)))
         if arguments.png is not None:
             check_picture(arguments.png)
             if energy_log is None:
                 energy_log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.h5"
         require_no_guesses(scene)
-        for text in logs_elsewhere(scene, energy=arguments.log is None, bus=arguments.bus_log is None):
+        for text in elsewhere:
             write_note(f"  {text}")
         for note in require_preflight(scene):
             write_note(f"  {note.interface}: {note.item}: {note.seen}: {note.text}")
         stop = stack.enter_context(StopSignal())
-        experiment = build(scene, arguments.pace, energy_log, arguments.bus_log)
+        experiment = build(scene, arguments.pace, energy_log, bus_log)
         stack.callback(experiment.close, "interrupted")  # by then closed already, unless a second signal came
         result, error = _run(experiment, arguments.duration or scene.run.duration, stop)
         if error is None and arguments.png is not None and energy_log is not None:

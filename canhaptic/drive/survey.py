@@ -19,7 +19,7 @@ from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.drive.can.dictionary_check import check_dictionary
 from canhaptic.drive.can.pdo_map import AxisMap, PdoCapability, choose_map, pdo_capabilities
 from canhaptic.drive.display_survey import DISPLAY_KEYS, force_finding, limit_findings
-from canhaptic.drive.profile.fitness import Finding, Verdict
+from canhaptic.drive.profile.fitness import Finding, Verdict, limit_objection, max_torque_unwritten
 from canhaptic.drive.profile.object_use import ObjectUse, objection
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import DictionaryError
@@ -280,11 +280,10 @@ def _read_back(dictionary: ObjectDictionary, axis_map: AxisMap | None) -> Survey
 
 def _limits(dictionary: ObjectDictionary, axis: AxisParameters, findings: dict[str, Finding]) -> list[SurveyRow]:
     limit, rated = _variable(dictionary, od.MAX_TORQUE), _variable(dictionary, od.RATED_TORQUE)
-    quirks = quirks_of(axis.quirks)
-    if limit is None or not limit.writable or not quirks.writes_max_torque:
-        state = "not listed" if limit is None else "read-only" if not limit.writable else "not written (quirks)"
+    quirks, state = quirks_of(axis.quirks), max_torque_unwritten(dictionary, axis)
+    if limit is None or state:
         text = f"{state}; torque_limit is kept by the master alone: set a limit in the drive with the vendor's tool"
-        text += "" if axis.admittance is None else "; an admittance display on a real interface is refused without"
+        text = limit_objection(dictionary, axis) or text
         rows = [_row(dictionary, "limits", "max torque", od.MAX_TORQUE, Verdict.UNKNOWN, text)]
     elif (refusal := findings["0x6072"]).verdict is Verdict.REFUSED:
         rows = [_as_found(dictionary, "limits", refusal)]
@@ -379,6 +378,11 @@ def _manual_keys(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Ma
             "watchdog: false",
             "the drive has no 0x1016; accept it knowingly or choose another drive",
             lambda: not is_writable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1),
+        ),
+        (
+            "admittance.limit_in_drive: true",
+            "once torque_limit is set in it",
+            lambda: bool(limit_objection(dictionary, axis)),
         ),
         (
             "demand_reported",

@@ -143,8 +143,9 @@ def build(
     Args:
         scene: From `load_scene`.
         pace: "real" or "free"; by default free where the drives are simulated in this process, else real.
-        energy_log: Energy log (HDF5) to write; by default what the scene names under `log`.
-        bus_log: Bus log (candump text) to write; by default what the scene names under `log`.
+        energy_log: Energy log (HDF5) to write, over an earlier one; by default none: what a scene names under `log` is
+            of the command `run` alone.
+        bus_log: Bus log (candump text) to write; the same.
 
     Raises:
         InputError: Free pace without simulated drives, a bus that python-can cannot use, or own code left unread.
@@ -161,7 +162,8 @@ def build(
             "`simulation`); real drives run at pace 'real'"
         )
     chosen: _Pace = pace or ("free" if scene.simulated else "real")
-    return Experiment(_with_accuracy(scene), chosen, _path(energy_log, scene.log.energy), _path(bus_log, scene.log.bus))
+    logs = (None if path is None else Path(path) for path in (energy_log, bus_log))
+    return Experiment(_with_accuracy(scene), chosen, *logs)
 
 
 def require_buildable(scene: Scene) -> None:
@@ -210,10 +212,6 @@ def _with_accuracy(scene: Scene) -> Scene:
     from canhaptic.scene.accuracy_choice import with_chosen_accuracy
 
     return with_chosen_accuracy(scene)
-
-
-def _path(asked: str | Path | None, of_scene: Path | None) -> Path | None:
-    return Path(asked) if asked is not None else of_scene
 
 
 def _jitters(scene: Scene, pace: str) -> list[float] | None:

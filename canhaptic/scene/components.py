@@ -1,8 +1,10 @@
 """Fields of the scene whose model is chosen by name from a table, or imported only where the scene has the key."""
 
+import warnings
 from collections.abc import Callable, Mapping, Set
 from contextlib import AbstractContextManager
 from functools import partial
+from multiprocessing import parent_process
 from typing import Any, Final, NamedTuple, Protocol
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
@@ -10,11 +12,11 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from canhaptic.axis_units import Motion
-from canhaptic.errors import ParameterError
+from canhaptic.errors import OverrideWarning, ParameterError
 from canhaptic.registry import load
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.scene.own_code import OWN_MODULE, OwnCode
-from canhaptic.units import Parameters, shown
+from canhaptic.units import Parameters, example, shown
 
 READY: Final = "ready"
 """Type of an error of pydantic whose text needs no value in front."""
@@ -34,6 +36,14 @@ class SceneReading(Protocol):
     @property
     def is_display(self) -> bool:
         """Whether the axis that is read, or the last one, is one."""
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the drives are simulated inside this process."""
+
+    @property
+    def motion(self) -> Motion | None:
+        """Unit of the position of the axis that is read."""
 
     def moving(self, motion: Motion | None) -> AbstractContextManager[object]:
         """Reads quantities in the units of this motion until the context ends."""
@@ -86,6 +96,10 @@ class ComponentOf:
         name = section.get(self.selector) if isinstance(section, MarkedMapping) else None
         return self._model(name) if isinstance(name, str) and name in self.table else None
 
+    def table_for(self, _section: object) -> "ComponentOf":
+        """Returns the table that a section is read from."""
+        return self
+
     def _model(self, name: str) -> type[Parameters]:
         return _parameters_of(load(self.table, name, self.kind))
 
@@ -117,7 +131,34 @@ class ComponentOf:
             text = f"got {name!r}, a {self.kind} that this installation lacks a module for ({error})"
             raise self._refused(text) from error
         section = value.without(self.selector, *(key for key in self.apart if key not in model.model_fields))
+        section = self._switched(name, model, section, info.context)
         return ComponentSpec(name, validated(model, section, info.context), own)
+
+    def _switched(
+        self, name: str, model: type[Parameters], section: MarkedMapping, reading: SceneReading
+    ) -> MarkedMapping:
+        """Returns a section without the keys that only the type has that an override replaced; real drives keep all."""
+        was, fields = section.was, model.model_fields
+        if was in (None, name) or was not in self.table:
+            return section
+        gone = [
+            key for key in section
+            if key not in fields and key in self._model(was).model_fields and not section.keys_at[key].is_override
+        ]  # fmt: skip
+        if gone and not reading.simulated:
+            text = (
+                f"which has no {', '.join(gone)}; drives may be real, and nothing is dropped: take it out of the scene"
+            )
+            raise self._refused(f"got {name!r} in place of {was!r}, {text}")
+        path, motion = ".".join(section.mark.path), section.motion or reading.motion
+        needed = {key: field for key, field in fields.items() if field.is_required() and key not in section}
+        if needed:
+            words = " ".join(f"--set {path}.{key}={example(field, motion)}" for key, field in needed.items())
+            raise self._refused(f"got {name!r} in place of {was!r}, which needs {', '.join(needed)}, as in {words}")
+        if gone and parent_process() is None:
+            text = f"{', '.join(gone)}: dropped, as {name!r} in place of {was!r} has no such key"
+            warnings.warn(f"{section.value_at(self.selector).source}: {path}: {text}", OverrideWarning, stacklevel=2)
+        return section.without(*gone)
 
     def _refused(self, text: str) -> ValidationError:
         fault = InitErrorDetails(
@@ -196,9 +237,15 @@ class ComponentByDisplay(ComponentOf):
         super().__init__(impedance.table, impedance.kind, impedance.selector, impedance.apart)
         self._admittance = admittance
 
-    def model_of(self, section: object) -> type[Parameters] | None:
-        """Returns the model of either table that a section names; None when it names none, or a user's own code."""
-        return super().model_of(section) or self._admittance.model_of(section)
+    def table_for(self, section: object) -> ComponentOf:
+        """Returns the table whose model has more of the keys of a section: a fault is said in its words."""
+        keys = section.keys() if isinstance(section, MarkedMapping) else set()
+
+        def known(table: ComponentOf) -> int:
+            model = table.model_of(section)
+            return -1 if model is None else len(keys & {*model.model_fields, *table.apart})
+
+        return self._admittance if known(self._admittance) > known(self) else self
 
     def read(self, value: object, info: ValidationInfo[SceneReading]) -> ComponentSpec:
         """Returns what a section names, from the table of the kind of display that the axis is."""

@@ -9,12 +9,12 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.bus_budget import require_budget, shortest_answer
 from canhaptic.drive.can.dictionary_check import check_dictionary
 from canhaptic.drive.can.pdo_map import AxisMap, choose_map
-from canhaptic.drive.profile.fitness import Verdict
+from canhaptic.drive.profile.fitness import Verdict, limit_objection
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.host.interfaces import interface_faults
 from canhaptic.scene.device_bounds import rests_on_hand_force
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
-from canhaptic.scene.display_checks import check_display, limit_objection
+from canhaptic.scene.display_checks import check_display
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.layout import bus_section
 from canhaptic.scene.models import AxisScene, Scene
@@ -240,8 +240,8 @@ def _check_dictionary(axis: AxisScene, entry: MarkedMapping, scene: Scene, fault
     ]
     for finding in refusals:
         faults.add(entry.value_at("eds"), f"{axis.parameters.eds}: {finding.item}: {finding.text}")
-    if (text := limit_objection(axis, dictionary, scene)) is not None:
-        faults.add(entry.value_at("eds"), text)
+    if not scene.simulated and (text := limit_objection(dictionary, axis.parameters)):
+        faults.add(entry.value_at("admittance"), f"{axis.parameters.eds}: 0x6072 max torque: {text}")
     return None if refusals else choose_map(dictionary, axis.parameters)
 
 

@@ -1,10 +1,7 @@
 """Checks of admittance displays that need more than one section of a scene."""
 
-from canhaptic.canopen import objects as od
-from canhaptic.canopen.dictionary import Dictionary, is_writable
 from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.drive.profile.display_parameters import DisplayParameters
-from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import InputError
 from canhaptic.scene.diagnostics import Diagnostics
 from canhaptic.scene.document import MarkedMapping
@@ -45,18 +42,6 @@ def _missing(given: AxisParameters, display: DisplayParameters) -> list[str]:
         "watchdog: true": given.watchdog or None,
     }
     return [key for key, value in needed.items() if value is None]
-
-
-def limit_objection(axis: AxisScene, dictionary: Dictionary, scene: Scene) -> str | None:
-    """Returns why nothing in the drive limits the torque of a real admittance display; None where something does."""
-    if axis.parameters.admittance is None or scene.simulated:
-        return None
-    if quirks_of(axis.parameters.quirks).writes_max_torque and is_writable(dictionary, od.MAX_TORQUE, 0):
-        return None
-    return (
-        "0x6072 cannot be written, so that no torque limit in the drive holds a sensor that is wrong; an admittance "
-        "display on a real interface needs one: choose a drive or firmware that has it"
-    )
 
 
 def refuse_displays(scene: Scene, command: str) -> None:

@@ -21,7 +21,7 @@ def display_hints(scene: Scene) -> list[Hint]:
 def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
     given, properties = axis.parameters, display_properties(axis)
     name, effort, speed_unit = given.name, effort_unit(given.unit), f"{given.unit}/s"
-    time = properties.sample_time
+    time = properties.longest_hold
     doubt = properties.force_error + (0.0 if properties.sampling != "point" else 0.25 * properties.force_slew * time)
     text = "acts on the account like so much dry friction; slew T / 4 for point samples, and the error of a value"
     hints = [Hint(name, "force doubt of the account", doubt, None, effort, text)]
@@ -41,7 +41,7 @@ def _of_guard(axis: AxisScene, known: GuardedDisplayParameters, speed_unit: str,
     properties, name = display_properties(axis), axis.parameters.name
     axis_unit = axis.parameters.unit
     unit, effort = "kg" if axis_unit == "m" else "kg*m^2", effort_unit(axis_unit)
-    time, gain, mass = properties.sample_time, known.loop_gain, known.drive_mass
+    time, gain, mass = properties.longest_hold, known.loop_gain, known.drive_mass
     holds = properties.delay + 1 + known.max_consecutive_losses
     lag = (properties.delay + 0.5 + properties.latency) * time
     lag += 1.0 / (2.0 * pi * properties.filter) if properties.filter else 0.0
@@ -54,7 +54,12 @@ def _of_guard(axis: AxisScene, known: GuardedDisplayParameters, speed_unit: str,
         Hint(name, "mass from which the guard never acts", never, None, unit, "passive without it: M + c tau" + about),
         Hint(name, "speed at which motion starts", start, None, speed_unit, "by energy_allowance, with nothing stored"),
     ]
-    if known.hand_stiffness and not known.integral_gain:
+    if known.integral_gain:
+        text = (
+            "of a drive with an integral (mode 8) nothing is certified where holds are uneven: what fills it is unknown"
+        )
+        hints.append(Hint(name, "SYNC jitter of a certificate", 0.0, properties.jitter, "", text))
+    elif known.hand_stiffness:
         loop = loop_settings(known, properties)
         carried = lightest(declared_hand_settings(known, loop, properties.latency), loop, properties.speed_limit)
         text = "at speed_limit, with a hand as declared (hand_stiffness); heavier at less" + about
@@ -64,7 +69,7 @@ def _of_guard(axis: AxisScene, known: GuardedDisplayParameters, speed_unit: str,
             text = f"in place of that mass, for the declared hand_stiffness; {asked:g} {unit} asked"
             hints.append(Hint(name, "damping from which it never acts", border, None, damping_unit(axis_unit), text))
     if asked is not None and properties.speed_quantum:
-        least = asked * properties.speed_quantum / time
+        least = asked * properties.speed_quantum / properties.sample_time
         text = (
             "mass times the smallest step of the speed, over T; in mode 8 a step is one count per T: use a fine encoder"
         )
@@ -82,8 +87,8 @@ def _of_faults(axis: AxisScene, known: GuardedDisplayParameters, scene: Scene) -
     found = "never noticed (admittance.force.frozen_after)"
     energy = None
     if noticed is not None:
-        energy = power * noticed * properties.sample_time
-        found = f"{power:.3g} W until it is noticed after {noticed * properties.sample_time:g} s"
+        energy = power * noticed * properties.longest_hold
+        found = f"{power:.3g} W until it is noticed after {noticed * properties.longest_hold:.4g} s"
     return [
         _of_offset(axis, known, properties),
         Hint(name, "stalled master", power * silence, None, "J", f"{power:.3g} W at speed_limit for {silence:g} s"),
@@ -101,6 +106,8 @@ def _of_offset(axis: AxisScene, known: GuardedDisplayParameters, properties: Dis
         text += "; found by commission only"
         return Hint(axis.parameters.name, "sensor with an offset", room, None, unit, text)
     port, effort = port_settings(properties), effort_unit(axis.parameters.unit)
-    found = 2.0 * (known.drive_friction + port.error + (0.0 if port.is_mean else 0.25 * port.slew * port.sample_time))
+    found = 2.0 * (
+        known.drive_friction + port.error + (0.0 if port.is_mean else 0.25 * port.slew * properties.longest_hold)
+    )
     text += f"; noticed from about {found:.3g} {effort} on"
     return Hint(axis.parameters.name, "sensor with an offset", room, None, unit, text)

@@ -24,7 +24,7 @@ _AXIS: Final = Template(f"""\
     speed_limit: 2 rad/s    # {TO_SET}: a handle that is faster stops the rig
     admittance:             # force in, velocity out
       mode: $mode        # $mode_note
-$velocity_counts      acceleration_limit: 50 rad/s^2
+$velocity_counts$limited      acceleration_limit: 50 rad/s^2
       handle_acceleration: 80 rad/s^2 # {TO_SET}: by drive and hand together, an over-estimate
       position_low: -0.5 rad # {TO_SET}: lowest and highest position to which a command may lead
       position_high: 0.5 rad # {TO_SET}
@@ -43,7 +43,7 @@ environment:
   mass: $mass kg*m^2
   damping: $damping N*m*s/rad
 
-# Every command is certified by the drive's own velocity loop, for every hand.
+# $certified
 passivity:
   algorithm: guarded
   drive_mass: $drive_mass kg*m^2 # {TO_SET}: all that the drive moves up to the sensor, an over-estimate
@@ -54,6 +54,11 @@ passivity:
 $integral$timing  energy_allowance: $allowance J # given out at most; motion starts with it
 """)
 
+_CERTIFIED: Final = "Every command is certified by the drive's own velocity loop, for every hand."
+_UNCERTIFIED: Final = (
+    "Mode 8 has an integral: nothing is certified where holds are uneven (sync_jitter); mode 9 has none."
+)
+
 _BETWEEN: Final = Template("""\
   admittance:
     loop: {gain: $gain N*m*s/rad, integral_gain: $integral N*m/rad}
@@ -62,22 +67,25 @@ _BETWEEN: Final = Template("""\
 """)
 
 
-def display_axis(display: DisplayParameters, counts: float, limit: float) -> str:
+def display_axis(display: DisplayParameters, counts: float, limit: float, unlimited: str) -> str:
     """Returns the keys of an axis that make it an admittance display.
 
     Args:
         display: As the dictionary was judged.
         counts: Of the position [count/rad].
         limit: Of the torque [N*m].
+        unlimited: Why the start writes no limit to 0x6072; "" where it does.
     """
     named = display.force.object
     node = f"        node: {{node_id: 9}}  # {TO_SET}: the drive has no analog input that is known\n"
+    why = f"keep it once torque_limit is set with the vendor's tool (0x6072 is {unlimited})"
     is_velocity = display.mode == "velocity"
     scale = f"      velocity_counts: {counts:.10g} # {TO_SET}: counts of 0x60FF for 1 rad/s of the axis\n"
     return _AXIS.substitute(
         mode=display.mode,
         mode_note="mode 9, 0x60FF" if is_velocity else "mode 8, 0x607A, which the drive interpolates",
         velocity_counts=scale if is_velocity else "",
+        limited=f"      limit_in_drive: true # {TO_SET}: {why}\n" if unlimited else "",
         source=node
         if named is None
         else f"        object: {named}    # {TO_SET}: the input to which the sensor is wired\n",
@@ -94,6 +102,7 @@ def display_rendered(display: DisplayParameters, limit: float, sample_time: floa
     is_position = display.mode == "position"
     line = f"  integral_gain: {number(_OVER * 10.0 * gain)} N*m/rad # {TO_SET}: position gain times loop_gain\n"
     return _RENDERED.substitute(
+        certified=_UNCERTIFIED if is_position and not simulate else _CERTIFIED,
         mass=number(_HELD * (mass + 1.5 * sample_time * gain)),
         damping=number(mass),
         drive_mass=number(_OVER * mass),

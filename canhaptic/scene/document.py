@@ -36,6 +36,7 @@ class MarkedMapping(dict[str, Any]):
         values_at: Places of its values.
         elsewhere: Keys that it may have and that were taken out of it, because something else reads them.
         motion: In what the axis moves that its values belong to; None: as around it.
+        was: Type that it named before an override named one, "" for none; None: no override named one.
     """
 
     def __init__(self, mark: SourceLocation, motion: Motion | None = None) -> None:
@@ -45,6 +46,7 @@ class MarkedMapping(dict[str, Any]):
         self.values_at: dict[str, SourceLocation] = {}
         self.elsewhere: tuple[str, ...] = ()
         self.motion = motion
+        self.was: str | None = None
 
     def put(self, key: str, value: Any, key_at: SourceLocation, value_at: SourceLocation) -> None:
         """Sets one entry with its places."""
@@ -64,7 +66,7 @@ class MarkedMapping(dict[str, Any]):
     def copy(self) -> "MarkedMapping":
         """Returns a copy of the entries and their places; nested values are shared."""
         twin = MarkedMapping(self.mark, self.motion)
-        twin.elsewhere = self.elsewhere
+        twin.elsewhere, twin.was = self.elsewhere, self.was
         twin.update(self)
         twin.keys_at.update(self.keys_at)
         twin.values_at.update(self.values_at)

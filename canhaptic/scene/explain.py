@@ -174,7 +174,8 @@ def _model_in(annotation: object, section: MarkedMapping, owner: type | None) ->
     """Returns the model of a section in a field of this annotation, `owner` where it has none; and further keys."""
     for part in parts_of(annotation):
         if isinstance(part, ComponentOf):
-            return part.model_of(section), (part.selector, *part.apart)
+            table = part.table_for(section)
+            return table.model_of(section), (table.selector, *table.apart)
         if isinstance(part, OnDemand):
             return part.model_of(), ()
         if isinstance(part, type) and (issubclass(part, BaseModel) or dataclasses.is_dataclass(part)):

@@ -53,10 +53,11 @@ def require_no_guesses(scene: Scene) -> None:
         InputError: Some are; names their lines.
     """
     if scene.guessed_timing and refuses_guesses(scene) and not _is_simulated_elsewhere(scene):
+        are_displays = all(scene.axis(name).parameters.admittance for name in scene.guessed_timing)
+        torque = "" if are_displays else ", torque_window, current_lag, device_friction_bound"
         raise InputError(
-            f"{scene.source}: passivity of {', '.join(scene.guessed_timing)}: sync_jitter, torque_window, current_lag, "
-            "device_friction_bound: not all are declared, and the drives are real; measure them (canhaptic commission) "
-            "and put them there"
+            f"{scene.source}: passivity of {', '.join(scene.guessed_timing)}: sync_jitter{torque}: not all are "
+            "declared, and the drives are real; measure them (canhaptic commission) and put them there"
         )
     guesses = guesses_left(scene)
     if guesses and refuses_guesses(scene):

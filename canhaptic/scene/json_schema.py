@@ -25,7 +25,8 @@ _WORDS: Final = {
     "simulation": "What is simulated behind the drives; only without hardware.",
     "accuracy": "How the simulated plant is computed: the resolution of events and of effects that are not exact; or"
     " `auto`, which chooses them.",
-    "log": "Where a run is written to; paths are relative to the current folder, and options of `run` win over them.",
+    "log": "Where a run is written to; paths are relative to the current folder, and options of `run` win over them."
+    " A file that exists is kept, unless `run` has `--force`.",
 }
 _OF_AXIS: Final = {
     "bus": "The bus that the drive is on; needed where there are several.",

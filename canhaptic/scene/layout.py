@@ -223,7 +223,7 @@ def _axis(
 def _own_over_shared(
     shared: MarkedMapping, own: MarkedMapping, name: str, selector: str, faults: Diagnostics, *, is_needed: bool
 ) -> MarkedMapping | None:
-    """Returns a section of an axis: its own keys over the shared ones, unless it names another type.
+    """Returns a section of an axis: its own keys over the shared ones, unless it names another type in the file.
 
     None when there is no such section, with a fault where it is needed.
     """
@@ -234,10 +234,13 @@ def _own_over_shared(
         section = read_mapping(owner[name], owner.value_at(name), faults, f"{selector} and its parameters")
         if section is None:
             continue
-        if result is None or section.get(selector, result.get(selector)) != result.get(selector):
+        is_other = result is None or section.get(selector, result.get(selector)) != result.get(selector)
+        if result is None or (is_other and section.was != ""):
             result = section
-        else:
-            result = section.over(result)
+            continue
+        was = (result.was or result.get(selector)) if is_other else result.was  # an override turns it into another
+        result = section.over(result)
+        result.was = was
     if result is None and is_needed and len(faults) == before:
         faults.add(shared.value_at(name), f"missing; give it here or in the axis, with {selector}")
     return result

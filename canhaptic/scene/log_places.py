@@ -31,7 +31,7 @@ def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
             option = "--log" if key == "log.energy" else "--bus-log"
             raise InputError(
                 f"{scene.source}: {key}: {path} already exists, outside the folder of the scene and the current one; "
-                f"give {option} {path} to replace it"
+                f"give {option} {path} --force to replace it"
             )
         notes.append(f"{key} of {scene.source} is outside its folder: {path}")
     return notes

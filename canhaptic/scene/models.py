@@ -63,6 +63,8 @@ LOOP_KEYS: Final = (
     *("sync_jitter", "torque_window", "current_lag", "delay", "sample_time"),
 )
 """Keys of `passivity` that describe the loop and not the algorithm; the last two follow from the bus."""
+DISPLAY_LOOP_KEYS: Final = ("sync_jitter",)
+"""Those of an admittance display: the rest of its loop is in `admittance`."""
 _MOVES_IN_METRES: Final = ("planar_2r", "five_bar")
 """Kinematics whose task space is in metres, for linear and rotary motors."""
 
@@ -78,14 +80,16 @@ Algorithm = Annotated[
     ComponentSpec,
     ComponentByDisplay(
         ComponentOf(ALGORITHMS, "passivity algorithm", "algorithm", LOOP_KEYS),
-        ComponentOf(DISPLAY_ALGORITHMS, "algorithm of an admittance display", "algorithm"),
+        ComponentOf(DISPLAY_ALGORITHMS, "algorithm of an admittance display", "algorithm", DISPLAY_LOOP_KEYS),
     ),
 ]
 GroupAlgorithm = Annotated[
     ComponentSpec,
     ComponentByDisplay(
         ComponentOf(GROUP_ALGORITHMS, "group algorithm", "algorithm", LOOP_KEYS),
-        ComponentOf(DISPLAY_GROUP_ALGORITHMS, "algorithm of several admittance displays", "algorithm"),
+        ComponentOf(
+            DISPLAY_GROUP_ALGORITHMS, "algorithm of several admittance displays", "algorithm", DISPLAY_LOOP_KEYS
+        ),
     ),
 ]
 GroupNetwork = Annotated[
@@ -106,9 +110,15 @@ class SceneContext(UnitContext):
     """Context of the validation of a scene."""
 
     bus: BusParameters | None = None  # once it is validated
+    has_simulation: bool = False
     code: OwnCode = field(default_factory=lambda: OwnCode(Path()))
     displays: set[str] = field(default_factory=set)  # axes that are admittance displays, as far as they are read
     is_display: bool = False  # whether the last of them is one
+
+    @property
+    def simulated(self) -> bool:
+        """As that of `Scene`."""
+        return self.has_simulation and self.bus is not None and self.bus.interface == "virtual"
 
 
 class RunParameters(Parameters):
@@ -368,6 +378,8 @@ def _drop_later(axis: dict[str, Any]) -> None:
     for key in LATER_LOOP_KEYS:
         if not axis["loop"][key]:
             del axis["loop"][key]
+    if "admittance" in axis and not axis["admittance"]["limit_in_drive"]:
+        del axis["admittance"]["limit_in_drive"]
     passivity = axis["passivity"]
     for key, default in (("hand_push", None), ("earned_energy", None), ("drag", 0.0)):
         if key in passivity and passivity[key] == default:

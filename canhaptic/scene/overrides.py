@@ -14,6 +14,8 @@ from canhaptic.scene.old_names import path_now
 from canhaptic.units import shown
 
 _PATH: Final = re.compile(r'(?:"[^"]*"|[^".=]+)(?:\.(?:"[^"]*"|[^".=]+))*')
+_SELECTORS: Final = ("type", "algorithm")
+"""Keys that choose what the other keys of their section are."""
 _LONGEST: Final = 120  # characters of an override that a message shows
 _PART: Final = re.compile(r'"([^"]*)"|([^".=]+)')
 
@@ -42,6 +44,8 @@ def _put(container: Any, path: tuple[str, ...], value: Any, mark: SourceLocation
         last = depth == len(path) - 1
         if isinstance(container, MarkedMapping):
             if last:
+                if part in _SELECTORS and container.was is None:
+                    container.was = str(container.get(part, ""))
                 container.put(part, value, here, here)
                 return
             if container.get(part) is None:

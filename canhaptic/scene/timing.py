@@ -5,7 +5,7 @@ come, which the bit rate of the bus bounds, whether the simulated bus takes its 
 is derived: there it is measured (`canhaptic commission`) and declared, and until then no real drive runs.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import replace
 from typing import Final
 
@@ -17,7 +17,7 @@ from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.errors import CanHapticError
 from canhaptic.scene.device_bounds import rests_on_hand_force
 from canhaptic.scene.further_bus import NamedBus
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.models import DISPLAY_LOOP_KEYS, AxisScene, Scene
 
 GUESSES: Final = {"sync_jitter": 0.05, "torque_window": 100e-6, "current_lag": 500e-6}
 """Taken for real drives until it is declared, with the time that event RPDOs take; no real drive runs on them."""
@@ -63,15 +63,18 @@ def _with_guesses(scene: Scene) -> Scene:
     guessed = tuple(
         axis.parameters.name
         for axis in axes
-        if (guesses[axis.parameters.name] and _is_certified(scene, axis))
+        if not _rests_on(scene, axis).isdisjoint(guesses[axis.parameters.name])
         or (axis.loop.device_friction_bound is None and rests_on_hand_force(scene, axis))
     )
     return replace(scene, axes=tuple(axes), guessed_timing=guessed)
 
 
-def _is_certified(scene: Scene, axis: AxisScene) -> bool:
-    """Whether the algorithm of an axis promises anything that rests on its holds."""
-    return hasattr(scene.passivity_of(axis).parameters, "hand_force")
+def _rests_on(scene: Scene, axis: AxisScene) -> Set[str]:
+    """Returns which of these the promise of an axis rests on; empty where its algorithm makes none."""
+    known = scene.passivity_of(axis).parameters
+    if hasattr(known, "hand_force"):
+        return GUESSES.keys()
+    return set(DISPLAY_LOOP_KEYS if hasattr(known, "loop_gain") else ())
 
 
 def _effects(scene: Scene, bus: NamedBus) -> Mapping[str, float]:

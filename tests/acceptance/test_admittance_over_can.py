@@ -23,6 +23,7 @@ from canhaptic.errors import (
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import RunResult
 from canhaptic.scene.build import Experiment, build
+from canhaptic.scene.display_hints import display_hints
 from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.drive.profile.state_machine import DriveState
@@ -47,6 +48,32 @@ def test_force_comes_in_and_velocity_goes_out(mode: str) -> None:
     drive = experiment.far_side.drives[0] if experiment.far_side else None
     assert drive is not None
     assert drive.store.entry(0x6061, 0x02).value == (9 if mode == "velocity" else 8)
+
+
+@pytest.mark.parametrize(("jitter", "certificate"), [(0.039, "none"), (0.041, "velocity_loop")])
+def test_a_display_keeps_its_promise_where_holds_are_as_uneven_as_declared(jitter: float, certificate: str) -> None:
+    """SYNCs are up to 0.04 ms of 1 ms late."""
+    uneven = "simulation.bus={stall: [{begin: 0.2, duration: 0.04 ms, every: 0.0113}]}"
+    account, _ = _run(uneven, f"passivity.sync_jitter={jitter}", "environment.mass=1")
+    port, truth = account["ports"]["handle"], account["truth"]["handle"]
+    assert port["certificate"] == certificate
+    assert truth["interaction"] > 0.1
+    assert truth["least_interaction"] >= -1e-3  # the energy allowance of the scene
+    assert truth["least_interaction"] >= port["least_interaction"] - 1e-9
+
+
+def test_a_declared_jitter_raises_the_mass_felt_and_lowers_the_speed_of_the_start() -> None:
+    even, uneven = ({hint.what: hint.limit or 0.0 for hint in display_hints(load_scene(SCENE, values))}
+                    for values in ((), ("passivity.sync_jitter=20 %",)))  # fmt: skip
+    drive_mass, start = 2.1, "speed at which motion starts"
+    assert uneven["mass felt, at least"] - drive_mass == pytest.approx(1.2 * (even["mass felt, at least"] - drive_mass))
+    assert uneven[start] == pytest.approx(even[start] / math.sqrt(1.2))
+
+
+def test_a_drive_with_an_integral_certifies_no_uneven_hold_and_the_check_says_so() -> None:
+    overrides = ("axes.0.admittance.mode=position", "passivity.integral_gain=6600", "passivity.sync_jitter=1 %")
+    assert any(hint.exceeded and "integral" in hint.text for hint in display_hints(load_scene(SCENE, overrides)))
+    assert _run(*overrides, cycles=300)[0]["ports"]["handle"]["certificate"] == "none"
 
 
 def test_the_account_is_a_lower_bound_of_the_energy_at_the_sensor() -> None:

@@ -134,7 +134,7 @@ def test_a_good_run_keeps_the_recording_of_the_fault_before(tmp_path: Path, monk
     assert main([*words, "--set", "axes.0.speed_limit=1e-6"]) == 3
     recorded = path.read_bytes()
     assert list(read_bus_log(path))
-    assert main(words) == 0
+    assert main([*words, "--force"]) == 0
     assert path.read_bytes() == recorded
 
 
@@ -277,14 +277,54 @@ def test_a_scene_replaces_no_file_outside_its_folder_and_says_where_it_writes(
     assert main(words) == 0
     assert "is outside its folder: ../mine.log" in capsys.readouterr().err
     assert target.exists()
-    assert main([*words, "--log" if key == "energy" else "--bus-log", "../mine.log"]) == 0
+    assert main([*words, "--force"]) == 2  # the scene's own name for it is not enough
+    assert main([*words, "--log" if key == "energy" else "--bus-log", "../mine.log", "--force"]) == 0
 
 
-@pytest.mark.slow
-def test_a_log_in_the_folder_of_the_scene_or_the_current_one_is_replaced_as_ever(
+# --- a second run with the same words -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("taken", ["run.h5", "run.log"])
+@pytest.mark.parametrize("named_by", ["option", "scene"])
+def test_a_log_that_exists_is_kept_and_nothing_is_started(
+    taken: str, named_by: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("canhaptic.cli.run.build", lambda *_: pytest.fail("something was started"))
+    Path(taken).write_text("mine")
+    words = ["--log", "run.h5", "--bus-log", "run.log"]
+    if named_by == "scene":
+        words = ["--set", "log.energy=run.h5", "--set", "log.bus=run.log"]
+    assert main(["run", DEMO, *words]) == 2
+    assert capsys.readouterr().err == (
+        f"canhaptic: error: {taken} already exists; --force replaces it, or name another file\n"
+    )
+    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [(taken, "mine")]
+
+
+def test_what_a_killed_run_left_of_a_log_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    left = tmp_path / "run.blf.log"
+    left.write_text("mine")
+    assert main(["run", DEMO, "--bus-log", str(tmp_path / "run.blf")]) == 2
+    assert f"{left} already exists" in capsys.readouterr().err
+
+
+def test_force_replaces_both_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    energy, bus = tmp_path / "run.h5", tmp_path / "run.log"
+    for path in (energy, bus):
+        path.write_text("mine")
+    assert main(["run", DEMO, "--duration", "0.02", "--log", str(energy), "--bus-log", str(bus), "--force"]) == 0
+    assert capsys.readouterr().out
+    with EnergyLog.open(energy) as log:
+        assert log.status == "completed"
+    assert list(read_bus_log(bus))
+
+
+def test_no_command_but_run_writes_what_a_scene_names(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for _ in range(2):
-        assert main(["run", DEMO, "--duration", "0.1", "--set", "log.energy=run.h5"]) == 0
-        assert "outside" not in capsys.readouterr().err
+    named = [word for key in ("energy=run.h5", "bus=run.log") for word in ("--set", f"log.{key}")]
+    assert main(["compare", DEMO, "--can", "--duration", "0.02", "--algorithms", "unprotected", *named]) == 0
+    assert capsys.readouterr().out
+    assert not list(tmp_path.iterdir())

@@ -1,11 +1,18 @@
 """Values that override a scene from the command line, and the faults that name them."""
 
+import re
+import warnings
 from pathlib import Path
 
 import pytest
 
-from canhaptic.errors import SceneError
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_ENVIRONMENTS, DISPLAY_GROUP_ALGORITHMS
+from canhaptic.control.environments import ENVIRONMENTS
+from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.errors import OverrideWarning, SceneError
 from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import Scene
+from canhaptic.simulation import simulate
 from tests.scene.scene_text import SHIPPED_EDS, faults, scene_file
 
 
@@ -69,3 +76,109 @@ def test_a_dictionary_in_an_override_is_relative_to_the_current_folder(
     monkeypatch.chdir("/")
     with pytest.raises(SceneError, match="no such file"):
         load_scene(path, ["axes.0.eds=own.eds"])
+
+
+# --- another type -----------------------------------------------------------------------------------------------------
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+SWITCHES = [
+    ("demo.yaml", "passivity.algorithm", ALGORITHMS),
+    ("demo.yaml", "axes.0.passivity.algorithm", ALGORITHMS),
+    ("demo.yaml", "environment.type", ENVIRONMENTS),
+    ("paper_fig5_100hz.yaml", "passivity.algorithm", ALGORITHMS),
+    ("two_handles.yaml", "groups.0.passivity.algorithm", {"guarded": "", "step_scaling": ""}),
+    ("admittance/virtual_mass.yaml", "passivity.algorithm", DISPLAY_ALGORITHMS),
+    ("admittance/virtual_mass.yaml", "environment.type", DISPLAY_ENVIRONMENTS),
+    ("admittance/guided_path.yaml", "groups.0.passivity.algorithm", DISPLAY_GROUP_ALGORITHMS),
+]
+
+
+def switched(scene: str, *overrides: str) -> tuple[Scene, list[str]]:
+    """The scene, and what was said of keys that were dropped."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        loaded = load_scene(CONFIGS / scene, overrides)
+    return loaded, [str(warning.message) for warning in said]
+
+
+@pytest.mark.parametrize(("scene", "key"), [(scene, key) for scene, key, _ in SWITCHES])
+def test_every_type_can_be_set_or_one_line_says_what_it_needs(scene: str, key: str) -> None:
+    """What the line says is then typed: the path leads to a scene."""
+    for name in next(table for of, path, table in SWITCHES if (of, path) == (scene, key)):
+        overrides = [f"{key}={name}"]
+        try:
+            switched(scene, *overrides)
+        except SceneError as error:
+            [fault] = error.faults
+            needed = re.findall(
+                r"--set (?!axes.0.passivity.algorithm|passivity.algorithm|environment.type)(\S+)=('[^']+'|[\w.]+)",
+                fault,
+            )
+            assert needed, fault
+            in_place = [f"{path}={value.strip(chr(39))}" for path, value in needed]
+            if name == "two_sided_wall":
+                in_place[-1] = "environment.upper=2 m"  # one has to be above the other
+            switched(scene, *overrides, *in_place)
+
+
+def test_keys_that_only_the_old_type_has_are_dropped_and_named_in_one_line() -> None:
+    scene, said = switched("hard/stiff_wall.yaml", "passivity.algorithm=unprotected")
+    assert scene.axes[0].passivity.name == "unprotected"
+    assert scene.axes[0].loop.moving_mass == 0.24  # what both know is kept
+    assert said == [
+        "--set passivity.algorithm=unprotected: passivity: hand_force, hand_push: dropped, as 'unprotected' in place "
+        "of 'guarded' has no such key"
+    ]
+
+
+def test_an_axis_that_is_set_to_another_type_keeps_what_is_known_of_its_loop() -> None:
+    scene, [said] = switched("demo.yaml", "axes.0.passivity.algorithm=unprotected")
+    assert scene.axes[0].loop.moving_mass == 0.2
+    assert "axes.0.passivity: hand_force, hand_push: dropped" in said
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["passivity.hand_force=3"], "--set passivity.hand_force=3: passivity.hand_force: unknown key"),
+        (["passivity.hand_frce=3"], "passivity.hand_frce: unknown key"),
+    ],
+)
+def test_a_key_that_is_set_by_hand_is_never_dropped(overrides: list[str], words: str) -> None:
+    with pytest.raises(SceneError, match=words):
+        switched("demo.yaml", "passivity.hand_push=1", "passivity.algorithm=unprotected", *overrides)
+
+
+def test_a_type_that_is_set_back_drops_nothing() -> None:
+    scene, said = switched("demo.yaml", "passivity.algorithm=unprotected", "passivity.algorithm=guarded")
+    assert not said
+    assert scene.config_hash() == switched("demo.yaml")[0].config_hash()
+
+
+def test_a_wrong_key_of_the_file_is_an_error_whatever_type_is_set(tmp_path: Path) -> None:
+    text = (
+        (CONFIGS / "demo.yaml")
+        .read_text()
+        .replace("hand_push:", "hand_psh:")
+        .replace("cia402_servo.eds", str(SHIPPED_EDS))
+    )
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(text)
+    with pytest.raises(SceneError, match="hand_psh: unknown key"), pytest.warns(OverrideWarning):
+        load_scene(scene, ["passivity.algorithm=unprotected"])
+
+
+@pytest.mark.parametrize("key", ["passivity.algorithm", "axes.0.passivity.algorithm"])
+def test_of_a_real_bus_nothing_is_dropped(key: str) -> None:
+    with pytest.raises(SceneError) as raised:
+        load_scene(CONFIGS / "socketcan_example.yaml", [f"{key}=unprotected"])
+    assert raised.value.faults == (
+        f"--set {key}=unprotected: {key}: got 'unprotected' in place of 'guarded', which has no hand_force, hand_push; "
+        "drives may be real, and nothing is dropped: take it out of the scene",
+    )
+
+
+def test_a_script_sets_another_type_as_the_command_line_does() -> None:
+    with pytest.warns(OverrideWarning, match="hand_force, hand_push: dropped"):
+        result = simulate(CONFIGS / "demo.yaml", {"passivity.algorithm": "unprotected"}, duration=0.05, progress=False)
+    assert result.account.raw["ports"]["handle"]["certificates"] == []

@@ -174,7 +174,7 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         self._margin = LateMargin()
         self._memory = margin_memory(self._properties[0].latency, list_of_zeros)
         self._h_s = self._surplus = self._taken = 0.0
-        uneven = self._properties[0].jitter > 0.0  # what fills an integral is then not known
+        uneven = any(of.jitter > 0.0 for of in self._properties)  # what fills an integral is then not known
         self._is_unsure, self._started = uneven and self._parameters.integral_gain > 0.0, False
         self._last = group_at_rest(self.axes)
 

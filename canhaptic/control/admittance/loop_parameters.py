@@ -60,11 +60,12 @@ def loop_settings(parameters: GuardedDisplayParameters, properties: DisplayPrope
             raise ParameterError(
                 f"guarded: {key}: got {getattr(parameters, key)}, expected 0 with an integral_gain: {why}"
             )
-    least, longest = 1.0 - parameters.spread, properties.sample_time * (1.0 + properties.jitter)
+    least, jitter = 1.0 - parameters.spread, properties.jitter
     return VelocityLoopSettings(
-        longest, properties.delay, parameters.max_consecutive_losses, parameters.drive_mass,
+        properties.longest_hold, properties.delay, parameters.max_consecutive_losses, parameters.drive_mass,
         parameters.loop_gain, parameters.loop_gain * least, parameters.integral_gain, parameters.integral_gain * least,
         properties.encoder_count, properties.torque_limit, properties.handle_acceleration,
+        (1.0 - jitter) / (1.0 + jitter),
     )  # fmt: skip
 
 

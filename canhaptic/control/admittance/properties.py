@@ -40,3 +40,8 @@ class DisplayProperties(Parameters):
     """Largest position to which a command may lead."""
     torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0)] = 1e9
     """Largest torque of the drive."""
+
+    @property
+    def longest_hold(self) -> float:
+        """How long a hold lasts at most [s]: what it costs and leaves open grows with it."""
+        return self.sample_time * (1.0 + self.jitter)

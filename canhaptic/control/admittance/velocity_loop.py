@@ -33,7 +33,7 @@ from canhaptic.kernels import Buffer
 class VelocityLoopSettings:
     """Declared properties of the drive."""
 
-    sample_time: float  # [s]
+    sample_time: float  # the longest hold [s]
     delay: int
     losses: int  # consecutive RPDOs that may be lost
     mass: float  # over-estimate [kg or kg*m^2]
@@ -44,6 +44,7 @@ class VelocityLoopSettings:
     count: float  # of the encoder [m or rad]
     torque_limit: float  # [N or N*m]
     acceleration: float = 0.0  # largest of the handle [m/s^2 or rad/s^2]
+    evenness: float = 1.0  # the shortest hold, as a part of the longest
 
 
 @dataclass(slots=True)
@@ -76,6 +77,7 @@ def may_limit(settings: VelocityLoopSettings, loop: LoopState, command: float, m
     time, speed = settings.sample_time, abs(loop.velocity)
     span, unseen = (settings.delay + 1 + settings.losses) * time, missed * time
     change = settings.acceleration * (span + unseen + 0.5 * time * loop.holds)
+    change += speed * (1.0 / settings.evenness - 1.0)  # the way of the last hold may have taken less time
     ahead = (abs(command) + speed + change) * span + (speed + change) * unseen
     torque = settings.gain * (abs(command - loop.velocity) + change)
     torque += settings.integral * (abs(loop.lead) + settings.count + ahead)
@@ -117,7 +119,9 @@ def _by_damping(settings: VelocityLoopSettings, command: float, moved: float) ->
     nearest = turn if turn > moved - count else moved - count
     nearest = nearest if nearest < moved + count else moved + count
     power = nearest * (nearest / time - command)
-    apart = abs(moved / time - command) + 0.5 * settings.acceleration * time + count / time
+    shortest = time * settings.evenness
+    apart = max(abs(moved / time - command), abs(moved / shortest - command))
+    apart += 0.5 * settings.acceleration * time + count / shortest
     if apart * settings.gain > settings.torque_limit:
         least = settings.torque_limit / apart
         least = least if least < settings.gain_least else settings.gain_least

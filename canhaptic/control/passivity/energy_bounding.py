@@ -76,7 +76,8 @@ def settings_of(
     if not loop.device_damping:
         raise ParameterError(
             f"energy_bounding: got device_damping {loop.device_damping!r}, expected > 0; it renders nothing "
-            "without certain damping: measure it and give passivity.device_damping, or choose another algorithm"
+            "without certain damping: measure it and give passivity.device_damping "
+            "(--set passivity.device_damping=0.1), or choose another algorithm"
         )
     timing = loop.timing
     promised = Certificate.NONE if timing.late else Certificate.DEVICE_DAMPING

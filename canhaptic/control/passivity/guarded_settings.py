@@ -167,8 +167,8 @@ def _require_certifiable(parameters: GuardedParameters, loop: LoopProperties, *,
     if not (by_hand_force or loop.device_damping or loop.device_friction or parameters.hand_speed):
         raise ParameterError(
             "guarded: got neither moving_mass with hand_force, nor device_damping, nor device_friction, nor "
-            "hand_speed, expected one of them; without any no torque can be certified: declare what is known or choose "
-            "another algorithm"
+            "hand_speed, expected one of them; without any no torque can be certified: declare what is known "
+            "(--set passivity.moving_mass=0.2 --set passivity.hand_force=0) or choose another algorithm"
         )
 
 

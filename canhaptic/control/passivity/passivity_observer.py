@@ -82,7 +82,8 @@ def observer_settings(
     if limit is None and loop.moving_mass is None:
         raise ParameterError(
             f"{algorithm}: got neither damping_limit nor moving_mass, expected one of them to bound the "
-            "damper; give passivity.damping_limit, or passivity.moving_mass for the cap it implies"
+            "damper; give passivity.damping_limit, or passivity.moving_mass for the cap it implies "
+            "(--set passivity.moving_mass=0.2)"
         )
     if limit is None:
         limit = max(0.0, damping_cap(loop.delay, loop.moving_mass, loop.sample_time) - environment.damping)

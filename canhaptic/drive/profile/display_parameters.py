@@ -93,6 +93,8 @@ class DisplayParameters(Parameters):
     """Lowest position to which a command may lead."""
     position_high: Annotated[float, quantity("m", "rad", ge=-1e6, le=1e6)] | None = None
     """Highest position to which a command may lead."""
+    limit_in_drive: bool = False
+    """Whether `torque_limit` was set in the drive with the vendor's tool: needed where 0x6072 cannot be written."""
     stop_time: Annotated[float, quantity("s", gt=0.0, le=10.0)] = 0.5
     """Time that a quick stop may take."""
     force: ForceParameters

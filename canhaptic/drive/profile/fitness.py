@@ -31,6 +31,10 @@ _MODES: Final = {
 }
 _PERIOD_EXPONENTS: Final = (-3, -4, -5, -6)  # of 0x60C2:02, coarsest first: some drives take milliseconds alone
 _ANY_EXPONENT: Final = -3
+_LIMIT_NEEDED: Final = (
+    "set torque_limit in the drive with the vendor's tool and say so with admittance.limit_in_drive: true; an "
+    "admittance display on a real interface is refused without"
+)
 _RATED_TORQUE_TOLERANCE: Final = 1e-3  # configuration and drive may differ by rounding, not by more
 
 
@@ -189,15 +193,11 @@ def _rated_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding
 
 def _max_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
     item = "0x6072 max torque"
-    variable = dictionary.get_variable(od.MAX_TORQUE, 0)
-    if variable is None:
-        return Finding(
-            item, Verdict.UNKNOWN, f"missing; the limit of {axis.torque_limit:g} is kept by the master alone"
-        )
-    if not quirks_of(axis.quirks).writes_max_torque:
-        return Finding(item, Verdict.UNKNOWN, f"not written (quirks); the master alone keeps {axis.torque_limit:g}")
-    if not variable.writable:
-        return Finding(item, Verdict.UNKNOWN, f"read-only; the limit of {axis.torque_limit:g} is kept by the master")
+    if state := max_torque_unwritten(dictionary, axis):
+        is_set = axis.admittance is not None and axis.admittance.limit_in_drive
+        keeper = "the drive itself (limit_in_drive)" if is_set else "the master alone"
+        kept = f"{state}; {keeper} keeps {axis.torque_limit:g}"
+        return Finding(item, Verdict.UNKNOWN, limit_objection(dictionary, axis) or kept)
     values = () if axis.rated_torque is None else (_max_torque_value(axis, axis.rated_torque),)
     use = ObjectUse(od.MAX_TORQUE, reads=True, writes=True, values=values)
     if (text := objection(dictionary, use)) is not None:
@@ -208,6 +208,23 @@ def _max_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
             "choose another torque_limit, or quirks: [max_torque_absent]",
         )
     return Finding(item, Verdict.FIT, f"written from torque_limit {axis.torque_limit:g}")
+
+
+def max_torque_unwritten(dictionary: Dictionary, axis: TorqueAxisParameters) -> str:
+    """Returns why the start writes no limit to 0x6072; "" where it does."""
+    variable = dictionary.get_variable(od.MAX_TORQUE, 0)
+    if variable is None:
+        return "not listed"
+    if not quirks_of(axis.quirks).writes_max_torque:
+        return "not written (quirks)"
+    return "" if variable.writable else "read-only"
+
+
+def limit_objection(dictionary: Dictionary, axis: TorqueAxisParameters) -> str:
+    """Returns why nothing in the drive limits the torque of an admittance display, and the remedy; "" otherwise."""
+    state = max_torque_unwritten(dictionary, axis)
+    is_needed = axis.admittance is not None and not axis.admittance.limit_in_drive
+    return f"{state}; {_LIMIT_NEEDED}" if state and is_needed else ""
 
 
 def _max_torque_value(axis: TorqueAxisParameters, rated_torque: float) -> int:

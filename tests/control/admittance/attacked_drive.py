@@ -6,6 +6,7 @@ M v' = f + F,  f = c (r - v) + f_I,  f_I' = k (r - v)          state (q, v, f_I)
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,15 +34,15 @@ class AttackedDrive:
     def __post_init__(self) -> None:
         m, c, k = self.mass, self.gain, self.integral
         rates = np.array([[0, 1, 0, 0, 0], [0, -c / m, 1 / m, 1 / m, c / m], [0, -k, 0, 0, k], [0] * 5, [0] * 5], float)
-        self.flow = expm(rates * self.sample_time / self.substeps)
+        self.flow_of = cache(lambda lasts: expm(rates * lasts * self.sample_time / self.substeps))
 
-    def hold(self, command: float, hand: Hand) -> None:
-        """Moves on by one hold."""
-        step = self.sample_time / self.substeps
+    def hold(self, command: float, hand: Hand, lasts: float = 1.0) -> None:
+        """Moves on by one hold of so many sample times."""
+        step, flow = lasts * self.sample_time / self.substeps, self.flow_of(lasts)
         for _ in range(self.substeps):
             self.force = hand(self, command)
             before = self.state[0]
-            self.state = (self.flow @ np.array([*self.state, self.force, command]))[:3]
+            self.state = (flow @ np.array([*self.state, self.force, command]))[:3]
             self.energy += self.force * (self.state[0] - before)
             self.impulse += self.force * step
 

@@ -34,6 +34,8 @@ class _Rig:
     hand_force: float = 0.0
     torque_limit: float = 1e9
     slew: float = 1e-6
+    jitter: float = 0.0  # declared
+    uneven: float = 0.0  # every hold lasts T (1 +- this), or the longest of them where it is negative
 
     @property
     def gain(self) -> float:
@@ -43,7 +45,7 @@ class _Rig:
         properties = DisplayProperties(
             sample_time=self.time, delay=self.delay, sampling="mean", latency=self.latency, force_slew=self.slew,
             handle_acceleration=self.acceleration, encoder_count=self.count, speed_limit=3.0, acceleration_limit=1000.0,
-            torque_limit=self.torque_limit,
+            torque_limit=self.torque_limit, jitter=self.jitter,
         )  # fmt: skip
         known = {
             "drive_mass": self.mass, "loop_gain": self.gain, "integral_gain": self.gain * self.corner,
@@ -89,11 +91,13 @@ class _Loop:
             self.row += 1
         else:
             self.row, self.acting = 0, command
-        before = self.drive.state[0]
-        self.drive.hold(self.acting, hand)
-        unlike = abs(self.drive.state[1] - (self.drive.state[0] - before) / self.rig.time)
-        self.fastest = max(self.fastest, 2.0 * unlike / self.rig.time)
-        mean = (self.drive.impulse - self.impulse) / self.rig.time
+        before, uneven = self.drive.state[0], self.rig.uneven
+        lasts = 1.0 - uneven if uneven < 0.0 else 1.0 + uneven * float(self.random.integers(-2, 3)) / 2.0
+        time = lasts * self.rig.time
+        self.drive.hold(self.acting, hand, lasts)
+        unlike = abs(self.drive.state[1] - (self.drive.state[0] - before) / time)
+        self.fastest = max(self.fastest, 2.0 * unlike / time)
+        mean = (self.drive.impulse - self.impulse) / time
         self.impulse = self.drive.impulse
         self.late.append(mean)
         force = self.late.pop(0)
@@ -149,7 +153,22 @@ def test_no_hand_gets_more_than_it_gave(seed: int) -> None:
         assert loop.least >= -rig.allowance - 1e-9
 
 
-def _taken(rig: _Rig, share: float = 0.5, **declared: float) -> float:
+@pytest.mark.parametrize("seed", range(10))
+def test_no_hand_gets_more_than_it_gave_where_holds_are_as_uneven_as_declared(seed: int) -> None:
+    random = np.random.default_rng(900 + seed)
+    uneven = float(random.choice([0.05, 0.2, 0.5]))
+    rig = replace(_random_rig(random), corner=0.0, virtual_mass=0.2, jitter=uneven, uneven=uneven)
+    loop = _Loop(rig, rig.controller(), random)
+    hand = _steady(_random_hand(random), loop.drive.substeps)
+    for hold in range(400):
+        loop.sync(hand)
+        if loop.fastest > rig.acceleration:
+            assert hold >= 20
+            return
+        assert loop.least >= -rig.allowance - 1e-9
+
+
+def _taken(rig: _Rig, share: float = 0.5, uneven: float = 0.0, **declared: float) -> float:
     """Returns the energy that is left [J] where a hand pushes, then takes all it can while no sample comes."""
     random = np.random.default_rng(1)
     loop = _Loop(rig, rig.controller(**declared), random)
@@ -158,6 +177,7 @@ def _taken(rig: _Rig, share: float = 0.5, **declared: float) -> float:
         loop.sync(push)
     assert loop.fastest <= rig.acceleration
     assert loop.cut > 0  # the guard is at its limit
+    loop.rig = replace(rig, uneven=uneven)
     take = attack.greedy(1e9, share)
     for _ in range(12):
         loop.sync(take, heard=False)
@@ -174,6 +194,12 @@ def test_the_worst_hand_takes_nearly_all_and_no_more(delay: int) -> None:
     left = _taken(rig)
     fed = 0.5 * rig.mass * 0.5**2
     assert -1e-9 <= left <= 0.15 * fed
+
+
+@pytest.mark.parametrize("jitter", [0.05, 0.1])
+def test_holds_longer_than_declared_cost_what_a_declared_jitter_keeps(jitter: float) -> None:
+    assert _taken(replace(_SHARP, jitter=jitter), uneven=-jitter) >= -1e-9
+    assert _taken(_SHARP, uneven=-jitter) < -1e-4
 
 
 @pytest.mark.parametrize("name", ["drive_mass", "loop_gain"])

@@ -7,10 +7,12 @@ import pytest
 
 from canhaptic.control.admittance.motion import DisplayMotion, send
 from canhaptic.control.admittance.velocity_loop import (
+    LoopState,
     VelocityLoopSettings,
     fastest,
     gained,
     loss_under_way,
+    may_limit,
     sequence_loss,
 )
 
@@ -84,11 +86,15 @@ def test_the_gain_by_encoder_and_command_is_the_least_of_all_motions_of_that_way
     assert least - found <= 4e-3 * scale
 
 
-def test_a_drive_at_its_torque_limit_proves_no_more_than_it_brakes() -> None:
+@pytest.mark.parametrize("evenness", [1.0, 0.4])
+def test_a_drive_at_its_torque_limit_proves_no_more_than_it_brakes(evenness: float) -> None:
     random, gain, limit, time, acceleration = np.random.default_rng(5), 1600.0, 300.0, 2e-3, 400.0
-    settings = replace(_settings(gain, 0.0, time=time), torque_limit=limit, acceleration=acceleration)
-    step, at_limit = time / 400, 0
+    settings = replace(
+        _settings(gain, 0.0, time=time), torque_limit=limit, acceleration=acceleration, evenness=evenness
+    )
+    at_limit = 0
     for _ in range(300):
+        step = time * random.uniform(evenness, 1.0) / 400
         slopes = np.repeat(random.uniform(-acceleration, acceleration, 8), 50)
         speed = random.uniform(-2.0, 2.0) + np.cumsum(slopes) * step
         command = random.uniform(-1.5, 1.5)
@@ -98,6 +104,14 @@ def test_a_drive_at_its_torque_limit_proves_no_more_than_it_brakes() -> None:
         found = gained(settings, 0.0, ring, motion, float(speed.sum() * step))
         assert found <= -float((torque * speed).sum() * step) + 1e-3  # of the steps
     assert at_limit > 100
+
+
+def test_a_hold_shorter_than_the_sample_time_was_faster_and_may_reach_the_torque_limit() -> None:
+    """0.9 m/s over T are 1.125 m/s where the hold lasted 0.8 T."""
+    settings = replace(_settings(100.0, 0.0), torque_limit=110.0)
+    loop = LoopState(velocity=0.9)
+    assert not may_limit(settings, loop, 0.0, 0)
+    assert may_limit(replace(settings, evenness=0.8 / 1.2), loop, 0.0, 0)
 
 
 @pytest.mark.parametrize("seed", range(16))

@@ -1,0 +1,79 @@
+"""`check-eds --display`, `new --display`, `check` and `run` say the same of every dictionary, simulated and real."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from canhaptic.cli.main import main
+
+OURS = Path(__file__).resolve().parents[2] / "eds"
+VENDORS = (
+    *("elmo_gold.dcf", "elmo_simpliq.dcf", "kollmorgen_rgm.eds", "maxon_epos2.eds", "maxon_epos4.dcf"),
+    *("schunk_prl.dcf", "zeroerr_erob.eds"),
+)
+NAMES = [*sorted(path.name for path in OURS.glob("*.eds")), *VENDORS]
+LIMIT = re.compile(r"(?m)^ *limit_in_drive:.*\n")
+
+
+def dictionary(name: str, request: pytest.FixtureRequest) -> str:
+    """The path of a dictionary; skips, visibly, where it is a vendor's and their folder is not named."""
+    return str((request.getfixturevalue("vendor_eds") if name in VENDORS else OURS) / name)
+
+
+def judged(eds: str, mode: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any]]:
+    status = main(["check-eds", eds, "--display", mode, "--json"])
+    return status, json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("mode", ["velocity", "position"])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_dictionary_that_is_fit_gives_a_simulated_display_that_runs_and_another_none(
+    name: str, mode: str, request: pytest.FixtureRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    eds, scene = dictionary(name, request), str(tmp_path / "rig.yaml")
+    unfit, found = judged(eds, mode, capsys)
+    status = main(["new", eds, "--display", mode, "--simulate", "--out", scene])
+    if unfit:
+        assert status == 2
+        assert "; ".join(found["reasons"]) in capsys.readouterr().err
+        return
+    assert status == 0
+    assert main(["check", scene, "--json"]) == 0
+    assert main(["run", scene, "--duration", "0.02", "--json"]) == 0
+
+
+@pytest.mark.parametrize("mode", ["velocity", "position"])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_dictionary_that_is_fit_gives_a_real_display_that_waits_for_its_marks_alone(
+    name: str, mode: str, request: pytest.FixtureRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    eds, scene = dictionary(name, request), tmp_path / "rig.yaml"
+    channel = ["--set", "bus.channel=no_such_bus"]
+    unfit, found = judged(eds, mode, capsys)
+    status = main(["new", eds, "--display", mode, "--out", str(scene)])
+    if unfit:
+        assert status == 2
+        assert "; ".join(found["reasons"]) in capsys.readouterr().err
+        return
+    assert status == 0
+    assert main(["check", str(scene), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["to_set"]
+    assert main(["run", str(scene), *channel]) == 2
+    assert "marked TO SET" in capsys.readouterr().err
+    scene.write_text(scene.read_text().replace("TO SET", ""))
+    assert main(["check", str(scene), "--json"]) == 0
+    assert main(["run", str(scene), *channel]) != 0
+    assert "no_such_bus: interface: got none" in capsys.readouterr().err  # all that is left is the bus
+    said = [text for text in found["conditions"] if text.startswith("0x6072") and "limit_in_drive" in text]
+    assert bool(said) == bool(LIMIT.search(scene.read_text()))
+    scene.write_text(LIMIT.sub("", scene.read_text()))
+    for command in ("check", "run"):
+        assert (main([command, str(scene), *channel, "--json"]) == 2) == bool(said)
+        assert all(text in capsys.readouterr().err for text in said)
+
+
+def test_every_vendor_dictionary_is_walked(vendor_eds: Path) -> None:
+    assert {path.name for path in vendor_eds.iterdir() if path.suffix in (".dcf", ".eds")} == set(VENDORS)
