@@ -365,6 +365,11 @@ class Rig:
         return self._is_running
 
     @property
+    def dry_run(self) -> bool:
+        """Whether a drive is sent no torque, so that nothing can be claimed of the run."""
+        return any(drive.dry_run for drive in self.drives)
+
+    @property
     def skipped_syncs(self) -> int:
         """Deadlines of SYNC that were missed and left out."""
         return self.deadline_index - max(0, self.sync_index)

@@ -163,6 +163,7 @@ def make_bench(
     absent: bool = False,
     keeps_objects: bool = False,
     drive_values: dict[str, Any] | None = None,
+    dry_run: bool = False,
 ) -> Bench:
     """Builds a rig and its simulated drives, one bus, nothing started.
 
@@ -173,6 +174,7 @@ def make_bench(
         absent: Leaves the drives away.
         keeps_objects: Gives the simulated drives no values but those of their dictionary and of `objects`.
         drive_values: Further parameters of the simulated drives.
+        dry_run: Builds the master's drives for a run without torque.
     """
     axes = axes or [axis()]
     parameters = BusParameters(**{"rate": 1000.0, **(bus or {})})
@@ -202,5 +204,5 @@ def make_bench(
         clock,
         lambda time, can_id, data, is_rx: frames.append((time, can_id, bytes(data), is_rx)),
     )
-    drives = [ServoDrive(link, a, dictionary(a), parameters) for a in axes]
+    drives = [ServoDrive(link, a, dictionary(a), parameters, dry_run=dry_run) for a in axes]
     return Bench(Rig(link, drives, parameters), [link], clock, tampered, simulated, buses, frames)

@@ -40,6 +40,7 @@ class ServoDrive(TorqueAxis):
         axis: Its parameters.
         dictionary: Its object dictionary.
         bus: The parameters of the bus.
+        dry_run: Whether every RPDO carries a target torque of 0.
 
     Attributes:
         map: Its PDOs.
@@ -54,16 +55,20 @@ class ServoDrive(TorqueAxis):
     dictionary: ObjectDictionary
     sdo: SdoChannel
 
-    def __init__(self, link: Link, axis: AxisParameters, dictionary: ObjectDictionary, bus: BusParameters) -> None:
+    def __init__(
+        self, link: Link, axis: AxisParameters, dictionary: ObjectDictionary, bus: BusParameters, *,
+        dry_run: bool = False,
+    ) -> None:  # fmt: skip
         require_fit(dictionary, axis, bus)
         self.link, self.bus = link, bus
         self.map: AxisMap = choose_map(dictionary, axis)
         sdo = SdoChannel(link, axis.node_id, dictionary, axis.name, round(axis.sdo_timeout * 1e9))
-        super().__init__(axis, dictionary, sdo, _rules(bus), self.map.read_back)
+        super().__init__(axis, dictionary, sdo, _rules(bus), self.map.read_back, dry_run)
         self.window = SyncWindow()
         self._statistics = link.statistics
         self._rpdo_cob_id = self.map.rpdo.cob_id
-        self._pack = self._packer(self.map.rpdo, axis.target)
+        pack = self._packer(self.map.rpdo, axis.target)
+        self._pack = (lambda controlword, _torque: pack(controlword, 0)) if dry_run else pack  # behind the limiter's 0
         place = axis.admittance.force.place if axis.admittance else None
         self._listen({**_SLOTS, **({place[0]: 2} if place else {})})
         self.reset()

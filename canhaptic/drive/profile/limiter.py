@@ -117,6 +117,31 @@ class TorqueLimiter:
         return torque
 
 
+class DryRunLimiter(TorqueLimiter):
+    """The limiter of a dry run: nothing passes.
+
+    Attributes:
+        withheld: Largest torque that would have passed, each after a cycle without torque [N*m or N].
+    """
+
+    __slots__ = ("withheld",)
+
+    def reset(self) -> None:
+        """Forgets the last torque and the counts."""
+        super().reset()
+        self.withheld = 0.0
+
+    def limit(self, torque: float, velocity: float) -> float:
+        """Returns 0, and keeps what `TorqueLimiter.limit` would have returned.
+
+        Raises:
+            ControlError: The torque or the velocity is not finite, as in a run.
+        """
+        self.withheld = max(self.withheld, abs(super().limit(torque, velocity)))
+        self.last = self.low = self.high = 0.0
+        return 0.0
+
+
 def _cut(torque: float, intervals: tuple[tuple[float, float], ...]) -> int:
     """Returns which intervals a torque lies outside of, a bit for each, in the order of `Saturation`."""
     return sum(1 << place for place, (least, most) in enumerate(intervals) if not least <= torque <= most)

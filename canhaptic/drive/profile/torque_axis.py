@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.code_texts import emcy_text
 from canhaptic.canopen.dictionary import Dictionary
-from canhaptic.drive.profile.limiter import TorqueLimiter
+from canhaptic.drive.profile.limiter import DryRunLimiter, TorqueLimiter
 from canhaptic.drive.profile.link_policy import LinkPolicy, StopReason
 from canhaptic.drive.profile.object_access import ObjectAccess
 from canhaptic.drive.profile.power_states import ENABLED_MASK, ENABLED_VALUE, FAULTED, PowerState, drive_state
@@ -56,6 +56,7 @@ class TorqueAxis(ABC):
         sdo: Access to its objects.
         rules: Of the cycle.
         read_back: Torque that its process data carry.
+        dry_run: Whether the torque that is sent is 0 always.
 
     Attributes:
         statusword: Of the last complete process data.
@@ -95,13 +96,14 @@ class TorqueAxis(ABC):
 
     def __init__(
         self, axis: TorqueAxisParameters, dictionary: Dictionary, sdo: ObjectAccess, rules: CycleRules,
-        read_back: ReadBack,
+        read_back: ReadBack, dry_run: bool = False,
     ) -> None:  # fmt: skip
         self.axis, self.dictionary, self.sdo = axis, dictionary, sdo
         self.quirks = quirks_of(axis.quirks)
         self.read_back: ReadBack = read_back
         self.scaling = axis_scaling(axis, axis.rated_torque or 1.0)
-        self.limiter = TorqueLimiter(axis.torque_limit, rules.sample_time, axis.torque_rate_limit, axis.power_limit)
+        limiter = DryRunLimiter if dry_run else TorqueLimiter
+        self.limiter = limiter(axis.torque_limit, rules.sample_time, axis.torque_rate_limit, axis.power_limit)
         self.policy = LinkPolicy(rules.hold_cycles, rules.stop_cycles)
         self.answers = False
         self.left_out: frozenset[int] = frozenset()
@@ -183,6 +185,16 @@ class TorqueAxis(ABC):
         """Switches the drive's watchdog off, so that the end of the master is no fault; raises SdoError."""
 
     # --- in ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def dry_run(self) -> bool:
+        """Whether the torque that is sent is 0 always."""
+        return isinstance(self.limiter, DryRunLimiter)
+
+    @property
+    def withheld(self) -> float:
+        """Largest torque that a dry run did not send [N*m or N]."""
+        return self.limiter.withheld if isinstance(self.limiter, DryRunLimiter) else 0.0
 
     @property
     def position_counts(self) -> int:
