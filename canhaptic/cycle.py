@@ -95,7 +95,8 @@ class Cycle:
         self.groups = tuple(groups)
         render = (*self.controllers, *(group.controller for group in self.groups))
         self._lasted = [controller.lasted for controller in render if hasattr(controller, "lasted")]
-        self._grouped = GroupedControllers(self.controllers, self.groups) if groups else None
+        together = GroupedControllers(self.controllers, self.groups, rig.dry_run)
+        self._grouped = together if groups or rig.dry_run else None
         axes = self._grouped.axes if self._grouped else len(self.controllers)
         if axes != len(rig.drives):
             raise InputError(

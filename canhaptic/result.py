@@ -17,6 +17,7 @@ from math import inf
 from typing import Final, NotRequired, TypedDict, cast
 
 from canhaptic.control.balance import Certificate
+from canhaptic.control.dry_run import claim_nothing
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.verdict import (
     Headline,
@@ -51,6 +52,7 @@ class RunResult(TypedDict):
     duration: float  # [s]
     verdict: Headline
     passive: Verdict
+    dry_run: NotRequired[bool]  # no torque was sent
     passive_at_handle: NotRequired[Verdict]
     plant_passive: NotRequired[Verdict]
     ports: dict[str, PortResult]
@@ -64,7 +66,17 @@ class RunResult(TypedDict):
     error: NotRequired[Mapping[str, object]]
 
 
-_OF_AN_AXIS: Final = ("unit", "in", "out", "peak_torque", "limited_cycles", "read_back", "read_back_bound")
+_OF_AN_AXIS: Final = (
+    "unit",
+    "in",
+    "out",
+    "peak_torque",
+    "limited_cycles",
+    "read_back",
+    "read_back_bound",
+    "dry_run",
+    "withheld_torque",
+)
 
 
 _WORST_LAST: Final[tuple[Verdict, ...]] = ("yes", "in doubt", "no")
@@ -79,6 +91,7 @@ class Verdicts(TypedDict):
     passive: Verdict
     passive_at_handle: NotRequired[Verdict]
     plant_passive: NotRequired[Verdict]
+    dry_run: NotRequired[bool]  # no torque was sent
 
 
 def overall(ports: Mapping[str, PortResult]) -> Verdicts:
@@ -88,6 +101,8 @@ def overall(ports: Mapping[str, PortResult]) -> Verdicts:
         "verdict": max((of.get("verdict", of["passive"]) for of in accounts), key=_HEADLINES.index, default="in doubt"),
         "passive": max((account["passive"] for account in accounts), key=_WORST_LAST.index, default="in doubt"),
     }
+    if any("dry_run" in account for account in accounts):
+        found["dry_run"] = True
     for key in ("passive_at_handle", "plant_passive"):
         if any(key in account for account in accounts):
             found[key] = max((of[key] for of in accounts if key in of), key=_WORST_LAST.index)
@@ -150,6 +165,10 @@ def _accounts(
             "unsure": group.unsure,
             "limits": dict(group.limits),
         }
+    for (name, _), drive in zip(ports, drives, strict=True) if cycle.rig.dry_run else ():
+        accounts[name]["withheld_torque"] = drive.withheld
+    for account in accounts.values() if cycle.rig.dry_run else ():
+        claim_nothing(account)
     groups = {group.name: [ports[axis][0] for axis in group.axes] for group in cycle.groups}
     return with_groups(accounts, groups, truth)
 

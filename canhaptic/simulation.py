@@ -288,6 +288,7 @@ def simulate(
     progress: bool = True,
     check: bool = True,
     allow_code: bool = False,
+    no_torque: bool = False,
 ) -> SimulationResult:
     """Simulates a scene on the virtual bus, as fast as this machine allows, and returns what happened.
 
@@ -297,6 +298,7 @@ def simulate(
         duration: Length of the run [s], or a text with a unit; by default the scene's.
         progress: Whether a progress bar is shown in a terminal or a notebook.
         allow_code: Whether program files that the scene names (`type: my_wall.py:MyWall`) may run.
+        no_torque: Whether the torque that is sent is 0 always: a dry run, whose requests are in the log.
         check: Whether a run that ends by itself before its time raises; otherwise the result carries its `error`.
 
     Raises:
@@ -324,7 +326,7 @@ def simulate(
     cycles = max(1, round(length / loaded.bus.sample_time))
     folder = Path(tempfile.mkdtemp(prefix="canhaptic-"))
     try:
-        raw, error = _run(build(loaded, "free", folder / _LOG_NAME, None), cycles, progress)
+        raw, error = _run(build(loaded, "free", folder / _LOG_NAME, None, no_torque=no_torque), cycles, progress)
         if error is not None and check:
             raise error
     except BaseException:

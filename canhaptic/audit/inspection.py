@@ -62,6 +62,7 @@ class Inspection(_Inspected):
     findings: list[ImpossibleValue]
     verdict: Headline
     passive: Verdict
+    dry_run: NotRequired[bool]
     passive_at_handle: NotRequired[Verdict]
     plant_passive: NotRequired[Verdict]
     ports: dict[str, PortResult]

@@ -5,6 +5,7 @@ from math import inf
 import numpy as np
 
 from canhaptic.control.balance import OUT_OF_CONTACT, Branch, certificates_of
+from canhaptic.control.dry_run import claim_nothing
 from canhaptic.control.friction_watch import FrictionDeclared, FrictionWatch
 from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, PortResult
 from canhaptic.errors import LogFormatError
@@ -31,7 +32,7 @@ class PortRecord:
         self._is_damped = f"{name}.is_damped" in log.attributes
         self._largest_torque = float(log.attributes.get(f"{name}.torque_limit", inf))
         self._damping_asked = float(log.attributes.get(f"{name}.damping_asked", 0.0))
-        self._is_group = name in log.groups
+        self._is_group, self._is_dry = name in log.groups, log.dry_run
         self._is_measured, self._knows_active = "energy_resolution" in log.ports[name], "active" in log.ports[name]
         self._sample_time, self._since = log.sample_time, dict[int, float]()
         limits = limits_of(log, name)
@@ -141,6 +142,8 @@ class PortRecord:
                 asked = self._damping_asked * self._contacts
                 account["rendered"] = rendered_shares(self._asked, self._given, asked, self._damping)
             withdraw_certificates(account, longest_gap=self._gap)
+        if self._is_dry:
+            claim_nothing(account)
         return account
 
     def _add_activity(self, account: PortResult) -> None:

@@ -142,7 +142,7 @@ def recompute_all(log: EnergyLog, config: Path | None = None, *, allow_code: boo
     from canhaptic.scene.parts import build_axis_controllers, build_axis_groups
 
     scene = scene_of(log, config, allow_code=allow_code)
-    controllers = GroupedControllers(build_axis_controllers(scene), build_axis_groups(scene))
+    controllers = GroupedControllers(build_axis_controllers(scene), build_axis_groups(scene), dry_run=log.dry_run)
     axes = [axis.parameters.name for axis in scene.axes]
     found: dict[str, Mismatch | None] = {of.port: of for of in recompute(log, axes, controllers)}
     for name in log.ports:

@@ -14,6 +14,7 @@ from canhaptic.audit.listened_axis import OF_A_NODE, DeclaredDrive, DeclaredForc
 from canhaptic.audit.recompute import logged_rows
 from canhaptic.audit.user_checks import Outcome
 from canhaptic.canopen import objects as od
+from canhaptic.control.dry_run import claim_nothing
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.multi_axis.axis_group import GroupedControllers
 from canhaptic.control.verdict import Headline, PortResult, Verdict
@@ -137,7 +138,8 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
         InputError: The log holds no answered SYNC with all axes enabled.
     """
     groups, alone = build_axis_groups(scene), build_axis_controllers(scene)
-    controllers, torques = GroupedControllers(alone, groups), [_Heard() for _ in scene.axes]
+    dry_run = log is not None and log.dry_run
+    controllers, torques = GroupedControllers(alone, groups, dry_run), [_Heard() for _ in scene.axes]
     meters, deadline = RunMeters(build_axis_meters(scene), torques, alone, groups), -1
     names = [*(axis.parameters.name for axis in scene.axes), *(group.name for group in groups)]
     ledgers = [Ledger() for _ in names]
@@ -162,7 +164,7 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
         cycles += 1
     if not cycles:
         raise InputError(f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}")
-    ports = _accounts(scene, ledgers, meters)
+    ports = _accounts(scene, ledgers, meters, dry_run)
     verdicts = overall(ports)
     result: Rederived = {
         "cycles": cycles,
@@ -184,7 +186,7 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     return result
 
 
-def _accounts(scene: Scene, ledgers: Sequence[Ledger], meters: RunMeters) -> dict[str, PortResult]:
+def _accounts(scene: Scene, ledgers: Sequence[Ledger], meters: RunMeters, dry_run: bool) -> dict[str, PortResult]:
     """Returns the accounts of the axes, then of the groups; of an axis in a group what came in and went out by it."""
     units: dict[str, str] = {axis.parameters.name: axis.parameters.unit for axis in scene.axes}
     units |= {group.name: units[group.axes[0]] for group in scene.groups}
@@ -194,6 +196,8 @@ def _accounts(scene: Scene, ledgers: Sequence[Ledger], meters: RunMeters) -> dic
         name: {"unit": unit, **port_account(port, ledger, promise, scene.bus.sample_time)}
         for (name, unit), port, ledger, promise in zip(units.items(), meters.ports, ledgers, promises, strict=True)
     }
+    for account in ports.values() if dry_run else ():
+        claim_nothing(account)
     return with_groups(ports, {group.name: group.axes for group in scene.groups})
 
 

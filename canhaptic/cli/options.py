@@ -283,6 +283,9 @@ def _replay(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--from-sync", action="store_true", help="leave the start of the drives out, even if it was recorded"
     )
+    parser.add_argument(
+        "--no-torque", action="store_true", help="the recorded run sent no torque (an energy log says so itself)"
+    )
     parser.add_argument("--account", action="store_true", help="print the energy account of the replayed run, too")
     add_allow_code(parser)
     add_json(parser)
@@ -297,6 +300,10 @@ def _run(parser: argparse.ArgumentParser) -> None:
         choices=("real", "free"),
         help="wall-clock pace, or as fast as the machine allows in lock-step; by default free where all is simulated",
     )
+    parser.add_argument(
+        "--no-torque", action="store_true",
+        help="dry run: the drives are enabled and every torque that is sent is 0; the log holds what was asked for",
+    )  # fmt: skip
     parser.add_argument("--log", metavar="FILE.h5", type=Path, help="energy log (HDF5)")
     parser.add_argument("--bus-log", metavar="FILE.log", type=Path, help="bus log (candump text)")
     parser.add_argument("--force", action="store_true", help="replace logs that exist")

@@ -21,9 +21,11 @@ def execute(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: The recording or the scene cannot be used.
     """
+    dry_run = arguments.no_torque
     if arguments.energy_log is not None:
         with EnergyLog.open(arguments.energy_log) as log:
             scene = scene_of_log(log, arguments.config, allow_code=arguments.allow_code)
+            dry_run = dry_run or log.dry_run
     else:
         scene = scene_of(arguments)
         if scene.own_code:
@@ -31,7 +33,9 @@ def execute(arguments: argparse.Namespace) -> int:
                 f"{arguments.bus_log}: frames do not say with which code they were made, and the scene names "
                 f"{', '.join(scene.own_code)}; name the energy log of the same run with --energy-log, which does"
             )
-    result = replay_bus_log(arguments.bus_log, scene, realtime=arguments.realtime, from_sync=arguments.from_sync)
+    result = replay_bus_log(
+        arguments.bus_log, scene, realtime=arguments.realtime, from_sync=arguments.from_sync, dry_run=dry_run
+    )
     if arguments.json:
         write_json(result)
     else:

@@ -6,8 +6,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
+from canhaptic.axis_units import effort_unit
 from canhaptic.cli.arguments import check_picture, require_new, scene_of
-from canhaptic.cli.output import failure, note_file, write_failure, write_json, write_note
+from canhaptic.cli.output import failure, note_file, write_failure, write_json, write_line, write_note
 from canhaptic.cli.progress import run_progress
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.cycle import run
@@ -43,7 +44,7 @@ def execute(arguments: argparse.Namespace) -> int:
         for note in require_preflight(scene):
             write_note(f"  {note.interface}: {note.item}: {note.seen}: {note.text}")
         stop = stack.enter_context(StopSignal())
-        experiment = build(scene, arguments.pace, energy_log, bus_log)
+        experiment = build(scene, arguments.pace, energy_log, bus_log, no_torque=arguments.no_torque)
         stack.callback(experiment.close, "interrupted")  # by then closed already, unless a second signal came
         result, error = _run(experiment, arguments.duration or scene.run.duration, stop)
         if error is None and arguments.png is not None and energy_log is not None:
@@ -56,6 +57,13 @@ def execute(arguments: argparse.Namespace) -> int:
     if error is not None:
         return error.exit_status
     return stop.exit_status or (_NOT_PASSIVE if arguments.strict and _fails(result) else 0)
+
+
+def _withheld(result: RunResult) -> str:
+    """Returns in words what a dry run did not send."""
+    axes = {name: axis for name, axis in result["ports"].items() if "withheld_torque" in axis}
+    largest = [f"{name} {axis['withheld_torque']:.3g} {effort_unit(axis['unit'])}" for name, axis in axes.items()]
+    return f"dry run: no torque was sent; the largest would have been: {', '.join(largest)}"
 
 
 def _fails(result: RunResult) -> bool:
@@ -96,6 +104,8 @@ def _report(result: RunResult, error: CanHapticError | None, arguments: argparse
     elif result["cycles"]:
         from canhaptic.view.energy_table import print_energy
 
+        if result.get("dry_run"):
+            write_line(_withheld(result))
         print_energy(result)
     if error is not None:
         write_failure(error)

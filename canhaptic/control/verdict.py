@@ -124,6 +124,8 @@ class PortResult(_Flows, total=False):
     supplied: float
     unsure: float
     limits: dict[str, int]
+    dry_run: bool  # only of one: nothing is claimed
+    withheld_torque: float  # the largest that a dry run did not send [N or N*m]
     group: str
     axes: list[str]
     resolution_is_estimated: bool  # `energy_resolution` is no bound of every error
@@ -241,16 +243,15 @@ def plant_verdict(least: float, allowance: float) -> Verdict:
     return "yes" if least >= -(allowance + PASSIVE_TOLERANCE) else "no"
 
 
-def headline(account: PortResult, *, is_dry: bool = False) -> Headline:
+def headline(account: PortResult) -> Headline:
     """Returns the word that is shown of a port, from its verdicts and contacts.
 
     Passive at the handle is passive: there the port ends where the device is part of the promise.
 
     Args:
         account: Of a port, with its verdicts.
-        is_dry: Whether the run sent no torque on purpose.
     """
-    if is_dry:
+    if account.get("dry_run"):
         return "dry run"
     passive = account.get("plant_passive", account["passive"])
     at_handle = account.get("plant_passive_at_handle", account.get("passive_at_handle"))

@@ -21,6 +21,9 @@ GROUP_AXES: Final = "group_axes"
 ACTIVE_LIMITS: Final = "active_limits"
 """`NAME.active_limits`: what the column `active` follows from, see `ActiveLimits`; infinite ones left out (JSON)."""
 
+DRY_RUN: Final = "dry_run"
+"""In the log of a run in which no torque was sent; `torque_command` is what the controller asked for."""
+
 FRICTION_DECLARED: Final = "friction_declared"
 """`NAME.friction_declared`: what the motion of an axis is compared with, see `friction_watch` (JSON)."""
 

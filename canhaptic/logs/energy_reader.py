@@ -16,7 +16,7 @@ import numpy as np
 
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.column_check import checked_rows
-from canhaptic.logs.columns import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, GROUP_AXES, Event
+from canhaptic.logs.columns import DRY_RUN, EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, GROUP_AXES, Event
 from canhaptic.logs.hdf5 import Array, Attribute, Hdf5File
 from canhaptic.logs.log_file import log_file
 
@@ -158,6 +158,11 @@ class EnergyLog:
     def group_of(self) -> dict[str, str]:
         """The group of each axis that is in one."""
         return {axis: group for group, axes in self.groups.items() for axis in axes}
+
+    @property
+    def dry_run(self) -> bool:
+        """Whether no torque was sent."""
+        return DRY_RUN in self.attributes
 
     @property
     def sample_time(self) -> float:

@@ -63,7 +63,7 @@ class ReplayResult(TypedDict):
 
 
 def replay_bus_log(
-    bus_log: str | Path, scene: Scene, *, realtime: bool = False, from_sync: bool = False
+    bus_log: str | Path, scene: Scene, *, realtime: bool = False, from_sync: bool = False, dry_run: bool = False
 ) -> ReplayResult:
     """Returns whether the master sends today what it sent in a recording.
 
@@ -76,6 +76,7 @@ def replay_bus_log(
         scene: What ran then; its bus is replaced by a virtual one and nothing is simulated.
         realtime: Keeps the pace of the recording instead of going as fast as the machine allows.
         from_sync: Leaves the start out even if it was recorded.
+        dry_run: Whether no torque was sent then.
 
     Raises:
         InputError: The recording cannot be read, does not fit the scene, has no SYNC to begin with, or no whole cycle.
@@ -88,13 +89,15 @@ def replay_bus_log(
             "answered in OPERATION ENABLED; there is nowhere to begin"
         )
     with ExitStack() as stack:
-        return _Replay(recording, scene, joins, realtime, stack).run()
+        return _Replay(recording, scene, joins, realtime, dry_run, stack).run()
 
 
 class _Replay:
     """One replay, built."""
 
-    def __init__(self, recording: Recording, scene: Scene, joins: bool, realtime: bool, stack: ExitStack) -> None:
+    def __init__(
+        self, recording: Recording, scene: Scene, joins: bool, realtime: bool, dry_run: bool, stack: ExitStack
+    ) -> None:
         self._recording = recording
         self._scene = scene
         self._joins = joins
@@ -111,15 +114,15 @@ class _Replay:
         self._wall = WallClock()
         self._side = RecordedSide(far_buses, recording, first)
         clock = RecordedClock(self._side, self._start, self._wall if realtime else None)
-        rig = self._rig([Link(bus, clock) for bus in near_buses])
+        rig = self._rig([Link(bus, clock) for bus in near_buses], dry_run)
         groups, known = build_axis_groups(scene), build_axis_meters(scene)
         meters = build_loss_meters(scene)
         self._cycle = Cycle(rig, build_axis_controllers(scene), groups=groups, axis_meters=known, loss_meters=meters)
 
-    def _rig(self, links: list[Link]) -> Rig:
+    def _rig(self, links: list[Link], dry_run: bool) -> Rig:
         scene = self._scene
         by_name = {bus.name: (link, bus.parameters) for bus, link in zip(scene.buses, links, strict=True)}
-        drives = [build_servo_drive(axis, *by_name[axis.bus]) for axis in scene.axes]
+        drives = [build_servo_drive(axis, *by_name[axis.bus], dry_run=dry_run) for axis in scene.axes]
         self._follow_older_master(drives)
         return (JoinedRig if self._joins else Rig)(links, drives, scene.bus, group_places(scene))
 

@@ -33,6 +33,7 @@ from canhaptic.scene.parts import (
     build_servo_drive,
     build_simulated_drive,
     group_places,
+    require_torque_axis,
     shared_motors,
 )
 from canhaptic.signals import SimulatedPeer, Truth
@@ -58,7 +59,9 @@ class Experiment:
         bus_log: Where every frame is written; None for nowhere.
     """
 
-    def __init__(self, scene: Scene, pace: _Pace, energy_log: Path | None, bus_log: Path | None) -> None:
+    def __init__(
+        self, scene: Scene, pace: _Pace, energy_log: Path | None, bus_log: Path | None, *, no_torque: bool = False
+    ) -> None:
         self.scene = scene
         self.pace = pace
         self._log_failure = ""
@@ -70,7 +73,9 @@ class Experiment:
             faulty = {n: _build_faulty_bus(scene, n, buses[n], stack) for n in _suffering(scene)}
             self.faulty_buses = {scene.buses[n].name: faulty_bus for n, faulty_bus in faulty.items()}
             self.clock = _build_clock(scene, pace, groups, faulty)
-            self.energy_log = open_energy_log(scene, energy_log, pace, self._lose_log) if energy_log else None
+            self.energy_log = None
+            if energy_log:
+                self.energy_log = open_energy_log(scene, energy_log, pace, self._lose_log, dry_run=no_torque)
             if self.energy_log is not None:
                 stack.callback(self.energy_log.close, "failed")
             self.bus_log = open_bus_log(scene, bus_log, pace, self._lose_log) if bus_log else None
@@ -80,7 +85,7 @@ class Experiment:
                 Link(faulty.get(n, bus), self.clock, _recorder(self.bus_log, n), echoes=echoes(of.parameters))
                 for n, (of, bus) in enumerate(zip(scene.buses, buses, strict=True))
             ]
-            self.rig = _build_rig(scene, links)
+            self.rig = _build_rig(scene, links, dry_run=no_torque)
             controllers, truths = build_axis_controllers(scene), _truths(self.far_side)
             groups_of_axes, meters = build_axis_groups(scene), build_axis_meters(scene)
             losses = build_loss_meters(scene)
@@ -136,8 +141,9 @@ class Experiment:
 
 
 def build(
-    scene: Scene, pace: _Pace | None = None, energy_log: str | Path | None = None, bus_log: str | Path | None = None
-) -> Experiment:
+    scene: Scene, pace: _Pace | None = None, energy_log: str | Path | None = None, bus_log: str | Path | None = None,
+    *, no_torque: bool = False,
+) -> Experiment:  # fmt: skip
     """Returns the scene built and ready to run; nothing is sent yet.
 
     Args:
@@ -146,9 +152,11 @@ def build(
         energy_log: Energy log (HDF5) to write, over an earlier one; by default none: what a scene names under `log` is
             of the command `run` alone.
         bus_log: Bus log (candump text) to write; the same.
+        no_torque: Whether the torque that is sent is 0 always: a dry run.
 
     Raises:
-        InputError: Free pace without simulated drives, a bus that python-can cannot use, or own code left unread.
+        InputError: Free pace without simulated drives, a bus that python-can cannot use, own code left unread, or a dry
+            run of an admittance display.
         LinkError: The bus cannot be opened.
         LogWriteError: A log cannot be written.
     """
@@ -162,8 +170,10 @@ def build(
             "`simulation`); real drives run at pace 'real'"
         )
     chosen: _Pace = pace or ("free" if scene.simulated else "real")
+    for axis in scene.axes if no_torque else ():
+        require_torque_axis(axis)  # before a log is made
     logs = (None if path is None else Path(path) for path in (energy_log, bus_log))
-    return Experiment(_with_accuracy(scene), chosen, *logs)
+    return Experiment(_with_accuracy(scene), chosen, *logs, no_torque=no_torque)
 
 
 def require_buildable(scene: Scene) -> None:
@@ -275,11 +285,10 @@ def _recorder(bus_log: BusLogWriter | None, index: int) -> Recorder | None:
     return None if bus_log is None else bus_log.on(index)
 
 
-def _build_rig(scene: Scene, links: Sequence[Link]) -> Rig:
+def _build_rig(scene: Scene, links: Sequence[Link], *, dry_run: bool) -> Rig:
     by_name = {bus.name: (link, bus.parameters) for bus, link in zip(scene.buses, links, strict=True)}
-    return Rig(
-        links, [build_servo_drive(axis, *by_name[axis.bus]) for axis in scene.axes], scene.bus, group_places(scene)
-    )
+    drives = [build_servo_drive(axis, *by_name[axis.bus], dry_run=dry_run) for axis in scene.axes]
+    return Rig(links, drives, scene.bus, group_places(scene))
 
 
 def _truths(far_side: Drives | None) -> Callable[[], Sequence[Truth]] | None:

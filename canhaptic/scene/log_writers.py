@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 from canhaptic.logs.bus_log import BusLogWriter
-from canhaptic.logs.columns import ACTIVE_LIMITS, FRICTION_DECLARED, GROUP_AXES, Attribute, PortDescription
+from canhaptic.logs.columns import ACTIVE_LIMITS, DRY_RUN, FRICTION_DECLARED, GROUP_AXES, Attribute, PortDescription
 from canhaptic.meters import active_limits, promise_of
 from canhaptic.scene.models import AxisScene, Scene, task_unit
 from canhaptic.scene.parts import build_axis_meters
@@ -22,7 +22,7 @@ _PRIVATE_NAME: Final = "vcan0"  # of a private virtual channel: the same in ever
 
 
 def open_energy_log(
-    scene: Scene, path: Path, pace: Literal["real", "free"], on_failure: Callable[[str], None]
+    scene: Scene, path: Path, pace: Literal["real", "free"], on_failure: Callable[[str], None], *, dry_run: bool = False
 ) -> "EnergyLogWriter":
     """Returns the energy log, made and ready; `on_failure` is called, from another thread, when it breaks off.
 
@@ -42,7 +42,7 @@ def open_energy_log(
     return EnergyLogWriter(
         path,
         ports,
-        _run_attributes(scene, pace),
+        _run_attributes(scene, pace) | ({DRY_RUN: 1} if dry_run else {}),
         sample_time_ns=scene.bus.sample_time_ns,
         with_truth=scene.simulated,
         pace=pace,

@@ -21,7 +21,7 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.display_drive import DisplayDrive
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
-from canhaptic.errors import ParameterError
+from canhaptic.errors import InputError, ParameterError
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene
 from canhaptic.scene.sensor_errors import accuracy_of, friction_declared, loop_as_known
@@ -187,11 +187,31 @@ def build_mechanism(of: MechanismScene, sample_time_ns: int) -> Mechanism:
     return parameters.build(of.hand, sample_time_ns, of.substeps)
 
 
-def build_servo_drive(axis: AxisScene, link: Link, bus: BusParameters) -> ServoDrive:
-    """Returns the master's picture of the drive of one axis."""
+def build_servo_drive(axis: AxisScene, link: Link, bus: BusParameters, *, dry_run: bool = False) -> ServoDrive:
+    """Returns the master's picture of the drive of one axis.
+
+    Raises:
+        InputError: A dry run of an admittance display.
+    """
     dictionary = read_dictionary(axis.parameters.eds, axis.parameters.node_id)
-    kind = ServoDrive if axis.parameters.admittance is None else DisplayDrive
-    return kind(link, axis.parameters, dictionary, bus)
+    if dry_run:
+        require_torque_axis(axis)
+    if axis.parameters.admittance is None:
+        return ServoDrive(link, axis.parameters, dictionary, bus, dry_run=dry_run)
+    return DisplayDrive(link, axis.parameters, dictionary, bus)
+
+
+def require_torque_axis(axis: AxisScene) -> None:
+    """Refuses a dry run of an axis whose torque is not the master's to withhold.
+
+    Raises:
+        InputError: It is an admittance display.
+    """
+    if axis.parameters.admittance is not None:
+        raise InputError(
+            f"{axis.parameters.name}: an admittance display has no run without torque: its drive holds a velocity of 0 "
+            "with all the torque it has; leave --no-torque out, and lower speed_limit and admittance.acceleration_limit"
+        )
 
 
 def build_simulated_drive(

@@ -74,6 +74,15 @@ def test_the_scene_names_its_logs_and_options_win(tmp_path: Path, monkeypatch: p
     assert sorted(path.name for path in tmp_path.iterdir()) == ["option.h5", "scene.log"]
 
 
+def test_a_dry_run_says_in_its_first_line_what_was_not_sent(capsys: Captured) -> None:
+    assert main(["run", *SHORT, "--set", "environment.side=above", "--no-torque"]) == 0
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first.startswith("dry run: no torque was sent; the largest would have been: handle ")
+    newtons, unit = first.split()[-2:]
+    assert unit == "N"
+    assert 0.1 < float(newtons) <= 20.0
+
+
 @pytest.mark.slow
 def test_a_picture_needs_no_log(tmp_path: Path) -> None:
     assert main(["run", *SHORT, "--png", str(tmp_path / "a.png")]) == 0

@@ -278,4 +278,4 @@ TOUCHED = {"holds": 100, "without_torque": 0, "asked": 50.0, "sent": 49.0}
 )
 def test_the_word_that_is_shown(account: Any, word: str) -> None:
     assert headline(account) == word
-    assert headline(account, is_dry=True) == "dry run"
+    assert headline({**account, "dry_run": True}) == "dry run"

@@ -113,15 +113,18 @@ class AxisGroup:
 
 
 class GroupedControllers:
-    """Controllers of a rig on which at least one group renders.
+    """Controllers of a rig on which at least one group renders, or of a dry run.
 
     Args:
         controllers: One for each axis that is in no group, in the order of the rig.
         groups: Each axis of the rig is in one of them or has a controller.
+        dry_run: Whether no torque is sent. No lost sample then leaves energy in doubt.
     """
 
-    def __init__(self, controllers: Sequence[Controller], groups: Sequence[AxisGroup]) -> None:
+    def __init__(self, controllers: Sequence[Controller], groups: Sequence[AxisGroup], dry_run: bool = False) -> None:
         self.groups = tuple(groups)
+        render = (*controllers, *(group.controller for group in groups))
+        self._withhold = [each.withhold for each in render if dry_run and hasattr(each, "withhold")]
         grouped = {axis for group in groups for axis in group.axes}
         self.axes = len(controllers) + len(grouped)
         self._singles = list(zip((axis for axis in range(self.axes) if axis not in grouped), controllers, strict=True))
@@ -147,6 +150,8 @@ class GroupedControllers:
             branch = _HELD if branch == _HELD else _GROUP
             for axis, torque, h_i in zip(group.axes, balance.torques, balance.interactions, strict=True):
                 balances[axis] = _axis_balance(torque, h_i, branch, certificate)
+        for withhold in self._withhold:
+            withhold()
         return balances
 
 

@@ -70,7 +70,8 @@ def begin_compiled(kernel: GroupKernel, world: World, settings: Any) -> Callable
     def begin() -> GroupRun:
         states, memories = state.copy(), memory.copy()
         positions, applied = np.zeros(rows), np.zeros(rows)
-        sent, energy = memories["group"]["commands"]["torques"][0], memories["group"]["ended"]["interactions"][0]
+        commands = memories["group"]["commands"]
+        sent, energy = commands["torques"][0], memories["group"]["ended"]["interactions"][0]
         torques, interactions = sent.tolist(), energy.tolist()
 
         def run(missed: int, at: Sequence[float], held: Sequence[float]) -> GroupHold:
@@ -79,7 +80,11 @@ def begin_compiled(kernel: GroupKernel, world: World, settings: Any) -> Callable
             torques[hold.place], interactions[:] = sent[hold.place].tolist(), energy.tolist()
             return hold
 
-        return GroupRun(run, torques, interactions)
+        def withhold(place: int) -> None:
+            for ring in commands.dtype.names or ():
+                commands[ring][0, place] = 0.0
+
+        return GroupRun(run, torques, interactions, withhold)
 
     begin().step(0, [0.0] * rows, [0.0] * rows)
     return begin

@@ -102,3 +102,4 @@ class GroupRun(NamedTuple):
     step: Callable[[int, Sequence[float], Sequence[float]], GroupHold]
     torques: Matrix  # rows of the commands
     interactions: Buffer
+    withhold: Callable[[int], object]  # takes a command back, by its place

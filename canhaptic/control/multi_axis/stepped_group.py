@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from canhaptic.control.balance import AT_REST, Branch
 from canhaptic.control.mechanisms.kinematics import Kinematics
-from canhaptic.control.multi_axis.group_commands import norm
+from canhaptic.control.multi_axis.group_commands import norm, send_nothing
 from canhaptic.control.multi_axis.group_controller import GroupBalance, NetworkEnvironment, group_at_rest
 from canhaptic.control.multi_axis.group_kernel import GroupKernel, GroupRun
 from canhaptic.control.multi_axis.group_motion import World, world_of
@@ -27,7 +27,8 @@ def interpreted_run(kernel: GroupKernel, world: World, settings: Any) -> Callabl
     def begin() -> GroupRun:
         memory = with_quick_fields(kernel.memory(world, settings))
         step = partial(kernel.step, *fixed, kernel.state(), memory)
-        return GroupRun(step, memory.group.commands.torques, memory.group.ended.interactions)
+        commands = memory.group.commands
+        return GroupRun(step, commands.torques, memory.group.ended.interactions, partial(send_nothing, commands))
 
     return begin
 
@@ -77,8 +78,8 @@ class SteppedGroup:
 
     def reset(self) -> None:
         """Forgets everything; see `GroupController`."""
-        self._step, self._torques, self._interactions = self._begin()
-        self._missed = 0
+        self._step, self._torques, self._interactions, self._withhold = self._begin()
+        self._missed = self._newest = 0
         self.energy_resolution = 0.0
         self._last = group_at_rest(self.axes)
         self._started = False
@@ -99,6 +100,10 @@ class SteppedGroup:
             torque=norm(torques), h_s=last.h_s, h_dis=last.h_dis, branch=_HELD, state=last.state
         )  # fmt: skip
         return GroupBalance(torques, account, (0.0,) * self.axes)
+
+    def withhold(self) -> None:
+        """Says that the torques of the last `step` are not sent: in a dry run the drives hold none."""
+        self._withhold(self._newest)
 
     def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
         """Books the hold that ended; see `GroupController`."""
@@ -121,6 +126,6 @@ class SteppedGroup:
                 "the controller was reset; check stiffness and damping against the size of the motion"
             )
         self.energy_resolution += further
-        self._started, self._missed = True, 0
+        self._started, self._missed, self._newest = True, 0, place
         self._last = GroupBalance(torques, account, tuple(self._interactions), supplied, unsure, limit)
         return self._last

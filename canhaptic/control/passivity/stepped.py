@@ -4,6 +4,7 @@ from math import isfinite
 from typing import ClassVar, NamedTuple
 
 from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
+from canhaptic.control.passivity.in_flight import send
 from canhaptic.errors import ControlError
 from canhaptic.kernels import Kernel, list_of_zeros, with_quick_fields
 from canhaptic.units import Parameters
@@ -65,6 +66,12 @@ class SteppedController:
     def lasted(self, periods: float) -> None:
         """Says that a hold that the next `step` ends lasted so many sample times, SYNCs having been skipped."""
         self._axis.lasted += periods - 1.0
+
+    def withhold(self) -> None:
+        """Says that the command of the last `step` is not sent: in a dry run the drive holds no torque."""
+        commands = getattr(getattr(self._memory, "axis", self._memory), "commands", None)
+        if commands is not None:  # own code may keep none
+            send(commands, self._axis.oldest - 1, 0.0, 0.0, 0.0)
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
         """Accounts for the hold that ended; see `Controller.step`."""

@@ -1,0 +1,24 @@
+"""The account of a dry run, in which no torque was sent: a positive result says nothing of the controller."""
+
+from canhaptic.control.balance import Certificate
+from canhaptic.control.verdict import PortResult
+
+
+def claim_nothing(account: PortResult) -> None:
+    """Takes from the account of a port what only a torque that was sent can show: certificates and what was rendered.
+
+    Args:
+        account: Changed.
+    """
+    account["dry_run"] = True
+    account["certificate"], account["certificates"] = Certificate.NONE.name.lower(), []
+    account["damping_rendered"] = {"least": 0.0, "most": 0.0}
+    if "contact" in account:
+        contact = account["contact"]
+        contact["without_torque"] = contact["holds"]
+        if "sent" in contact:
+            contact["sent"] = 0.0
+    if "rendered" in account:
+        for share in ("stiffness", "damping"):
+            if account["rendered"][share] is not None:
+                account["rendered"][share] = 0.0
