@@ -1,0 +1,55 @@
+"""Paths of people with a scene: they try it dry, record, inspect, replay, and are refused where they must be."""
+
+import json
+
+import pytest
+
+from tests.journeys.person import CONFIGS, EDS, UNFIT, Person, dictionary, shown
+
+DEMO = str(CONFIGS / "demo.yaml")
+IN_CONTACT = ("--duration", "0.3", "--set", "environment.side=above")
+
+
+def test_a_dry_run_shows_what_would_be_sent_and_its_log_can_be_opened(person: Person) -> None:
+    result = person.runs(DEMO, *IN_CONTACT, "--no-torque", "--strict", "--log", "dry.h5", "--bus-log", "dry.log")
+    assert shown(result) == {"dry run"}
+    port = result["ports"]["handle"]
+    assert (port["in"], port["out"], port["certificates"]) == (0.0, 0.0, [])
+    assert port["withheld_torque"] > 0.1
+    read = json.loads(person.types("inspect", "dry.h5", "--recompute", "--bus-log", "dry.log", "--json"))
+    assert (read["verdict"], read["dry_run"]) == ("dry run", True)
+    assert [found["mismatch"] for found in read["recomputed"]] == [None]
+    person.types("replay", "dry.log", "--config", DEMO, *IN_CONTACT[2:], "--energy-log", "dry.h5")
+
+
+def test_a_recording_is_inspected_recomputed_and_replayed(person: Person) -> None:
+    result = person.runs(DEMO, *IN_CONTACT, "--log", "run.h5", "--bus-log", "run.log")
+    read = json.loads(person.types("inspect", "run.h5", "--recompute", "--bus-log", "run.log", "--json"))
+    assert read["cycles"] == result["cycles"] == 300
+    assert read["verdict"] == result["verdict"]
+    assert person.types("inspect", "run.h5", "--check", "passive")
+    assert "identical" in person.types("replay", "run.log", "--config", DEMO, *IN_CONTACT[2:])
+
+
+def test_the_scene_of_a_real_rig_names_what_is_to_be_set_and_does_not_run_before(person: Person) -> None:
+    person.types("new", str(EDS / "cia402_servo.eds"), "--out", "rig.yaml")
+    assert "TO SET" in person.types("check", "rig.yaml", status=1) + (person.folder / "rig.yaml").read_text()
+    person.types("run", "rig.yaml", status=2)
+    assert "rig.yaml:" in person.errors
+
+
+def test_scenes_that_are_copied_run_from_their_copy(person: Person) -> None:
+    person.types("configs", "--copy", ".")
+    assert person.runs_one("configs/demo.yaml", "--duration", "0.1")["unit"] == "m"
+
+
+@pytest.mark.parametrize("name", UNFIT)
+def test_a_drive_that_cannot_serve_is_refused_by_both_commands_for_one_reason(
+    name: str, person: Person, request: pytest.FixtureRequest
+) -> None:
+    path = dictionary(name, request)
+    table = " ".join(person.types("check-eds", path, status=1).split())
+    person.types("new", path, "--simulate", "--out", "rig.yaml", status=2)
+    assert "not fit for cyclic torque" in person.errors
+    assert "unfit" in table
+    assert not (person.folder / "rig.yaml").exists()
