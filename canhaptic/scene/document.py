@@ -136,7 +136,7 @@ def parse_yaml(text: str, source: str, faults: Diagnostics, path: tuple[str, ...
     """
     top = SourceLocation(source, int(lined), int(lined), path)
     try:
-        node = _composed(text)
+        node = compose(text)
     except RecursionError:
         faults.add(top, "nested too deeply")
         return None
@@ -153,8 +153,8 @@ def parse_yaml(text: str, source: str, faults: Diagnostics, path: tuple[str, ...
 
 
 @lru_cache(maxsize=32)  # a sweep reads one file for each of its scenes: reading it is most of what loading costs
-def _composed(text: str) -> yaml.Node | None:
-    """Returns the nodes of a document, which are only read.
+def compose(text: str) -> yaml.Node | None:
+    """Returns the nodes of a document with their places; they are only read.
 
     Raises:
         yaml.YAMLError: It is not valid.

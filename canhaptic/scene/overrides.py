@@ -29,12 +29,17 @@ def apply_overrides(scene: MarkedMapping, overrides: Sequence[str], faults: Diag
         if not equals or _PATH.fullmatch(address.strip()) is None:
             faults.add(top, "got no PATH=VALUE, expected something like axes.0.node_id=5")
             continue
-        typed = tuple(quoted or plain for quoted, plain in _PART.findall(address.strip()))
-        path = path_now(typed, source)
+        path = path_now(split_override(text)[0], source)
         before = len(faults)
         value = parse_yaml(value_text, source, faults, path, lined=False)
         if len(faults) == before:
             _put(scene, path, value, top._replace(path=path), faults)
+
+
+def split_override(text: str) -> tuple[tuple[str, ...], str]:
+    """Returns the path of an override, as typed, and its value."""
+    address, _, value = text.partition("=")
+    return tuple(quoted or plain for quoted, plain in _PART.findall(address.strip())), value
 
 
 def _put(container: Any, path: tuple[str, ...], value: Any, mark: SourceLocation, faults: Diagnostics) -> None:

@@ -1,0 +1,140 @@
+"""The text of a scene with some of its values replaced; comments, order and all else stay as they were written."""
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import Final, NamedTuple
+
+import yaml
+
+from canhaptic.errors import InputError
+from canhaptic.scene.document import compose
+from canhaptic.scene.load import scene_from_text
+from canhaptic.scene.models import Scene
+from canhaptic.scene.overrides import split_override
+
+_COMMENT: Final = re.compile(r"[ \t]*(#.*)?$", re.MULTILINE)
+
+
+class Change(NamedTuple):
+    """One value of a scene."""
+
+    path: tuple[str, ...]  # keys, and indices or names of entries of lists
+    value: str | None  # as YAML; None: kept where it is written, and nothing is added where it is not
+    comment: str | None = None  # in place of the one behind it, with its mark; None: kept
+
+
+def edited_scene(scene: Scene, changes: Sequence[Change], place: str, *, allow_code: bool = False) -> str:
+    """Returns the text of a scene with its overrides and some changes written into it.
+
+    Args:
+        scene: As loaded.
+        changes: In their order.
+        place: File that the text is for; relative paths start from it.
+        allow_code: As for `load_scene`.
+
+    Raises:
+        InputError: The text cannot be edited so that it means the scene with the changes.
+        SceneError: The scene with the changes is none.
+    """
+    overrides = [Change(*split_override(text)) for text in scene.overrides]
+    text = edited_text(scene.text, [*overrides, *changes])
+    typed = [f"{'.'.join(_quoted(change.path))}={change.value}" for change in changes if change.value is not None]
+    expected = scene_from_text(scene.text, place, [*scene.overrides, *typed], allow_code=allow_code)
+    if scene_from_text(text, place, allow_code=allow_code).resolved() != expected.resolved():
+        raise InputError(f"{scene.source}: cannot be edited line by line: anchors, or values over several lines; "
+                         "write each value of each axis where it belongs, on a line of its own")  # fmt: skip
+    return text
+
+
+def edited_text(text: str, changes: Iterable[Change]) -> str:
+    """Returns YAML text with changes made in it, one after the other.
+
+    Raises:
+        InputError: A change is not of a single value, or lies below one.
+    """
+    for change in changes:
+        node: yaml.Node | None = compose(text)
+        for depth, part in enumerate(change.path):
+            child = _child(node, part)
+            if child is None:
+                text = text if change.value is None else _inserted(text, node, change.path[depth:], change)
+                break
+            node = child
+        else:
+            text = _replaced(text, node, change)
+    return text
+
+
+def is_written(text: str, path: Iterable[str]) -> bool:
+    """Returns whether YAML text has an entry."""
+    node: yaml.Node | None = compose(text)
+    for part in path:
+        node = _child(node, part)
+    return node is not None
+
+
+def _quoted(path: Iterable[str]) -> list[str]:
+    return [f'"{part}"' if "." in part else part for part in path]
+
+
+def _child(node: yaml.Node | None, part: str) -> yaml.Node | None:
+    """Returns an entry of a mapping by its key, or of a list by its index or its `name`; None where there is none."""
+    if isinstance(node, yaml.MappingNode):
+        return next((value for key, value in node.value if key.value == part), None)
+    if isinstance(node, yaml.SequenceNode):
+        if part.isdigit():
+            return node.value[int(part)] if int(part) < len(node.value) else None
+        return next((item for item in node.value if getattr(_child(item, "name"), "value", None) == part), None)
+    return None
+
+
+def _replaced(text: str, node: yaml.Node | None, change: Change) -> str:
+    """Returns the text with another value, and with another comment behind it where it ends its line."""
+    if not isinstance(node, yaml.ScalarNode):
+        raise InputError(f"{'.'.join(change.path)}: is a whole section; put it into the scene's file first")
+    begin, end = node.start_mark.index, node.end_mark.index
+    value = text[begin:end] if change.value is None else change.value
+    behind = _COMMENT.match(text, end)
+    if change.comment is None or behind is None:
+        return text[:begin] + value + text[end:]
+    after = _after_comment(text, behind.end(), node.start_mark.column)
+    line = text[text.rfind("\n", 0, begin) + 1 : begin] + value
+    width = behind.start(1) - text.rfind("\n", 0, end) - 1 if behind[1] else 0
+    return (
+        f"{text[: begin - len(line) + len(value)]}{line:<{max(width, len(line) + 2)}}# {change.comment}{text[after:]}"
+    )
+
+
+def _after_comment(text: str, end: int, column: int) -> int:
+    """Returns where the lines end that go on with the comment of a line: comments alone, right of a column."""
+    while following := re.compile(rf"\n {{{column + 1},}}#.*").match(text, end):
+        end = following.end()
+    return end
+
+
+def _inserted(text: str, node: yaml.Node | None, path: Sequence[str], change: Change) -> str:
+    """Returns the text with an entry that a mapping did not have, behind its last one."""
+    if not isinstance(node, yaml.MappingNode) or not node.value:
+        raise InputError(f"{'.'.join(change.path)}: cannot be written there; give {path[0]} in the scene's file first")
+    key, *below = path
+    if node.flow_style:
+        inside = "".join(f"{{{part}: " for part in below) + str(change.value) + "}" * len(below)
+        begin = node.start_mark.index + 1
+        return f"{text[:begin]}{key}: {inside}, {text[begin:]}"
+    first, last = node.value[0][0], node.value[-1][0]
+    behind = _COMMENT.search(text, max(last.end_mark.index, _end(node)))
+    end = _after_comment(text, len(text) if behind is None else behind.end(), first.start_mark.column + 4)
+    indents = [" " * (first.start_mark.column + 2 * depth) for depth in range(len(path))]
+    lines = [f"{indent}{part}:" for indent, part in zip(indents, path, strict=True)]
+    comment = f"  # {change.comment}" if change.comment else ""
+    return "\n".join([text[:end].removesuffix("\n"), *lines[:-1], f"{lines[-1]} {change.value}{comment}"]) + (
+        text[end:] or "\n"
+    )
+
+
+def _end(node: yaml.Node) -> int:
+    """Returns where the last value of a node ends; a block ends behind the comments that follow it, for YAML."""
+    if not isinstance(node, yaml.CollectionNode) or node.flow_style or not node.value:
+        return int(node.end_mark.index)
+    last = node.value[-1]
+    return _end(last[1] if isinstance(node, yaml.MappingNode) else last)
