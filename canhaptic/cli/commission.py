@@ -5,47 +5,105 @@ import os
 import select
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Final
 
 from canhaptic.cli.arguments import check_place, scene_of
-from canhaptic.cli.output import failure, write_failure, write_file, write_json, write_line, write_note
+from canhaptic.cli.output import failure, note_file, write_failure, write_file, write_json, write_note
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.commission.dialogue import Dialogue, Unattended
+from canhaptic.commission.display_tests import REQUIRED as OF_DISPLAYS
 from canhaptic.commission.display_tests import commission_displays
 from canhaptic.commission.findings import Report
 from canhaptic.commission.laws import CommissioningLimits
+from canhaptic.commission.sequence import REQUIRED as OF_TORQUES
 from canhaptic.commission.sequence import commission
 from canhaptic.commission.session import Session
 from canhaptic.errors import CanHapticError, InputError
+from canhaptic.scene.edited_text import edited_scene
 from canhaptic.scene.models import Scene
 from canhaptic.view.energy_table import make_console
 
 _TO_CORRECT: Final = 1  # exit status: the configuration differs from the rig, or the rig must not be used
 _LONGEST_LINE: Final = 4096  # bytes; a terminal hands over one line at a time
+_NEXT_LINE: Final = "\n    "
 _YES: Final = ("y", "yes")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Walks the steps; returns 0 when all agrees, 1 when something is to be corrected, 130 or 143 after a signal."""
+    """Walks the steps; returns 0 when all agrees or was written, 1 when something is to be done, 130 or 143 stopped."""
     scene = scene_of(arguments)
     limits = CommissioningLimits(torque=arguments.torque, travel=arguments.travel, speed=arguments.speed)
-    if arguments.out is not None:
-        check_place(arguments.out)
+    place = _place(scene, arguments)
     dialogue = _dialogue(scene, yes=arguments.yes)
-    error: CanHapticError | None = None
     with StopSignal() as stop:
         session = Session(scene, dialogue, limits, stop.requested)
-        try:
-            if any(axis.parameters.admittance is not None for axis in scene.axes):
-                commission_displays(session)
-            else:
-                commission(session, arguments.duration)
-        except CanHapticError as raised:
-            error = raised
-        _print(session.report, error, arguments)
+        missing, error = _walk(session, arguments.duration)
+        report, is_written = session.report, False
+        if stop.requested():
+            missing.insert(0, "stopped")
+        if place is not None and not missing and error is None:
+            try:
+                _write(scene, report, place, arguments)
+                is_written = True
+            except CanHapticError as raised:
+                error = raised
+        _print(report, missing, error, place if is_written else None, arguments)
         if error is not None:
             return error.exit_status
-        return stop.exit_status or (_TO_CORRECT if session.report.failed or session.report.differs else 0)
+        is_to_correct = report.failed or report.differs or place is not None
+        return stop.exit_status or (_TO_CORRECT if is_to_correct and not is_written else 0)
+
+
+def _walk(session: Session, duration: float) -> tuple[list[str], CanHapticError | None]:
+    """Walks the steps; returns what of them is missing or bad, and what ended them."""
+    scene, error = session.scene, None
+    displays = any(axis.parameters.admittance is not None for axis in scene.axes)
+    try:
+        if displays:
+            commission_displays(session)
+        else:
+            commission(session, duration)
+    except CanHapticError as raised:
+        error = raised
+    names = [axis.parameters.name for axis in scene.axes]
+    return session.report.unfinished(names, OF_DISPLAYS if displays else OF_TORQUES), error
+
+
+def _place(scene: Scene, arguments: argparse.Namespace) -> Path | None:
+    """Returns the file that the scene is to be written to, of which it is known that it can be; None for none.
+
+    Raises:
+        InputError: Something is in the way, or the scene means something else there.
+    """
+    place: Path | None = arguments.config if arguments.in_place else arguments.out
+    if place is None:
+        return None
+    new = _backup(place) if arguments.in_place else place
+    check_place(place)
+    check_place(new)
+    if new.exists():
+        raise InputError(f"{new} already exists; choose another name, or move it away first")
+    edited_scene(scene, (), str(place), allow_code=arguments.allow_code)
+    return place
+
+
+def _backup(place: Path) -> Path:
+    return place.with_name(f"{place.name}.bak")
+
+
+def _write(scene: Scene, report: Report, place: Path, arguments: argparse.Namespace) -> None:
+    """Writes the scene with the values found.
+
+    Raises:
+        InputError: It cannot be written, or not so that it means what was found.
+    """
+    text = edited_scene(scene, report.changes(scene), str(place), allow_code=arguments.allow_code)
+    if arguments.in_place:
+        write_file(_backup(place), scene.text)
+    elif place.exists():
+        raise InputError(f"{place} exists by now; choose another name")
+    write_file(place, text)
 
 
 def _dialogue(scene: Scene, *, yes: bool) -> Dialogue:
@@ -116,18 +174,27 @@ class _Terminal:
         return os.read(self._input, _LONGEST_LINE).decode(errors="replace")
 
 
-def _print(report: Report, error: CanHapticError | None, arguments: argparse.Namespace) -> None:
-    """Prints what was found, also before an error, and the values to paste."""
-    snippet = report.snippet()
+def _print(
+    report: Report,
+    missing: list[str],
+    error: CanHapticError | None,
+    written: Path | None,
+    arguments: argparse.Namespace,
+) -> None:
+    """Prints what was found, also before an error, and where it was written."""
     if arguments.json:
-        result = {**report.as_json(), "snippet": snippet}
+        result = {**report.as_json(), "unfinished": missing, "written": None if written is None else str(written)}
         write_json(result if error is None else {**failure(error), "result": result})
     else:
-        make_console().print(report.table())
-        if snippet:
-            write_line("values to paste:\n")
-            write_line(snippet)
+        console = make_console()
+        console.print(report.table())
+        if report.values:
+            console.print(report.values_table("values found" if written is None else f"written to {written}"))
     if error is not None:
         write_failure(error)
-    if arguments.out is not None:
-        write_file(arguments.out, snippet)
+    if written is not None:
+        note_file("scene", written)
+    elif arguments.out is not None or arguments.in_place:
+        write_note(f"  not finished, nothing written{''.join(f'{_NEXT_LINE}{text}' for text in missing)}")
+    elif not missing and not arguments.json:
+        write_note("  --out FILE.yaml writes the scene with these values, --in-place replaces it")

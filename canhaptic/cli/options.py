@@ -118,7 +118,11 @@ def _commission(parser: argparse.ArgumentParser) -> None:
         help=f"speed [m/s or rad/s] after which a torque is taken away; {SPEED:g} by default",
     )  # fmt: skip
     parser.add_argument("--duration", metavar="S", type=seconds, default=10.0, help="length of the timing test [s]")
-    parser.add_argument("--out", metavar="FILE.yaml", type=Path, help="write the values to paste to a file as well")
+    written = parser.add_mutually_exclusive_group()
+    written.add_argument("--out", metavar="FILE.yaml", type=Path, help="write the scene with the values to a new file")
+    written.add_argument(
+        "--in-place", action="store_true", help="replace the scene by it, and keep the one before as CONFIG.bak"
+    )
     add_json(parser)
 
 

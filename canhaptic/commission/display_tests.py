@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from canhaptic.commission.findings import StepVerdict
 from canhaptic.commission.laws import OpenLoop, sweep
 from canhaptic.commission.session import Session
+from canhaptic.commission.wall_trial import SURE
 from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
 from canhaptic.errors import InputError
 
@@ -27,6 +28,8 @@ _AMPLITUDE: Final = 0.02  # of the chirp [m/s or rad/s], if the limits allow it
 _TRAVELS: Final = 3.0  # of the limit: it is the hand that pushes the drive away
 _HALF: Final = 5e-3  # half the width of the hat [s]
 _LATEST: Final = 4  # samples by which a force may be late
+REQUIRED: Final = ("force at rest", "mass of the drive", "gain of the velocity loop")
+"""What must have been verified of every display before its scene is one to run."""
 _SAFE: Final = 1.1  # over what was measured, for what is to be declared over
 _SAFE_FRICTION: Final = 1.3  # a drive at rest sticks more
 _SLOWEST: Final = 2.0  # [1/s] of an integral that counts as one
@@ -40,7 +43,7 @@ class _Fit(NamedTuple):
     mass: float
     gain: float
     integral: float
-    friction: float  # dry, with half the damping of the bearings at the speed of the chirp [N or N*m]
+    friction: float  # dry, at most, with half the damping of the bearings at the speed of the chirp [N or N*m]
     doubt: float  # larger standard deviation of mass and gain, as a part of them
     square: float  # of what is left, on average [N^2 or N^2*m^2]
     latency: int
@@ -83,12 +86,15 @@ def _rest(session: Session, axis: int) -> None:
     declared, unit = given.force, "N" if session.axes[axis].parameters.unit == "m" else "N*m"
     offset, largest = float(force.mean()), float(abs(force).max())
     good = largest <= declared.error
-    text = "paste offset_counts; what is left must be below force.error"
+    text = "offset_counts is wrong, or force.error too small"
     found = f"{offset:.4g} {unit} on average, {largest:.4g} {unit} at most"
     session.judged(axis, "force at rest", f"error {declared.error:g} {unit}", found, good=good, text=text)
     if not good and declared.sampling != "impulse":
         counts = declared.offset_counts + offset / declared.per_count
         session.propose(axis, "admittance.force.offset_counts", counts, "", "tare: nothing pushed on the sensor")
+        largest = float(abs(force - offset).max())
+    if largest > declared.error:
+        session.propose(axis, "admittance.force.error", _SAFE * largest, unit, "1.1 times what is left at rest")
 
 
 def _loop(session: Session, axis: int) -> None:
@@ -143,7 +149,7 @@ def _fitted(law: OpenLoop, commands: Array, time: float, *, is_mean: bool) -> _F
         doubt = max(abs(spread[:2] / found[:2]).tolist())
         if best is None or square < best.square:
             mass, gain, integral, friction = found[:4].tolist()
-            best = _Fit(mass, gain, integral, abs(friction) + spread.item(3), doubt, square, latency)
+            best = _Fit(mass, gain, integral, abs(friction) + SURE * spread.item(3), doubt, square, latency)
     if best is None:
         raise InputError("commission: got no samples, expected some seconds of them")
     return best
@@ -166,12 +172,12 @@ def _judge(session: Session, axis: int, fit: _Fit) -> None:
     right = fit.gain > 0.0
     session.judged(
         axis, "sign of the force", f"{given.force.per_count:g}", "as configured" if right else "the other way",
-        good=right, text="paste per_count: the display would push against the hand", otherwise=StepVerdict.FAILED,
+        good=right, text="per_count: the display would push against the hand", otherwise=StepVerdict.FAILED,
     )  # fmt: skip
     if not right:
         session.propose(axis, "admittance.force.per_count", -given.force.per_count, "N" if linear else "N*m")
         return
-    late, text = given.force.latency, "paste latency: a force that is booked with another hold is no energy"
+    late, text = given.force.latency, "a force that is booked with another hold is no energy"
     found = f"{fit.latency} samples"
     session.judged(axis, "latency of the force", f"{late} samples", found, good=late == fit.latency, text=text)
     if late != fit.latency:
@@ -199,9 +205,11 @@ def _judge_drive(session: Session, axis: int, fit: _Fit, mass_unit: str, gain_un
         least = 0.0 if declared is None or key not in ranged else (1.0 - declared.spread) * (stated or 0.0)
         good = stated is not None and least <= value <= stated
         configured = "" if stated is None else f"{stated:.4g} {unit}, an over-estimate"
-        session.judged(axis, item, configured, f"{value:.4g} {unit}", good=good, text="paste the value")
+        session.judged(axis, item, configured, f"{value:.4g} {unit}", good=good, text="not an over-estimate")
         if not good:
-            session.propose(axis, f"passivity.{key}", _SAFE * value, unit, f"1.1 times what was measured{of_group}")
+            times = max(_SAFE, 1.0 + SURE * fit.doubt)
+            comment = f"{times:.3g} times what was measured{of_group}"
+            session.propose(axis, f"passivity.{key}", times * value, unit, comment)
 
 
 def _judge_friction(session: Session, axis: int, found: float, declared: GuardedDisplayParameters | None) -> None:
@@ -214,6 +222,6 @@ def _judge_friction(session: Session, axis: int, found: float, declared: Guarded
         return
     good = found <= declared.drive_friction
     stated = f"{declared.drive_friction:.3g} {unit}, an over-estimate"
-    session.judged(axis, item, stated, value, good=good, text="paste the value")
+    session.judged(axis, item, stated, value, good=good, text="not an over-estimate")
     if not good:
         session.propose(axis, "passivity.drive_friction", _SAFE_FRICTION * found, unit, "1.3 times: at rest it is more")

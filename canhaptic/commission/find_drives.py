@@ -82,6 +82,7 @@ def _presence(session: Session, axis: int, drive: ServoDrive) -> None:
         axis, "device profile", f"{od.CIA402_PROFILE:#06x}", f"{profile:#06x}", good=profile == od.CIA402_PROFILE,
         text="no CiA 402 drive; check node_id", otherwise=StepVerdict.FAILED,
     )  # fmt: skip
+    session.propose(axis, "node_id", None, comment="this drive answered")
 
 
 def _identity(session: Session, axis: int, drive: ServoDrive) -> None:

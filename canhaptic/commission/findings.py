@@ -1,12 +1,14 @@
-"""What commissioning found, row by row, and the values to paste."""
+"""What commissioning found, row by row, and the values that follow from it."""
 
-from collections.abc import Iterable
+from collections.abc import Collection
 from enum import Enum
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, cast
 
 from rich.markup import escape
 from rich.table import Table
 
+from canhaptic.scene.edited_text import Change, is_written
+from canhaptic.scene.models import LOOP_KEYS, Scene
 from canhaptic.view.table_style import plain_table
 
 
@@ -14,7 +16,7 @@ class StepVerdict(Enum):
     """Verdict of one row."""
 
     AGREES = "agrees"  # measured, and as configured
-    DIFFERS = "differs"  # measured, and not as configured: paste the value found
+    DIFFERS = "differs"  # measured, and not as configured: the value found is to be used
     MEASURED = "measured"  # there was nothing to compare it with
     FAILED = "failed"  # do not put a hand on this rig
     UNKNOWN = "not verified"
@@ -32,15 +34,28 @@ class StepFinding(NamedTuple):
 
 
 class Value(NamedTuple):
-    """A value to paste into the configuration."""
+    """A value for the scene."""
 
     axis: str
     key: str  # path in the axis, as `counts_per_unit` or `passivity.moving_mass`
-    value: float | int | str
+    value: float | int | str | None  # SI; None: the one that the scene has is right
     unit: str
     comment: str = ""
 
+    @property
+    def text(self) -> str | None:
+        """Value as a scene has it; None: as it has it now."""
+        factor, unit = _SHOWN_IN.get(self.unit, (1.0, self.unit))
+        if not isinstance(self.value, float):  # whole where the drive has it
+            return None if self.value is None else str(self.value)
+        return f"{self.value * factor:.6g} {unit}".rstrip()
 
+
+_SHOWN_IN: Final = {"s": (1e6, "us"), "1": (100.0, "%")}
+"""Units of the package -> factor to those in which small values are written, and their names."""
+_VERIFIED: Final = (StepVerdict.AGREES, StepVerdict.DIFFERS, StepVerdict.MEASURED)
+_MENDED: Final = ("moving mass", "dry friction, least")
+"""Findings of which a failure is a wrong declaration, which the value found replaces."""
 _COLOURS: Final = {
     StepVerdict.AGREES: "green",
     StepVerdict.DIFFERS: "yellow",
@@ -62,7 +77,7 @@ class Report:
         self.findings.append(finding)
 
     def propose(self, value: Value) -> None:
-        """Takes a value to paste."""
+        """Takes a value."""
         self.values.append(value)
 
     @property
@@ -75,12 +90,37 @@ class Report:
         """Whether the configuration is to be corrected."""
         return any(finding.verdict is StepVerdict.DIFFERS for finding in self.findings)
 
+    def changes(self, scene: Scene) -> list[Change]:
+        """Returns the values as changes of a scene; of several axes of a group, the largest of what all share."""
+        values: dict[tuple[str, ...], Value] = {}
+        for value in self.values:
+            path = _path(scene, value)
+            before = values.get(path)
+            if before is None or not isinstance(before.value, float) or before.value < cast(float, value.value):
+                values[path] = value
+        return [Change(path, value.text, value.comment or None) for path, value in values.items()]
+
+    def unfinished(self, axes: Collection[str], items: Collection[str]) -> list[str]:
+        """Returns why a scene with the values found is not to be run; empty where all is verified.
+
+        Args:
+            axes: Names of all axes.
+            items: What must have been verified of each.
+        """
+        seen = {(row.axis, row.item) for row in self.findings if row.verdict in _VERIFIED or row.item in _MENDED}
+        missing = [f"{axis}: {item}: not verified" for axis in axes for item in items if (axis, item) not in seen]
+        return missing + [
+            f"{row.axis}: {row.item}: {row.found}"
+            for row in self.findings
+            if row.verdict is StepVerdict.FAILED and row.item not in _MENDED
+        ]
+
     def as_json(self) -> dict[str, Any]:
         """Returns the report as plain values."""
         return {
             "status": "failed" if self.failed else "differs" if self.differs else "ok",
             "findings": [{**row._asdict(), "verdict": row.verdict.value} for row in self.findings],
-            "values": [value._asdict() for value in self.values],
+            "values": [{**value._asdict(), "text": value.text} for value in self.values],
         }
 
     def table(self) -> Table:
@@ -91,20 +131,21 @@ class Report:
             table.add_row(*(escape(text) for text in row[:4]), verdict, escape(row.text))
         return table
 
-    def snippet(self) -> str:
-        """Returns the values to paste as YAML, axis by axis; "" when there are none."""
-        axes = dict.fromkeys(value.axis for value in self.values)
-        return "\n".join(_axis_snippet(axis, [v for v in self.values if v.axis == axis]) for axis in axes)
+    def values_table(self, written: str) -> Table:
+        """Returns the values, with where they were written, as a table for a terminal."""
+        table = plain_table(written, "axis", "key", "value", "")
+        for value in self.values:
+            table.add_row(*map(escape, (value.axis, value.key, value.text or "as it is", value.comment)))
+        return table
 
 
-def _axis_snippet(axis: str, values: Iterable[Value]) -> str:
-    lines, section = [f"# axis {axis}"], ""
-    for value in sorted(values, key=lambda value: value.key.rpartition(".")[0]):  # YAML takes each section once
-        head, _, key = value.key.rpartition(".")
-        if head != section and head:
-            lines += [f"{'  ' * depth}{name}:" for depth, name in enumerate(head.split("."))]
-        section = head
-        indent, comment = "  " * len(head.split(".")) if head else "", f"  # {value.comment}" if value.comment else ""
-        number = f"{value.value:.6g}" if isinstance(value.value, float) else value.value  # whole where the drive has it
-        lines.append(f"{indent}{key}: {number} {value.unit}".rstrip() + comment)
-    return "\n".join(lines) + "\n"
+def _path(scene: Scene, value: Value) -> tuple[str, ...]:
+    """Returns where a scene has a value, or is to have it."""
+    index = [axis.parameters.name for axis in scene.axes].index(value.axis)
+    own, group = ("axes", str(index), *value.key.split(".")), scene.axes[index].group
+    head, _, key = value.key.rpartition(".")
+    if head != "passivity" or is_written(scene.text, own):
+        return own
+    if group and key not in LOOP_KEYS:
+        return ("groups", group, head, key)
+    return own if group or len(scene.axes) > 1 or is_written(scene.text, own[:3]) else (head, key)

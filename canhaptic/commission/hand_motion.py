@@ -89,5 +89,5 @@ def _judge(session: Session, axis: int, ratio: float) -> None:
     unit = f"count/{parameters.unit}"
     configured, found = f"{parameters.counts_per_unit:g} {unit}", f"{counts:.6g} {unit}"
     session.judged(axis, "encoder counts", configured, found, good=same, text=text)
-    if not same:
-        session.propose(axis, "counts_per_unit", counts, unit, "as measured; round it to the data")
+    text = "agrees with a distance moved by hand" if same else "by a distance moved by hand; round it to the data"
+    session.propose(axis, "counts_per_unit", None if same else counts, unit, text)

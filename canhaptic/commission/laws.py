@@ -4,6 +4,8 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, Final
 
+import numpy as np
+
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.errors import ControlError
 from canhaptic.units import Parameters, quantity
@@ -35,6 +37,7 @@ class OpenLoop:
     Attributes:
         positions: At every SYNC since `reset` [m or rad].
         applied: Torque of the hold that ended there [N or N*m].
+        sent: Torque returned there [N or N*m].
         tripped: Why the torque was taken away; "" while it was not.
         has_gap: Whether a sample was lost: the positions are then not those of one SYNC after the other.
     """
@@ -49,6 +52,7 @@ class OpenLoop:
         """Forgets what was recorded, and begins with the first torque."""
         self.positions: list[float] = []
         self.applied: list[float] = []
+        self.sent: list[float] = []
         self.tripped = ""
         self.has_gap = False
         self._next = 0
@@ -76,6 +80,7 @@ class OpenLoop:
         if self._next < len(self._torques) and not self.tripped:
             torque = self._torques[self._next]
             self._next += 1
+        self.sent.append(torque)
         return self._book(torque, -torque_applied * displacement)
 
     def _watch(self, position: float, displacement: float) -> None:
@@ -102,8 +107,21 @@ def doublet(torque: float, cycles: int) -> list[float]:
     return [torque] * cycles + [-torque] * (2 * cycles) + [torque] * cycles
 
 
+def reversals(torque: float, longest: int, count: int) -> list[float]:
+    """Returns doublets of a torque [N or N*m] of both signs and many lengths, the same with every call.
+
+    Args:
+        torque: [N or N*m]
+        longest: First part of the longest doublet, in cycles; the shortest is half as long.
+        count: How many doublets.
+    """
+    drawn = np.random.default_rng(1)
+    lengths, signs = drawn.integers(longest // 2, longest + 1, count), drawn.choice([-1.0, 1.0], count)
+    return [part for length, sign in zip(lengths, signs, strict=True) for part in doublet(sign * torque, int(length))]
+
+
 def sweep(amplitude: float, lowest: float, highest: float, duration: float, sample_time: float) -> list[float]:
-    """Returns a cosine whose frequency rises exponentially: a free mass swings about where it was.
+    """Returns a cosine whose frequency rises exponentially: a free mass swings about where it was, and ends at rest.
 
     Args:
         amplitude: [N or N*m]
@@ -113,7 +131,8 @@ def sweep(amplitude: float, lowest: float, highest: float, duration: float, samp
         sample_time: [s]
     """
     rate = math.log(highest / lowest) / duration
-    return [
-        amplitude * math.cos(2.0 * math.pi * lowest * math.expm1(rate * k * sample_time) / rate)
-        for k in range(round(duration / sample_time))
-    ]
+    torques = amplitude * np.cos(
+        2.0 * np.pi * lowest * np.expm1(rate * np.arange(round(duration / sample_time)) * sample_time) / rate
+    )
+    turns = np.flatnonzero(np.diff(np.signbit(np.cumsum(torques))))
+    return [float(torque) for torque in torques[: turns[-1] + 1 if len(turns) else None]]

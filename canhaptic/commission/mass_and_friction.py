@@ -22,6 +22,10 @@ _OVERLAP: Final = 2.0
 """Windows begin every quarter of their length: n of them tell as much as n / 4 that do not overlap."""
 _PARTS: Final = 8
 """Parts of a window; the axis must move on in each."""
+_REVERSAL_PARTS: Final = 4
+"""The same of a window about a reversal of the torque, which is short."""
+_SLOWEST: Final = 0.2
+"""Part of the fastest motion below which a window says nothing of a late torque: the axis sticks or turns in it."""
 _STILL: Final = 1e-12  # [m or rad] in one sample time: the sign of the speed is then 0
 
 
@@ -85,7 +89,7 @@ def friction_curve(positions: _Array, applied: _Array, sample_time: float, half_
     too large, and c is above the truth at some speed. So the windows in which the axis moves one way throughout are
     sorted by speed, and each range of speed has a friction of its own. Arguments as of `estimate`.
     """
-    starts, ways = _one_way(positions, half_base)
+    starts, ways = _one_way(positions, half_base, half_base // 2)
     if len(starts) < _FEWEST_RANGES * 2 * _FEWEST_OF_A_RANGE:
         return None
     matrix, torque = _equations(positions, applied, sample_time, half_base, starts)
@@ -105,14 +109,25 @@ def friction_curve(positions: _Array, applied: _Array, sample_time: float, half_
     return FrictionCurve(mass, _OVERLAP * mass_error, np.array(means), np.array(frictions), spread)
 
 
-def _one_way(positions: _Array, half_base: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Returns where the windows begin in which the axis moves on in every part, and which way, 1 or -1."""
-    starts = np.arange(0, len(positions) - 2 * half_base, max(1, half_base // 2))
+def _one_way(
+    positions: _Array, half_base: int, stride: int, count: int = _PARTS, slowest: float = 0.0
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Returns where the windows begin in which the axis moves on in every part, and which way, 1 or -1.
+
+    Args:
+        positions: At each SYNC, shape (n,) [m or rad].
+        half_base: Half the length of a window, in sample times.
+        stride: From window to window, in sample times.
+        count: Parts of a window.
+        slowest: Least motion in a part, as a share of the fastest tenth of all.
+    """
+    starts = np.arange(0, len(positions) - 2 * half_base, max(1, stride))
     if not len(starts):
         return starts, starts
-    ends = starts[:, None] + np.linspace(0, 2 * half_base, min(_PARTS, 2 * half_base) + 1).astype(int)[None, :]
+    ends = starts[:, None] + np.linspace(0, 2 * half_base, min(count, 2 * half_base) + 1).astype(int)[None, :]
     parts = np.diff(positions[ends], axis=1)
-    ways = (parts > _STILL).all(axis=1).astype(np.int64) - (parts < -_STILL).all(axis=1)
+    least = max(_STILL, slowest * float(np.quantile(np.abs(parts).max(axis=1), 0.9)))
+    ways = (parts >= least).all(axis=1).astype(np.int64) - (parts <= -least).all(axis=1)
     return starts[ways != 0], ways[ways != 0]
 
 
@@ -123,17 +138,15 @@ def estimate_lateness(
 
     It is the time for which the previous torque still acts in every hold: window and lag together. In a hold whose
     torque changes by d the mean torque is less by late d / T, so that one more column of `estimate` finds it.
-    Arguments as of `estimate`; None when the motion was too small.
+    A torque that reverses while the axis is fastest tells most (`laws.reversals`): friction that turns or sticks within
+    a window would be taken for a late torque. Arguments as of `estimate`; None when the motion was too small.
     """
-    starts = np.arange(1, len(positions) - 2 * half_base, max(1, half_base // 4))
-    step, weights = np.diff(positions), np.arange(2 * half_base)[None, :]
-    if len(starts):  # dry friction that turns or sticks in between would be taken for a late torque
-        moving = step[starts[:, None] + weights]
-        starts = starts[(moving > _STILL).all(axis=1) | (moving < -_STILL).all(axis=1)]
+    starts, ways = _one_way(positions, half_base, half_base // 4, _REVERSAL_PARTS, _SLOWEST)
     if len(starts) < _FEWEST_EQUATIONS:
         return None
     matrix, torque = _equations(positions, applied, sample_time, half_base, starts)
-    window = starts[:, None] + weights
+    matrix[:, 2] = ways  # a coarse encoder shows no direction in some holds
+    window = starts[:, None] + np.arange(2 * half_base)[None, :]
     changes = (np.diff(applied, prepend=applied[0])[1:][window] @ _triangle(half_base)) / sample_time
     solved = _solve(np.column_stack([matrix, changes]), torque)
     return None if solved is None else (solved[0][-1], solved[1][-1])

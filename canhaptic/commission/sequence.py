@@ -1,11 +1,16 @@
 """The steps in their order; what was found before a fault is kept."""
 
+from typing import Final
+
 from canhaptic.commission.find_drives import identify
 from canhaptic.commission.hand_motion import STANDSTILL, move_by_hand, stand_still
 from canhaptic.commission.session import Session
 from canhaptic.commission.torque_tests import identify_dynamics, pulse, time_the_read_back
 from canhaptic.commission.watchdog import pull_the_master, time_the_cycle
 from canhaptic.errors import InputError
+
+REQUIRED: Final = (STANDSTILL, "torque sign", "moving mass", "mass on a shaft", "torque lag", "watchdog")
+"""What must have been verified of every axis before its scene is one to run."""
 
 
 def commission(session: Session, timing_duration: float) -> None:
@@ -68,5 +73,5 @@ def _with_torque(session: Session) -> None:
         rough_mass = pulse(session, axis)
         if rough_mass is not None and not session.stop_requested():
             identify_dynamics(session, axis, rough_mass)
-    if not session.report.failed and not session.stop_requested():
+    if not session.report.unfinished((), ()) and not session.stop_requested():
         time_the_read_back(session)

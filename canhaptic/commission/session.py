@@ -3,7 +3,9 @@
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Final
 
+from canhaptic.axis_units import effort_unit
 from canhaptic.commission.dialogue import Dialogue
 from canhaptic.commission.findings import Report, StepFinding, StepVerdict, Value
 from canhaptic.commission.laws import NO_TORQUE, CommissioningLimits, OpenLoop
@@ -15,6 +17,12 @@ from canhaptic.errors import InputError
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.signals import Truth
+
+_AT_REST: Final = 0.1  # [s] in which an axis at rest moves by no more than some counts
+_STILL_COUNTS: Final = 2
+_DRIFT: Final = 0.005  # of the travel in that time: what is left of a motion then takes no test beyond it
+_COAST: Final = 20.0  # [s] until it comes to rest
+_HALVINGS: Final = 5  # amplitudes that are tried, each half of the one before
 
 
 class Session:
@@ -86,6 +94,48 @@ class Session:
     def axes(self) -> Sequence[AxisScene]:
         """One per axis."""
         return self.scene.axes
+
+    def coast(self, axis: int) -> None:
+        """Waits without torque until an axis is at rest, as long as a bearing may take that hardly brakes.
+
+        Raises:
+            RigError: Drive or link failed; torque is zero.
+        """
+        law, watched = OpenLoop(NO_TORQUE), self.cycles(_AT_REST)
+        still = max(_STILL_COUNTS / self.axes[axis].parameters.counts_per_unit, _DRIFT * self.limits.travel)
+
+        def at_rest() -> bool:
+            last = law.positions[-watched:]
+            return len(last) == watched and max(last) - min(last) <= still
+
+        self.run(
+            [law if n == axis else OpenLoop(NO_TORQUE) for n in range(len(self.axes))], self.cycles(_COAST), at_rest
+        )
+
+    def play_within(
+        self, axis: int, item: str, torques_of: Callable[[float], Sequence[float]], torque: float
+    ) -> OpenLoop:
+        """Plays torques of an amplitude as `play` does; where the axis goes too far or too fast, again with half of it.
+
+        Args:
+            axis: Its index.
+            item: What is measured.
+            torques_of: Torques of an amplitude, one per cycle [N or N*m].
+            torque: Amplitude [N or N*m].
+
+        Raises:
+            RigError: Drive or link failed; torque is zero.
+        """
+        name, unit = self.axes[axis].parameters.name, effort_unit(self.axes[axis].parameters.unit)
+        for left in reversed(range(_HALVINGS)):
+            self.coast(axis)
+            torques = torques_of(torque)
+            law = self.play(axis, torques, len(torques) + 2)  # the last one ends as well, or the axis moves on
+            if not law.tripped or law.has_gap or self.stop_requested() or not left:
+                break
+            torque *= 0.5
+            self.dialogue.tell(f"  {name}: {item}: stopped, handle {law.tripped}; repeating with {torque:.3g} {unit}")
+        return law
 
     def play(
         self,
@@ -172,8 +222,8 @@ class Session:
         for axis in axes:
             self.found(axis, item, "", "not tried", StepVerdict.UNKNOWN, text)
 
-    def propose(self, axis: int, key: str, value: float | int | str, unit: str = "", comment: str = "") -> None:
-        """Adds a value to paste."""
+    def propose(self, axis: int, key: str, value: float | int | str | None, unit: str = "", comment: str = "") -> None:
+        """Adds a value for the scene; None: the one that it has is right."""
         self.report.propose(Value(self.axes[axis].parameters.name, key, value, unit, comment))
 
 

@@ -102,7 +102,7 @@ def _propose_jitter(session: Session, latest: float) -> None:
         if session.experiment.pace == "free":
             jitter = scene.loop.sync_jitter or _LEAST_JITTER
         comment = f"at least 1 %, or {_MARGIN:g} times the largest lateness of a SYNC in this run"
-        session.propose(axis, "passivity.sync_jitter", 100.0 * jitter, "%", comment)
+        session.propose(axis, "passivity.sync_jitter", jitter, "1", comment)
 
 
 def _words(counts: dict[str, float]) -> str:

@@ -20,18 +20,20 @@ def _commissioned(capsys: pytest.CaptureFixture[str], *overrides: str) -> tuple[
     words = [word for override in ("bus.rate=500", *overrides) for word in ("--set", override)]
     status = main(["commission", SCENE, "--yes", "--json", *words])
     report = json.loads(capsys.readouterr().out)
-    return status, {finding["item"]: finding for finding in report["findings"]} | {"snippet": report["snippet"]}
+    return status, {finding["item"]: finding for finding in report["findings"]} | {
+        "values": {value["key"]: value["text"] for value in report["values"] if value["text"]}
+    }
 
 
 def test_a_right_configuration_agrees_and_the_drive_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
     status, found = _commissioned(capsys)
     assert status == 0
-    verdicts = {item: of["verdict"] for item, of in found.items() if item != "snippet"}
+    verdicts = {item: of["verdict"] for item, of in found.items() if item != "values"}
     assert verdicts.pop("friction of the drive") == "measured"  # none is declared
     assert set(verdicts.values()) == {"agrees"}
     assert float(found["mass of the drive"]["found"].split()[0]) == pytest.approx(2.0, rel=0.03)
     assert float(found["gain of the velocity loop"]["found"].split()[0]) == pytest.approx(630.0, rel=0.02)
-    assert found["snippet"] == ""
+    assert found["values"] == {}
 
 
 @pytest.mark.slow
@@ -44,9 +46,9 @@ def test_a_late_sensor_with_an_offset_and_a_heavy_drive_are_found(capsys: pytest
     status, found = _commissioned(capsys, *wrong)
     assert status == 1
     assert found["latency of the force"]["found"] == "2 samples"
-    assert "    offset_counts: 499" in found["snippet"]
-    assert "    latency: 2" in found["snippet"]
-    assert "  drive_mass: 3.2" in found["snippet"]
+    assert found["values"]["admittance.force.offset_counts"].startswith("499")
+    assert found["values"]["admittance.force.latency"] == "2"
+    assert found["values"]["passivity.drive_mass"].startswith("3.2")
 
 
 @pytest.mark.slow
@@ -54,7 +56,7 @@ def test_a_wrong_sign_fails(capsys: pytest.CaptureFixture[str]) -> None:
     status, found = _commissioned(capsys, "simulation.admittance.sensor.gain=-1")
     assert status == 1
     assert found["sign of the force"]["verdict"] == "failed"
-    assert "per_count: -0.01 N" in found["snippet"]
+    assert found["values"]["admittance.force.per_count"] == "-0.01 N"
 
 
 @pytest.mark.slow
@@ -63,16 +65,16 @@ def test_friction_is_measured_and_judged_where_it_is_declared(capsys: pytest.Cap
     status, found = _commissioned(capsys, rough, "passivity.drive_friction=0.5")
     assert status == 1
     assert float(found["friction of the drive"]["found"].split()[0]) == pytest.approx(3.0, rel=0.1)
-    assert "  drive_friction: 3." in found["snippet"]
+    assert found["values"]["passivity.drive_friction"].startswith("3.")
 
 
 @pytest.mark.slow
 def test_the_axes_of_a_group_are_compared_with_what_the_group_declares(capsys: pytest.CaptureFixture[str]) -> None:
     scene = str(Path(SCENE).with_name("guided_path.yaml"))
     assert main(["commission", scene, "--yes", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["snippet"] == ""
+    assert json.loads(capsys.readouterr().out)["values"] == []
     assert main(["commission", scene, "--yes", "--json", "--set", "simulation.plant.mass=3"]) == 1
-    assert "in the group stage" in json.loads(capsys.readouterr().out)["snippet"]
+    assert "in the group stage" in json.loads(capsys.readouterr().out)["values"][0]["comment"]
 
 
 def test_a_stop_while_the_drive_moves_leaves_the_loop_untried() -> None:

@@ -174,7 +174,7 @@ def test_pictures_pages_tables_and_scenes_go_onto_regular_files_alone(
         **with_bokeh,
         ".png": ["inspect", str(log), "--png"],
         ".csv": ["inspect", str(log), "--csv"],
-        ".yaml": ["commission", DEMO, "--yes", "--duration", "0.1", "--out"],
+        ".yaml": ["commission", DEMO, "--yes", "--out"],
     }.items():
         link = tmp_path / f"link{suffix}"
         link.symlink_to(mine)
