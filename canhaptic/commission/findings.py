@@ -53,7 +53,6 @@ class Value(NamedTuple):
 
 _SHOWN_IN: Final = {"s": (1e6, "us"), "1": (100.0, "%")}
 """Units of the package -> factor to those in which small values are written, and their names."""
-_VERIFIED: Final = (StepVerdict.AGREES, StepVerdict.DIFFERS, StepVerdict.MEASURED)
 _MENDED: Final = ("moving mass", "dry friction, least")
 """Findings of which a failure is a wrong declaration, which the value found replaces."""
 _COLOURS: Final = {
@@ -107,7 +106,7 @@ class Report:
             axes: Names of all axes.
             items: What must have been verified of each.
         """
-        seen = {(row.axis, row.item) for row in self.findings if row.verdict in _VERIFIED or row.item in _MENDED}
+        seen = {(row.axis, row.item) for row in self.findings if row.verdict is not StepVerdict.UNKNOWN}
         missing = [f"{axis}: {item}: not verified" for axis in axes for item in items if (axis, item) not in seen]
         return missing + [
             f"{row.axis}: {row.item}: {row.found}"

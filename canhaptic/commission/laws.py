@@ -117,7 +117,9 @@ def reversals(torque: float, longest: int, count: int) -> list[float]:
     """
     drawn = np.random.default_rng(1)
     lengths, signs = drawn.integers(longest // 2, longest + 1, count), drawn.choice([-1.0, 1.0], count)
-    return [part for length, sign in zip(lengths, signs, strict=True) for part in doublet(sign * torque, int(length))]
+    return [
+        part for length, sign in zip(lengths, signs, strict=True) for part in doublet(float(sign * torque), int(length))
+    ]
 
 
 def sweep(amplitude: float, lowest: float, highest: float, duration: float, sample_time: float) -> list[float]:

@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -10,23 +11,173 @@ from pathlib import Path
 import pytest
 
 from canhaptic.cli.main import main
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import Scene
 from tests.forked import command
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 DEMO = str(CONFIGS / "demo.yaml")
 
 
-@pytest.mark.slow
-def test_a_right_configuration_ends_with_status_zero_and_values_to_paste(
+def assert_declared_within(scene: Scene) -> None:
+    """What is declared of every axis is on the safe side of its simulated plant."""
+    for axis in scene.axes:
+        simulation, loop = axis.simulation, axis.loop
+        assert simulation is not None
+        assert loop.moving_mass is not None
+        assert 0.7 * simulation.plant.mass < loop.moving_mass <= simulation.plant.mass
+        assert (loop.device_damping or 0.0) <= simulation.plant.damping <= (loop.device_damping_bound or 0.0)
+        of_effects = {effect.name: effect.parameters for effect in simulation.effects}
+        friction = getattr(of_effects.get("coulomb_friction"), "static", 0.0)
+        assert (loop.device_friction or 0.0) <= friction <= (loop.device_friction_bound or 0.0)
+        assert (loop.current_lag or 0.0) >= getattr(of_effects.get("current_loop"), "time_constant", 0.0)
+
+
+def commissioned(scene: Path | str, out: Path, *words: str) -> Path:
+    """The scene that `commission` writes."""
+    assert main(["commission", str(scene), "--yes", "--duration", "0.1", "--out", str(out), *words]) == 0
+    assert_declared_within(load_scene(out))
+    return out
+
+
+def felt(scene: Path, capsys: pytest.CaptureFixture[str]) -> float:
+    """Share of the stiffness that a run of 3 s renders, which is passive."""
+    capsys.readouterr()
+    assert main(["run", str(scene), "--duration", "3", "--pace", "free", "--json"]) == 0
+    [port] = json.loads(capsys.readouterr().out)["ports"].values()
+    assert port["passive"] == "yes"
+    return float(port["rendered"]["stiffness"])
+
+
+def test_the_whole_scene_is_written_and_says_what_was_measured(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    out = tmp_path / "values.yaml"
-    status = main(["commission", DEMO, "--yes", "--duration", "0.1", "--json", "--out", str(out)])
+    scene = tmp_path / "rig.yaml"
+    scene.write_text(Path(DEMO).read_text().replace("0.2 kg     # an", "0.2 kg     # TO SET: an"))
+    out = commissioned(scene, tmp_path / "mine.yaml", "--json")
     report = json.loads(capsys.readouterr().out)
-    assert status == 0
-    assert report["status"] == "ok"
-    assert report["snippet"] == out.read_text()
-    assert "moving_mass: 0.2247" in report["snippet"]
+    assert (report["status"], report["written"], report["unfinished"]) == ("ok", str(out), [])
+    assert "TO SET" not in out.read_text()
+    assert {value["key"] for value in report["values"]} >= {"passivity.moving_mass", "passivity.current_lag"}
+    kept = [line for line in scene.read_text().splitlines() if not set(line.split(":")) & {"  moving_mass"}]
+    assert len(set(kept) - set(out.read_text().splitlines())) <= 4  # node_id, counts_per_unit, rated_torque, bound
+
+
+@pytest.mark.parametrize(
+    ("words", "taken", "says"),
+    [
+        (["--out", "mine.yaml"], "mine.yaml", "mine.yaml already exists; choose another name"),
+        (["--in-place"], "rig.yaml.bak", "rig.yaml.bak already exists"),
+        (["--out", "mine.yaml", "--in-place"], "", "not allowed with argument"),
+        (["--out", "mine.yaml", "--set", "axes=[]"], "", "axes"),
+    ],
+)
+def test_nothing_that_exists_is_overwritten_and_nothing_is_tried_before(
+    words: list[str], taken: str, says: str, capsys: pytest.CaptureFixture[str], tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    Path("rig.yaml").write_text(Path(DEMO).read_text())
+    if taken:
+        Path(taken).write_text("mine")
+    assert status_of(["commission", "rig.yaml", "--yes", *words]) == 2
+    said = capsys.readouterr()
+    assert says in said.err
+    assert "1 of 6" not in said.err
+    assert not taken or Path(taken).read_text() == "mine"
+    assert Path("rig.yaml").read_text() == Path(DEMO).read_text()
+
+
+def status_of(words: list[str]) -> int:
+    """Exit status, also of what the parser of the arguments refuses."""
+    try:
+        return main(words)
+    except SystemExit as end:
+        return int(str(end.code))
+
+
+def test_in_place_the_scene_before_is_kept(tmp_path: Path) -> None:
+    scene = tmp_path / "rig.yaml"
+    scene.write_text(Path(DEMO).read_text())
+    assert main(["commission", str(scene), "--yes", "--duration", "0.1", "--in-place"]) == 0
+    assert (tmp_path / "rig.yaml.bak").read_text() == Path(DEMO).read_text()
+    assert_declared_within(load_scene(scene))
+    assert "  current_lag:" in scene.read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "missing"),
+    [
+        (["--speed", "1e-6"], "handle: moving mass: not verified"),
+        (["--set", "axes.0.watchdog=false"], "handle: watchdog: OPERATION ENABLED"),
+    ],
+)
+def test_an_unfinished_commissioning_writes_nothing(
+    words: list[str], missing: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    out = tmp_path / "mine.yaml"
+    assert main(["commission", DEMO, "--yes", "--duration", "0.1", "--out", str(out), *words]) == 1
+    assert f"not finished, nothing written\n    {missing}" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_a_stopped_commissioning_writes_nothing(tmp_path: Path) -> None:
+    out = tmp_path / "mine.yaml"
+    with command("commission", DEMO, "--yes", "--duration", "600", "--out", str(out)) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if line.startswith("6 of 6"):
+                process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 130
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_from_a_dictionary_to_a_wall_that_is_felt(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    rig = tmp_path / "rig.yaml"
+    assert main(["new", str(CONFIGS.parent / "eds" / "cia402_servo.eds"), "--simulate", "--out", str(rig)]) == 0
+    assert felt(commissioned(rig, tmp_path / "mine.yaml", "--travel", "0.1"), capsys) >= 0.9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["maxon_epos4.dcf", "elmo_gold.dcf", "kollmorgen_rgm.eds", "zeroerr_erob.eds"])
+def test_from_the_dictionary_of_a_vendor_to_a_wall_that_is_felt(
+    name: str, vendor_eds: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    rig = tmp_path / "rig.yaml"
+    assert main(["new", str(vendor_eds / name), "--simulate", "--out", str(rig)]) == 0
+    assert felt(commissioned(rig, tmp_path / "mine.yaml", "--travel", "0.1"), capsys) >= 0.9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "effects",
+    [
+        "[{type: current_loop, time_constant: 300 us}]",
+        "[{type: coulomb_friction, kinetic: 0.2 N, static: 0.3 N}, {type: current_loop, time_constant: 500 us}]",
+        "[{type: current_loop, time_constant: 900 us}]",
+    ],
+)
+def test_a_late_torque_and_dry_friction_are_bounded_and_the_wall_is_kept(
+    effects: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Nothing of it is declared in the scene: what is derived from the plant is replaced by what was measured."""
+    out = commissioned(DEMO, tmp_path / "mine.yaml", "--set", f"simulation.effects={effects}")
+    assert felt(out, capsys) >= 0.9
+
+
+@pytest.mark.slow
+def test_the_axes_of_a_group_get_values_of_their_own(tmp_path: Path) -> None:
+    words = [
+        "--set",
+        "simulation.bus.drop=1e-12",
+        "--set",
+        "simulation.axes.second.plant={mass: 0.5 kg, damping: 0.2 N*s/m}",
+    ]
+    text = commissioned(CONFIGS / "two_handles.yaml", tmp_path / "mine.yaml", *words).read_text()
+    assert text.count("    passivity:") == 3
+    assert "    - &handle" in text or "  - &handle" in text
 
 
 @pytest.mark.slow
@@ -62,6 +213,7 @@ ANSWERS = {
     "Pulses of at most": "yes",
     "A sweep of": "y",
     "A shake of": "y",
+    "Reversals of": "y",
     "moving mass from a scale": "0.25 kg",
     "A rattle of": "y",
     "falls silent. Now": "y",

@@ -1,0 +1,148 @@
+"""How late a torque acts: what is declared bounds what the plant does, and the wall is kept."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from canhaptic.commission import torque_lag
+from canhaptic.commission.findings import StepVerdict
+from canhaptic.commission.laws import CommissioningLimits, reversals
+from canhaptic.commission.mass_and_friction import estimate_lateness
+from canhaptic.commission.session import Session
+from canhaptic.commission.torque_lag import time_the_torque
+from canhaptic.commission.wall_trial import SURE, is_dear, needed_allowance, share_of_wall
+from canhaptic.scene.load import load_scene
+from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
+from canhaptic.sim.plant.effects.current_loop import CurrentLoop
+from canhaptic.sim.plant.effects.stribeck_friction import StribeckFriction
+from canhaptic.sim.plant.plant import Plant, PlantParameters
+from tests.commission.test_commissioning import DEMO, Answers, row, value
+from tests.drawn import examples
+
+TIME = 1e-3
+MASS = 0.25
+FRICTIONS = {
+    "none": None,
+    "dry": CoulombFriction(kinetic=0.2, static=0.25),
+    "falling": StribeckFriction(kinetic=0.2, static=0.4, stribeck_velocity=0.05),
+}
+
+
+def measured(lag: float, damping: float, friction: str, count: float, offset: float = 0.0) -> tuple[float, float]:
+    """What reversals of 1 N find, on 0.25 kg and an encoder of finite counts."""
+    effects = [effect for effect in (FRICTIONS[friction], CurrentLoop(time_constant=lag) if lag else None) if effect]
+    torques = np.array(reversals(1.0, 36, 32))
+    positions = Plant(PlantParameters(mass=MASS, damping=damping), None, effects, 1_000_000).run(torques)
+    shown = np.floor((np.concatenate([[0.0], positions]) + offset) / count) * count
+    late = estimate_lateness(shown, np.concatenate([[0.0], torques]), TIME, 12)
+    assert late is not None
+    return late
+
+
+@pytest.mark.parametrize("friction", FRICTIONS)
+def test_a_first_order_lag_is_found_whatever_the_friction(friction: str) -> None:
+    late, error = measured(300e-6, 0.1, friction, 1e-6)
+    assert late == pytest.approx(300e-6, abs=40e-6 if friction == "falling" else 5e-6)
+    assert error < 20e-6
+
+
+@pytest.mark.slow
+@settings(max_examples=examples(100), deadline=None)
+@given(
+    lag=st.floats(0.0, 900e-6),
+    damping=st.sampled_from([0.0, 0.1, 1.0]),
+    friction=st.sampled_from(list(FRICTIONS)),
+    count=st.sampled_from([1e-6, 1e-5, 5e-5]),
+    offset=st.floats(0.0, 5e-5),
+)
+def test_what_would_be_declared_bounds_the_lag(
+    lag: float, damping: float, friction: str, count: float, offset: float
+) -> None:
+    late, error = measured(lag if lag > 1e-6 else 0.0, damping, friction, count, offset)
+    assert lag <= torque_lag._OVER * (max(0.0, late) + SURE * error) + 1e-6
+
+
+def timed(*overrides: str) -> tuple[Session, Answers]:
+    """The test of the lag alone, of the demo."""
+    said = Answers()
+    session = Session(load_scene(DEMO, list(overrides)), said, CommissioningLimits(), lambda: False)
+    with session.rig_of(with_hand=False):
+        time_the_torque(session, 0, 1.0, MASS, {})
+    return session, said
+
+
+LAG = "simulation.effects=[{{type: current_loop, time_constant: {} us}}]"
+
+
+def test_a_lag_below_what_is_resolved_keeps_what_is_configured() -> None:
+    session, _ = timed("passivity.current_lag=100 us")
+    assert "below what this test resolves" in row(session.report, "torque lag").found
+    assert [found.value for found in session.report.values if found.key == "passivity.current_lag"] == [None]
+
+
+def test_a_torque_that_acts_before_its_sync_fails_and_bounds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torque_lag, "estimate_lateness", lambda *_: (-1e-3, 1e-5))
+    session, _ = timed()
+    assert row(session.report, "torque lag").verdict is StepVerdict.FAILED
+    assert session.report.values == []
+
+
+def test_a_test_that_leaves_too_much_open_is_repeated_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+    lengths: list[int] = []
+
+    def unsure(positions: np.ndarray, *_: object) -> tuple[float, float]:
+        lengths.append(len(positions))
+        return (-387e-6, 660e-6) if len(lengths) < 3 else (-100e-6, 60e-6)
+
+    monkeypatch.setattr(torque_lag, "_DOUBLETS", (4, 8, 16, 32))
+    monkeypatch.setattr(torque_lag, "estimate_lateness", unsure)
+    session, said = timed()
+    assert len(lengths) == 3
+    assert lengths[0] * 1.8 < lengths[1] < lengths[2] / 1.8
+    assert len([line for line in said.said if "costs too much of the wall" in line]) == 2
+    assert value(session.report, "passivity.current_lag") == pytest.approx(1.1 * 120e-6)
+    assert "energy_allowance" not in str(session.report.values)
+
+
+def test_a_lag_that_ends_the_wall_is_declared_with_the_allowance_that_keeps_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torque_lag, "_DOUBLETS", (2, 4))
+    monkeypatch.setattr(torque_lag, "estimate_lateness", lambda *_: (-387e-6, 500e-6))
+    session, _ = timed()
+    lag, allowance = (float(value(session.report, f"passivity.{key}")) for key in ("current_lag", "energy_allowance"))
+    axis = session.scene.axes[0]
+    assert lag == pytest.approx(1.1e-3)
+    assert share_of_wall(axis, 0.5, {"current_lag": lag, "energy_allowance": allowance}) > 0.9
+    assert allowance < 1e-3
+
+
+def test_the_wall_ends_where_a_hold_is_over_before_its_torque_acts() -> None:
+    """(2) of `hold_timing`: with theta = T a contact may give back what its own motion brings in."""
+    axis = load_scene(DEMO).axes[0]
+    shares = [share_of_wall(axis, 0.5, {"current_lag": lag * 1e-3}) for lag in (0.0, 0.6, 1.0)]
+    assert shares[0] == pytest.approx(1.0)
+    assert shares[1] > 0.9
+    assert shares[2] == 0.0
+    assert is_dear(axis, 0.5, {}, {"current_lag": 1e-3})
+    assert not is_dear(axis, 0.5, {}, {"current_lag": 0.6e-3})
+
+
+@pytest.mark.slow
+def test_no_allowance_keeps_a_wall_that_is_far_too_late() -> None:
+    assert needed_allowance(load_scene(DEMO).axes[0], 0.5, {}, {"current_lag": 0.02}) is None
+
+
+@pytest.mark.parametrize("scene", ["xy_box.yaml", "admittance/virtual_mass.yaml"])
+def test_of_what_renders_no_wall_by_itself_nothing_is_judged(scene: str) -> None:
+    axis = load_scene(Path(DEMO).with_name(scene) if "/" not in scene else Path(DEMO).parent / scene).axes[0]
+    assert share_of_wall(axis, 0.5, {"current_lag": 0.02}) == 1.0
+
+
+def test_reversals_bring_a_mass_back_and_are_of_both_signs_and_many_lengths() -> None:
+    torques = np.array(reversals(1.0, 24, 16))
+    assert np.array_equal(torques, reversals(1.0, 24, 16))
+    assert np.cumsum(torques)[-1] == 0.0
+    assert abs(np.cumsum(np.cumsum(torques))[-1]) <= np.abs(np.cumsum(torques)).max() * 16
+    assert set(np.unique(torques)) == {-1.0, 1.0}
