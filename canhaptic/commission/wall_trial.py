@@ -1,18 +1,10 @@
-"""How much of its wall an axis renders with the values that are declared, found by pressing into it.
-
-The axis's own algorithm is given the positions of a handle that moves in at constant speed, as its encoder would show
-them. What bounds a measured value from above or below, and what an energy allowance buys, is judged by that.
-"""
+"""What the uncertainty of a measurement costs of the wall, and what an energy allowance buys."""
 
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any, Final, cast
+from typing import Final
 
-from canhaptic.control.environments.environment import Environment
-from canhaptic.errors import ParameterError
-from canhaptic.scene.hints import LEAN
+from canhaptic.scene.first_contact import can_be_tried, rendered_share, with_declared
 from canhaptic.scene.models import AxisScene
-from canhaptic.scene.parts import build_axis_controller
 
 SURE: Final = 2.0
 """Standard deviations: what is beyond them is taken to be impossible."""
@@ -24,7 +16,7 @@ _DOUBLINGS: Final = 24  # 17 mJ
 
 
 def share_of_wall(axis: AxisScene, fastest: float, declared: Mapping[str, float]) -> float:
-    """Returns the share of the wall's stiffness that is rendered on the way in, the mean of several speeds.
+    """Returns the share of the wall that is rendered on the way in, the mean of several speeds.
 
     1 where the axis has no wall: a group or a display, or another environment.
 
@@ -33,43 +25,15 @@ def share_of_wall(axis: AxisScene, fastest: float, declared: Mapping[str, float]
         fastest: Speed of the handle [m/s or rad/s].
         declared: Values of `passivity` in place of those of the axis, SI.
     """
-    environment = cast(Environment, axis.environment.parameters)
-    stiffness = getattr(environment, "stiffness", 0.0) if hasattr(environment, "side") else 0.0
-    if not stiffness or axis.passivity.own is not None:
+    if not can_be_tried(axis) or axis.passivity.own is not None:
         return 1.0
-    of_loop = {key: value for key, value in declared.items() if key in type(axis.loop).model_fields}
-    others = {key: value for key, value in declared.items() if key not in of_loop}
-    parameters = axis.passivity.parameters.model_copy(update=others)
-    trial = replace(
-        axis, loop=axis.loop.model_copy(update=of_loop), passivity=axis.passivity._replace(parameters=parameters)
-    )
-    depth = LEAN * axis.parameters.torque_limit / stiffness
-    try:
-        return sum(_pressed(trial, environment, depth, part * fastest) for part in _SPEEDS) / len(_SPEEDS)
-    except ParameterError:  # a window as long as a hold: nothing could be rendered
-        return 0.0
+    trial = with_declared(axis, declared)
+    return sum(rendered_share(trial, part * fastest) for part in _SPEEDS) / len(_SPEEDS)
 
 
 def is_dear(axis: AxisScene, fastest: float, best: Mapping[str, float], ends: Mapping[str, float]) -> bool:
     """Returns whether the ends of measured intervals cost more of the wall than they may, compared with the best."""
     return share_of_wall(axis, fastest, ends) < _KEPT * share_of_wall(axis, fastest, best)
-
-
-def _pressed(axis: AxisScene, environment: Any, depth: float, speed: float) -> float:
-    """Returns the share of one contact."""
-    controller, loop = build_axis_controller(axis), axis.loop
-    inward = -1.0 if environment.side == "below" else 1.0
-    step, count = speed * loop.sample_time, loop.encoder_count
-    sent, asked, rendered, way = [0.0] * (1 + loop.delay), 0.0, 0.0, -10.0 * step
-    while way < depth:
-        position = environment.position + inward * way
-        position = round(position / count) * count if count else position
-        sent.append(controller.step(position, sent[-1 - loop.delay]).torque)
-        if environment.contact(position):
-            effort = abs(environment.effort(environment.true_state(position, inward * step, 0.0)))
-            asked, rendered = asked + effort, rendered + min(effort, abs(sent[-1]))
-        way += step
-    return rendered / asked if asked else 1.0
 
 
 def needed_allowance(

@@ -5,13 +5,14 @@ free as it ever is at that speed. Positions are those that the encoder shows, an
 declared; no plant and no bus take part.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from math import inf
 from typing import Any, Final, NamedTuple, cast
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.control.environments.environment import Environment
+from canhaptic.errors import ParameterError
 from canhaptic.scene.models import AxisScene
 from canhaptic.scene.parts import build_axis_controller
 
@@ -85,10 +86,22 @@ def rendered_share(axis: AxisScene, speed: float) -> float:
         speed: Of the handle into the wall, constant, > 0 [m/s or rad/s].
     """
     asked = sent = 0.0
-    for effort, torque in _contact(axis, speed):
-        asked += abs(effort)
-        sent += min(abs(torque), abs(effort))
+    try:
+        for effort, torque in _contact(axis, speed):
+            asked += abs(effort)
+            sent += min(abs(torque), abs(effort))
+    except ParameterError:  # the algorithm refuses what is declared, as a window that is as long as a hold
+        return 0.0
     return sent / asked if asked else 0.0
+
+
+def with_declared(axis: AxisScene, declared: Mapping[str, float]) -> AxisScene:
+    """Returns the axis with other values of its section `passivity`, in SI."""
+    of_loop = {key: value for key, value in declared.items() if key in type(axis.loop).model_fields}
+    others = {key: value for key, value in declared.items() if key not in of_loop}
+    parameters: Any = axis.passivity.parameters
+    passivity = axis.passivity._replace(parameters=parameters.model_copy(update=others)) if others else axis.passivity
+    return replace(axis, loop=axis.loop.model_copy(update=of_loop), passivity=passivity)
 
 
 def remedies(axis: AxisScene, speed: float) -> list[Remedy]:
@@ -97,12 +110,12 @@ def remedies(axis: AxisScene, speed: float) -> list[Remedy]:
     found = []
     for key in _TO_BLAME:
         value = getattr(axis.loop, key, None) or getattr(axis.passivity.parameters, key, None)
-        if not value or not is_felt(_with(axis, key, 0.0), speed):
+        if not value or not is_felt(with_declared(axis, {key: 0.0}), speed):
             continue
         low, high = 0.0, 1.0
         for _ in range(_STEPS):
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if is_felt(_with(axis, key, middle * value), speed) else (low, middle)
+            low, high = (middle, high) if is_felt(with_declared(axis, {key: middle * value}), speed) else (low, middle)
         found.append(Remedy(key, value, low * value, units.get(key, effort_unit(axis.parameters.unit))))
     return sorted(found, key=lambda remedy: -remedy.enough / remedy.value)
 
@@ -111,7 +124,8 @@ def enough_allowance(axis: AxisScene, speed: float) -> float | None:
     """Returns the least energy of `_ALLOWANCES` with which the wall is felt at a speed [J]; None: none is enough."""
     if not hasattr(axis.passivity.parameters, "energy_allowance"):
         return None
-    return next((each for each in _ALLOWANCES if is_felt(_with(axis, "energy_allowance", each), speed)), None)
+    tried = ((each, with_declared(axis, {"energy_allowance": each})) for each in _ALLOWANCES)
+    return next((allowance for allowance, trial in tried if is_felt(trial, speed)), None)
 
 
 def advice(axis: AxisScene) -> str:
@@ -133,14 +147,6 @@ def _inward(environment: Environment) -> tuple[float, float] | None:
     """Returns where a contact begins [m or rad] and its direction, 1 or -1; None where none is found."""
     start = float(getattr(environment, "position", 0.0))
     return next(((start, sign) for sign in (1.0, -1.0) if environment.contact(start + sign * 1e-6)), None)
-
-
-def _with(axis: AxisScene, key: str, value: float) -> AxisScene:
-    """Returns the axis with another value of a declaration."""
-    if hasattr(axis.loop, key):
-        return replace(axis, loop=axis.loop.model_copy(update={key: value}))
-    parameters: Any = axis.passivity.parameters
-    return replace(axis, passivity=axis.passivity._replace(parameters=parameters.model_copy(update={key: value})))
 
 
 def _contact(axis: AxisScene, speed: float) -> Iterator[tuple[float, float]]:
