@@ -134,20 +134,13 @@ def test_a_stopped_commissioning_writes_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_from_a_dictionary_to_a_wall_that_is_felt(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    rig = tmp_path / "rig.yaml"
-    assert main(["new", str(CONFIGS.parent / "eds" / "cia402_servo.eds"), "--simulate", "--out", str(rig)]) == 0
-    assert felt(commissioned(rig, tmp_path / "mine.yaml", "--travel", "0.1"), capsys) >= 0.9
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["maxon_epos4.dcf", "elmo_gold.dcf", "kollmorgen_rgm.eds", "zeroerr_erob.eds"])
-def test_from_the_dictionary_of_a_vendor_to_a_wall_that_is_felt(
-    name: str, vendor_eds: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_what_is_written_for_the_drive_of_a_vendor_bounds_its_twin(
+    name: str, vendor_eds: Path, tmp_path: Path
+) -> None:  # that its wall is felt, tests/journeys say
     rig = tmp_path / "rig.yaml"
     assert main(["new", str(vendor_eds / name), "--simulate", "--out", str(rig)]) == 0
-    assert felt(commissioned(rig, tmp_path / "mine.yaml", "--travel", "0.1"), capsys) >= 0.9
+    commissioned(rig, tmp_path / "mine.yaml", "--travel", "0.1")
 
 
 @pytest.mark.slow
