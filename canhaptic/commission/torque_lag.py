@@ -18,7 +18,7 @@ _ITEM: Final = "torque lag"
 _SHORTEST: Final = 24  # cycles of the first part of the longest doublet
 _LONGEST: Final = 60
 _DOUBLETS: Final = (32, 64, 128, 256)
-"""Of one test after the other, until the wall can be judged: 45 s at 1 kHz in all."""
+"""Lengths of the tests, one after the other until the wall can be judged; 45 s at 1 kHz in all."""
 _OVER: Final = 1.1
 _EARLY: Final = 3.0  # standard deviations below 0 from which on a torque acts before its SYNC
 
@@ -59,13 +59,21 @@ def time_the_torque(session: Session, axis: int, most: float, mass: float, known
         session.dialogue.tell(f"  {name}: {_ITEM}: +- {SURE * late[1] * 1e6:.2g} us costs too much of the wall")
 
 
+def _at_most(late: tuple[float, float]) -> float:
+    """Returns the lag that is declared of a measured one and its standard deviation [s]."""
+    return _OVER * (max(0.0, late[0]) + SURE * late[1])
+
+
 def _is_resolved(session: Session, axis: int, late: tuple[float, float], known: Mapping[str, float]) -> bool:
-    """Returns whether the wall bears with the upper end of what was measured, or not even with the lower one."""
-    scene, fastest, best = session.axes[axis], session.limits.speed, {**known, "current_lag": 0.0}
-    lower, upper = (_OVER * max(0.0, late[0] + sign * SURE * late[1]) for sign in (-1.0, 1.0))
-    return not is_dear(scene, fastest, best, {**known, "current_lag": upper}) or is_dear(
-        scene, fastest, best, {**known, "current_lag": lower}
-    )
+    """Returns whether the wall is kept with what would be declared, or lost with the least that was measured."""
+    least = max(0.0, late[0] - SURE * late[1])
+    return not _is_lost(session, axis, _at_most(late), known) or _is_lost(session, axis, least, known)
+
+
+def _is_lost(session: Session, axis: int, lag: float, known: Mapping[str, float]) -> bool:
+    """Returns whether a lag [s] costs more of the wall than it may."""
+    without, lagging = ({**known, "current_lag": value} for value in (0.0, lag))
+    return is_dear(session.axes[axis], session.limits.speed, without, lagging)
 
 
 def _reversal(session: Session, axis: int, most: float, mass: float) -> tuple[float, int]:
@@ -106,28 +114,22 @@ def _report(session: Session, axis: int, late: tuple[float, float]) -> None:
 
 def _propose(session: Session, axis: int, late: tuple[float, float], known: Mapping[str, float]) -> None:
     """Proposes window and lag, and the allowance with which the wall is kept where they would cost too much of it."""
-    scene, fastest, lag = session.axes[axis], session.limits.speed, _OVER * (max(0.0, late[0]) + SURE * late[1])
-    best, ends = {**known, "current_lag": 0.0}, {**known, "current_lag": lag}
+    scene, lag = session.axes[axis], _at_most(late)
     declared, window = scene.loop.current_lag or 0.0, scene.loop.torque_window or 0.0
     if late[0] < -_EARLY * late[1]:
         return
     session.propose(axis, "passivity.torque_window", window, "s", "by the bus; the rest is in the lag")
-    if (
-        late[0] <= SURE * late[1]
-        and declared >= lag
-        and not is_dear(scene, fastest, best, {**known, "current_lag": declared})
-    ):
+    if late[0] <= SURE * late[1] and lag <= declared and not _is_lost(session, axis, declared, known):
         session.propose(axis, "passivity.current_lag", None, "s", "more than this test resolves")
         return
     session.propose(axis, "passivity.current_lag", lag, "s", f"{_OVER:g} times what was measured at most")
-    if not is_dear(scene, fastest, best, ends):
+    if not _is_lost(session, axis, lag, known):
         return
+    without, lagging = ({**known, "current_lag": value} for value in (0.0, lag))
+    allowance = needed_allowance(scene, session.limits.speed, without, lagging)
     text = f"current_lag {lag * 1e6:.3g} us leaves no energy to start a contact"
-    allowance = needed_allowance(scene, fastest, best, ends)
     if allowance is None:
-        session.found(
-            axis, "wall", "", "not rendered", StepVerdict.DIFFERS, f"{text}: a softer wall, or a faster drive"
-        )
+        session.found(axis, "wall", "", "not rendered", StepVerdict.DIFFERS, f"{text}; render a softer one")
         return
     session.found(axis, "wall", "", f"needs energy_allowance {allowance:.3g} J", StepVerdict.MEASURED, text)
     session.propose(axis, "passivity.energy_allowance", allowance, "J", f"{text}; this much may be given out")

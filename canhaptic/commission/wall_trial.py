@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Final
 
-from canhaptic.scene.first_contact import can_be_tried, rendered_share, with_declared
+from canhaptic.scene.first_contact import ALLOWANCES, can_be_tried, rendered_share, with_declared
 from canhaptic.scene.models import AxisScene
 
 SURE: Final = 2.0
@@ -11,8 +11,6 @@ SURE: Final = 2.0
 _KEPT: Final = 0.9
 """Part of the wall that the uncertainty of a measurement must leave."""
 _SPEEDS: Final = (1.0, 0.5, 0.25, 0.125)  # of the fastest
-_LEAST_ALLOWANCE: Final = 1e-9  # [J]
-_DOUBLINGS: Final = 24  # 17 mJ
 
 
 def share_of_wall(axis: AxisScene, fastest: float, declared: Mapping[str, float]) -> float:
@@ -41,10 +39,9 @@ def needed_allowance(
 ) -> float | None:
     """Returns the energy allowance [J] with which the ends of measured intervals leave enough of the wall.
 
-    It is twice to four times the least: a contact may begin with some of it given out before. None: there is none.
+    It is twice the least of `ALLOWANCES`, for a contact may begin with some of it given out before. None: none is.
     """
-    for doubled in range(_DOUBLINGS):
-        allowance = _LEAST_ALLOWANCE * 2.0**doubled
-        if not is_dear(axis, fastest, best, {**ends, "energy_allowance": allowance}):
-            return 2.0 * allowance
-    return None
+    if not hasattr(axis.passivity.parameters, "energy_allowance"):
+        return None
+    tried = (2.0 * each for each in ALLOWANCES if not is_dear(axis, fastest, best, {**ends, "energy_allowance": each}))
+    return next(tried, None)

@@ -32,7 +32,7 @@ _STEPS: Final = 6
 """Bisections of a speed or of a value."""
 _TO_BLAME: Final = ("current_lag", "torque_window", "hand_force", "device_friction_bound", "device_damping_bound")
 """Declarations that may keep a torque away; less of each is better."""
-_ALLOWANCES: Final = tuple(10.0**power for power in range(-9, -2))
+ALLOWANCES: Final = tuple(10.0**power for power in range(-9, -2))
 """Energies that are tried as an allowance [J]."""
 
 
@@ -121,10 +121,10 @@ def remedies(axis: AxisScene, speed: float) -> list[Remedy]:
 
 
 def enough_allowance(axis: AxisScene, speed: float) -> float | None:
-    """Returns the least energy of `_ALLOWANCES` with which the wall is felt at a speed [J]; None: none is enough."""
+    """Returns the least energy of `ALLOWANCES` with which the wall is felt at a speed [J]; None: none is enough."""
     if not hasattr(axis.passivity.parameters, "energy_allowance"):
         return None
-    tried = ((each, with_declared(axis, {"energy_allowance": each})) for each in _ALLOWANCES)
+    tried = ((each, with_declared(axis, {"energy_allowance": each})) for each in ALLOWANCES)
     return next((allowance for allowance, trial in tried if is_felt(trial, speed)), None)
 
 
