@@ -18,13 +18,14 @@ _OVER: Final = 1.1  # every over-estimate
 _START_SPEED: Final = 0.05  # from which a hand moves it [rad/s]
 _HELD: Final = 2.0  # times M + c tau: passive without a guard
 _FRICTION: Final = 0.02  # of the torque limit: dry friction
+_ACCELERATION: Final = 50.0  # commanded at most [rad/s^2]
 _COUNTS: Final = 16384  # of the sensor up to its range
 
 _AXIS: Final = Template(f"""\
     speed_limit: 2 rad/s    # {TO_SET}: a handle that is faster stops the rig
     admittance:             # force in, velocity out
       mode: $mode        # $mode_note
-$velocity_counts$limited      acceleration_limit: 50 rad/s^2
+$velocity_counts$limited      acceleration_limit: $acceleration rad/s^2
       handle_acceleration: 80 rad/s^2 # {TO_SET}: by drive and hand together, an over-estimate
       position_low: -0.5 rad # {TO_SET}: lowest and highest position to which a command may lead
       position_high: 0.5 rad # {TO_SET}
@@ -67,7 +68,7 @@ _BETWEEN: Final = Template("""\
 """)
 
 
-def display_axis(display: DisplayParameters, counts: float, limit: float, unlimited: str) -> str:
+def display_axis(display: DisplayParameters, counts: float, limit: float, unlimited: str, steepest: float) -> str:
     """Returns the keys of an axis that make it an admittance display.
 
     Args:
@@ -75,6 +76,7 @@ def display_axis(display: DisplayParameters, counts: float, limit: float, unlimi
         counts: Of the position [count/rad].
         limit: Of the torque [N*m].
         unlimited: Why the start writes no limit to 0x6072; "" where it does.
+        steepest: What the ramps of the drive take at most [counts/s^2].
     """
     named = display.force.object
     node = f"        node: {{node_id: 9}}  # {TO_SET}: the drive has no analog input that is known\n"
@@ -85,6 +87,7 @@ def display_axis(display: DisplayParameters, counts: float, limit: float, unlimi
         mode=display.mode,
         mode_note="mode 9, 0x60FF" if is_velocity else "mode 8, 0x607A, which the drive interpolates",
         velocity_counts=scale if is_velocity else "",
+        acceleration=number(min(_ACCELERATION, 0.99 * steepest / counts) if is_velocity else _ACCELERATION),
         limited=f"      limit_in_drive: true # {TO_SET}: {why}\n" if unlimited else "",
         source=node
         if named is None

@@ -15,7 +15,7 @@ from canopen import ObjectDictionary
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.dictionary import is_writable
 from canhaptic.drive.can.bus_budget import round_rate
-from canhaptic.drive.profile.fitness import max_torque_unwritten
+from canhaptic.drive.profile.fitness import max_torque_unwritten, steepest_ramp
 from canhaptic.drive.profile.object_use import listed
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.survey import Suitability, Survey, stated_value
@@ -157,7 +157,9 @@ def _axis_values(found: Survey, drive: str | None, limit: float) -> dict[str, st
         "limit_note": _limit_note(dictionary),
         "read_back": _read_back_lines(found)
         if display is None
-        else display_axis(display, _counts(dictionary), limit, max_torque_unwritten(dictionary, found.axis)),
+        else display_axis(
+            display, _counts(dictionary), limit, max_torque_unwritten(dictionary, found.axis), steepest_ramp(dictionary)
+        ),
         "watchdog": _watchdog_lines(dictionary),
     }
 

@@ -75,5 +75,21 @@ def test_a_dictionary_that_is_fit_gives_a_real_display_that_waits_for_its_marks_
         assert all(text in capsys.readouterr().err for text in said)
 
 
+@pytest.mark.parametrize("index", ["6083", "6084", "60C5", "60C6"])
+def test_a_ramp_in_the_drive_that_would_bend_the_command_is_refused_and_a_starter_stays_below_it(
+    index: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text, eds, scene = (OURS / "cia402_admittance.eds").read_text(), tmp_path / "slow.eds", tmp_path / "rig.yaml"
+    text = text.replace("DefaultValue=0xFFFFFFFF", "DefaultValue=10000")
+    eds.write_text(text.replace(f"[{index}]\n", f"[{index}]\nHighLimit=65500\n"))
+    assert main(["new", str(eds), "--display", "velocity", "--simulate", "--out", str(scene)]) == 0
+    assert "acceleration_limit: 6.22 rad/s^2" in scene.read_text()  # 65500 of 65536 / 2 pi counts, less 1 %
+    assert main(["run", str(scene), "--duration", "0.02", "--json"]) == 0
+    for command in ("check", "run"):
+        capsys.readouterr()
+        assert main([command, str(scene), "--set", "axes.0.admittance.acceleration_limit=6.3", "--json"]) == 2
+        assert "ramps: take 6.28 rad/s^2 at most" in capsys.readouterr().err
+
+
 def test_every_vendor_dictionary_is_walked(vendor_eds: Path) -> None:
     assert {path.name for path in vendor_eds.iterdir() if path.suffix in (".dcf", ".eds")} == set(VENDORS)

@@ -7,10 +7,9 @@ from canhaptic.canopen.dictionary import is_writable
 from canhaptic.drive.can.can_bring_up import CanBringUp
 from canhaptic.drive.can.display_drive import DisplayDrive
 from canhaptic.drive.profile.bring_up import Confirmation
+from canhaptic.drive.profile.fitness import RAMPS, largest_value
 
 _SLOW_DOWN: Final = 2  # value of 0x605A: along the quick stop ramp, then switch on disabled
-_RAMPS: Final = (od.PROFILE_ACCELERATION, od.PROFILE_DECELERATION, od.MAX_ACCELERATION, od.MAX_DECELERATION)
-_LARGEST: Final = 0xFFFF_FFFF  # of an UNSIGNED32
 _NO_TARE: Final = "check power and node ID of the sensor, or leave admittance.force.node.tare out"
 _NOT_AT_REST: Final = (
     "let go of the handle; then correct force.offset_counts (canhaptic commission measures it), tare the sensor, or "
@@ -44,12 +43,13 @@ class DisplayBringUp(CanBringUp):
         else:
             self._write_confirmed("zero torque", target, 0, 0)
         dictionary = self._drive.dictionary
-        for index in _RAMPS:  # a ramp inside the drive is a command that the certificate does not know
+        for index in RAMPS:  # a ramp inside the drive is a command that the certificate does not know
             if is_writable(dictionary, index, 0):
-                self._write_confirmed("ramps", index, 0, self._most(index))
+                self._write_confirmed("ramps", index, 0, largest_value(dictionary, index))
         self._zero_offsets()
         if is_writable(dictionary, od.QUICK_STOP_DECELERATION, 0):
-            self._write_confirmed("quick stop", od.QUICK_STOP_DECELERATION, 0, self._most(od.QUICK_STOP_DECELERATION))
+            steepest = largest_value(dictionary, od.QUICK_STOP_DECELERATION)
+            self._write_confirmed("quick stop", od.QUICK_STOP_DECELERATION, 0, steepest)
         if is_writable(dictionary, od.QUICK_STOP_OPTION, 0):
             self._write_confirmed("quick stop", od.QUICK_STOP_OPTION, 0, _SLOW_DOWN)
 
@@ -80,9 +80,3 @@ class DisplayBringUp(CanBringUp):
         if node is None:
             return wanted
         return wanted._replace(expected=f"{wanted.expected}, and frame {node.frame_id:#05x} of the force sensor")
-
-    def _most(self, index: int) -> int:
-        """Returns the largest value that the dictionary allows an object."""
-        variable = self._drive.dictionary.get_variable(index)
-        stated = getattr(variable, "max", None)
-        return stated if isinstance(stated, int) else _LARGEST

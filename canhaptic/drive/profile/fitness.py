@@ -5,6 +5,7 @@ A refusal rests only on what the dictionary states. An object listed without a d
 """
 
 from enum import Enum
+from math import inf
 from typing import Final, NamedTuple
 
 from canhaptic.canopen import objects as od
@@ -35,6 +36,8 @@ _LIMIT_NEEDED: Final = (
     "set torque_limit in the drive with the vendor's tool and say so with admittance.limit_in_drive: true; an "
     "admittance display on a real interface is refused without"
 )
+RAMPS: Final = (od.PROFILE_ACCELERATION, od.PROFILE_DECELERATION, od.MAX_ACCELERATION, od.MAX_DECELERATION)
+"""Objects that bend a velocity inside the drive, in its counts of velocity per second."""
 _RATED_TORQUE_TOLERANCE: Final = 1e-3  # configuration and drive may differ by rounding, not by more
 
 
@@ -75,7 +78,8 @@ def profile_findings(
         _abort_option(dictionary, axis),
     ]
     read_back = _read_back(dictionary) if axis.admittance is None else []
-    return findings + read_back + _offsets(dictionary, axis) + _interpolation(dictionary, axis, sample_time_ns)
+    of_cycle = _offsets(dictionary, axis) + _ramps(dictionary, axis) + _interpolation(dictionary, axis, sample_time_ns)
+    return findings + read_back + of_cycle
 
 
 def agreed_rated_torque(axis: TorqueAxisParameters, counts: int | None, resolution: float = 1e-3) -> float:
@@ -208,6 +212,31 @@ def _max_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
             "choose another torque_limit, or quirks: [max_torque_absent]",
         )
     return Finding(item, Verdict.FIT, f"written from torque_limit {axis.torque_limit:g}")
+
+
+def largest_value(dictionary: Dictionary, index: int) -> int:
+    """Returns the largest value that the dictionary allows an object."""
+    stated = getattr(dictionary.get_variable(index), "max", None)
+    return stated if isinstance(stated, int) else 0xFFFF_FFFF  # of an UNSIGNED32
+
+
+def steepest_ramp(dictionary: Dictionary) -> float:
+    """Returns the least of the largest values that the ramps of a drive take [counts/s^2]; infinite without ramps."""
+    return min((largest_value(dictionary, index) for index in RAMPS if is_writable(dictionary, index, 0)), default=inf)
+
+
+def _ramps(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[Finding]:
+    """Returns a refusal where ramps in the drive bend the velocities that a display may command."""
+    display = axis.admittance
+    if display is None or display.mode != "velocity" or display.acceleration_limit is None:
+        return []
+    steepest = steepest_ramp(dictionary) / abs(display.velocity_counts or axis.counts_per_unit)
+    if steepest >= display.acceleration_limit:
+        return []
+    unit = f"{axis.unit}/s^2"
+    text = f"take {steepest:.3g} {unit} at most, expected admittance.acceleration_limit {display.acceleration_limit:g}"
+    hint = "a ramp inside the drive is a command that no certificate knows; lower acceleration_limit"
+    return [Finding("0x60c5 ramps", Verdict.REFUSED, f"{text} {unit}; {hint}, or correct the limits in the dictionary")]
 
 
 def max_torque_unwritten(dictionary: Dictionary, axis: TorqueAxisParameters) -> str:
