@@ -101,8 +101,8 @@ class _CheckFindings(NamedTuple):
         unknown = sum(f.verdict is Verdict.UNKNOWN for rows in self.findings.values() for f in rows)
         load = max(budget.periodic_load for budget in self.budgets.values())
         parts = [
-            "" if inf in self.felt.values() else self.wall(),
             f"{marks} value{'s are' if marks != 1 else ' is'} still marked {TO_SET}" if marks else "",
+            "" if inf in self.felt.values() else self.wall(),
             f"{len(self.findings)} drive{'s fit' if len(self.findings) != 1 else ' fits'} by its dictionary",
             f"{unknown} to be read from the drive" if unknown else "",
             f"bus load {100.0 * load:.0f} %",

@@ -67,7 +67,7 @@ def _withheld(result: RunResult) -> str:
 
 
 def _fails(result: RunResult) -> bool:
-    """Says which port is not shown as passive, if one is not; one that nobody touched does not count."""
+    """Says which port is not shown as passive, if one is not; no contact is no failure."""
     for name, account in result["ports"].items():
         if account.get("verdict", "yes") not in _KEPT:
             write_note(f"canhaptic: --strict:{headline_text(name, account).plain}")

@@ -44,6 +44,7 @@ def judge(module: ModuleType) -> None:
     _absent_limits(module)
     _not_finite(module)
     _refusals(module)
+    _dry_run(module)
 
 
 def _every_case(module: ModuleType) -> None:
@@ -113,3 +114,22 @@ def _refusals(module: ModuleType) -> None:
     for place, wrong in itertools.product(range(4), (0.0, -0.5, -5.0, math.nan)):
         with pytest.raises(ParameterError, match=f"got {wrong},"):
             module.TorqueLimiter(*good[:place], wrong, *good[place + 1 :])
+
+
+def _dry_run(module: ModuleType) -> None:
+    dry = module.DryRunLimiter(LIMIT, SAMPLE_TIME, RATE, POWER)
+    assert (dry.last, dry.low, dry.high, dry.saturated_cycles, dry.withheld) == (0, 0, 0, 0, 0)
+    for torque, withheld in ((0.5, 0.5), (-0.75, 0.75), (0.25, 0.75), (9.0, 1.0), (9.0, 1.0)):
+        assert dry.limit(torque, 0.0) == 0.0  # and the next begins from no torque
+        assert (dry.last, dry.low, dry.high, dry.withheld) == (0, 0, 0, withheld)
+    assert (dry.saturated_cycles, dry.saturation) == (2, 2)
+    assert dry.limit(1.0, 8.0) == 0.0
+    assert dry.withheld == 1.0
+    dry.reset()
+    assert (dry.withheld, dry.saturated_cycles, dry.last) == (0, 0, 0)
+    for value in NOT_FINITE:
+        with pytest.raises(ControlError):
+            dry.limit(value, 0.0)
+        with pytest.raises(ControlError):
+            dry.limit(0.0, value)
+    assert dry.withheld == 0.0

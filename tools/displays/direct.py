@@ -58,6 +58,7 @@ class Outcome:
     believed: float = 0.0
     least_believed: float = 0.0
     overclaimed: float = 0.0  # believed above true, at most
+    underclaimed: float = 0.0  # true above believed and resolution together, at most
     doubt: float = 0.0
     cut: int = 0  # holds in which the certificate was active
     moving: int = 0  # holds with a command
@@ -117,6 +118,9 @@ def run(display: Display, cycles: int, *, keeps: bool = False) -> Outcome:
         balance = controller.hold() if lost else controller.step(position, -shown)
         queue.append(balance.torque)
         _take(found, plant, balance, properties)
+        if properties.latency == 0 and balance.branch != _HELD:
+            most = found.believed + controller.energy_resolution
+            found.underclaimed = max(found.underclaimed, found.last - most)
         if keeps:
             found.forces.append(plant.force)
             found.velocities.append(plant.velocity)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from random import Random
+from typing import Any
 
 from canhaptic.control.admittance import build_display_group
 from canhaptic.control.admittance.group_environment import GroupMass, PathMass
@@ -36,6 +37,7 @@ class GroupOutcome:
     least: float = 0.0  # true sum through all sensors
     believed: float = 0.0
     overclaimed: float = 0.0  # believed above true, at most
+    underclaimed: float = 0.0  # true above believed and resolution together, at most
     uncertified: int = 0
     given_by_one: float = 0.0  # least true energy of one axis alone
 
@@ -105,7 +107,7 @@ def run_group(group: DisplayGroup, cycles: int) -> GroupOutcome:
     """Returns what so many SYNCs came to."""
     axes, random = group.axes, Random(group.axes[0].seed)
     properties, period = [axis.properties for axis in axes], round(axes[0].properties.sample_time * 1e9)
-    controller = build_display_group(group.environment, "guarded", group.parameters, properties, group.kinematics)
+    controller: Any = build_display_group(group.environment, "guarded", group.parameters, properties, group.kinematics)
     plants = [AdmittancePlant(a.plant, a.simulation, a.user, a.effects, period, a.seed) for a in axes]
     found = GroupOutcome([Outcome() for _ in axes])
     queue, acting, rows = [[0.0] * len(axes) for _ in range(properties[0].delay)], [0.0] * len(axes), [0] * len(axes)
@@ -137,6 +139,8 @@ def run_group(group: DisplayGroup, cycles: int) -> GroupOutcome:
         found.believed += balance.account.h_i
         if properties[0].latency == 0 and not lost:
             found.overclaimed = max(found.overclaimed, found.believed - sum(energies))
+            most = found.believed + controller.energy_resolution
+            found.underclaimed = max(found.underclaimed, sum(energies) - most)
         found.uncertified += balance.account.certificate == Certificate.NONE.value
     return found
 
@@ -165,6 +169,8 @@ def false_group_claims(group: DisplayGroup, found: GroupOutcome) -> list[str]:
     claims = []
     if found.overclaimed > ROUNDING:
         claims.append(f"the account is {found.overclaimed:.3g} J above the energy that came in")
+    if found.underclaimed > ROUNDING:
+        claims.append(f"account and resolution are {found.underclaimed:.3g} J below the energy that came in")
     allowance = group.parameters.energy_allowance
     if not found.uncertified and found.least < -allowance - ROUNDING:
         claims.append(f"certified to {-allowance:.3g} J, {found.least:.3g} J by the plants")

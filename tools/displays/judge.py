@@ -11,6 +11,8 @@ def false_claims(display: Display, found: Outcome) -> list[str]:
     claims = []
     if found.overclaimed > ROUNDING:
         claims.append(f"the account is {found.overclaimed:.3g} J above the energy that came in")
+    if found.underclaimed > ROUNDING:
+        claims.append(f"account and resolution are {found.underclaimed:.3g} J below the energy that came in")
     if found.is_passive and found.least < -PASSIVE_TOLERANCE:
         claims.append(f"passive by the account, {found.least:.3g} J by the plant")
     if display.algorithm == "guarded" and not found.uncertified and found.least < -display.allowance - ROUNDING:
