@@ -209,7 +209,7 @@ class _Moments:
         self._error, self._active = [0.0] * len(self._names), [0] * len(self._names)
         self._below: set[tuple[int, str]] = set()
         self._cycles = 0
-        self.claims: dict[str, None] = {}
+        self._said: dict[tuple[str, str], str] = {}  # port and kind -> the first false claim
 
     def __call__(self) -> None:
         judge, self._cycles = self._cycle.judge, self._cycles + 1
@@ -220,7 +220,8 @@ class _Moments:
             port, name = self._cycle.meters.ports[place], self._names[place]
             resolution = port.measured().energy_resolution
             if judge.believed_error[place] > max(self._error[place], resolution + ROUNDING):
-                self._claim(f"{name}: error {judge.believed_error[place]:.3g} J, resolution {resolution:.3g} J")
+                claim = f"error {judge.believed_error[place]:.3g} J, resolution {resolution:.3g} J"
+                self._claim(name, "error", claim)
             self._error[place] = judge.believed_error[place]
             sums = {"least_interaction": judge.least[place], "least_at_handle": judge.least_at_handle[place]}
             for key, least in sums.items():
@@ -229,7 +230,7 @@ class _Moments:
                     due = True
             for bit, least in zip((1, 2), sums.values(), strict=True):
                 if port.activity.active & bit & ~self._active[place] and least >= -allowance - ROUNDING:
-                    self._claim(f"{name}: active, true least {least:.3g} J")
+                    self._claim(name, "active", f"active, true least {least:.3g} J")
             self._active[place] = port.activity.active
         if due:
             self.judge(account_of(self._cycle, self._axes, "running"))
@@ -240,16 +241,23 @@ class _Moments:
             name, port = self._names[place], account["ports"][self._names[place]]
             at_motor, at_handle = ((place, key) in self._below for key in ("least_interaction", "least_at_handle"))
             if at_motor and port["passive"] == "yes":
-                self._claim(f"{name}: passive yes after {self._cycles} cycles, {account['truth'][name]}")
+                self._claim(
+                    name, "motor", f"passive yes, true least {account['truth'][name]['least_interaction']:.3g} J"
+                )
             if at_handle and port.get("passive_at_handle") == "yes":
-                self._claim(f"{name}: passive at the handle yes after {self._cycles} cycles")
+                self._claim(name, "handle", "passive at the handle yes")
             if self._active[place] & 1 and port["passive"] != "no":
-                self._claim(f"{name}: passive {port['passive']} after it was active")
+                self._claim(name, "forgot", f"passive {port['passive']} after it was active")
             if (place, _promised(self._section)) in self._below and certificates(port):
-                self._claim(f"{name}: certificates {certificates(port)} after {self._cycles} cycles")
+                self._claim(name, "certificate", f"certificates {', '.join(certificates(port))}")
 
-    def _claim(self, text: str) -> None:
-        self.claims[text] = None
+    def _claim(self, name: str, kind: str, text: str) -> None:
+        self._said.setdefault((name, kind), f"{name}: {text} after {self._cycles} cycles")
+
+    @property
+    def claims(self) -> list[str]:
+        """The first false claim of each kind."""
+        return list(self._said.values())
 
 
 def account_of(cycle: Cycle, axes: Sequence[tuple[str, str]], status: str) -> RunResult:
