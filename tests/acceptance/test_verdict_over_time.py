@@ -107,3 +107,14 @@ def test_an_allowance_moves_the_limit_of_account_and_plant() -> None:
     port = result.account.raw["ports"]["handle"]
     assert port["least_interaction"] < -1e-3
     assert (port["passive"], port["plant_passive"], port["energy_allowance"]) == ("yes", "yes", 1.0)
+
+
+def test_a_group_was_active_by_its_sum_and_no_axis_by_itself() -> None:
+    changes = {"groups.stage.network.stiffness": 40000, "groups.stage.network.damping": 0,
+               "groups.stage.passivity.moving_mass": 0.75}  # fmt: skip
+    result = canhaptic.simulate(CONFIGS / "xy_box.yaml", changes, duration=0.3, progress=False, check=False)
+    port = result.account.raw["ports"]["stage"]
+    assert (port["passive"], port["verdict"], port["contradicted"]) == ("no", "no", ["hand_force"])
+    columns = result.to_numpy()
+    assert columns["stage.active"][-1] == 1
+    assert not columns["x.active"].any() | columns["y.active"].any()

@@ -68,8 +68,8 @@ class TorqueAxis(ABC):
         controlword: Sent with the next torque.
         unheard: SYNCs since the last `reset` whose process data did not come in their window.
         read_back_bound: Of a torque that is measured (0x6077): sum over the holds of its largest difference from that
-            of the hold before and from the one sent, times the displacement [J]. The true torque of a hold lies
-            between them unless the current loop overshoots, so that the computed energy is not farther from the true
+            of the hold before and from the one sent, and half a per mille of rounding, times the displacement [J].
+            The true torque of a hold lies between them unless the current loop overshoots, so that the computed energy is not farther from the true
             one. Of one that is not read back: the same with its largest difference from 0 and from every command
             before it, because any of them goes on where RPDOs are lost that no frame shows; for holds of which only
             the whole displacement is known, with the farthest that `speed_limit` allows. 0 where the demand is read
@@ -130,7 +130,7 @@ class TorqueAxis(ABC):
         self.is_complete = False
         self.unheard = 0
         self.read_back_bound = 0.0
-        self._spread = 0  # per mille: how far the torque is from what may have acted instead, see `read_back_bound`
+        self._spread = 0.0  # per mille: how far the torque is from what may have acted instead, see `read_back_bound`
         self._lowest = self._highest = 0  # per mille: of all commands that acted, or should have
         self.scaling.reset()
         self.limiter.reset()
@@ -282,6 +282,8 @@ class TorqueAxis(ABC):
         if self._measures:
             self._judge_measured(reported, believed)
             self._spread = max(abs(reported - believed), abs(reported - self._held_before))
+            if self._spread or reported:
+                self._spread += 0.5  # 0x6077 is rounded
         elif reported == believed or reported != self._held_before:
             self._stale_holds, self._stale_samples = 0, self._periods
             if reported != believed:
