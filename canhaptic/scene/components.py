@@ -25,6 +25,11 @@ READY: Final = "ready"
 class SceneReading(Protocol):
     """What the models of a scene know of it while they are validated."""
 
+    simulated: bool
+    """Whether the drives are simulated inside this process."""
+    motion: Motion | None
+    """Unit of the position of the axis that is read."""
+
     @property
     def code(self) -> OwnCode:
         """Own code that may be read."""
@@ -36,14 +41,6 @@ class SceneReading(Protocol):
     @property
     def is_display(self) -> bool:
         """Whether the axis that is read, or the last one, is one."""
-
-    @property
-    def simulated(self) -> bool:
-        """Whether the drives are simulated inside this process."""
-
-    @property
-    def motion(self) -> Motion | None:
-        """Unit of the position of the axis that is read."""
 
     def moving(self, motion: Motion | None) -> AbstractContextManager[object]:
         """Reads quantities in the units of this motion until the context ends."""
@@ -141,15 +138,11 @@ class ComponentOf:
         was, fields = section.was, model.model_fields
         if was in (None, name) or was not in self.table:
             return section
-        gone = [
-            key for key in section
-            if key not in fields and key in self._model(was).model_fields and not section.keys_at[key].is_override
-        ]  # fmt: skip
+        of_file = [key for key, at in section.keys_at.items() if key in section and not at.source.startswith("--set ")]
+        gone = [key for key in of_file if key in self._model(was).model_fields.keys() - fields.keys()]
         if gone and not reading.simulated:
-            text = (
-                f"which has no {', '.join(gone)}; drives may be real, and nothing is dropped: take it out of the scene"
-            )
-            raise self._refused(f"got {name!r} in place of {was!r}, {text}")
+            text = f"which has no {', '.join(gone)}; drives may be real, and nothing is dropped: take it"
+            raise self._refused(f"got {name!r} in place of {was!r}, {text} out of the scene")
         path, motion = ".".join(section.mark.path), section.motion or reading.motion
         needed = {key: field for key, field in fields.items() if field.is_required() and key not in section}
         if needed:

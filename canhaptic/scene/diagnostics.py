@@ -24,11 +24,6 @@ class SourceLocation(NamedTuple):
         """Base of a relative path given here: the folder of the file, or the current one."""
         return Path(self.source).parent if self.line else Path()
 
-    @property
-    def is_override(self) -> bool:
-        """Whether it is an override."""
-        return self.source.startswith("--set ")
-
     def below(self, *parts: str) -> "SourceLocation":
         """Returns the same place for an entry below it that the source does not hold."""
         return self._replace(path=(*self.path, *parts))

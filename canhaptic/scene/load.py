@@ -143,7 +143,7 @@ def _read(
 def _validated(sections: MarkedMapping, laid: MarkedMapping, faults: Diagnostics, code: OwnCode) -> Scene | None:
     """Returns the scene; None when it has faults, which are all noted."""
     try:
-        context = SceneContext(code=code, has_simulation=laid["simulation"] is not None)
+        context = SceneContext(code=code, simulated=laid["simulation"] is not None)
         scene = scene_adapter().validate_python(laid, context=context)
         return with_device_bounds(
             with_timing(_completed(replace(scene, own_code=code.hashes, unread=tuple(code.left))))

@@ -110,15 +110,10 @@ class SceneContext(UnitContext):
     """Context of the validation of a scene."""
 
     bus: BusParameters | None = None  # once it is validated
-    has_simulation: bool = False
+    simulated: bool = False  # as that of `Scene`, once the bus is validated
     code: OwnCode = field(default_factory=lambda: OwnCode(Path()))
     displays: set[str] = field(default_factory=set)  # axes that are admittance displays, as far as they are read
     is_display: bool = False  # whether the last of them is one
-
-    @property
-    def simulated(self) -> bool:
-        """As that of `Scene`."""
-        return self.has_simulation and self.bus is not None and self.bus.interface == "virtual"
 
 
 class RunParameters(Parameters):
@@ -254,6 +249,7 @@ class MechanismScene:
 
 def _known_bus(bus: BusParameters, info: Info[SceneContext]) -> BusParameters:
     info.context.bus = bus
+    info.context.simulated = info.context.simulated and bus.interface == "virtual"
     return bus
 
 

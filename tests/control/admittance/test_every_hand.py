@@ -115,6 +115,16 @@ class _Loop:
         self.least = min(self.least, self.drive.energy)
 
 
+def _attack(loop: _Loop, hand: attack.Hand) -> None:
+    """Lets a hand have its way for 400 holds, or until it goes beyond what is declared of the handle."""
+    for hold in range(400):
+        loop.sync(hand)
+        if loop.fastest > loop.rig.acceleration:
+            assert hold >= 20
+            return
+        assert loop.least >= -loop.rig.allowance - 1e-9
+
+
 def _random_rig(random: np.random.Generator) -> _Rig:
     corner = random.choice([0.0, 0.0, 20.0, 100.0])
     return _Rig(
@@ -145,12 +155,7 @@ def test_no_hand_gets_more_than_it_gave(seed: int) -> None:
     rig = _random_rig(random)
     loop = _Loop(rig, rig.controller(), random)
     hand = _steady(_random_hand(random), loop.drive.substeps)
-    for hold in range(400):
-        loop.sync(hand)
-        if loop.fastest > rig.acceleration:
-            assert hold >= 20
-            return  # beyond what is declared of the handle
-        assert loop.least >= -rig.allowance - 1e-9
+    _attack(loop, hand)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -160,12 +165,7 @@ def test_no_hand_gets_more_than_it_gave_where_holds_are_as_uneven_as_declared(se
     rig = replace(_random_rig(random), corner=0.0, virtual_mass=0.2, jitter=uneven, uneven=uneven)
     loop = _Loop(rig, rig.controller(), random)
     hand = _steady(_random_hand(random), loop.drive.substeps)
-    for hold in range(400):
-        loop.sync(hand)
-        if loop.fastest > rig.acceleration:
-            assert hold >= 20
-            return
-        assert loop.least >= -rig.allowance - 1e-9
+    _attack(loop, hand)
 
 
 def _taken(rig: _Rig, share: float = 0.5, uneven: float = 0.0, **declared: float) -> float:
@@ -219,12 +219,7 @@ def test_a_hand_of_bounded_force_gets_no_more_than_it_gave(seed: int) -> None:
         attack.feed_and_take(rig.hand_force, random.uniform(0.02, 0.3), random.uniform(0.02, 0.2)),
     )
     hand = _steady(hands[seed % 3], loop.drive.substeps)
-    for hold in range(400):
-        loop.sync(hand)
-        if loop.fastest > rig.acceleration:
-            assert hold >= 20
-            return
-        assert loop.least >= -rig.allowance - 1e-9
+    _attack(loop, hand)
 
 
 def _taken_by_braking(rig: _Rig, **declared: float) -> float:
