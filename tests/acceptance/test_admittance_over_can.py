@@ -16,6 +16,7 @@ from canhaptic.errors import (
     ForceContradictedError,
     ForceFrozenError,
     ForceRangeError,
+    InputError,
     LinkError,
     SceneError,
     StartError,
@@ -25,10 +26,12 @@ from canhaptic.result import RunResult
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.display_hints import display_hints
 from canhaptic.scene.experiment_account import experiment_account
+from canhaptic.scene.guesses import require_no_guesses
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.drive.profile.state_machine import DriveState
 
 SCENE = Path(__file__).parents[2] / "configs" / "admittance" / "virtual_mass.yaml"
+REAL = ["bus.interface=socketcan", "bus.channel=can0", "axes.0.admittance.force.frozen_after=50"]
 
 
 def _run(*overrides: str, cycles: int = 1500) -> tuple[RunResult, Experiment]:
@@ -365,10 +368,20 @@ def test_every_shipped_display_keeps_its_promise(name: str) -> None:
     ],
 )
 def test_a_real_interface_is_refused_without_every_limit(override: str, words: str) -> None:
-    real = ["bus.interface=socketcan", "bus.channel=can0", "axes.0.admittance.force.frozen_after=50"]
-    load_scene(SCENE, real)
+    load_scene(SCENE, REAL)
     with pytest.raises(SceneError, match=words):
-        load_scene(SCENE, [*real, override])
+        load_scene(SCENE, [*REAL, override])
+
+
+def test_a_drive_without_0x6072_serves_once_its_limit_is_set_with_the_tool_of_the_vendor() -> None:
+    load_scene(SCENE, [*REAL, "axes.0.quirks=[max_torque_absent]", "axes.0.admittance.limit_in_drive=true"])
+
+
+def test_no_real_display_runs_with_an_unknown_jitter() -> None:
+    with pytest.raises(InputError, match="passivity of handle: sync_jitter: not all are declared"):
+        require_no_guesses(load_scene(SCENE, REAL))
+    require_no_guesses(load_scene(SCENE, [*REAL, "passivity.sync_jitter=5 %"]))
+    require_no_guesses(load_scene(SCENE, [*REAL, "passivity={algorithm: unprotected}"]))  # it promises nothing
 
 
 @pytest.mark.parametrize(
