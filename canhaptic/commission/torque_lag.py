@@ -53,8 +53,12 @@ def time_the_torque(session: Session, axis: int, most: float, mass: float, known
             session.found(axis, _ITEM, "", "unclear", StepVerdict.UNKNOWN, text)
             return
         if count == _DOUBLETS[-1] or _is_resolved(session, axis, late, known):
-            _report(session, axis, late)
-            _propose(session, axis, late, known)
+            declared = session.axes[axis].loop.current_lag or 0.0
+            is_kept = late[0] <= SURE * late[1] and _at_most(late) <= declared
+            is_kept = is_kept and not _is_lost(session, axis, declared, known)
+            _report(session, axis, late, "configured value kept" if is_kept else "")
+            if late[0] >= -_EARLY * late[1]:
+                _propose(session, axis, None if is_kept else _at_most(late), known)
             return
         session.dialogue.tell(f"  {name}: {_ITEM}: +- {SURE * late[1] * 1e6:.2g} us costs too much of the wall")
 
@@ -96,8 +100,8 @@ def _lateness(session: Session, axis: int, law: OpenLoop, half_base: int) -> tup
     return estimate_lateness(positions, acted, session.sample_time, half_base)
 
 
-def _report(session: Session, axis: int, late: tuple[float, float]) -> None:
-    """Says what was found, compared with what is declared."""
+def _report(session: Session, axis: int, late: tuple[float, float], kept: str) -> None:
+    """Says what was found, compared with what is declared, and whether that is `kept`."""
     declared = (session.axes[axis].loop.torque_window or 0.0) + (session.axes[axis].loop.current_lag or 0.0)
     value, error = late[0], SURE * late[1]
     configured, found = f"at most {declared * 1e6:.3g} us", f"{value * 1e6:.3g} +- {error * 1e6:.2g} us"
@@ -106,24 +110,27 @@ def _report(session: Session, axis: int, late: tuple[float, float]) -> None:
         session.found(axis, _ITEM, configured, found, StepVerdict.FAILED, text)
     elif value <= error:
         found = f"below what this test resolves (+- {error * 1e6:.2g} us)"
-        session.found(axis, _ITEM, configured, found, StepVerdict.AGREES)
+        session.found(axis, _ITEM, configured, found, StepVerdict.AGREES, kept)
     else:
         text = "declare more, or guarded is not passive"
         session.judged(axis, _ITEM, configured, found, good=value - error <= declared, text=text)
 
 
-def _propose(session: Session, axis: int, late: tuple[float, float], known: Mapping[str, float]) -> None:
-    """Proposes window and lag, and the allowance with which the wall is kept where they would cost too much of it."""
-    scene, lag = session.axes[axis], _at_most(late)
-    declared, window = scene.loop.current_lag or 0.0, scene.loop.torque_window or 0.0
-    if late[0] < -_EARLY * late[1]:
-        return
+def _propose(session: Session, axis: int, lag: float | None, known: Mapping[str, float]) -> None:
+    """Proposes window and lag, and the allowance with which the wall is kept where they would cost too much of it.
+
+    Args:
+        session: The rig.
+        axis: Its index.
+        lag: To declare [s]; None: the configured one is right.
+        known: Values of `passivity` that were measured, SI.
+    """
+    scene = session.axes[axis]
+    window = scene.loop.torque_window or 0.0
     session.propose(axis, "passivity.torque_window", window, "s", "by the bus; the rest is in the lag")
-    if late[0] <= SURE * late[1] and lag <= declared and not _is_lost(session, axis, declared, known):
-        session.propose(axis, "passivity.current_lag", None, "s", "more than this test resolves")
-        return
-    session.propose(axis, "passivity.current_lag", lag, "s", f"{_OVER:g} times what was measured at most")
-    if not _is_lost(session, axis, lag, known):
+    comment = f"{_OVER:g} times what was measured at most" if lag is not None else "more than this test resolves"
+    session.propose(axis, "passivity.current_lag", lag, "s", comment)
+    if lag is None or not _is_lost(session, axis, lag, known):
         return
     without, lagging = ({**known, "current_lag": value} for value in (0.0, lag))
     allowance = needed_allowance(scene, session.limits.speed, without, lagging)

@@ -30,7 +30,7 @@ _LONGEST_SWEEP: Final = 4  # times the first, where the wall asks for a better e
 _HALF_BASE: Final = 0.02  # [s] of the weights of the estimate
 _DERATING: Final = 0.5
 """Certain part of the braking force that was measured: warmth, grease and wear reduce it."""
-_RATTLE: Final = 64  # cycles
+_DITHER: Final = 64  # cycles
 _SHAKES: Final = 64  # of one sign or the other
 _RESOLVED_COUNTS: Final = 20  # of motion in one part of a shake: quantisation then changes the mass by 0.1 %
 _RIGID: Final = 0.1
@@ -115,12 +115,12 @@ def time_the_read_back(session: Session) -> None:
         session.not_tried(item, axes)
         return
     amplitude = min(_largest_torque(session, axis) for axis in axes)
-    asked = f"all axes: hands off. A rattle of {amplitude:.3g} N or N*m that moves nothing, {_RATTLE} cycles, now?"
+    asked = f"all axes: hands off. A dither of +-{amplitude:.3g} N or N*m, too small to move the handle, now?"
     if not session.agreed(asked, item, axes):
         return
     session.rig.start()
     try:
-        timings = measure_read_back(session.rig, amplitude, _RATTLE)
+        timings = measure_read_back(session.rig, amplitude, _DITHER)
     finally:
         session.rig.stop(ramp=False)
     for axis, timing in enumerate(timings):
@@ -131,7 +131,7 @@ def time_the_read_back(session: Session) -> None:
         same = timing.reported == configured
         text = "every hold is booked with its neighbour's torque"
         session.judged(axis, item, configured, timing.reported, good=same, text=text)
-        session.propose(axis, "demand_reported", None if same else timing.reported, comment="measured by a rattle")
+        session.propose(axis, "demand_reported", None if same else timing.reported, comment="measured by a dither")
 
 
 def _first_motion(law: OpenLoop, cycles: int) -> float:

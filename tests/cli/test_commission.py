@@ -208,7 +208,7 @@ ANSWERS = {
     "A shake of": "y",
     "Reversals of": "y",
     "moving mass from a scale": "0.25 kg",
-    "A rattle of": "y",
+    "A dither of": "y",
     "falls silent. Now": "y",
     "reset the faults": "y",
 }

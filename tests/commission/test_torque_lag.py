@@ -79,7 +79,9 @@ LAG = "simulation.effects=[{{type: current_loop, time_constant: {} us}}]"
 
 def test_a_lag_below_what_is_resolved_keeps_what_is_configured() -> None:
     session, _ = timed("passivity.current_lag=100 us")
-    assert "below what this test resolves" in row(session.report, "torque lag").found
+    found = row(session.report, "torque lag")
+    assert "below what this test resolves" in found.found
+    assert found.text == "configured value kept"
     assert [found.value for found in session.report.values if found.key == "passivity.current_lag"] == [None]
 
 
