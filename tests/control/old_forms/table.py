@@ -1,0 +1,33 @@
+"""The sampled algorithms as they were before they shared one step: what the shared step must equal to the last bit."""
+
+from typing import Final
+
+from tests.control.old_forms.a_priori_dissipation import APrioriDissipation
+from tests.control.old_forms.adaptive_reference import AdaptiveReference
+from tests.control.old_forms.bounded_observer import BoundedObserver
+from tests.control.old_forms.energy_bounding import EnergyBounding
+from tests.control.old_forms.energy_tank import EnergyTank
+from tests.control.old_forms.force_augmentation import ForceAugmentation
+from tests.control.old_forms.force_gradient import ForceGradient
+from tests.control.old_forms.internal_dissipation import InternalDissipation
+from tests.control.old_forms.passivity_observer import PassivityObserver
+from tests.control.old_forms.stepped import SteppedController
+from tests.control.old_forms.ultimate_passivity import UltimatePassivity
+from tests.control.old_forms.unprotected import Unprotected
+from tests.control.old_forms.windowed_observer import WindowedObserver
+
+OLD_FORMS: Final[dict[str, type[SteppedController]]] = {
+    "unprotected": Unprotected,
+    "a_priori_dissipation": APrioriDissipation,
+    "internal_dissipation": InternalDissipation,
+    "passivity_observer": PassivityObserver,
+    "energy_bounding": EnergyBounding,
+    "adaptive_reference": AdaptiveReference,
+    "windowed_observer": WindowedObserver,
+    "bounded_observer": BoundedObserver,
+    "force_gradient": ForceGradient,
+    "force_augmentation": ForceAugmentation,
+    "energy_tank": EnergyTank,
+    "ultimate_passivity": UltimatePassivity,
+}
+"""Name in a scene -> the class as it was."""
