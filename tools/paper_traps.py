@@ -3,7 +3,10 @@
 The printed rules live here only. Energies are those of the simulated plant unless they say otherwise; SI units.
 """
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from decimal import Decimal, localcontext
+from functools import partial
 from math import copysign, isfinite, sqrt
 from typing import Any, Final
 from unittest.mock import patch
@@ -13,13 +16,15 @@ import numpy as np
 from canhaptic.control.balance import Branch
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity import build_controller, internal_dissipation
+from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import Axis, AxisMemory, Hold, HoldSettings, open_hold
+from canhaptic.control.passivity.internal_dissipation import InternalDissipation, solve
 from canhaptic.control.passivity.root import solve_balance
 from canhaptic.control.passivity.storage import Storage
 from canhaptic.control.passivity.stored_model import StoredModelSettings
 from canhaptic.control.recovery import largest_stable_damping, least_oscillating_damping
+from canhaptic.kernels.binding import bound
 from canhaptic.study.loop import render
 from tools.bench.standard_cases import (
     FIGURES_7_9,
@@ -41,6 +46,13 @@ class _PositiveState(SpringDamperWall):
 
     def state_of_energy(self, energy: float, like: float) -> float:
         return abs(super().state_of_energy(energy, like))
+
+
+def _stepped_with(**instead: Callable[..., object]) -> AbstractContextManager[object]:
+    """While it lasts, the paper's algorithm is stepped with other functions, by name."""
+    kernel = InternalDissipation.kernel
+    step = bound(kernel.step, {name: partial(function) for name, function in instead.items()})
+    return patch.object(InternalDissipation, "kernel", kernel._replace(step=step))
 
 
 def _with_newest_effort(
@@ -78,17 +90,17 @@ def digits_of_16() -> dict[str, float]:
 
 def negative_dissipation() -> dict[str, float]:
     """Trap 3: sum of the negative H_R that eq. 15 would book where the motion reverses [J], 3 s of 8 Hz tremor."""
-    wall, given, solve = SpringDamperWall(stiffness=1000.0, damping=50.0), [0.0], internal_dissipation.solve
+    wall, given = SpringDamperWall(stiffness=1000.0, damping=50.0), [0.0]
 
     def signed(
-        environment: Environment, settings: StoredModelSettings, storage: Storage, moved: float, damper: float,
+        environment: Environment, settings: StoredModelSettings[Any], storage: Storage, moved: float, damper: float,
         h_m: float,
     ) -> float:  # fmt: skip
         change = solve(environment, settings, storage, moved, damper, h_m)
         given[0] += min(0.0, damper * change) if isfinite(change) else 0.0
         return change
 
-    with patch.object(internal_dissipation, "solve", signed):
+    with _stepped_with(solve=signed):
         render(standard_case(wall, _PAPER, 1000.0, LEANING, effects=TREMBLING), 3000)
     return {"as_printed": -given[0]}
 
@@ -150,7 +162,7 @@ def pairing() -> dict[str, float]:
         return run.variation / standard_reference(FIGURES_7_9, user_f(0.15), 1000.0, 4000).variation
 
     built = variation()
-    with patch.object(internal_dissipation, "open_hold", _with_newest_effort):
+    with _stepped_with(open_hold=_with_newest_effort):
         return {"as_built": built, "as_printed": variation()}
 
 

@@ -3,7 +3,7 @@
 A kernel is a function on numbers and records. It keeps nothing, raises nothing, and calls `math`, other kernels and the
 methods of an environment only. What it works on comes in four forms:
 
-* settings, fixed for a run: a frozen dataclass of numbers;
+* settings, fixed for a run: a frozen dataclass of numbers and of the parameters, of which only numbers are read;
 * state, what is remembered from SYNC to SYNC: a dataclass of numbers, changed in place;
 * memory, sequences whose length the configuration chooses: buffers, changed in place; lists where Python runs the
   kernel, arrays where it is compiled;
@@ -20,7 +20,7 @@ root nor the exact product), `sum()` (Python compensates it from 3.12 on), None 
 from collections.abc import Callable, MutableSequence, Sequence
 from functools import cache
 from types import FunctionType
-from typing import Any, Final, NamedTuple, TypeAlias, TypeVar, cast
+from typing import Any, Final, Generic, NamedTuple, TypeAlias, TypeVar, cast
 
 Buffer: TypeAlias = MutableSequence[float]
 """Numbers that a kernel changes in place, shape (n,)."""
@@ -32,6 +32,10 @@ MakeBuffer: TypeAlias = Callable[[int], Buffer]
 """Returns a buffer of zeros of a given length."""
 
 _Memory = TypeVar("_Memory")
+GivenT = TypeVar("GivenT")
+SettingsT = TypeVar("SettingsT")
+StateT = TypeVar("StateT")
+MemoryT = TypeVar("MemoryT")
 
 new: Final = tuple.__new__
 """Makes a NamedTuple of a tuple at half the price of calling its class: `new(EnergyBalance, (0.0, ...))`."""
@@ -75,10 +79,18 @@ def _quick_class(kind: type) -> type:
     return type(kind.__name__, (), {"__slots__": fields_of(kind), **methods})
 
 
+class Run(NamedTuple, Generic[SettingsT, StateT, MemoryT]):
+    """What a kernel works on from SYNC to SYNC."""
+
+    settings: SettingsT
+    state: StateT
+    memory: MemoryT
+
+
 class Kernel(NamedTuple):
     """A passivity algorithm of one axis as functions."""
 
     settings: Callable[..., Any]  # (environment, parameters, loop) -> what is fixed for a run
     state: Callable[[], Any]  # () -> state at rest
     memory: Callable[..., Any]  # (settings, make_buffer) -> buffers
-    step: Callable[..., Any]  # (environment, settings, state, memory, position, torque applied) -> balance
+    step: Callable[..., Any]  # (environment, Run, position, torque applied) -> balance

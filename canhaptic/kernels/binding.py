@@ -3,6 +3,7 @@
 import builtins
 from collections.abc import Callable, Mapping
 from dis import get_instructions
+from functools import cache
 from types import CodeType, FunctionType
 from typing import TypeVar, cast
 
@@ -61,6 +62,7 @@ def bound(function: _Function, instead: Mapping[object, object]) -> _Function:
     return cast(_Function, Binding(instead).rebound(function))
 
 
+@cache
 def _names_in(code: CodeType) -> set[str]:
     """Returns the global names that a function asks for; those of attributes are not among them."""
     inner = [_names_in(constant) for constant in code.co_consts if isinstance(constant, CodeType)]

@@ -16,6 +16,7 @@ from numba import types
 from numba.extending import overload_method
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
+from canhaptic.errors import InputError
 from canhaptic.kernels import fields_of, new
 from canhaptic.kernels.binding import Binding
 from canhaptic.kernels.code_cache import CheckedCache, kept_code
@@ -86,6 +87,9 @@ def compiled(
         calls: Functions that stay calls, because they are long and called from several places, while every other
             becomes a part of those that call it: that halves the time of a loop, for the arrays of a NamedTuple are
             some fifty words, which a call hands on. None leaves it to LLVM.
+
+    Raises:
+        InputError: A NamedTuple that it names has a field with the name of a method.
     """
     compiling = _Compiling(instead or {}, calls)
     rebound = compiling.rebound(function)
@@ -139,7 +143,17 @@ class _Compiling(Binding):
         return super().of(name, value)
 
     def look_at(self, kind: type) -> None:
-        """Takes the fields of a class and the code of its methods among the sources."""
+        """Takes the fields of a class and the code of its methods among the sources.
+
+        Raises:
+            InputError: A field of a NamedTuple has the name of a method, as which numba would take it.
+        """
+        taken = sorted(set(fields_of(kind)).intersection(METHODS))
+        if taken:
+            raise InputError(
+                f"{kind.__name__}: got a field {taken[0]!r}, expected a name that is no method of an environment, a "
+                "mechanism or a geometry: compiled code would take the field for the method; give it another name"
+            )
         self.sources.append(f"{kind.__qualname__}{fields_of(kind)}")
         for method in METHODS:
             if isinstance(getattr(kind, method, None), FunctionType):

@@ -17,6 +17,9 @@ _ARRAYS: Final[dict[object, type[np.generic]]] = {Buffer: np.float64, Matrix: np
 """Annotation of a field that holds buffers -> its numbers."""
 
 
+_NUMBER: Final = (float, int, np.generic)
+
+
 class _Part(NamedTuple):
     path: str
     kind: _Kind
@@ -24,15 +27,21 @@ class _Part(NamedTuple):
 
 
 def record_type(value: object) -> np.dtype[np.void]:
-    """Returns the type of a record with the fields of a dataclass of numbers, and of dataclasses of such."""
-    parts = [(name, getattr(value, name)) for name in _names_of(value)]
+    """Returns the type of a record with the numbers of an object, and of objects in it; see `_parts_of`."""
     return np.dtype(
-        [(name, record_type(part) if is_dataclass(part) else np.dtype(type(part))) for name, part in parts], align=True
+        [
+            (name, np.dtype(type(part)) if isinstance(part, _NUMBER) else record_type(part))
+            for name, part in _parts_of(value)
+        ],
+        align=True,
     )
 
 
-def _names_of(value: object) -> list[str]:
-    return [field.name for field in fields(value)] if is_dataclass(value) else []
+def _parts_of(value: object) -> list[tuple[str, object]]:
+    """Returns the fields of a dataclass; of the plain object of a parameter model those that are numbers."""
+    if is_dataclass(value):
+        return [(field.name, getattr(value, field.name)) for field in fields(value)]
+    return [(name, part) for name, part in vars(value).items() if isinstance(part, _NUMBER)]
 
 
 def records_of(values: Iterable[object]) -> Records:

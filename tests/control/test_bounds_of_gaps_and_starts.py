@@ -121,7 +121,7 @@ def test_the_surplus_after_a_hold_is_what_was_created_less_what_was_recovered_an
         draw = random.Random(seed)
         before, h_pas = draw.uniform(-1.0, 2.0), draw.uniform(-1.0, 1.0)
         gen, deficit, leak = (draw.choice([0.0, draw.uniform(0.0, 1.0)]) for _ in range(3))
-        hold = Hold(0.0, 0.0, 0.0, h_pas, T, 0.0)
+        hold = Hold(0.0, 0.0, 0.0, h_pas, T, 0.0, 0.0, 0)
         surplus, paid = surplus_after(Axis(h_dis=before), hold, HoldAccount(0, 0.0, gen, deficit, leak))
         owed = before + gen + deficit - h_pas
         assert paid == pytest.approx(min(leak, max(0.0, owed)))

@@ -106,7 +106,7 @@ def test_the_force_of_the_bounded_observer_is_bounded_at_rest_and_turns_nothing_
     for _ in range(300):
         state = bounded_observer._BoundedObserverState(integral=rng.uniform(0.0, 5.0))
         moved, wanted = rng.choice([1e-12, 1e-6, 1e-3, 0.0]) * rng.choice([1.0, -1.0]), rng.uniform(-5.0, 5.0)
-        hold = Hold(moved, 0.0, 0.0, 0.0, 1e-3, moved / 1e-3)
+        hold = Hold(moved, 0.0, 0.0, 0.0, 1e-3, moved / 1e-3, 0.0, 0)
         force = bounded_observer.controlling_force(settings, state, -rng.uniform(0.0, 1.0), hold, wanted)
         assert abs(force) <= 3.0 or force == -wanted
         assert (wanted + force) * wanted >= 0.0
@@ -142,11 +142,11 @@ def test_a_force_that_is_augmented_meets_the_stiffness_in_the_end_and_gives_back
 def test_a_tank_gives_no_more_than_is_in_it_to_a_motion_that_goes_on():
     rng = random.Random(5)
     for _ in range(200):
-        settings = energy_tank.settings_of(WALL, energy_tank.EnergyTankParameters(), LOOP)
+        given = energy_tank.EnergyTankParameters()
         state = energy_tank._EnergyTankState(brought=rng.choice([0.0, rng.uniform(0.0, 0.01)]))
         moved, variable, damper = rng.uniform(-1e-3, 1e-3), rng.uniform(-20.0, 20.0), rng.uniform(-1.0, 1.0)
-        hold = Hold(moved, 0.0, 0.0, 0.0, 1e-3, moved / 1e-3)
-        share = energy_tank.allowed_share(settings, state, hold, variable, damper)
+        hold = Hold(moved, 0.0, 0.0, 0.0, 1e-3, moved / 1e-3, 0.0, 0)
+        share = energy_tank.allowed_share(given, state, hold, variable, damper)
         assert 0.0 <= share <= 1.0
         assert -share * variable * moved <= state.brought + max(0.0, damper * moved) + 1e-15
         if variable * moved >= 0.0:
@@ -179,10 +179,10 @@ def test_over_lost_samples_a_tank_holds_what_came_in(delay):
 
 def test_the_switch_of_ultimate_passivity_has_hysteresis():
     given = ultimate_passivity.UltimatePassivityParameters(lower=-0.5, upper=0.5, counted_holds=7)
-    settings, state = ultimate_passivity.settings_of(WALL, given, LOOP), ultimate_passivity._UltimatePassivityState()
+    state = ultimate_passivity._UltimatePassivityState()
     modes = []
     for brought in (-0.4, -0.2, 0.5, 0.5, 0.2, -0.8, 0.0, -0.4):
-        ultimate_passivity.switch(settings, state, brought)
+        ultimate_passivity.switch(given, state, brought)
         modes.append(state.conservative)
     assert modes == [False, True, True, True, False, False, False, False]
     assert state.energy == -0.4  # set to zero at the seventh hold

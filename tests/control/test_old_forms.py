@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Iterator
+from functools import cache
 from typing import Any, NamedTuple
 
 import pytest
@@ -10,7 +11,8 @@ from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.control.environments.plain import plain, tuple_type
 from canhaptic.control.passivity import ALGORITHMS, build_controller
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.kernels import list_of_zeros
+from canhaptic.kernels import Run, list_of_zeros
+from canhaptic.kernels.records import arrays_of, records_of
 from canhaptic.registry import load
 from tests.control.cases import EXAMPLES
 from tests.control.old_forms.table import OLD_FORMS
@@ -38,7 +40,7 @@ class Sample(NamedTuple):
     scale: float  # of the torque that acts, over the one commanded
 
 
-class Run(NamedTuple):
+class Drawn(NamedTuple):
     """One run at random."""
 
     environment: Any
@@ -47,7 +49,7 @@ class Run(NamedTuple):
     samples: list[Sample]
 
 
-def drawn(algorithm: str, seed: int, steps: int) -> Run:
+def drawn(algorithm: str, seed: int, steps: int) -> Drawn:
     """Returns a loop, the choices of an algorithm and the samples of a hand that goes in and out."""
     rng = random.Random(f"{algorithm} {seed}")
     environment, _ = EXAMPLES[rng.choice(list(EXAMPLES))]
@@ -61,7 +63,7 @@ def drawn(algorithm: str, seed: int, steps: int) -> Run:
         torque_limit=rng.choice([None, 3.0]), torque_window=rng.choice([None, 5e-5]),
     )  # fmt: skip
     parameters = load(ALGORITHMS, algorithm, "passivity algorithm").parameters_type(**chosen)
-    return Run(environment, parameters, loop, list(samples_of(rng, count, steps)))
+    return Drawn(environment, parameters, loop, list(samples_of(rng, count, steps)))
 
 
 def samples_of(rng: random.Random, count: float, steps: int) -> Iterator[Sample]:
@@ -79,7 +81,7 @@ def samples_of(rng: random.Random, count: float, steps: int) -> Iterator[Sample]
         yield Sample(rng.random() < losses, skipped, shown, rng.choice([1.0, 1.0, 1.0, 0.5, 0.0, -0.3]))
 
 
-def answers(controller: Any, run: Run) -> Iterator[Any]:
+def answers(controller: Any, run: Drawn) -> Iterator[Any]:
     """Yields what a controller answers to every SYNC; torques act after the delay of the loop, some only in part."""
     waiting = [0.0] * (run.loop.delay + 1)
     limit = run.loop.torque_limit or 1e9
@@ -116,18 +118,22 @@ def test_an_algorithm_is_what_it_was_over_many_steps(algorithm: str) -> None:
     require_equal(algorithm, runs=140, steps=250)
 
 
+@cache
+def compiled_step(step: Any) -> Any:
+    from canhaptic.kernels.compiler import compiled  # numba is an extra
+
+    return compiled(step)
+
+
 class CompiledController:
     """The compiled step of an algorithm; of a sample that was lost it says the torque alone."""
 
-    def __init__(self, algorithm: str, run: Run) -> None:
-        from canhaptic.kernels.compiler import compiled  # numba is an extra
-        from canhaptic.kernels.records import arrays_of, records_of
-
+    def __init__(self, algorithm: str, run: Drawn) -> None:
         environment, kernel = plain(run.environment), load(ALGORITHMS, algorithm, "passivity algorithm").kernel
         settings, kind = kernel.settings(environment, run.parameters, run.loop), tuple_type(environment)
-        self._state, self._step, self._last = records_of([kernel.state()]), compiled(kernel.step), AT_REST
-        self._fixed = kind(*(float(getattr(environment, name)) for name in kind._fields)), records_of([settings])[0]
-        self._memory = arrays_of(kernel.memory(settings, list_of_zeros))
+        self._state, self._step, self._last = records_of([kernel.state()]), compiled_step(kernel.step), AT_REST
+        run_of = Run(records_of([settings])[0], self._state[0], arrays_of(kernel.memory(settings, list_of_zeros)))
+        self._fixed = kind(*(float(getattr(environment, name)) for name in kind._fields)), run_of
 
     def hold(self) -> EnergyBalance:
         self._state["axis"]["missed"] += self._state["axis"]["started"]
@@ -137,7 +143,7 @@ class CompiledController:
         self._state["axis"]["lasted"] += periods - 1.0
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        self._last = self._step(*self._fixed, self._state[0], self._memory, position, torque_applied)
+        self._last = self._step(*self._fixed, position, torque_applied)
         return self._last
 
 

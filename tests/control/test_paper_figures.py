@@ -1,15 +1,19 @@
 """Figs. 4, 5, 7, 8, 9 of the paper against an independent simulation (A9, A10), without delay and with one sample."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from canhaptic.control.balance import residual
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.ledger import Ledger
-from canhaptic.control.passivity import build_controller, internal_dissipation
+from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.a_priori_dissipation import APrioriDissipationParameters
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.internal_dissipation import InternalDissipationParameters
+from canhaptic.control.passivity.hold_account import open_hold
+from canhaptic.control.passivity.internal_dissipation import InternalDissipation, InternalDissipationParameters
+from canhaptic.kernels.binding import bound
 from tests.control.reference_loop import continuous, sampled, user_f, variation
 
 DURATION = 8.0
@@ -75,14 +79,15 @@ def test_with_one_sample_of_delay_the_force_varies_less_than_three_times(referen
 
 def test_booking_the_newest_damper_effort_instead_would_ring_with_one_sample_of_delay(reference, monkeypatch):
     """Trap 11: the printed H_R, with the velocity of the newest command, at 1 kHz."""
-    opened = internal_dissipation.open_hold  # type: ignore[attr-defined]
 
     def newest(settings, axis, memory, position, torque_applied):
         effort = memory.commands.dampers[axis.oldest - 1]
-        return opened(settings, axis, memory, position, torque_applied)._replace(damper=effort)
+        return open_hold(settings, axis, memory, position, torque_applied)._replace(damper=effort)
 
     paired = render(FIGURE_7, "internal_dissipation", 1000, delay=1)
-    monkeypatch.setattr(internal_dissipation, "open_hold", newest)
+    kernel = InternalDissipation.kernel
+    step = bound(kernel.step, {"open_hold": partial(newest)})
+    monkeypatch.setattr(InternalDissipation, "kernel", kernel._replace(step=step))
     printed = render(FIGURE_7, "internal_dissipation", 1000, delay=1)
     assert variation_ratio(paired, reference, FIGURE_7) < 3.0
     assert variation_ratio(printed, reference, FIGURE_7) > 30.0

@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import pytest
 
+from canhaptic.errors import InputError
+
 
 class Spring(NamedTuple):
     stiffness: float
@@ -23,3 +25,20 @@ def test_a_compiled_kernel_calls_the_method_of_a_named_tuple() -> None:
     from canhaptic.kernels.compiler import compiled
 
     assert compiled(pull)(Spring(2.0), 3.0) == pull(Spring(2.0), 3.0) == 7.0
+
+
+class Touch(NamedTuple):
+    contact: bool
+    depth: float
+
+
+def touch(depth: float) -> Touch:
+    return Touch(depth > 0.0, depth)
+
+
+def test_a_field_with_the_name_of_a_method_is_refused() -> None:
+    pytest.importorskip("numba", reason="needs numba (the extra fast)")
+    from canhaptic.kernels.compiler import compiled
+
+    with pytest.raises(InputError, match="Touch: got a field 'contact', expected a name that is no method"):
+        compiled(touch)

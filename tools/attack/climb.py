@@ -12,7 +12,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
-from canhaptic.kernels import Buffer
+from canhaptic.kernels import Buffer, Run
 from canhaptic.kernels.compiler import compiled, fixed_tuple
 from canhaptic.kernels.records import records_of
 from tools.attack.plant import BEFORE, DISSIPATED, LOAD_V, LOAD_X, TAKEN_IN, Rig, V, X, cut, hold
@@ -36,7 +36,7 @@ class Hand(NamedTuple):
     speed: float  # at the start, at most [m/s]
 
 
-def step(_environment: Any, _settings: Any, _state: Any, _memory: Any, _position: float, _torque: float) -> Any:
+def step(_environment: Any, _run: Any, _position: float, _torque: float) -> Any:
     """Placeholder of the algorithm."""
     raise NotImplementedError
 
@@ -52,8 +52,8 @@ def measured(position: float, count: float) -> float:
 
 
 def worst(
-    environment: Any, settings: Any, state: Any, memory: Any, rig: Rig, plant: Buffer, forces: Buffer, lengths: Buffer,
-    start: Buffer, count: float, at_handle: bool,
+    environment: Any, run: Any, rig: Rig, plant: Buffer, forces: Buffer, lengths: Buffer, start: Buffer, count: float,
+    at_handle: bool,
 ) -> float:  # fmt: skip
     """Returns the least sum of energy after any hold of one run [J]; at the handle with what the device dissipated.
 
@@ -65,7 +65,7 @@ def worst(
     plant[V] = plant[LOAD_V] = start[1]
     least = waiting = acting = most = 0.0
     left = 1.0
-    step(environment, settings, state, memory, measured(plant[X], count), 0.0)
+    step(environment, run, measured(plant[X], count), 0.0)
     for k in range(len(forces)):
         hold(rig, plant, acting, forces[k], lengths[k] * rig.sample_time)
         found = plant[TAKEN_IN] + (plant[DISSIPATED] if at_handle else 0.0)
@@ -75,7 +75,7 @@ def worst(
             most = found
         if most > _ENOUGH and found < left * most:
             left = found / most
-        balance = step(environment, settings, state, memory, measured(plant[X], count), acting)
+        balance = step(environment, run, measured(plant[X], count), acting)
         torque = cut(rig, balance.torque, plant[BEFORE])
         if abs(torque) > start[2]:
             start[2] = abs(torque)
@@ -103,7 +103,9 @@ def climb(
         random = mutate(rig, hand, random, tried < evaluations // 8, forces, lengths, start)
         zeros[:] = 0.0
         states[0] = rest[0]
-        found = worst(environment, settings, states[0], memory, rig, plant, forces, lengths, start, count, at_handle)
+        found = worst(
+            environment, Run(settings, states[0], memory), rig, plant, forces, lengths, start, count, at_handle
+        )
         if found < least or (found == least and tried % 2):
             least = found
             for k in range(holds):

@@ -27,7 +27,7 @@ from canhaptic.control.admittance.sampled_mass import (
 )
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.errors import ParameterError
-from canhaptic.kernels import Kernel
+from canhaptic.kernels import Kernel, Run
 from canhaptic.units import Parameters
 
 
@@ -49,13 +49,12 @@ def settings_of(
 
 def step(
     environment: DisplayMass,
-    settings: DisplaySettings,
-    state: DisplayState,
-    memory: DisplayMemory,
+    run: Run[DisplaySettings, DisplayState, DisplayMemory],
     position: float,
     torque_applied: float,
 ) -> EnergyBalance:
     """Solves the balance of energy for the next speed; see `Controller.step`."""
+    settings, state, memory = run.settings, run.state, run.memory
     force = -torque_applied
     if not state.axis.started:
         begin_port(state.axis, memory.positions, position, force)

@@ -66,7 +66,7 @@ from canhaptic.control.admittance.velocity_loop import (
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.passivity.settlement import settle
 from canhaptic.errors import ForceContradictedError
-from canhaptic.kernels import Buffer, Kernel, new
+from canhaptic.kernels import Buffer, Kernel, Run, new
 from canhaptic.units import Parameters
 
 _EXACT, _DEPLETED, _FREE = Branch.EXACT.value, Branch.DEPLETED.value, Branch.FREE.value
@@ -77,13 +77,12 @@ _BY_DECLARED = Certificate.DECLARED_HAND.value
 
 def step(
     environment: DisplayEnvironment,
-    settings: GuardedDisplaySettings,
-    state: GuardedDisplayState,
-    memory: GuardedMemory,
+    run: Run[GuardedDisplaySettings, GuardedDisplayState, GuardedMemory],
     position: float,
     torque_applied: float,
 ) -> EnergyBalance:
     """Accounts for the hold that ended; see `Controller.step`. `torque_applied` is minus the force of the sensor."""
+    settings, state, memory = run.settings, run.state, run.memory
     motion, commands, force = state.motion, memory.display.commands, -torque_applied
     inner, time = memory.display.inner, settings.motion.sample_time
     if not state.axis.started:

@@ -21,19 +21,18 @@ from canhaptic.control.admittance.sampled_mass import (
     settings_of,
 )
 from canhaptic.control.balance import AT_REST, EnergyBalance
-from canhaptic.kernels import Kernel
+from canhaptic.kernels import Kernel, Run
 from canhaptic.units import Parameters
 
 
 def step(
     environment: DisplayEnvironment,
-    settings: DisplaySettings,
-    state: DisplayState,
-    memory: DisplayMemory,
+    run: Run[DisplaySettings, DisplayState, DisplayMemory],
     position: float,
     torque_applied: float,
 ) -> EnergyBalance:
     """Observes the energy of the command and adds the slip that it lacks; see `Controller.step`."""
+    settings, state, memory = run.settings, run.state, run.memory
     force = -torque_applied
     if not state.axis.started:
         begin_port(state.axis, memory.positions, position, force)

@@ -21,7 +21,7 @@ from canhaptic.control.admittance.sampled_mass import (
     memory_of,
 )
 from canhaptic.control.balance import AT_REST, EnergyBalance
-from canhaptic.kernels import Kernel
+from canhaptic.kernels import Kernel, Run
 from canhaptic.units import Parameters, quantity
 
 
@@ -53,13 +53,12 @@ def settings_of(
 
 def step(
     environment: DisplayEnvironment,
-    settings: TankSettings,
-    state: DisplayState,
-    memory: DisplayMemory,
+    run: Run[TankSettings, DisplayState, DisplayMemory],
     position: float,
     torque_applied: float,
 ) -> EnergyBalance:
     """Scales a command that would take more than the tank holds; see `Controller.step`."""
+    settings, state, memory = run.settings, run.state, run.memory
     force = -torque_applied
     if not state.axis.started:
         begin_port(state.axis, memory.positions, position, force)

@@ -21,7 +21,7 @@ from canhaptic.control.admittance.sampled_mass import (
     memory_of,
 )
 from canhaptic.control.balance import AT_REST, EnergyBalance
-from canhaptic.kernels import Kernel
+from canhaptic.kernels import Kernel, Run
 from canhaptic.units import Parameters, quantity
 
 _STABLE = 0.5
@@ -55,13 +55,12 @@ def settings_of(
 
 def step(
     environment: DisplayEnvironment,
-    settings: SlipSettings,
-    state: DisplayState,
-    memory: DisplayMemory,
+    run: Run[SlipSettings, DisplayState, DisplayMemory],
     position: float,
     torque_applied: float,
 ) -> EnergyBalance:
     """Dissipates part of the surplus; see `Controller.step`."""
+    settings, state, memory = run.settings, run.state, run.memory
     force = -torque_applied
     if not state.axis.started:
         begin_port(state.axis, memory.positions, position, force)

@@ -16,19 +16,18 @@ from canhaptic.control.admittance.sampled_mass import (
     settings_of,
 )
 from canhaptic.control.balance import AT_REST, EnergyBalance
-from canhaptic.kernels import Kernel
+from canhaptic.kernels import Kernel, Run
 from canhaptic.units import Parameters
 
 
 def step(
     environment: DisplayEnvironment,
-    settings: DisplaySettings,
-    state: DisplayState,
-    memory: DisplayMemory,
+    run: Run[DisplaySettings, DisplayState, DisplayMemory],
     position: float,
     torque_applied: float,
 ) -> EnergyBalance:
     """Moves the virtual mass on under the last force; see `Controller.step`."""
+    settings, state, memory = run.settings, run.state, run.memory
     if not state.axis.started:
         begin_port(state.axis, memory.positions, position, -torque_applied)
         return AT_REST

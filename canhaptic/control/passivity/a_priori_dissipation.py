@@ -21,35 +21,29 @@ takes its velocity from the displacement, never from the penetration; the veloci
 applied in that very hold; holds are booked to the end as in `internal_dissipation`.
 """
 
-from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
 
-from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Axis, AxisMemory, Hold, HoldAccount, begin, hold_memory, open_hold
+from canhaptic.control.passivity.hold_account import Hold, HoldAccount
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.passivity.storage import (
-    UNTOUCHED,
     Storage,
     approximate,
-    begin_storage,
     empty,
     entered_by,
-    follow,
     is_deadlocked,
-    leave,
     pushed_inward,
     start,
 )
 from canhaptic.control.passivity.stored_model import (
     StoredModelParameters,
     StoredModelSettings,
-    close,
+    StoredModelState,
     dissipation,
-    stored_model_settings,
+    stored_model_kernel,
 )
-from canhaptic.kernels import Kernel, MakeBuffer
+from canhaptic.kernels import Kernel
 from canhaptic.units import Parameters
 
 
@@ -59,70 +53,22 @@ class APrioriDissipationParameters(StoredModelParameters):
     rearm: Literal["printed", "displacement"] = "printed"
     """Velocity of the start after the store emptied in contact: x / T as printed (eq. 14), or from the displacement."""
 
-
-@dataclass(frozen=True, slots=True)
-class _APrioriDissipationSettings:
-    """Constants of a run."""
-
-    rearms_as_printed: bool
-    model: StoredModelSettings
+    @property
+    def rearms_as_printed(self) -> bool:
+        """Whether `rearm` is `printed`."""
+        return self.rearm == "printed"
 
 
 @dataclass(slots=True)
-class _APrioriDissipationState:
+class _APrioriDissipationState(StoredModelState):
     """State kept from SYNC to SYNC."""
 
-    axis: Axis = field(default_factory=Axis)
-    storage: Storage = field(default_factory=Storage)
     met: bool = False  # whether a contact began since the first position
-
-
-def settings_of(
-    environment: Environment, parameters: APrioriDissipationParameters, loop: LoopProperties
-) -> _APrioriDissipationSettings:
-    """Returns what is fixed for a run.
-
-    Raises:
-        ParameterError: A windowed velocity without an encoder count.
-    """
-    return _APrioriDissipationSettings(
-        parameters.rearm == "printed", stored_model_settings(environment, parameters, loop)
-    )
-
-
-def memory_of(settings: _APrioriDissipationSettings, make_buffer: MakeBuffer) -> AxisMemory:
-    """Returns the buffers of one axis."""
-    return hold_memory(settings.model, make_buffer)
-
-
-def step(
-    environment: Environment,
-    settings: _APrioriDissipationSettings,
-    state: _APrioriDissipationState,
-    memory: AxisMemory,
-    position: float,
-    torque_applied: float,
-) -> EnergyBalance:
-    """Accounts for the hold that ended; see `Controller.step`."""
-    axis, storage = state.axis, state.storage
-    if not axis.started:
-        begin(axis, memory, position)
-        begin_storage(environment, storage, position)
-        return AT_REST
-    hold = open_hold(settings.model.hold, axis, memory, position, torque_applied)
-    changed = follow(environment, storage, position, hold.displacement, hold.elapsed)
-    if storage.zone:
-        account = touch(environment, settings, state, hold, changed)
-    elif changed or hold.h_i != 0.0:
-        account = leave(storage, update(environment, settings, storage, hold))
-    else:
-        account = UNTOUCHED
-    return close(environment, settings.model, axis, memory, storage, hold, account)
 
 
 def touch(
     environment: Environment,
-    settings: _APrioriDissipationSettings,
+    settings: StoredModelSettings[APrioriDissipationParameters],
     state: _APrioriDissipationState,
     hold: Hold,
     entered: bool,
@@ -131,18 +77,16 @@ def touch(
     storage, displacement = state.storage, hold.displacement
     state.met = state.met or entered
     if entered or (is_deadlocked(storage) and pushed_inward(environment, storage, displacement)):
-        printed = settings.rearms_as_printed and state.met and not entered
+        printed = settings.given.rearms_as_printed and state.met and not entered
         state.met = True
         change = storage.true if printed else entered_by(environment, storage, displacement)
         return start(environment, storage, change, hold.elapsed, hold.h_i - hold.h_pas)
-    return update(environment, settings, storage, hold)
+    return exchange(environment, settings, storage, hold)
 
 
-def update(
-    environment: Environment, settings: _APrioriDissipationSettings, storage: Storage, hold: Hold
-) -> HoldAccount:
+def exchange(environment: Environment, settings: StoredModelSettings[Any], storage: Storage, hold: Hold) -> HoldAccount:
     """Dissipates what the velocity inside the torque of this hold demands (eqs. 6, 7)."""
-    lost = dissipation(settings.model, hold)
+    lost = dissipation(settings, hold)
     account = approximate(environment, storage, hold.elapsed, lost, hold.h_i - hold.h_pas)
     if storage.h_s == 0.0:
         empty(storage)
@@ -153,4 +97,4 @@ class APrioriDissipation(SteppedController):
     """The predecessor of the paper's algorithm for one axis."""
 
     parameters_type: ClassVar[type[Parameters]] = APrioriDissipationParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, _APrioriDissipationState, memory_of, step)
+    kernel: ClassVar[Kernel] = stored_model_kernel(_APrioriDissipationState, touch, exchange)

@@ -10,29 +10,21 @@ Departures: the energy is that of the torque applied, exact for each hold, where
 velocities; one axis instead of two; the damper has a limit. It promises nothing.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, ClassVar
 
-from canhaptic.control.balance import AT_REST, EnergyBalance
-from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import (
-    Axis,
-    AxisMemory,
-    HoldAccount,
-    close_hold,
-    open_hold,
-)
+from canhaptic.control.passivity.hold_account import Hold
 from canhaptic.control.passivity.passivity_observer import (
-    ObserverSettings,
+    ObserverState,
     PassivityObserverParameters,
     controlling_damping,
-    observer_memory,
     observer_settings,
 )
-from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
+from canhaptic.control.passivity.sampled_kernel import Reply, SampledRun, sampled_kernel
+from canhaptic.control.passivity.sampled_model import Asked
 from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.control.running_sum import RunningSum, add
+from canhaptic.control.running_sum import add
 from canhaptic.kernels import Kernel, new
 from canhaptic.units import Parameters, quantity
 
@@ -44,68 +36,28 @@ class AdaptiveReferenceParameters(PassivityObserverParameters):
     """Below it the damper is off, as in the source."""
 
 
-@dataclass(frozen=True, slots=True)
-class _AdaptiveReferenceSettings:
-    """Constants of a run."""
-
-    observer: ObserverSettings
-    least_speed: float  # [m/s or rad/s]
-
-
 @dataclass(slots=True)
-class _AdaptiveReferenceState:
+class _AdaptiveReferenceState(ObserverState):
     """State kept from SYNC to SYNC."""
 
-    axis: Axis = field(default_factory=Axis)
-    model: SampledModel = field(default_factory=SampledModel)
-    observed: RunningSum = field(default_factory=RunningSum)  # sum(h_i) [J]
     coefficient: float = 0.0  # k of E_ref = k x^2 [J/m^2 or J/rad^2]
 
 
-def settings_of(
-    environment: Environment, parameters: AdaptiveReferenceParameters, loop: LoopProperties
-) -> _AdaptiveReferenceSettings:
-    """Returns what is fixed for a run.
-
-    Raises:
-        ParameterError: Nothing bounds the damper.
-    """
-    observer = observer_settings("adaptive_reference", environment, parameters, loop)
-    return _AdaptiveReferenceSettings(observer, parameters.least_speed)
-
-
-def step(
-    environment: Environment,
-    settings: _AdaptiveReferenceSettings,
-    state: _AdaptiveReferenceState,
-    memory: AxisMemory,
-    position: float,
-    torque_applied: float,
-) -> EnergyBalance:
-    """Accounts for the hold that ended; see `Controller.step`."""
-    axis, model = state.axis, state.model
-    if not axis.started:
-        begin_model(environment, axis, model, memory, position)
-        return AT_REST
-    hold = open_hold(settings.observer.hold, axis, memory, position, torque_applied)
-    observed = add(state.observed, hold.h_i)
-    branch, h_r, contact, spring, damper = follow(environment, model, position, hold)
-    gen, leak = settle(environment, model, 1.0, hold.h_i - hold.h_pas, h_r)
-    below = below_reference(state, observed, hold.h_i)
-    extra = 0.0
-    if contact and abs(hold.velocity) > settings.least_speed:
-        extra = controlling_damping(settings.observer.damping_limit, below, hold)
-    efforts = spring, damper, extra * hold.displacement / hold.elapsed
-    account = new(HoldAccount, (branch, h_r, gen, 0.0, leak))
-    rendered = environment.damping + extra if contact else 0.0
-    return close_hold(settings.observer.hold, axis, memory, hold, account, efforts, rendered, model.state, model.h_s)
+def respond(run: SampledRun[AdaptiveReferenceParameters, _AdaptiveReferenceState], hold: Hold, asked: Asked) -> Reply:
+    """Adds a damper while the energy observed is below its reference and the axis moves."""
+    state, settings, extra = run.state, run.settings, 0.0
+    below = below_reference(state, add(state.observed, hold.h_i), hold.h_i)
+    if asked.touches and abs(hold.velocity) > settings.given.least_speed:
+        extra = controlling_damping(settings.limit, below, hold)
+    effort = extra * hold.displacement / hold.elapsed
+    return new(Reply, (1.0, asked.spring, asked.damper, effort, asked.damping + extra))
 
 
 def below_reference(state: _AdaptiveReferenceState, observed: float, h_i: float) -> float:
     """Returns the energy observed less its reference [J], 0 while it rises; then the reference is fitted to it.
 
     Args:
-        state: Of the run; its coefficient changes.
+        state: State of the axis; its coefficient changes.
         observed: Energy that came in so far [J].
         h_i: In this hold [J].
     """
@@ -123,4 +75,6 @@ class AdaptiveReference(SteppedController):
     """A passivity controller with an adaptive reference energy around the sampled environment."""
 
     parameters_type: ClassVar[type[Parameters]] = AdaptiveReferenceParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, _AdaptiveReferenceState, observer_memory, step)
+    kernel: ClassVar[Kernel] = sampled_kernel(
+        respond, _AdaptiveReferenceState, partial(observer_settings, "adaptive_reference")
+    )

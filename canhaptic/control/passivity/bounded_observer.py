@@ -14,27 +14,24 @@ included, where the source keeps that share at zero by an oversight; z counts th
 there is no force without motion, where sign(0) of the source is 1. It promises nothing.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import copysign, inf
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import (
-    Axis,
-    AxisMemory,
-    Hold,
-    HoldAccount,
-    HoldSettings,
-    close_hold,
-    hold_memory,
-    hold_settings,
-    open_hold,
+from canhaptic.control.passivity.hold_account import Hold
+from canhaptic.control.passivity.passivity_observer import ObserverState
+from canhaptic.control.passivity.sampled_kernel import (
+    Reply,
+    SampledRun,
+    SampledSettings,
+    sampled_kernel,
+    sampled_settings,
 )
-from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
+from canhaptic.control.passivity.sampled_model import Asked
 from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.control.running_sum import RunningSum, add
+from canhaptic.control.running_sum import add
 from canhaptic.control.velocity import DamperVelocity
 from canhaptic.kernels import Kernel, new
 from canhaptic.units import Parameters, quantity
@@ -51,85 +48,57 @@ class BoundedObserverParameters(DamperVelocity):
     """Largest force of the passivity controller; without it only the drive's limit holds."""
 
 
-@dataclass(frozen=True, slots=True)
-class _BoundedObserverSettings:
-    """Constants of a run."""
-
-    speed_offset: float  # [m/s or rad/s]
-    integral_holds: float
-    force_limit: float  # [N or N*m]
-    hold: HoldSettings
-
-
 @dataclass(slots=True)
-class _BoundedObserverState:
+class _BoundedObserverState(ObserverState):
     """State kept from SYNC to SYNC."""
 
-    axis: Axis = field(default_factory=Axis)
-    model: SampledModel = field(default_factory=SampledModel)
-    observed: RunningSum = field(default_factory=RunningSum)  # sum(h_i) [J]
     integral: float = 0.0  # z [W]
     force: float = 0.0  # of the passivity controller, in the last command [N or N*m]
 
 
 def settings_of(
     environment: Environment, parameters: BoundedObserverParameters, loop: LoopProperties
-) -> _BoundedObserverSettings:
-    """Returns what is fixed for a run."""
+) -> SampledSettings[Any]:
+    """Returns what is fixed for a run; the limit is that of the force."""
     limit = inf if parameters.force_limit is None else parameters.force_limit
-    hold = hold_settings(parameters, loop, Certificate.NONE)
-    return _BoundedObserverSettings(parameters.speed_offset, parameters.integral_holds, limit, hold)
+    return sampled_settings(environment, parameters, loop, limit)
 
 
-def step(
-    environment: Environment,
-    settings: _BoundedObserverSettings,
-    state: _BoundedObserverState,
-    memory: AxisMemory,
-    position: float,
-    torque_applied: float,
-) -> EnergyBalance:
-    """Accounts for the hold that ended; see `Controller.step`."""
-    axis, model = state.axis, state.model
-    if not axis.started:
-        begin_model(environment, axis, model, memory, position)
-        return AT_REST
-    hold = open_hold(settings.hold, axis, memory, position, torque_applied)
-    observed = add(state.observed, hold.h_i)
-    branch, h_r, contact, spring, damper = follow(environment, model, position, hold)
-    gen, leak = settle(environment, model, 1.0, hold.h_i - hold.h_pas, h_r)
-    force = state.force = controlling_force(settings, state, observed, hold, spring + damper) if contact else 0.0
-    account = new(HoldAccount, (branch, h_r, gen, 0.0, leak))
-    velocity = hold.displacement / hold.elapsed
-    rendered = environment.damping if contact else 0.0
+def respond(run: SampledRun[BoundedObserverParameters, _BoundedObserverState], hold: Hold, asked: Asked) -> Reply:
+    """Adds the force of the passivity controller."""
+    state, velocity, damping = run.state, hold.displacement / hold.elapsed, asked.damping
+    observed, wanted = add(state.observed, hold.h_i), asked.spring + asked.damper
+    state.force = force = controlling_force(run.settings, state, observed, hold, wanted) if asked.touches else 0.0
     if velocity * force > 0.0:
-        rendered += force / velocity
-    return close_hold(
-        settings.hold, axis, memory, hold, account, (spring, damper, force), rendered, model.state, model.h_s
-    )
+        damping += force / velocity
+    return new(Reply, (1.0, asked.spring, asked.damper, force, damping))
 
 
 def controlling_force(
-    settings: _BoundedObserverSettings, state: _BoundedObserverState, observed: float, hold: Hold, wanted: float
+    settings: SampledSettings[BoundedObserverParameters],
+    state: _BoundedObserverState,
+    observed: float,
+    hold: Hold,
+    wanted: float,
 ) -> float:
     """Returns the force of the passivity controller in the next command [N or N*m].
 
     Args:
-        settings: Of the run.
-        state: Of the run; its integral changes.
+        settings: Constants of the run.
+        state: State of the axis; its integral changes.
         observed: Energy that came in so far [J].
-        hold: That ended.
+        hold: The hold that ended.
         wanted: Force of the model in the next command [N or N*m].
     """
-    force = 0.0
+    given, limit, force = settings.given, settings.limit, 0.0
     if observed < 0.0:
         velocity, power = hold.displacement / hold.elapsed, -observed / hold.elapsed
         if velocity != 0.0:
-            force = (power + state.integral) / (velocity + copysign(settings.speed_offset, velocity))
-        state.integral += (power - state.force * velocity) / settings.integral_holds
+            force = (power + state.integral) / (velocity + copysign(given.speed_offset, velocity))
+        state.integral += (power - state.force * velocity) / given.integral_holds
     else:
         state.integral = 0.0
-    force = min(max(force, -settings.force_limit), settings.force_limit)
+    force = min(max(force, -limit), limit)
     return force if (wanted + force) * wanted > 0.0 else -wanted
 
 
@@ -137,4 +106,4 @@ class BoundedObserver(SteppedController):
     """Time-domain passivity control of bounded force around the sampled environment."""
 
     parameters_type: ClassVar[type[Parameters]] = BoundedObserverParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, _BoundedObserverState, hold_memory, step)
+    kernel: ClassVar[Kernel] = sampled_kernel(respond, _BoundedObserverState, settings_of)

@@ -12,25 +12,22 @@ needs one torque in a hold: where an older one acts in a part of it (window, lag
 """
 
 from dataclasses import dataclass, field
-from math import sqrt
+from math import inf, sqrt
 from typing import ClassVar
 
-from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
+from canhaptic.control.balance import Certificate
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import (
-    Axis,
-    AxisMemory,
-    Hold,
-    HoldAccount,
-    HoldSettings,
-    close_hold,
-    hold_memory,
-    hold_settings,
-    open_hold,
-)
+from canhaptic.control.passivity.hold_account import Hold, hold_settings
 from canhaptic.control.passivity.in_flight import towards_zero
-from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
+from canhaptic.control.passivity.sampled_kernel import (
+    Reply,
+    SampledRun,
+    SampledSettings,
+    SampledState,
+    sampled_kernel,
+)
+from canhaptic.control.passivity.sampled_model import Asked
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.running_sum import RunningSum, add
 from canhaptic.control.velocity import DamperVelocity
@@ -44,22 +41,19 @@ class EnergyBoundingParameters(DamperVelocity):
 
 
 @dataclass(frozen=True, slots=True)
-class _EnergyBoundingSettings:
-    """Constants of a run."""
+class Device:
+    """What is certain of the device."""
 
-    device_damping: float  # certain [N*s/m or N*m*s/rad]
+    damping: float  # certain [N*s/m or N*m*s/rad]
     longest: float  # hold [s]
     count: float  # of the encoder [m or rad]
     quantum: float  # of the torque command; 0: ideal [N or N*m]
-    hold: HoldSettings
 
 
 @dataclass(slots=True)
-class _EnergyBoundingState:
+class _EnergyBoundingState(SampledState):
     """State kept from SYNC to SYNC."""
 
-    axis: Axis = field(default_factory=Axis)
-    model: SampledModel = field(default_factory=SampledModel)
     energy: RunningSum = field(default_factory=RunningSum)  # E_n [J]
     torque: float = 0.0  # of the hold that ended [N or N*m]
     changes: float = 0.0  # sum of the changes of it [N or N*m]
@@ -67,7 +61,7 @@ class _EnergyBoundingState:
 
 def settings_of(
     environment: Environment, parameters: EnergyBoundingParameters, loop: LoopProperties
-) -> _EnergyBoundingSettings:
+) -> SampledSettings[Device]:
     """Returns what is fixed for a run.
 
     Raises:
@@ -81,62 +75,41 @@ def settings_of(
         )
     timing = loop.timing
     promised = Certificate.NONE if timing.late else Certificate.DEVICE_DAMPING
-    hold = hold_settings(parameters, loop, promised)
-    return _EnergyBoundingSettings(loop.device_damping, timing.longest, loop.encoder_count, loop.torque_quantum, hold)
+    device = Device(loop.device_damping, timing.longest, loop.encoder_count, loop.torque_quantum)
+    return SampledSettings(device, inf, hold_settings(parameters, loop, promised))
 
 
-def step(
-    environment: Environment,
-    settings: _EnergyBoundingSettings,
-    state: _EnergyBoundingState,
-    memory: AxisMemory,
-    position: float,
-    torque_applied: float,
-) -> EnergyBalance:
-    """Accounts for the hold that ended; see `Controller.step`."""
-    axis, model = state.axis, state.model
-    if not axis.started:
-        begin_model(environment, axis, model, memory, position)
-        return AT_REST
-    hold = open_hold(settings.hold, axis, memory, position, torque_applied)
-    energy = known_energy(settings, state, hold, torque_applied)
-    branch, h_r, contact, spring, damper = follow(environment, model, position, hold)
-    wanted = abs(spring + damper)
-    share = bounded_share(settings, memory.commands.torques, axis.oldest, energy, wanted)
-    gen, leak = settle(environment, model, share, hold.h_i, h_r)
-    if settings.quantum > 0.0 and wanted > 0.0:
-        share = towards_zero(share * wanted, settings.quantum) / wanted
-    efforts = spring * share, damper * share, 0.0
-    account = new(HoldAccount, (branch, h_r, gen, 0.0, leak))
-    rendered = environment.damping * share if contact else 0.0
-    return close_hold(settings.hold, axis, memory, hold, account, efforts, rendered, model.state, model.h_s)
+def respond(run: SampledRun[Device, _EnergyBoundingState], hold: Hold, asked: Asked) -> Reply:
+    """Renders as much of the model's torque as the bound allows."""
+    state, device, wanted = run.state, run.settings.given, abs(asked.spring + asked.damper)
+    energy = known_energy(device, run.settings.hold.sample_time, state, hold)
+    stored = share = bounded_share(device, run.memory.axis.commands.torques, state.axis.oldest, energy, wanted)
+    if device.quantum > 0.0 and wanted > 0.0:
+        share = towards_zero(share * wanted, device.quantum) / wanted
+    return new(Reply, (stored, asked.spring * share, asked.damper * share, 0.0, asked.damping * share))
 
 
-def known_energy(
-    settings: _EnergyBoundingSettings, state: _EnergyBoundingState, hold: Hold, torque_applied: float
-) -> float:
+def known_energy(device: Device, sample_time: float, state: _EnergyBoundingState, hold: Hold) -> float:
     """Takes the hold that ended and returns E_n less what the counts of the encoder hide [J]."""
-    count, periods = settings.count, hold.elapsed / settings.hold.sample_time
+    count, periods = device.count, hold.elapsed / sample_time
     moved = max(0.0, abs(hold.displacement) - count)
-    booked = add(state.energy, hold.h_i + settings.device_damping * (moved * moved) / (periods * settings.longest))
-    state.changes += abs(torque_applied - state.torque)
-    state.torque = torque_applied
-    return booked - 0.5 * count * (state.changes + abs(torque_applied))
+    booked = add(state.energy, hold.h_i + device.damping * (moved * moved) / (periods * device.longest))
+    state.changes += abs(hold.torque - state.torque)
+    state.torque = hold.torque
+    return booked - 0.5 * count * (state.changes + abs(hold.torque))
 
 
-def bounded_share(
-    settings: _EnergyBoundingSettings, torques: Buffer, oldest: int, energy: float, wanted: float
-) -> float:
+def bounded_share(device: Device, torques: Buffer, oldest: int, energy: float, wanted: float) -> float:
     """Returns the part of a wanted torque that is within the bound, 0..1.
 
     Args:
-        settings: Of the run.
+        device: What is certain of it.
         torques: In flight, a ring [N or N*m].
         oldest: Place of the one whose hold ended; the others act before the wanted one.
         energy: As `known_energy` has it [J].
         wanted: Size of the torque [N or N*m].
     """
-    square = 4.0 * settings.device_damping / settings.longest * energy
+    square = 4.0 * device.damping / device.longest * energy
     for place in range(oldest + 1 - len(torques), oldest):
         square -= torques[place] * torques[place]
     if wanted * wanted <= square:
@@ -148,4 +121,4 @@ class EnergyBounding(SteppedController):
     """The sampled environment, its torque bounded by certain device damping."""
 
     parameters_type: ClassVar[type[Parameters]] = EnergyBoundingParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, _EnergyBoundingState, hold_memory, step)
+    kernel: ClassVar[Kernel] = sampled_kernel(respond, _EnergyBoundingState, settings_of)

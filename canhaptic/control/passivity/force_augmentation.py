@@ -13,27 +13,19 @@ first press, where the source lets it fall by its increments; the damper of the 
 nothing.
 """
 
-from dataclasses import dataclass, field
-from typing import Annotated, ClassVar
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Final
 
-from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
-from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import (
-    Axis,
-    AxisMemory,
-    HoldAccount,
-    HoldSettings,
-    close_hold,
-    hold_memory,
-    hold_settings,
-    open_hold,
-)
-from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
+from canhaptic.control.balance import Branch
+from canhaptic.control.passivity.hold_account import Hold
+from canhaptic.control.passivity.sampled_kernel import Reply, SampledRun, SampledState, sampled_kernel
+from canhaptic.control.passivity.sampled_model import Asked
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.velocity import DamperVelocity
 from canhaptic.kernels import Kernel, new
 from canhaptic.units import Parameters, quantity
+
+_START: Final = Branch.START.value
 
 
 class ForceAugmentationParameters(DamperVelocity):
@@ -49,88 +41,48 @@ class ForceAugmentationParameters(DamperVelocity):
     """Stiffness that counts as much."""
 
 
-@dataclass(frozen=True, slots=True)
-class _ForceAugmentationSettings:
-    """Constants of a run."""
-
-    feedback_stiffness: float  # [N/m or N*m/rad]
-    increment: float  # [N or N*m]
-    reach: float  # [m or rad]
-    coarse: float  # [N/m or N*m/rad]
-    hold: HoldSettings
-
-
 @dataclass(slots=True)
-class _ForceAugmentationState:
+class _ForceAugmentationState(SampledState):
     """State kept from SYNC to SYNC."""
 
-    axis: Axis = field(default_factory=Axis)
-    model: SampledModel = field(default_factory=SampledModel)
     offset: float = 0.0  # o [N or N*m]
     depth: float = 0.0  # of the last command [m or rad]
     force: float = 0.0  # of its spring [N or N*m]
     released: bool = False  # since the contact began
 
 
-def settings_of(
-    environment: Environment, parameters: ForceAugmentationParameters, loop: LoopProperties
-) -> _ForceAugmentationSettings:
-    """Returns what is fixed for a run."""
-    given = parameters
-    hold = hold_settings(given, loop, Certificate.NONE)
-    return _ForceAugmentationSettings(given.feedback_stiffness, given.increment, given.reach, given.coarse, hold)
-
-
-def step(
-    environment: Environment,
-    settings: _ForceAugmentationSettings,
-    state: _ForceAugmentationState,
-    memory: AxisMemory,
-    position: float,
-    torque_applied: float,
-) -> EnergyBalance:
-    """Accounts for the hold that ended; see `Controller.step`."""
-    axis, model = state.axis, state.model
-    if not axis.started:
-        begin_model(environment, axis, model, memory, position)
-        return AT_REST
-    hold = open_hold(settings.hold, axis, memory, position, torque_applied)
-    zone = model.zone
-    branch, h_r, contact, spring, damper = follow(environment, model, position, hold)
-    gen, leak = settle(environment, model, 1.0, hold.h_i, h_r)
-    if model.zone != zone:
+def respond(run: SampledRun[ForceAugmentationParameters, _ForceAugmentationState], hold: Hold, asked: Asked) -> Reply:
+    """Renders the soft spring and its offset; every contact begins without one."""
+    state, size = run.state, abs(asked.spring)
+    if asked.branch == _START or not asked.touches:
         state.offset = state.depth = state.force = 0.0
         state.released = False
-    size = abs(spring)
-    share = augmented_force(settings, state, abs(model.true), size) / size if size > 0.0 else 0.0
-    account = new(HoldAccount, (branch, h_r, gen, 0.0, leak))
-    rendered = environment.damping if contact else 0.0
-    efforts = spring * share, damper, 0.0
-    return close_hold(settings.hold, axis, memory, hold, account, efforts, rendered, model.state, model.h_s)
+    share = augmented_force(run.settings.given, state, abs(state.model.true), size) / size if size > 0.0 else 0.0
+    return new(Reply, (1.0, asked.spring * share, asked.damper, 0.0, asked.damping))
 
 
 def augmented_force(
-    settings: _ForceAugmentationSettings, state: _ForceAugmentationState, depth: float, full: float
+    given: ForceAugmentationParameters, state: _ForceAugmentationState, depth: float, full: float
 ) -> float:
     """Returns the size of the spring's force in the next command [N or N*m].
 
     Args:
-        settings: Of the run.
-        state: Of the contact; changed.
+        given: Parameters of the run.
+        state: State of the contact; changed.
         depth: In the environment, not below 0 [m or rad].
         full: Size of the force of the environment there [N or N*m].
     """
     if depth <= 0.0:
         return full
     stiffness, force = full / depth, state.force
-    soft = min(stiffness, settings.feedback_stiffness) * depth
+    soft = min(stiffness, given.feedback_stiffness) * depth
     if depth > state.depth:
         if state.released and state.depth > 0.0:
             missing = stiffness - state.force / state.depth
-            if missing > settings.coarse:
-                state.offset += settings.reach * missing
+            if missing > given.coarse:
+                state.offset += given.reach * missing
             else:
-                state.offset += settings.increment if missing > 0.0 else -settings.increment
+                state.offset += given.increment if missing > 0.0 else -given.increment
         force = max(0.0, soft + state.offset) if state.released else full
     elif depth < state.depth:
         state.released = True
@@ -143,4 +95,4 @@ class ForceAugmentation(SteppedController):
     """The sampled environment by a soft spring and an offset."""
 
     parameters_type: ClassVar[type[Parameters]] = ForceAugmentationParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, _ForceAugmentationState, hold_memory, step)
+    kernel: ClassVar[Kernel] = sampled_kernel(respond, _ForceAugmentationState)

@@ -11,29 +11,21 @@ that of the last sample, where the source forgets to keep it; the passivity cont
 the next hold, where the source changes the force of this one without bound. It promises nothing.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, ClassVar
 
-from canhaptic.control.balance import AT_REST, EnergyBalance
-from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import (
-    Axis,
-    AxisMemory,
-    HoldAccount,
-    close_hold,
-    open_hold,
-)
+from canhaptic.control.passivity.hold_account import Hold
 from canhaptic.control.passivity.passivity_observer import (
-    ObserverSettings,
+    ObserverState,
     PassivityObserverParameters,
     controlling_damping,
-    observer_memory,
     observer_settings,
 )
-from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
+from canhaptic.control.passivity.sampled_kernel import Reply, SampledRun, sampled_kernel
+from canhaptic.control.passivity.sampled_model import Asked
 from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.control.running_sum import RunningSum, add
+from canhaptic.control.running_sum import add
 from canhaptic.kernels import Kernel, new
 from canhaptic.units import Parameters, quantity
 
@@ -45,64 +37,25 @@ class ForceGradientParameters(PassivityObserverParameters):
     """Force of the model below which none is rendered; as in the source."""
 
 
-@dataclass(frozen=True, slots=True)
-class _ForceGradientSettings:
-    """Constants of a run."""
-
-    observer: ObserverSettings
-    least_force: float  # [N or N*m]
-
-
 @dataclass(slots=True)
-class _ForceGradientState:
+class _ForceGradientState(ObserverState):
     """State kept from SYNC to SYNC."""
 
-    axis: Axis = field(default_factory=Axis)
-    model: SampledModel = field(default_factory=SampledModel)
-    observed: RunningSum = field(default_factory=RunningSum)  # sum(h_i) [J]
     wanted: float = 0.0  # force of the model in the last command [N or N*m]
     force: float = 0.0  # of the last command [N or N*m]
     depth: float = 0.0  # state of the model then, signed [m or rad]
 
 
-def settings_of(
-    environment: Environment, parameters: ForceGradientParameters, loop: LoopProperties
-) -> _ForceGradientSettings:
-    """Returns what is fixed for a run.
-
-    Raises:
-        ParameterError: Nothing bounds the damper.
-    """
-    observer = observer_settings("force_gradient", environment, parameters, loop)
-    return _ForceGradientSettings(observer, parameters.least_force)
-
-
-def step(
-    environment: Environment,
-    settings: _ForceGradientSettings,
-    state: _ForceGradientState,
-    memory: AxisMemory,
-    position: float,
-    torque_applied: float,
-) -> EnergyBalance:
-    """Accounts for the hold that ended; see `Controller.step`."""
-    axis, model = state.axis, state.model
-    if not axis.started:
-        begin_model(environment, axis, model, memory, position)
-        return AT_REST
-    hold = open_hold(settings.observer.hold, axis, memory, position, torque_applied)
-    observed = add(state.observed, hold.h_i)
-    branch, h_r, contact, spring, damper = follow(environment, model, position, hold)
-    gen, leak = settle(environment, model, 1.0, hold.h_i - hold.h_pas, h_r)
-    wanted = spring + damper
-    force = gradient_force(settings.least_force, state, wanted, model.true)
+def respond(run: SampledRun[ForceGradientParameters, _ForceGradientState], hold: Hold, asked: Asked) -> Reply:
+    """Changes the force of the last command as that of the model changed, and adds a damper."""
+    state, settings, wanted = run.state, run.settings, asked.spring + asked.damper
+    observed, depth = add(state.observed, hold.h_i), state.model.true
+    force = gradient_force(settings.given.least_force, state, wanted, depth)
     share = force / wanted if force != 0.0 else 0.0
-    extra = controlling_damping(settings.observer.damping_limit, observed, hold) if contact else 0.0
-    efforts = spring * share, damper * share, extra * hold.displacement / hold.elapsed
-    state.wanted, state.force, state.depth = wanted, force + efforts[2], model.true
-    account = new(HoldAccount, (branch, h_r, gen, 0.0, leak))
-    rendered = environment.damping * share + extra if contact else 0.0
-    return close_hold(settings.observer.hold, axis, memory, hold, account, efforts, rendered, model.state, model.h_s)
+    extra = controlling_damping(settings.limit, observed, hold) if asked.touches else 0.0
+    effort = extra * hold.displacement / hold.elapsed
+    state.wanted, state.force, state.depth = wanted, force + effort, depth
+    return new(Reply, (1.0, asked.spring * share, asked.damper * share, effort, asked.damping * share + extra))
 
 
 def gradient_force(least_force: float, state: _ForceGradientState, wanted: float, depth: float) -> float:
@@ -127,4 +80,6 @@ class ForceGradient(SteppedController):
     """The sampled environment by changes of its force, with a passivity controller."""
 
     parameters_type: ClassVar[type[Parameters]] = ForceGradientParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, _ForceGradientState, observer_memory, step)
+    kernel: ClassVar[Kernel] = sampled_kernel(
+        respond, _ForceGradientState, partial(observer_settings, "force_gradient")
+    )

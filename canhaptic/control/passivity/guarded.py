@@ -37,7 +37,7 @@ from canhaptic.control.passivity.guarded_torque import drag, render
 from canhaptic.control.passivity.hold_account import Axis, begin
 from canhaptic.control.passivity.in_flight import send
 from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.kernels import Kernel, new
+from canhaptic.kernels import Kernel, Run, new
 from canhaptic.units import Parameters
 
 _FREE, _START, _EXACT = Branch.FREE.value, Branch.START.value, Branch.EXACT.value
@@ -46,10 +46,10 @@ _EXIT, _UNBOUNDED = Branch.EXIT.value, Certificate.EXACT.value
 
 
 def step(
-    environment: Environment, settings: GuardedSettings, state: GuardedState, memory: Memory, position: float,
-    torque_applied: float,
-) -> EnergyBalance:  # fmt: skip
+    environment: Environment, run: Run[GuardedSettings, GuardedState, Memory], position: float, torque_applied: float
+) -> EnergyBalance:
     """Accounts for the hold that ended; see `Controller.step`."""
+    settings, state, memory = run.settings, run.state, run.memory
     zone, zone_before, axis = environment.contact(position), state.zone, state.axis
     state.zone = zone
     if not axis.started:

@@ -53,6 +53,8 @@ class Hold(NamedTuple):
     h_pas: float  # [J]
     elapsed: float  # [s]; more than one sample time where positions were lost or SYNCs skipped
     velocity: float  # measured: of this hold, or from the window [m/s or rad/s]
+    torque: float  # applied [N or N*m]
+    missed: int  # samples lost within it
 
 
 class HoldAccount(NamedTuple):
@@ -111,15 +113,16 @@ def open_hold(settings: HoldSettings, axis: Axis, memory: AxisMemory, position: 
     """Returns the hold that ended.
 
     Args:
-        settings: Of the run.
+        settings: Constants of the run.
         axis: Moved to the position.
-        memory: Of the axis.
+        memory: Buffers of the axis.
         position: At the end of the hold [m or rad].
         torque_applied: In the hold [N or N*m].
     """
-    displacement, holds = position - axis.position, axis.missed + axis.lasted
+    displacement, missed = position - axis.position, axis.missed
+    holds = missed + axis.lasted
     h_i, elapsed = -torque_applied * displacement, settings.sample_time * holds  # `interaction_energy`
-    if axis.missed:
+    if missed:
         h_i -= let_samples_pass(axis, memory.commands, displacement, torque_applied, settings.torque_limit)
     damper, modulated = efforts_inside(memory.commands, axis.oldest, torque_applied)
     velocity = displacement / elapsed
@@ -130,7 +133,7 @@ def open_hold(settings: HoldSettings, axis: Axis, memory: AxisMemory, position: 
             update(axis.window, memory.samples, settings.tolerance, elapsed, position)
             velocity = axis.window.velocity
     axis.position, axis.moved, axis.lasted = position, displacement, 1.0
-    return new(Hold, (displacement, damper, h_i, modulated * displacement, elapsed, velocity))
+    return new(Hold, (displacement, damper, h_i, modulated * displacement, elapsed, velocity, torque_applied, missed))
 
 
 def let_samples_pass(
@@ -143,7 +146,7 @@ def let_samples_pass(
 
     Args:
         axis: Of which no sample is missing afterwards.
-        commands: Of the axis.
+        commands: Commands of the axis.
         displacement: In all of the holds [m or rad].
         torque_applied: In the last of them [N or N*m].
         torque_limit: Largest torque that limiter and drive let act [N or N*m].
@@ -173,9 +176,9 @@ def close_hold(
     """Sends a command of given efforts (spring, damper, modulated) and returns the balance of the hold.
 
     Args:
-        settings: Of the run.
+        settings: Constants of the run.
         axis: Its surplus and commands change.
-        memory: Of the axis.
+        memory: Buffers of the axis.
         hold: As it was opened.
         account: What the algorithm did with it.
         efforts: Inside the command [N or N*m].
@@ -183,7 +186,7 @@ def close_hold(
         state: Displacement of the storage [m or rad].
         h_s: Energy stored there [J].
     """
-    _, _, h_i, h_pas, _, _ = hold
+    h_i, h_pas = hold.h_i, hold.h_pas
     branch, h_r, gen, deficit, leak = account
     h_dis, paid = surplus_after(axis, hold, account)
     axis.h_dis = h_dis

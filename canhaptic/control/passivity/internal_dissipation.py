@@ -19,24 +19,20 @@ Where the printed equations are departed from, and why:
 Kept as printed: every start creates k x^2 / 2, and the state creeps away from the true penetration under tremor.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import copysign, isnan
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 
-from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
+from canhaptic.control.balance import Branch
 from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.hold_account import Axis, AxisMemory, Hold, HoldAccount, begin, hold_memory, open_hold
+from canhaptic.control.passivity.hold_account import Hold, HoldAccount
 from canhaptic.control.passivity.root import Balance, solve_balance, solve_balance_nonlinear
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.passivity.storage import (
-    UNTOUCHED,
     Storage,
     approximate,
-    begin_storage,
     entered_by,
-    follow,
     is_deadlocked,
-    leave,
     move,
     pushed_inward,
     start,
@@ -44,9 +40,9 @@ from canhaptic.control.passivity.storage import (
 from canhaptic.control.passivity.stored_model import (
     StoredModelParameters,
     StoredModelSettings,
-    close,
+    StoredModelState,
     dissipation,
-    stored_model_settings,
+    stored_model_kernel,
 )
 from canhaptic.kernels import Kernel, new
 from canhaptic.units import Parameters
@@ -60,42 +56,18 @@ class InternalDissipationParameters(StoredModelParameters):
 
 
 @dataclass(slots=True)
-class _InternalDissipationState:
+class _InternalDissipationState(StoredModelState):
     """State kept from SYNC to SYNC."""
 
-    axis: Axis = field(default_factory=Axis)
-    storage: Storage = field(default_factory=Storage)
     blind: int = 0  # holds until the first torque after a start is felt
 
 
-def step(
-    environment: Environment,
-    settings: StoredModelSettings,
-    state: _InternalDissipationState,
-    memory: AxisMemory,
-    position: float,
-    torque_applied: float,
-) -> EnergyBalance:
-    """Accounts for the hold that ended; see `Controller.step`."""
-    axis, storage = state.axis, state.storage
-    if not axis.started:
-        begin(axis, memory, position)
-        begin_storage(environment, storage, position)
-        state.blind = 0
-        return AT_REST
-    hold = open_hold(settings.hold, axis, memory, position, torque_applied)
-    changed = follow(environment, storage, position, hold.displacement, hold.elapsed)
-    if storage.zone:
-        account = touch(environment, settings, state, hold, changed)
-    elif changed or hold.h_i != 0.0:
-        account = leave(storage, exchange(environment, settings, storage, hold))
-    else:
-        account = UNTOUCHED
-    return close(environment, settings, axis, memory, storage, hold, account)
-
-
 def touch(
-    environment: Environment, settings: StoredModelSettings, state: _InternalDissipationState, hold: Hold, entered: bool
+    environment: Environment,
+    settings: StoredModelSettings[Any],
+    state: _InternalDissipationState,
+    hold: Hold,
+    entered: bool,
 ) -> HoldAccount:
     """Accounts for a hold that ended in contact.
 
@@ -113,7 +85,7 @@ def touch(
     return exchange(environment, settings, storage, hold)
 
 
-def exchange(environment: Environment, settings: StoredModelSettings, storage: Storage, hold: Hold) -> HoldAccount:
+def exchange(environment: Environment, settings: StoredModelSettings[Any], storage: Storage, hold: Hold) -> HoldAccount:
     """Solves eq. 8 for the state change and takes it; eq. 18 where there is no solution."""
     damper, h_m = hold.damper, hold.h_i - hold.h_pas
     change = solve(environment, settings, storage, hold.displacement, damper, h_m)
@@ -132,7 +104,7 @@ def exchange(environment: Environment, settings: StoredModelSettings, storage: S
 
 
 def solve(
-    environment: Environment, settings: StoredModelSettings, storage: Storage, displacement: float, damper: float,
+    environment: Environment, settings: StoredModelSettings[Any], storage: Storage, displacement: float, damper: float,
     h_m: float,
 ) -> float:  # fmt: skip
     """Returns the state change of eq. 8 [m or rad], or NaN (eq. 17)."""
@@ -147,4 +119,4 @@ class InternalDissipation(SteppedController):
     """The paper's algorithm for one axis."""
 
     parameters_type: ClassVar[type[Parameters]] = InternalDissipationParameters
-    kernel: ClassVar[Kernel] = Kernel(stored_model_settings, _InternalDissipationState, hold_memory, step)
+    kernel: ClassVar[Kernel] = stored_model_kernel(_InternalDissipationState, touch, exchange)

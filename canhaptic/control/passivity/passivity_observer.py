@@ -8,29 +8,27 @@ says.
 """
 
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar, Protocol
+from functools import partial
+from typing import Annotated, Any, ClassVar
 
-from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import (
-    Axis,
-    AxisMemory,
-    Hold,
-    HoldAccount,
-    HoldSettings,
-    close_hold,
-    hold_memory,
-    hold_settings,
-    open_hold,
+from canhaptic.control.passivity.hold_account import Hold
+from canhaptic.control.passivity.sampled_kernel import (
+    Reply,
+    SampledRun,
+    SampledSettings,
+    SampledState,
+    sampled_kernel,
+    sampled_settings,
 )
-from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
+from canhaptic.control.passivity.sampled_model import Asked
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.recovery import damping_cap
 from canhaptic.control.running_sum import RunningSum, add
 from canhaptic.control.velocity import DamperVelocity
 from canhaptic.errors import ParameterError
-from canhaptic.kernels import Kernel, MakeBuffer, new
+from canhaptic.kernels import Kernel, new
 from canhaptic.units import Parameters, quantity
 
 
@@ -42,38 +40,17 @@ class PassivityObserverParameters(DamperVelocity):
     one of the two must be known: the damper wanted grows without bound as the motion comes to rest."""
 
 
-@dataclass(frozen=True, slots=True)
-class ObserverSettings:
-    """Constants of a run."""
-
-    damping_limit: float  # of the passivity controller [N*s/m or N*m*s/rad]
-    hold: HoldSettings
-
-
 @dataclass(slots=True)
-class _PassivityObserverState:
+class ObserverState(SampledState):
     """State kept from SYNC to SYNC."""
 
-    axis: Axis = field(default_factory=Axis)
-    model: SampledModel = field(default_factory=SampledModel)
     observed: RunningSum = field(default_factory=RunningSum)  # sum(h_i) [J]
-
-
-def settings_of(
-    environment: Environment, parameters: PassivityObserverParameters, loop: LoopProperties
-) -> ObserverSettings:
-    """Returns what is fixed for a run.
-
-    Raises:
-        ParameterError: Nothing bounds the damper.
-    """
-    return observer_settings("passivity_observer", environment, parameters, loop)
 
 
 def observer_settings(
     algorithm: str, environment: Environment, parameters: PassivityObserverParameters, loop: LoopProperties
-) -> ObserverSettings:
-    """Returns what is fixed for a run of an algorithm with a passivity controller.
+) -> SampledSettings[Any]:
+    """Returns what is fixed for a run of an algorithm with a passivity controller, whose damping it limits.
 
     Raises:
         ParameterError: Nothing bounds the damper.
@@ -87,43 +64,15 @@ def observer_settings(
         )
     if limit is None:
         limit = max(0.0, damping_cap(loop.delay, loop.moving_mass, loop.sample_time) - environment.damping)
-    return ObserverSettings(limit, hold_settings(parameters, loop, Certificate.NONE))
+    return sampled_settings(environment, parameters, loop, limit)
 
 
-class _WithObserver(Protocol):
-    """Settings of an algorithm with a passivity controller."""
-
-    @property
-    def observer(self) -> ObserverSettings: ...
-
-
-def observer_memory(settings: _WithObserver, make_buffer: MakeBuffer) -> AxisMemory:
-    """Returns the buffers of one axis of an algorithm with a passivity controller that needs no others."""
-    return hold_memory(settings.observer, make_buffer)
-
-
-def step(
-    environment: Environment,
-    settings: ObserverSettings,
-    state: _PassivityObserverState,
-    memory: AxisMemory,
-    position: float,
-    torque_applied: float,
-) -> EnergyBalance:
-    """Accounts for the hold that ended; see `Controller.step`."""
-    axis, model = state.axis, state.model
-    if not axis.started:
-        begin_model(environment, axis, model, memory, position)
-        return AT_REST
-    hold = open_hold(settings.hold, axis, memory, position, torque_applied)
-    observed = add(state.observed, hold.h_i)
-    branch, h_r, contact, spring, damper = follow(environment, model, position, hold)
-    gen, leak = settle(environment, model, 1.0, hold.h_i - hold.h_pas, h_r)
-    extra = controlling_damping(settings.damping_limit, observed, hold) if contact else 0.0
-    efforts = spring, damper, extra * hold.displacement / hold.elapsed
-    account = new(HoldAccount, (branch, h_r, gen, 0.0, leak))
-    rendered = environment.damping + extra if contact else 0.0
-    return close_hold(settings.hold, axis, memory, hold, account, efforts, rendered, model.state, model.h_s)
+def respond(run: SampledRun[PassivityObserverParameters, ObserverState], hold: Hold, asked: Asked) -> Reply:
+    """Adds a damper while more was drawn than ever put in."""
+    observed = add(run.state.observed, hold.h_i)
+    extra = controlling_damping(run.settings.limit, observed, hold) if asked.touches else 0.0
+    effort = extra * hold.displacement / hold.elapsed
+    return new(Reply, (1.0, asked.spring, asked.damper, effort, asked.damping + extra))
 
 
 def controlling_damping(limit: float, missing: float, hold: Hold) -> float:
@@ -138,4 +87,4 @@ class PassivityObserver(SteppedController):
     """Time-domain passivity control around the sampled environment."""
 
     parameters_type: ClassVar[type[Parameters]] = PassivityObserverParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, _PassivityObserverState, hold_memory, step)
+    kernel: ClassVar[Kernel] = sampled_kernel(respond, ObserverState, partial(observer_settings, "passivity_observer"))

@@ -25,14 +25,15 @@ class SampledModel:
     h_s: float = 0.0  # energy stored at `state` [J]
 
 
-class ModelStep(NamedTuple):
-    """Change of the sampled environment in one hold."""
+class Asked(NamedTuple):
+    """What the sampled environment did in one hold, and asks for in the next."""
 
     branch: int
     h_r: float  # [J]
-    contact: bool  # whether the next command carries a torque
+    touches: bool  # whether the next command carries a torque
     spring: float  # effort of the storage for the next hold [N or N*m]
     damper: float  # effort of the damper for the next hold [N or N*m]
+    damping: float  # of that damper, 0 out of contact [N*s/m or N*m*s/rad]
 
 
 def begin_model(environment: Environment, axis: Axis, model: SampledModel, memory: AxisMemory, position: float) -> None:
@@ -43,11 +44,11 @@ def begin_model(environment: Environment, axis: Axis, model: SampledModel, memor
     model.state = model.h_s = 0.0
 
 
-def follow(environment: Environment, model: SampledModel, position: float, hold: Hold) -> ModelStep:
+def follow(environment: Environment, model: SampledModel, position: float, hold: Hold) -> Asked:
     """Follows one hold and returns what it dissipated and the efforts for the next; `settle` must follow.
 
     Args:
-        environment: That is sampled.
+        environment: The environment sampled.
         model: Its true state moves.
         position: At the end of the hold [m or rad].
         hold: As it was opened.
@@ -61,7 +62,7 @@ def follow(environment: Environment, model: SampledModel, position: float, hold:
             h_r = max(0.0, damper * (environment.admissible(before + displacement, before) - before))
         model.true = 0.0
         branch = _EXIT if zone_before or hold.h_i != 0.0 or model.h_s != 0.0 else _FREE
-        return new(ModelStep, (branch, h_r, False, 0.0, 0.0))
+        return new(Asked, (branch, h_r, False, 0.0, 0.0, 0.0))
     entered = zone != zone_before
     state = environment.true_state(position, displacement, 0.0 if entered else before)
     before = environment.admissible(state - displacement if entered else before, state)
@@ -71,15 +72,16 @@ def follow(environment: Environment, model: SampledModel, position: float, hold:
         state = environment.relaxed(state, hold.elapsed)
         h_r += strained - environment.stored_energy(state)
     model.true = state
-    spring, damper = environment.effort(state), environment.damping * hold.velocity
-    return new(ModelStep, (_START if entered else _EXACT, h_r, True, spring, damper))
+    damping = environment.damping
+    spring, damper = environment.effort(state), damping * hold.velocity
+    return new(Asked, (_START if entered else _EXACT, h_r, True, spring, damper, damping))
 
 
 def settle(environment: Environment, model: SampledModel, share: float, h_m: float, h_r: float) -> tuple[float, float]:
     """Stores the state that is rendered and closes the account; returns (gen, leak) [J].
 
     Args:
-        environment: That is sampled.
+        environment: The environment sampled.
         model: Its rendered state moves.
         share: Part of the model's effort that is rendered in the next hold, 0..1.
         h_m: Energy the model received in this hold [J].

@@ -6,7 +6,7 @@ from typing import ClassVar, NamedTuple
 from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.control.passivity.in_flight import send
 from canhaptic.errors import ControlError
-from canhaptic.kernels import Kernel, list_of_zeros, with_quick_fields
+from canhaptic.kernels import Kernel, Run, list_of_zeros, with_quick_fields
 from canhaptic.units import Parameters
 
 _HELD = Branch.HELD.value
@@ -49,6 +49,7 @@ class SteppedController:
         self._state = self.kernel.state()
         self._axis = self._state.axis
         self._memory = with_quick_fields(self.kernel.memory(self._settings, list_of_zeros))
+        self._run = with_quick_fields(Run(self._settings, self._state, self._memory))
         self._last = AT_REST
 
     def hold(self) -> EnergyBalance:
@@ -82,9 +83,7 @@ class SteppedController:
                 f"controller: got position {position!r} and {effort} {torque_applied!r}, expected finite numbers; "
                 f"{command} is zero and the controller was reset; check {sensors}"
             )
-        balance: EnergyBalance = self._step(
-            self._environment, self._settings, self._state, self._memory, position, torque_applied
-        )
+        balance: EnergyBalance = self._step(self._environment, self._run, position, torque_applied)
         if not isfinite(balance[0]):
             _, command, _, values = self.wording
             self.reset()

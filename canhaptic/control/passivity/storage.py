@@ -73,7 +73,7 @@ def start(environment: Environment, storage: Storage, change: float, elapsed: fl
     """First-order start (eq. 14): the state is the true one, and the energy for it is created.
 
     Args:
-        environment: That is rendered.
+        environment: The environment rendered.
         storage: Moved.
         change: State change from which the velocity is taken [m or rad].
         elapsed: Time of the hold [s].
@@ -92,9 +92,9 @@ def move(
     """Takes a state change found by eq. 8; returns (h_r with what relaxation dissipates, leak) [J].
 
     Args:
-        environment: That is rendered.
+        environment: The environment rendered.
         storage: Moved.
-        change: Of the state [m or rad].
+        change: Change of the state [m or rad].
         elapsed: Time of the hold [s].
         h_r: Energy dissipated with it [J].
         h_m: Energy received [J].
@@ -115,7 +115,7 @@ def approximate(
     """Dissipates a given energy, as far as it is there, and takes the state of what remains (eqs. 6, 7, 18).
 
     Args:
-        environment: That is rendered.
+        environment: The environment rendered.
         storage: Moved.
         elapsed: Time of the hold [s].
         dissipation: T d v^2 with the velocity inside the torque of this hold [J].

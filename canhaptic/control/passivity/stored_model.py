@@ -1,12 +1,16 @@
 """The environment at a state whose energy is paid for: for `a_priori_dissipation` and `internal_dissipation`.
 
-They differ in how a hold changes the state. How a hold is opened, and which command follows from the state, is here.
+They differ in how a hold changes the state, `touch` and `exchange`. The rest of the step is here: how a hold is opened,
+and which command follows from the state.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Generic
 
-from canhaptic.control.balance import Certificate, EnergyBalance
+from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
 from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments.plain import plain
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import (
     Axis,
@@ -14,13 +18,18 @@ from canhaptic.control.passivity.hold_account import (
     Hold,
     HoldAccount,
     HoldSettings,
+    begin,
     close_hold,
+    hold_memory,
     hold_settings,
+    open_hold,
     surplus_after,
 )
-from canhaptic.control.passivity.storage import Storage, is_deadlocked
+from canhaptic.control.passivity.storage import UNTOUCHED, Storage, begin_storage, follow, is_deadlocked, leave
 from canhaptic.control.recovery import Alpha, damping_cap, modulated_damping
 from canhaptic.control.velocity import DamperVelocity
+from canhaptic.kernels import GivenT, Kernel, Run
+from canhaptic.kernels.binding import bound
 
 
 class StoredModelParameters(DamperVelocity):
@@ -31,22 +40,29 @@ class StoredModelParameters(DamperVelocity):
 
 
 @dataclass(frozen=True, slots=True)
-class StoredModelSettings:
+class StoredModelSettings(Generic[GivenT]):
     """Constants of a run."""
 
+    given: GivenT  # parameters of the algorithm; a kernel reads their numbers alone
     cap: float  # of the damping [N*s/m or N*m*s/rad]
     damping: float  # of the model [N*s/m or N*m*s/rad]
-    alpha: float  # [s/m^2 or s/rad^2]
-    windowed: bool  # whether the damper uses the velocity of the window
     is_linear: bool  # whether the storage is k x^2 / 2
     stiffness: float  # k, where it is [N/m or N*m/rad]
     stores: bool  # whether it stores anything
     hold: HoldSettings
 
 
+@dataclass(slots=True)
+class StoredModelState:
+    """State kept from SYNC to SYNC; an algorithm adds its own fields."""
+
+    axis: Axis = field(default_factory=Axis)
+    storage: Storage = field(default_factory=Storage)
+
+
 def stored_model_settings(
     environment: Environment, parameters: StoredModelParameters, loop: LoopProperties
-) -> StoredModelSettings:
+) -> StoredModelSettings[Any]:
     """Returns what is fixed for a run.
 
     Raises:
@@ -55,10 +71,9 @@ def stored_model_settings(
     cap = damping_cap(loop.delay, loop.moving_mass, loop.sample_time)
     stiffness = environment.linear_stiffness
     return StoredModelSettings(
+        given=plain(parameters),
         cap=cap,
         damping=min(environment.damping, cap),
-        alpha=parameters.alpha,
-        windowed=parameters.velocity == "windowed",
         is_linear=stiffness is not None,
         stiffness=stiffness or 0.0,
         stores=stiffness != 0.0,
@@ -66,14 +81,60 @@ def stored_model_settings(
     )
 
 
-def dissipation(settings: StoredModelSettings, hold: Hold) -> float:
+def dissipation(settings: StoredModelSettings[Any], hold: Hold) -> float:
     """Returns T d v^2 of a hold with the velocity inside the torque that was applied in it [J] (eqs. 6, 18)."""
     return hold.elapsed * (hold.damper * hold.damper) / settings.damping if settings.damping != 0.0 else 0.0
 
 
+def touch(
+    environment: Environment, settings: StoredModelSettings[Any], state: Any, hold: Hold, entered: bool
+) -> HoldAccount:
+    """Placeholder of an algorithm: its account of a hold that ended in contact."""
+    raise NotImplementedError
+
+
+def exchange(environment: Environment, settings: StoredModelSettings[Any], storage: Storage, hold: Hold) -> HoldAccount:
+    """Placeholder of an algorithm: its account of a hold with stored energy, or of one that left the contact."""
+    raise NotImplementedError
+
+
+def step(
+    environment: Environment,
+    run: Run[StoredModelSettings[Any], StoredModelState, AxisMemory],
+    position: float,
+    torque_applied: float,
+) -> EnergyBalance:
+    """Accounts for the hold that ended; see `Controller.step`."""
+    settings, state, memory = run.settings, run.state, run.memory
+    axis, storage = state.axis, state.storage
+    if not axis.started:
+        begin(axis, memory, position)
+        begin_storage(environment, storage, position)
+        return AT_REST
+    hold = open_hold(settings.hold, axis, memory, position, torque_applied)
+    changed = follow(environment, storage, position, hold.displacement, hold.elapsed)
+    if storage.zone:
+        account = touch(environment, settings, state, hold, changed)
+    elif changed or hold.h_i != 0.0:
+        account = leave(storage, exchange(environment, settings, storage, hold))
+    else:
+        account = UNTOUCHED
+    return close(environment, settings, axis, memory, storage, hold, account)
+
+
+def stored_model_kernel(
+    state: Callable[[], StoredModelState],
+    touch_as: Callable[..., HoldAccount],
+    exchange_as: Callable[..., HoldAccount],
+) -> Kernel:
+    """Returns the kernel of an algorithm with these functions in the place of `touch` and `exchange`."""
+    instead: dict[object, object] = {touch: touch_as, exchange: exchange_as}
+    return Kernel(stored_model_settings, state, hold_memory, bound(step, instead))
+
+
 def close(
     environment: Environment,
-    settings: StoredModelSettings,
+    settings: StoredModelSettings[Any],
     axis: Axis,
     memory: AxisMemory,
     storage: Storage,
@@ -83,10 +144,10 @@ def close(
     """Sends spring, damper and the modulated damper of eq. 19, and returns the balance of the hold.
 
     Args:
-        environment: That is rendered.
-        settings: Of the run.
+        environment: The environment rendered.
+        settings: Constants of the run.
         axis: Its surplus and commands change.
-        memory: Of the axis.
+        memory: Buffers of the axis.
         storage: After the hold.
         hold: As it was opened.
         account: What the algorithm did with it.
@@ -94,12 +155,14 @@ def close(
     state, h_s = storage.state, storage.h_s
     if not storage.zone:
         return close_hold(settings.hold, axis, memory, hold, account, (0.0, 0.0, 0.0), 0.0, state, h_s)
-    measured = settings.windowed and not (settings.stores and is_deadlocked(storage))
+    measured = settings.hold.tolerance > 0.0 and not (settings.stores and is_deadlocked(storage))
     rendered, modulated = settings.damping, 0.0
     damper = rendered * (hold.velocity if measured else storage.velocity)
-    if settings.alpha > 0.0:
+    if settings.given.alpha > 0.0:
         surplus = surplus_after(axis, hold, account)[0]
-        extra = modulated_damping(settings.alpha, surplus, rendered, settings.cap, hold.displacement, hold.elapsed)
+        extra = modulated_damping(
+            settings.given.alpha, surplus, rendered, settings.cap, hold.displacement, hold.elapsed
+        )
         modulated = extra * hold.displacement / hold.elapsed
         rendered += extra
     efforts = environment.effort(state), damper, modulated

@@ -11,28 +11,16 @@ of the torque applied, exact for each hold; by default it is never set back to z
 samples; the damping has the cap of the loop. It promises nothing.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, ClassVar, Self
 
 from pydantic import model_validator
 
-from canhaptic.control.balance import AT_REST, EnergyBalance
-from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import (
-    Axis,
-    AxisMemory,
-    HoldAccount,
-    close_hold,
-    open_hold,
-)
-from canhaptic.control.passivity.passivity_observer import (
-    ObserverSettings,
-    PassivityObserverParameters,
-    observer_memory,
-    observer_settings,
-)
-from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
+from canhaptic.control.passivity.hold_account import Hold
+from canhaptic.control.passivity.passivity_observer import PassivityObserverParameters, observer_settings
+from canhaptic.control.passivity.sampled_kernel import Reply, SampledRun, SampledState, sampled_kernel
+from canhaptic.control.passivity.sampled_model import Asked
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.kernels import Kernel, new
 from canhaptic.units import Parameters, quantity
@@ -57,74 +45,33 @@ class UltimatePassivityParameters(PassivityObserverParameters):
         return self
 
 
-@dataclass(frozen=True, slots=True)
-class _UltimatePassivitySettings:
-    """Constants of a run."""
-
-    observer: ObserverSettings
-    lower: float  # [J]
-    upper: float  # [J]
-    damping: float  # [N*s/m or N*m*s/rad]
-    counted_holds: int
-
-
 @dataclass(slots=True)
-class _UltimatePassivityState:
+class _UltimatePassivityState(SampledState):
     """State kept from SYNC to SYNC."""
 
-    axis: Axis = field(default_factory=Axis)
-    model: SampledModel = field(default_factory=SampledModel)
     energy: float = 0.0  # counted [J]
     holds: int = 0  # counted
     conservative: bool = False
 
 
-def settings_of(
-    environment: Environment, parameters: UltimatePassivityParameters, loop: LoopProperties
-) -> _UltimatePassivitySettings:
-    """Returns what is fixed for a run.
-
-    Raises:
-        ParameterError: Nothing bounds the damper.
-    """
-    given, observer = parameters, observer_settings("ultimate_passivity", environment, parameters, loop)
-    damping = min(given.conservative_damping, observer.damping_limit)
-    return _UltimatePassivitySettings(observer, given.lower, given.upper, damping, given.counted_holds)
+def respond(run: SampledRun[UltimatePassivityParameters, _UltimatePassivityState], hold: Hold, asked: Asked) -> Reply:
+    """Adds the conservative damping between the two levels of energy."""
+    settings, extra = run.settings, 0.0
+    switch(settings.given, run.state, hold.h_i)
+    if asked.touches and run.state.conservative:
+        extra = min(settings.given.conservative_damping, settings.limit)
+    return new(Reply, (1.0, asked.spring, asked.damper, extra * hold.velocity, asked.damping + extra))
 
 
-def step(
-    environment: Environment,
-    settings: _UltimatePassivitySettings,
-    state: _UltimatePassivityState,
-    memory: AxisMemory,
-    position: float,
-    torque_applied: float,
-) -> EnergyBalance:
-    """Accounts for the hold that ended; see `Controller.step`."""
-    axis, model = state.axis, state.model
-    if not axis.started:
-        begin_model(environment, axis, model, memory, position)
-        return AT_REST
-    hold = open_hold(settings.observer.hold, axis, memory, position, torque_applied)
-    switch(settings, state, hold.h_i)
-    branch, h_r, contact, spring, damper = follow(environment, model, position, hold)
-    gen, leak = settle(environment, model, 1.0, hold.h_i - hold.h_pas, h_r)
-    extra = settings.damping if contact and state.conservative else 0.0
-    efforts = spring, damper, extra * hold.velocity
-    account = new(HoldAccount, (branch, h_r, gen, 0.0, leak))
-    rendered = environment.damping + extra if contact else 0.0
-    return close_hold(settings.observer.hold, axis, memory, hold, account, efforts, rendered, model.state, model.h_s)
-
-
-def switch(settings: _UltimatePassivitySettings, state: _UltimatePassivityState, h_i: float) -> None:
+def switch(given: UltimatePassivityParameters, state: _UltimatePassivityState, h_i: float) -> None:
     """Counts the energy of a hold [J] and chooses the mode of the next."""
     state.energy += h_i
     state.holds += 1
-    if state.holds == settings.counted_holds:
+    if state.holds == given.counted_holds:
         state.energy, state.holds = 0.0, 0
-    if state.energy <= settings.lower:
+    if state.energy <= given.lower:
         state.conservative = True
-    elif state.energy >= settings.upper:
+    elif state.energy >= given.upper:
         state.conservative = False
 
 
@@ -132,4 +79,6 @@ class UltimatePassivity(SteppedController):
     """The sampled environment, with damping added between two levels of observed energy."""
 
     parameters_type: ClassVar[type[Parameters]] = UltimatePassivityParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, _UltimatePassivityState, observer_memory, step)
+    kernel: ClassVar[Kernel] = sampled_kernel(
+        respond, _UltimatePassivityState, partial(observer_settings, "ultimate_passivity")
+    )

@@ -7,12 +7,12 @@ by the exact flow of one hold, its rows summed term by term; for one with events
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import inf, isfinite
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol, TypeAlias
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.hold_account import Axis
-from canhaptic.kernels import Buffer, new
+from canhaptic.kernels import Buffer, Run, new
 from canhaptic.sim.plant.effects.encoder_noise import noise, uniform
 from canhaptic.sim.plant.propagator import TICKS
 from canhaptic.study.batch.meter import Meter, MeterSettings, compare, diverge, miss, take
@@ -101,6 +101,10 @@ class AxisState(Protocol):
     """What every algorithm remembers of its axis."""
 
     axis: Axis
+
+
+AxisRun: TypeAlias = Run[Any, AxisState, Any]
+"""What the kernel of any algorithm of one axis works on."""
 
 
 class LinearPlant(NamedTuple):
@@ -197,19 +201,15 @@ def is_lost(losses: Losses, was_lost: bool, tick: int) -> bool:
     return uniform(losses.seed, tick) < (losses.after_lost if was_lost else losses.after_heard)
 
 
-def step(
-    environment: Environment, settings: object, state: AxisState, memory: object, position: float, torque_applied: float
-) -> EnergyBalance:
+def step(environment: Environment, run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
     """Placeholder of the kernel of an algorithm; the caller of `run_loop` gives another in its place."""
     raise NotImplementedError
 
 
 def run_loop(
     environment: Environment,
-    settings: object,
+    run: AxisRun,
     loop: LoopSettings,
-    state: AxisState,
-    memory: object,
     meter: Meter,
     plant: LinearPlant,
     place: Interruption,
@@ -222,10 +222,8 @@ def run_loop(
 
     Args:
         environment: That is rendered.
-        settings: Of the algorithm.
+        run: Of the algorithm: its settings, state at rest, and memory of zeros.
         loop: Between plant and controller.
-        state: Of the algorithm, at rest.
-        memory: Of the algorithm, zeros.
         meter: Gathers the figures.
         plant: As `move_plant` takes it, at its start.
         place: Where the run is: at its beginning, or where it was interrupted.
@@ -251,9 +249,9 @@ def run_loop(
         if loop.losses.exists and cycle:
             pass_frames(loop.losses, place, cycle)
         if not place.is_heard:
-            state.axis.missed += 1
+            run.state.axis.missed += 1
             miss(environment, loop.meter, meter, cycle, true_position, place.held, place.interaction)
-        elif not answer(environment, settings, loop, state, memory, meter, place, true_position, cycle):
+        elif not answer(environment, run, loop, meter, place, true_position, cycle):
             diverge(meter)
             break
         if not -loop.furthest < true_position < loop.furthest:
@@ -276,16 +274,16 @@ def advance(loop: LoopSettings, plant: LinearPlant, place: Interruption, cycle: 
 
 
 def answer(
-    environment: Environment, settings: object, loop: LoopSettings, state: AxisState, memory: object, meter: Meter,
-    place: Interruption, true_position: float, cycle: int,
+    environment: Environment, run: AxisRun, loop: LoopSettings, meter: Meter, place: Interruption, true_position: float,
+    cycle: int,
 ) -> bool:  # fmt: skip
     """Lets the controller answer a SYNC; returns False where it gets or gives a number that is not finite."""
     held = place.held
     position = read(loop.signals, cycle, true_position)
     position = measured(loop, position) if isfinite(position) else position
-    if not isfinite(position - state.axis.position + held):
+    if not isfinite(position - run.state.axis.position + held):
         return False
-    balance = step(environment, settings, state, memory, position, held)
+    balance = step(environment, run, position, held)
     if not isfinite(balance.torque):
         return False
     take(environment, loop.meter, meter, cycle, position, true_position, held, place.interaction, balance)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.plain import tuple_type
-from canhaptic.kernels import Buffer, Kernel, Matrix
+from canhaptic.errors import InputError
+from canhaptic.kernels import Buffer, Kernel, Matrix, Run
 from canhaptic.kernels.compiler import compiled, fixed_tuple
 from canhaptic.kernels.records import Records, records_of
 from canhaptic.sim.plant.effects.encoder_noise import gaussian, noise, uniform
@@ -68,7 +69,7 @@ def run_loops(
                 state[place] = moved_state[place] = mode_starts[i % len(mode_starts), place]
         modes = i % len(mode_flows)
         outcome = run_loop(
-            environment, settings[i], loops[i], states[0], memory, meters[i], plant_at(plants, i), places[0],
+            environment, Run(settings[i], states[0], memory), loops[i], meters[i], plant_at(plants, i), places[0],
             continuous[i], references[i],
             ReferenceMemory(mode_flows[modes], mode_rates[modes], state, moved_state, series), cycles,
         )  # fmt: skip
@@ -151,7 +152,6 @@ class CompiledLoops:
         if isinstance(plants, LinearPlants):
             linear = len(plants.moved)
             plants = plants._replace(flows=_of(plants.flows, numbers), starts=_of(plants.starts, numbers))
-        run = compiled_loops(self._kind, self._kernel, linear, len(self._state), self._instead)
         fixed = (
             self._table[some], self._settings[some], self._loops[some], self._rest, states, memory, zeros, meters,
         )  # fmt: skip
@@ -161,8 +161,9 @@ class CompiledLoops:
         )  # fmt: skip
         while True:
             try:
+                run = compiled_loops(self._kind, self._kernel, linear, len(self._state), self._instead)
                 over = run(*fixed, plants, self._place, places, *compared)
-            except NumbaError as error:
+            except (InputError, NumbaError) as error:
                 raise NotBatchableError(
                     f"numba cannot compile {self._kind.__name__} under this algorithm: {str(error).splitlines()[-1]}"
                 ) from error

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
-from canhaptic.kernels import Kernel, list_of_zeros
+from canhaptic.kernels import Kernel, Run, list_of_zeros
 from canhaptic.kernels.binding import bound
 from canhaptic.study.batch.batch_reference import ContinuousModes
 from canhaptic.study.batch.closed_loop import MOVED, Interruption, begin_plant, plant_at, run_loop, step
@@ -53,13 +53,13 @@ class InterpretedLoops:
         for number, i in enumerate(some):
             row, kernel = self._rows[i], self._kernel
             place = Interruption(temperature=row.loop.signals.winding.ambient)
-            state, memory = kernel.state(), kernel.memory(row.settings, list_of_zeros)
+            run = Run(row.settings, kernel.state(), kernel.memory(row.settings, list_of_zeros))
             reference = reference_memory_of(self._modes, i)
             self._begin(plants, number)
             while True:
                 outcome = self._run(
-                    row.environment, row.settings, row.loop, state, memory, self.meters[i], self._at(plants, number),
-                    place, self._modes.settings[i], self.references[i], reference, self._cycles,
+                    row.environment, run, row.loop, self.meters[i], self._at(plants, number), place,
+                    self._modes.settings[i], self.references[i], reference, self._cycles,
                 )  # fmt: skip
                 if outcome == MOVED:
                     break
