@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from canhaptic.control.balance import AT_REST
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.mechanisms.five_bar import FiveBarMap
 from canhaptic.control.mechanisms.identity import IdentityMap
@@ -19,11 +20,14 @@ from canhaptic.control.mechanisms.planar_2r import LinkMap
 from canhaptic.control.mechanisms.transmission import LinearMap
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.control.passivity.stepped import SteppedController
+from canhaptic.control.passivity.unprotected import Unprotected
 from canhaptic.control.port_hamiltonian.shapes.box import BoxInside
 from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry
 from canhaptic.control.port_hamiltonian.shapes.guided_path import FromPath
 from canhaptic.control.port_hamiltonian.shapes.sphere import Round
 from canhaptic.control.port_hamiltonian.shapes.tube import AroundLine
+from canhaptic.errors import ParameterError
 from canhaptic.registry import load
 from canhaptic.study.batch.closed_loop import run_loop
 from canhaptic.study.batch.event_plant import book_motor
@@ -145,6 +149,16 @@ def test_the_kernels_with_transcendental_functions_are_these() -> None:
         "FiveBarMap.locate", "LinkMap.locate", "moved_by", "pose_at", "hand_target", "gaussian",
         "mean_sine", "falling_friction", "bent",
     }  # fmt: skip
+
+
+def test_an_algorithm_with_settings_state_and_memory_one_by_one_is_refused() -> None:
+    def step(environment: Any, settings: Any, state: Any, memory: Any, position: float, torque_applied: float) -> Any:
+        return AT_REST
+
+    with pytest.raises(ParameterError, match=r"Old: got a step of 6 arguments, expected \(environment, run, position"):
+
+        class Old(SteppedController):
+            kernel = Unprotected.kernel._replace(step=step)
 
 
 def test_a_fault_is_found() -> None:

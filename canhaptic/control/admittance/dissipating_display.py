@@ -10,30 +10,27 @@ sampling creates and not what the drive does.
 """
 
 from math import sqrt
-from typing import ClassVar
+from typing import Any
 
+from canhaptic.control.admittance import sampled_mass
 from canhaptic.control.admittance.display_controller import DisplayController
 from canhaptic.control.admittance.display_mass import DisplayMass
-from canhaptic.control.admittance.motion import DisplayMemory, motion_settings
-from canhaptic.control.admittance.port import begin_port, port_settings
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.admittance.sampled_mass import (
+    DisplayReply,
+    DisplayRun,
     DisplaySettings,
-    DisplayState,
     NothingToChoose,
-    command,
-    follow,
-    memory_of,
+    SampledHold,
+    display_kernel,
 )
-from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.errors import ParameterError
-from canhaptic.kernels import Kernel, Run
-from canhaptic.units import Parameters
+from canhaptic.kernels import new
 
 
 def settings_of(
-    environment: DisplayMass, _parameters: NothingToChoose, properties: DisplayProperties
-) -> DisplaySettings:
+    environment: DisplayMass, parameters: NothingToChoose, properties: DisplayProperties
+) -> DisplaySettings[Any]:
     """Returns what is fixed for a run.
 
     Raises:
@@ -44,29 +41,23 @@ def settings_of(
             f"internal_dissipation: got {type(environment).__name__}, expected environment: virtual_mass; the balance "
             "is solved for a mass, use guarded"
         )
-    return DisplaySettings(port_settings(properties), motion_settings(environment, properties))
+    return sampled_mass.settings_of(environment, parameters, properties)
 
 
-def step(
-    environment: DisplayMass,
-    run: Run[DisplaySettings, DisplayState, DisplayMemory],
-    position: float,
-    torque_applied: float,
-) -> EnergyBalance:
-    """Solves the balance of energy for the next speed; see `Controller.step`."""
-    settings, state, memory = run.settings, run.state, run.memory
-    force = -torque_applied
-    if not state.axis.started:
-        begin_port(state.axis, memory.positions, position, force)
-        state.energy = environment.potential(position)
-        return AT_REST
-    hold = follow(environment, settings, state, memory, position, force)
-    impulse, potential = force * settings.port.sample_time, environment.potential(position)
+def first_energy(environment: DisplayMass, given: NothingToChoose, position: float) -> float:
+    """Returns the potential at the first position [J]."""
+    return environment.potential(position)
+
+
+def respond(environment: DisplayMass, run: DisplayRun[NothingToChoose], hold: SampledHold) -> DisplayReply:
+    """Solves the balance of energy for the next speed."""
+    state, time = run.state, run.settings.port.sample_time
+    impulse, potential = hold.force * time, environment.potential(state.axis.position)
     risen, state.energy = potential - state.energy, potential
-    wish = next_speed(environment, settings.port.sample_time, hold.before, impulse, risen)
+    wish = next_speed(environment, time, hold.before, impulse, risen)
     if hold.before == 0.0:
-        wish = (impulse + settings.port.sample_time * environment.pull(position)) / environment.mass
-    return command(environment, settings, state, memory, hold, 0.0, wish, 0.0)
+        wish = (impulse + time * environment.pull(state.axis.position)) / environment.mass
+    return new(DisplayReply, (wish, 0.0, 0.0))
 
 
 def next_speed(environment: DisplayMass, time: float, speed: float, impulse: float, risen: float) -> float:
@@ -91,5 +82,5 @@ def next_speed(environment: DisplayMass, time: float, speed: float, impulse: flo
 class DissipatingDisplay(DisplayController):
     """The paper's balance of energy with force in and velocity out."""
 
-    parameters_type: ClassVar[type[Parameters]] = NothingToChoose
-    kernel: ClassVar[Kernel] = Kernel(settings_of, DisplayState, memory_of, step)
+    parameters_type = NothingToChoose
+    kernel = display_kernel(respond, first_energy, settings_of)

@@ -1,11 +1,13 @@
-"""The environment sampled as it is: what the algorithms without a certificate share.
+"""The environment sampled as it is, and the one step of the algorithms without a certificate.
 
-What sampling, the drive and the doubt of the account create is booked as `gen`, what they lose as `leak`, so that the
-account closes like every other.
+Each of them is a parameter model and a function `respond`, of which `display_kernel` makes a kernel. What sampling, the
+drive and the doubt of the account create is booked as `gen`, what they lose as `leak`, so that the account closes like
+every other.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, Generic, NamedTuple, TypeAlias
 
 from canhaptic.control.admittance.display_environment import DisplayEnvironment
 from canhaptic.control.admittance.motion import (
@@ -18,10 +20,12 @@ from canhaptic.control.admittance.motion import (
     send,
     whole,
 )
-from canhaptic.control.admittance.port import Port, PortSettings, book, port_settings
+from canhaptic.control.admittance.port import Port, PortSettings, begin_port, book, port_settings
 from canhaptic.control.admittance.properties import DisplayProperties
-from canhaptic.control.balance import Branch, Certificate, EnergyBalance
-from canhaptic.kernels import MakeBuffer, new
+from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
+from canhaptic.control.environments.plain import plain
+from canhaptic.kernels import GivenT, Kernel, MakeBuffer, Run, new
+from canhaptic.kernels.binding import bound
 from canhaptic.units import Parameters
 
 _EXACT, _FREE, _NONE = Branch.EXACT.value, Branch.FREE.value, Certificate.NONE.value
@@ -32,9 +36,10 @@ class NothingToChoose(Parameters):
 
 
 @dataclass(frozen=True, slots=True)
-class DisplaySettings:
+class DisplaySettings(Generic[GivenT]):
     """What is fixed for a run of an algorithm without a certificate."""
 
+    given: GivenT  # parameters of the algorithm; a kernel reads their numbers alone
     port: PortSettings
     motion: DisplayMotionSettings
 
@@ -47,7 +52,12 @@ class DisplayState:
     motion: DisplayMotion = field(default_factory=DisplayMotion)
     h_s: float = 0.0  # [J]
     energy: float = 0.0  # of the algorithm's own: observed, in the tank, or still to be dissipated [J]
+    created: float = 0.0  # what sampling created in the last hold; below 0 it was lost [J]
     slip: float = 0.0  # speed in the last command that dissipates [m/s or rad/s]
+
+
+DisplayRun: TypeAlias = Run[DisplaySettings[GivenT], DisplayState, DisplayMemory]
+"""Settings, state and memory of an algorithm with given parameters."""
 
 
 class SampledHold(NamedTuple):
@@ -58,57 +68,62 @@ class SampledHold(NamedTuple):
     velocity: float  # [m/s or rad/s]
     before: float  # the last command [m/s or rad/s]
     wish: float  # speed of the mass after another hold [m/s or rad/s]
+    force: float  # of the hand at its end [N or N*m]
+
+
+class DisplayReply(NamedTuple):
+    """What an algorithm commands after a hold."""
+
+    wish: float  # speed of the mass [m/s or rad/s]
+    slip: float  # speed in addition, that dissipates [m/s or rad/s]
+    h_pas: float  # energy of the hold that the slip of the last command took in [J]
 
 
 def settings_of(
-    environment: DisplayEnvironment, _parameters: Parameters, properties: DisplayProperties
-) -> DisplaySettings:
-    """Returns what is fixed for a run of an algorithm without settings of its own."""
-    return DisplaySettings(port_settings(properties), motion_settings(environment, properties))
+    environment: DisplayEnvironment, parameters: Parameters, properties: DisplayProperties
+) -> DisplaySettings[Any]:
+    """Returns what is fixed for a run."""
+    return DisplaySettings(plain(parameters), port_settings(properties), motion_settings(environment, properties))
 
 
-def memory_of(settings: DisplaySettings, make_buffer: MakeBuffer) -> DisplayMemory:
+def memory_of(settings: DisplaySettings[Any], make_buffer: MakeBuffer) -> DisplayMemory:
     """Returns the buffers of one axis."""
     return display_memory(settings.port, settings.motion, settings.motion.delay + 1, make_buffer)
 
 
-def follow(
-    environment: DisplayEnvironment,
-    settings: DisplaySettings,
-    state: DisplayState,
-    memory: DisplayMemory,
-    position: float,
-    force: float,
-) -> SampledHold:
-    """Books the hold that ended and moves the mass on; `command` must follow."""
-    hold = book(settings.port, state.axis, memory.positions, position, force)
+def respond(environment: DisplayEnvironment, run: DisplayRun[Any], hold: SampledHold) -> DisplayReply:
+    """Placeholder of an algorithm: the command after a hold."""
+    raise NotImplementedError
+
+
+def first_energy(environment: Any, given: Any, position: float) -> float:
+    """Returns the energy of an algorithm's own at the first position [J]."""
+    return 0.0
+
+
+def step(
+    environment: DisplayEnvironment, run: DisplayRun[Any], position: float, torque_applied: float
+) -> EnergyBalance:
+    """Books the hold that ended and moves the mass on; see `Controller.step`."""
+    settings, state, memory = run.settings, run.state, run.memory
+    force = -torque_applied
+    if not state.axis.started:
+        begin_port(state.axis, memory.positions, position, force)
+        state.energy = first_energy(environment, settings.given, position)
+        return AT_REST
+    booked = book(settings.port, state.axis, memory.positions, position, force)
     before = state.motion.speed - state.slip
     wish = environment.speed_after(memory.inner, before, force, position, settings.motion.sample_time)
-    return new(SampledHold, (hold.energy, hold.elapsed, hold.moved / hold.elapsed, before, wish))
+    hold = new(SampledHold, (booked.energy, booked.elapsed, booked.moved / booked.elapsed, before, wish, force))
+    return command(environment, run, hold, respond(environment, run, hold))
 
 
 def command(
-    environment: DisplayEnvironment,
-    settings: DisplaySettings,
-    state: DisplayState,
-    memory: DisplayMemory,
-    hold: SampledHold,
-    h_pas: float,
-    wish: float,
-    slip: float,
+    environment: DisplayEnvironment, run: DisplayRun[Any], hold: SampledHold, reply: DisplayReply
 ) -> EnergyBalance:
-    """Sends a speed and closes the account of the hold.
-
-    Args:
-        environment: What is rendered.
-        settings: Of the run.
-        state: Its mass and store change.
-        memory: Of the axis.
-        hold: That ended.
-        h_pas: What of its energy the slip took in [J].
-        wish: Speed of the mass [m/s or rad/s].
-        slip: Speed besides, that dissipates [m/s or rad/s].
-    """
+    """Sends a speed and closes the account of the hold."""
+    settings, state, memory = run.settings, run.state, run.memory
+    wish, slip, h_pas = reply
     motion, commands, position = state.motion, memory.commands, state.axis.position
     speed = limited(settings.motion, motion, commands, wish + slip, position, hold.velocity)
     send(motion, commands, whole(settings.motion, speed))
@@ -118,10 +133,20 @@ def command(
     h_s = environment.stored(memory.inner, own, position)
     h_r = environment.damping * hold.before * hold.before * hold.elapsed
     rest = state.h_s + hold.energy - h_pas - h_r - h_s
-    state.h_s = h_s
+    state.h_s, state.created = h_s, -rest
     gen, leak = max(0.0, -rest), max(0.0, rest)
     branch = _EXACT if motion.speed != 0.0 or hold.before != 0.0 else _FREE
     return new(EnergyBalance, (
         motion.speed, hold.energy, h_pas, hold.energy - h_pas, h_r, h_s, 0.0, gen, 0.0, leak, 0.0, branch,
         environment.damping, _NONE, environment.stretch(position),
     ))  # fmt: skip
+
+
+def display_kernel(
+    respond_as: Callable[[Any, Any, SampledHold], DisplayReply],
+    first_energy_as: Callable[[Any, Any, float], float] = first_energy,
+    settings: Callable[..., DisplaySettings[Any]] = settings_of,
+) -> Kernel:
+    """Returns the kernel of an algorithm with these functions in the place of `respond` and `first_energy`."""
+    instead: dict[object, object] = {respond: respond_as, first_energy: first_energy_as}
+    return Kernel(settings, DisplayState, memory_of, bound(step, instead))

@@ -5,23 +5,12 @@ each hold, so that the sum becomes passive in the end, not at each instant. C is
 stability of the slip against the stiffest hand declared (C K T <= 0.5).
 """
 
-from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from canhaptic.control.admittance.display_controller import DisplayController
 from canhaptic.control.admittance.display_environment import DisplayEnvironment
-from canhaptic.control.admittance.motion import DisplayMemory, motion_settings
-from canhaptic.control.admittance.port import begin_port, port_settings
-from canhaptic.control.admittance.properties import DisplayProperties
-from canhaptic.control.admittance.sampled_mass import (
-    DisplaySettings,
-    DisplayState,
-    command,
-    follow,
-    memory_of,
-)
-from canhaptic.control.balance import AT_REST, EnergyBalance
-from canhaptic.kernels import Kernel, Run
+from canhaptic.control.admittance.sampled_mass import DisplayReply, DisplayRun, SampledHold, display_kernel
+from canhaptic.kernels import new
 from canhaptic.units import Parameters, quantity
 
 _STABLE = 0.5
@@ -37,46 +26,19 @@ class UltimatelyPassiveDisplayParameters(Parameters):
     """Stiffest hand, an over-estimate: bounds the slip."""
 
 
-@dataclass(frozen=True, slots=True)
-class SlipSettings(DisplaySettings):
-    """Constants of a run."""
-
-    slip_per_energy: float  # slip per force, per surplus [m/(N*s*J) or rad/(N*m*s*J)]
-    slip_most: float  # slip per force [m/(N*s) or rad/(N*m*s)]
-
-
-def settings_of(
-    environment: DisplayEnvironment, parameters: UltimatelyPassiveDisplayParameters, properties: DisplayProperties
-) -> SlipSettings:
-    """Returns what is fixed for a run."""
-    most = _STABLE / (parameters.hand_stiffness * properties.sample_time)
-    return SlipSettings(port_settings(properties), motion_settings(environment, properties), parameters.alpha, most)
-
-
-def step(
-    environment: DisplayEnvironment,
-    run: Run[SlipSettings, DisplayState, DisplayMemory],
-    position: float,
-    torque_applied: float,
-) -> EnergyBalance:
-    """Dissipates part of the surplus; see `Controller.step`."""
-    settings, state, memory = run.settings, run.state, run.memory
-    force = -torque_applied
-    if not state.axis.started:
-        begin_port(state.axis, memory.positions, position, force)
-        return AT_REST
-    slipped = state.slip
-    hold = follow(environment, settings, state, memory, position, force)
-    h_pas = force * slipped * hold.elapsed
-    state.energy = max(0.0, state.energy - h_pas)
-    slip = min(settings.slip_per_energy * state.energy, settings.slip_most) * force
-    balance = command(environment, settings, state, memory, hold, h_pas, hold.wish, slip)
-    state.energy = max(0.0, state.energy + balance.gen - balance.leak)
-    return balance
+def respond(
+    environment: DisplayEnvironment, run: DisplayRun[UltimatelyPassiveDisplayParameters], hold: SampledHold
+) -> DisplayReply:
+    """Dissipates part of the surplus."""
+    state, given = run.state, run.settings.given
+    h_pas = hold.force * state.slip * hold.elapsed
+    state.energy = max(0.0, max(0.0, state.energy + state.created) - h_pas)
+    most = _STABLE / (given.hand_stiffness * run.settings.port.sample_time)
+    return new(DisplayReply, (hold.wish, min(given.alpha * state.energy, most) * hold.force, h_pas))
 
 
 class UltimatelyPassiveDisplay(DisplayController):
     """A virtual mass whose surplus is dissipated by and by."""
 
-    parameters_type: ClassVar[type[Parameters]] = UltimatelyPassiveDisplayParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, DisplayState, memory_of, step)
+    parameters_type = UltimatelyPassiveDisplayParameters
+    kernel = display_kernel(respond)

@@ -22,7 +22,7 @@ applied in that very hold; holds are booked to the end as in `internal_dissipati
 """
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.hold_account import Hold, HoldAccount
@@ -43,8 +43,6 @@ from canhaptic.control.passivity.stored_model import (
     dissipation,
     stored_model_kernel,
 )
-from canhaptic.kernels import Kernel
-from canhaptic.units import Parameters
 
 
 class APrioriDissipationParameters(StoredModelParameters):
@@ -96,5 +94,5 @@ def exchange(environment: Environment, settings: StoredModelSettings[Any], stora
 class APrioriDissipation(SteppedController):
     """The predecessor of the paper's algorithm for one axis."""
 
-    parameters_type: ClassVar[type[Parameters]] = APrioriDissipationParameters
-    kernel: ClassVar[Kernel] = stored_model_kernel(_APrioriDissipationState, touch, exchange)
+    parameters_type = APrioriDissipationParameters
+    kernel = stored_model_kernel(_APrioriDissipationState, touch, exchange)

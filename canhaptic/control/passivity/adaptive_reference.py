@@ -12,7 +12,7 @@ velocities; one axis instead of two; the damper has a limit. It promises nothing
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from canhaptic.control.passivity.hold_account import Hold
 from canhaptic.control.passivity.passivity_observer import (
@@ -21,12 +21,11 @@ from canhaptic.control.passivity.passivity_observer import (
     controlling_damping,
     observer_settings,
 )
-from canhaptic.control.passivity.sampled_kernel import Reply, SampledRun, sampled_kernel
-from canhaptic.control.passivity.sampled_model import Asked
+from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun, sampled_kernel
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.running_sum import add
-from canhaptic.kernels import Kernel, new
-from canhaptic.units import Parameters, quantity
+from canhaptic.kernels import new
+from canhaptic.units import quantity
 
 
 class AdaptiveReferenceParameters(PassivityObserverParameters):
@@ -74,7 +73,5 @@ def below_reference(state: _AdaptiveReferenceState, observed: float, h_i: float)
 class AdaptiveReference(SteppedController):
     """A passivity controller with an adaptive reference energy around the sampled environment."""
 
-    parameters_type: ClassVar[type[Parameters]] = AdaptiveReferenceParameters
-    kernel: ClassVar[Kernel] = sampled_kernel(
-        respond, _AdaptiveReferenceState, partial(observer_settings, "adaptive_reference")
-    )
+    parameters_type = AdaptiveReferenceParameters
+    kernel = sampled_kernel(respond, _AdaptiveReferenceState, partial(observer_settings, "adaptive_reference"))

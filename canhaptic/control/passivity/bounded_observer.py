@@ -16,25 +16,25 @@ there is no force without motion, where sign(0) of the source is 1. It promises 
 
 from dataclasses import dataclass
 from math import copysign, inf
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import Hold
 from canhaptic.control.passivity.passivity_observer import ObserverState
-from canhaptic.control.passivity.sampled_kernel import (
+from canhaptic.control.passivity.sampled_model import (
+    Asked,
     Reply,
     SampledRun,
     SampledSettings,
     sampled_kernel,
     sampled_settings,
 )
-from canhaptic.control.passivity.sampled_model import Asked
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.running_sum import add
 from canhaptic.control.velocity import DamperVelocity
-from canhaptic.kernels import Kernel, new
-from canhaptic.units import Parameters, quantity
+from canhaptic.kernels import new
+from canhaptic.units import quantity
 
 
 class BoundedObserverParameters(DamperVelocity):
@@ -105,5 +105,5 @@ def controlling_force(
 class BoundedObserver(SteppedController):
     """Time-domain passivity control of bounded force around the sampled environment."""
 
-    parameters_type: ClassVar[type[Parameters]] = BoundedObserverParameters
-    kernel: ClassVar[Kernel] = sampled_kernel(respond, _BoundedObserverState, settings_of)
+    parameters_type = BoundedObserverParameters
+    kernel = sampled_kernel(respond, _BoundedObserverState, settings_of)

@@ -13,27 +13,25 @@ needs one torque in a hold: where an older one acts in a part of it (window, lag
 
 from dataclasses import dataclass, field
 from math import inf, sqrt
-from typing import ClassVar
 
 from canhaptic.control.balance import Certificate
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import Hold, hold_settings
 from canhaptic.control.passivity.in_flight import towards_zero
-from canhaptic.control.passivity.sampled_kernel import (
+from canhaptic.control.passivity.sampled_model import (
+    Asked,
     Reply,
     SampledRun,
     SampledSettings,
     SampledState,
     sampled_kernel,
 )
-from canhaptic.control.passivity.sampled_model import Asked
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.running_sum import RunningSum, add
 from canhaptic.control.velocity import DamperVelocity
 from canhaptic.errors import ParameterError
-from canhaptic.kernels import Buffer, Kernel, new
-from canhaptic.units import Parameters
+from canhaptic.kernels import Buffer, new
 
 
 class EnergyBoundingParameters(DamperVelocity):
@@ -120,5 +118,5 @@ def bounded_share(device: Device, torques: Buffer, oldest: int, energy: float, w
 class EnergyBounding(SteppedController):
     """The sampled environment, its torque bounded by certain device damping."""
 
-    parameters_type: ClassVar[type[Parameters]] = EnergyBoundingParameters
-    kernel: ClassVar[Kernel] = sampled_kernel(respond, _EnergyBoundingState, settings_of)
+    parameters_type = EnergyBoundingParameters
+    kernel = sampled_kernel(respond, _EnergyBoundingState, settings_of)

@@ -17,15 +17,14 @@ power out of the tank. The motion of a hold is not known beforehand, so that it 
 """
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from canhaptic.control.passivity.hold_account import Hold
-from canhaptic.control.passivity.sampled_kernel import Reply, SampledRun, SampledState, sampled_kernel
-from canhaptic.control.passivity.sampled_model import Asked
+from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun, SampledState, sampled_kernel
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.velocity import DamperVelocity
-from canhaptic.kernels import Buffer, Kernel, new
-from canhaptic.units import Parameters, quantity
+from canhaptic.kernels import Buffer, new
+from canhaptic.units import quantity
 
 
 class EnergyTankParameters(DamperVelocity):
@@ -112,5 +111,5 @@ def allowed_share(
 class EnergyTank(SteppedController):
     """The sampled environment, its spring within what a tank holds."""
 
-    parameters_type: ClassVar[type[Parameters]] = EnergyTankParameters
-    kernel: ClassVar[Kernel] = sampled_kernel(respond, _EnergyTankState, kept=lambda settings: settings.hold.delay + 1)
+    parameters_type = EnergyTankParameters
+    kernel = sampled_kernel(respond, _EnergyTankState, kept=lambda settings: settings.hold.delay + 1)

@@ -14,16 +14,15 @@ nothing.
 """
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Final
+from typing import Annotated, Final
 
 from canhaptic.control.balance import Branch
 from canhaptic.control.passivity.hold_account import Hold
-from canhaptic.control.passivity.sampled_kernel import Reply, SampledRun, SampledState, sampled_kernel
-from canhaptic.control.passivity.sampled_model import Asked
+from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun, SampledState, sampled_kernel
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.velocity import DamperVelocity
-from canhaptic.kernels import Kernel, new
-from canhaptic.units import Parameters, quantity
+from canhaptic.kernels import new
+from canhaptic.units import quantity
 
 _START: Final = Branch.START.value
 
@@ -94,5 +93,5 @@ def augmented_force(
 class ForceAugmentation(SteppedController):
     """The sampled environment by a soft spring and an offset."""
 
-    parameters_type: ClassVar[type[Parameters]] = ForceAugmentationParameters
-    kernel: ClassVar[Kernel] = sampled_kernel(respond, _ForceAugmentationState)
+    parameters_type = ForceAugmentationParameters
+    kernel = sampled_kernel(respond, _ForceAugmentationState)

@@ -13,7 +13,7 @@ the next hold, where the source changes the force of this one without bound. It 
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from canhaptic.control.passivity.hold_account import Hold
 from canhaptic.control.passivity.passivity_observer import (
@@ -22,12 +22,11 @@ from canhaptic.control.passivity.passivity_observer import (
     controlling_damping,
     observer_settings,
 )
-from canhaptic.control.passivity.sampled_kernel import Reply, SampledRun, sampled_kernel
-from canhaptic.control.passivity.sampled_model import Asked
+from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun, sampled_kernel
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.running_sum import add
-from canhaptic.kernels import Kernel, new
-from canhaptic.units import Parameters, quantity
+from canhaptic.kernels import new
+from canhaptic.units import quantity
 
 
 class ForceGradientParameters(PassivityObserverParameters):
@@ -79,7 +78,5 @@ def gradient_force(least_force: float, state: _ForceGradientState, wanted: float
 class ForceGradient(SteppedController):
     """The sampled environment by changes of its force, with a passivity controller."""
 
-    parameters_type: ClassVar[type[Parameters]] = ForceGradientParameters
-    kernel: ClassVar[Kernel] = sampled_kernel(
-        respond, _ForceGradientState, partial(observer_settings, "force_gradient")
-    )
+    parameters_type = ForceGradientParameters
+    kernel = sampled_kernel(respond, _ForceGradientState, partial(observer_settings, "force_gradient"))

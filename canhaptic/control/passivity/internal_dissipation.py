@@ -21,7 +21,7 @@ Kept as printed: every start creates k x^2 / 2, and the state creeps away from t
 
 from dataclasses import dataclass
 from math import copysign, isnan
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 from canhaptic.control.balance import Branch
 from canhaptic.control.environments.environment import Environment
@@ -44,8 +44,7 @@ from canhaptic.control.passivity.stored_model import (
     dissipation,
     stored_model_kernel,
 )
-from canhaptic.kernels import Kernel, new
-from canhaptic.units import Parameters
+from canhaptic.kernels import new
 
 _ROUNDING: Final = 2.5e-16  # of the stored energy: what a difference of two energies can resolve
 _EXACT, _STICKY = Branch.EXACT.value, Branch.STICKY.value
@@ -118,5 +117,5 @@ def solve(
 class InternalDissipation(SteppedController):
     """The paper's algorithm for one axis."""
 
-    parameters_type: ClassVar[type[Parameters]] = InternalDissipationParameters
-    kernel: ClassVar[Kernel] = stored_model_kernel(_InternalDissipationState, touch, exchange)
+    parameters_type = InternalDissipationParameters
+    kernel = stored_model_kernel(_InternalDissipationState, touch, exchange)

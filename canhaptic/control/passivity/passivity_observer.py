@@ -9,12 +9,13 @@ says.
 
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import Hold
-from canhaptic.control.passivity.sampled_kernel import (
+from canhaptic.control.passivity.sampled_model import (
+    Asked,
     Reply,
     SampledRun,
     SampledSettings,
@@ -22,14 +23,13 @@ from canhaptic.control.passivity.sampled_kernel import (
     sampled_kernel,
     sampled_settings,
 )
-from canhaptic.control.passivity.sampled_model import Asked
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.recovery import damping_cap
 from canhaptic.control.running_sum import RunningSum, add
 from canhaptic.control.velocity import DamperVelocity
 from canhaptic.errors import ParameterError
-from canhaptic.kernels import Kernel, new
-from canhaptic.units import Parameters, quantity
+from canhaptic.kernels import new
+from canhaptic.units import quantity
 
 
 class PassivityObserverParameters(DamperVelocity):
@@ -86,5 +86,5 @@ def controlling_damping(limit: float, missing: float, hold: Hold) -> float:
 class PassivityObserver(SteppedController):
     """Time-domain passivity control around the sampled environment."""
 
-    parameters_type: ClassVar[type[Parameters]] = PassivityObserverParameters
-    kernel: ClassVar[Kernel] = sampled_kernel(respond, ObserverState, partial(observer_settings, "passivity_observer"))
+    parameters_type = PassivityObserverParameters
+    kernel = sampled_kernel(respond, ObserverState, partial(observer_settings, "passivity_observer"))

@@ -5,11 +5,13 @@ from typing import ClassVar, NamedTuple
 
 from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.control.passivity.in_flight import send
-from canhaptic.errors import ControlError
+from canhaptic.errors import ControlError, ParameterError
 from canhaptic.kernels import Kernel, Run, list_of_zeros, with_quick_fields
 from canhaptic.units import Parameters
 
 _HELD = Branch.HELD.value
+_TAKEN = 4
+"""Arguments of the step of a kernel: environment, run, position, torque applied."""
 
 
 class Wording(NamedTuple):
@@ -32,6 +34,19 @@ class SteppedController:
         "the encoder and its scaling",
         "stiffness and damping against the size of the motion",
     )
+
+    def __init_subclass__(cls) -> None:
+        """Refuses a kernel whose step takes settings, state and memory one by one, as those of 0.2.0 did.
+
+        Raises:
+            ParameterError: It does.
+        """
+        kernel = vars(cls).get("kernel")
+        if kernel is not None and kernel.step.__code__.co_argcount != _TAKEN:
+            raise ParameterError(
+                f"{cls.__name__}: got a step of {kernel.step.__code__.co_argcount} arguments, expected (environment, "
+                "run, position, torque_applied): settings, state and memory are fields of run; see docs/extending.md"
+            )
 
     def __init__(self, environment: object, parameters: Parameters, loop: Parameters) -> None:
         """Prepares a run; `parameters` is of `parameters_type`.

@@ -13,17 +13,16 @@ samples; the damping has the cap of the loop. It promises nothing.
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, Self
 
 from pydantic import model_validator
 
 from canhaptic.control.passivity.hold_account import Hold
 from canhaptic.control.passivity.passivity_observer import PassivityObserverParameters, observer_settings
-from canhaptic.control.passivity.sampled_kernel import Reply, SampledRun, SampledState, sampled_kernel
-from canhaptic.control.passivity.sampled_model import Asked
+from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun, SampledState, sampled_kernel
 from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.kernels import Kernel, new
-from canhaptic.units import Parameters, quantity
+from canhaptic.kernels import new
+from canhaptic.units import quantity
 
 
 class UltimatePassivityParameters(PassivityObserverParameters):
@@ -78,7 +77,5 @@ def switch(given: UltimatePassivityParameters, state: _UltimatePassivityState, h
 class UltimatePassivity(SteppedController):
     """The sampled environment, with damping added between two levels of observed energy."""
 
-    parameters_type: ClassVar[type[Parameters]] = UltimatePassivityParameters
-    kernel: ClassVar[Kernel] = sampled_kernel(
-        respond, _UltimatePassivityState, partial(observer_settings, "ultimate_passivity")
-    )
+    parameters_type = UltimatePassivityParameters
+    kernel = sampled_kernel(respond, _UltimatePassivityState, partial(observer_settings, "ultimate_passivity"))

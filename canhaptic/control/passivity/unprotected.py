@@ -1,14 +1,10 @@
 """`unprotected`: the sampled environment without protection, as most haptic loops run it: what sampling creates."""
 
-from typing import ClassVar
-
 from canhaptic.control.passivity.hold_account import Hold
-from canhaptic.control.passivity.sampled_kernel import Reply, SampledRun, SampledState, sampled_kernel
-from canhaptic.control.passivity.sampled_model import Asked
+from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun, SampledState, sampled_kernel
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.velocity import DamperVelocity
-from canhaptic.kernels import Kernel, new
-from canhaptic.units import Parameters
+from canhaptic.kernels import new
 
 
 class UnprotectedParameters(DamperVelocity):
@@ -23,5 +19,5 @@ def respond(run: SampledRun[UnprotectedParameters, SampledState], hold: Hold, as
 class Unprotected(SteppedController):
     """torque = -effort(x) - d v."""
 
-    parameters_type: ClassVar[type[Parameters]] = UnprotectedParameters
-    kernel: ClassVar[Kernel] = sampled_kernel(respond)
+    parameters_type = UnprotectedParameters
+    kernel = sampled_kernel(respond)

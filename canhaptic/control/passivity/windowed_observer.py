@@ -13,7 +13,7 @@ window is never forgotten, where the source lengthens its queue. It promises not
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from canhaptic.control.passivity.hold_account import Hold
 from canhaptic.control.passivity.passivity_observer import (
@@ -21,11 +21,10 @@ from canhaptic.control.passivity.passivity_observer import (
     controlling_damping,
     observer_settings,
 )
-from canhaptic.control.passivity.sampled_kernel import Reply, SampledRun, SampledState, sampled_kernel
-from canhaptic.control.passivity.sampled_model import Asked
+from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun, SampledState, sampled_kernel
 from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.kernels import Buffer, Kernel, new
-from canhaptic.units import Parameters, quantity
+from canhaptic.kernels import Buffer, new
+from canhaptic.units import quantity
 
 
 class WindowedObserverParameters(PassivityObserverParameters):
@@ -65,8 +64,8 @@ def remember(state: _WindowedObserverState, recent: Buffer, h_i: float) -> None:
 class WindowedObserver(SteppedController):
     """Time-domain passivity control with a window around the sampled environment."""
 
-    parameters_type: ClassVar[type[Parameters]] = WindowedObserverParameters
-    kernel: ClassVar[Kernel] = sampled_kernel(
+    parameters_type = WindowedObserverParameters
+    kernel = sampled_kernel(
         respond,
         _WindowedObserverState,
         partial(observer_settings, "windowed_observer"),
