@@ -36,7 +36,7 @@ class SteppedController:
     )
 
     def __init_subclass__(cls) -> None:
-        """Refuses a kernel whose step takes settings, state and memory one by one, as those of 0.2.0 did.
+        """Refuses a kernel whose step takes settings, state and memory one by one, as it did in 0.2.0.
 
         Raises:
             ParameterError: It does.
