@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Final, Literal, Self
 
 import can
 
@@ -21,6 +21,7 @@ from canhaptic.drive.clock import Clock, VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.logs.bus_log import BusLogWriter
+from canhaptic.registry import load
 from canhaptic.scene.bus import echoes, open_bus, private_channel, suffers, with_effects
 from canhaptic.scene.log_writers import open_bus_log, open_energy_log
 from canhaptic.scene.loss_limits import build_loss_meters
@@ -44,6 +45,8 @@ if TYPE_CHECKING:
     from canhaptic.sim.bus.faulty_bus import FaultyBus
 
 _Pace = Literal["real", "free"]
+_CHOICES: Final = {"auto": "canhaptic.study.accuracy.accuracy_choice:with_chosen_accuracy"}
+"""Automatic accuracy -> "module:function" that chooses it; the laboratory, loaded only for a scene that asks for it."""
 
 
 class Experiment:
@@ -219,9 +222,8 @@ def _with_accuracy(scene: Scene) -> Scene:
     """Returns the scene with its automatic accuracy chosen; where there is none, nothing is imported."""
     if scene.accuracy_tolerance is None:
         return scene
-    from canhaptic.scene.accuracy_choice import with_chosen_accuracy
-
-    return with_chosen_accuracy(scene)
+    chosen: Scene = load(_CHOICES, "auto", "choice of accuracy")(scene)
+    return chosen
 
 
 def _jitters(scene: Scene, pace: str) -> list[float] | None:

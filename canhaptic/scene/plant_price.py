@@ -14,10 +14,11 @@ import numpy as np
 
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError
-from canhaptic.scene.accuracy_choice import declared_order, observed, simulation_of, torque_history
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
+from canhaptic.scene.torque_history import declared_order, simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant.motion import observed
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import Array
 

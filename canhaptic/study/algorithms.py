@@ -9,10 +9,10 @@ from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
-from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, GroupScene, Scene
 from canhaptic.scene.old_names import algorithm_now
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.study.scenes import loop_case
 from canhaptic.units import Parameters
 

@@ -6,10 +6,10 @@ from typing import Final, cast
 from canhaptic.control.environments.environment import Environment
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import InputError
-from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.display_checks import refuse_displays
 from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene
 from canhaptic.scene.parts import build_plant
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters

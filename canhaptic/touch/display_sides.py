@@ -8,9 +8,9 @@ from canhaptic.control.admittance.display_environment import DisplayEnvironment
 from canhaptic.control.admittance.group_environment import GroupMass, PathMass
 from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
 from canhaptic.errors import InputError
-from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.algorithms import display_group_under, display_under
 from canhaptic.touch.touch_scene import GUARDED, PLAIN, Side, TouchScene, on_two_buses, pointer_hand, reach, sliders_of

@@ -12,9 +12,9 @@ from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.passivity.unprotected import UnprotectedParameters
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.errors import InputError
-from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, GroupScene, MechanismScene, Scene
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, PointerTaskHand, TaskHand
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.algorithms import able_under

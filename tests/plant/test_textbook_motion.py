@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from canhaptic.sim.textbook.reference_motion import Motion, difference
+from canhaptic.sim.plant.motion import Motion
+from canhaptic.sim.textbook.reference_motion import difference
 
 
 def motion(position: float, velocity: float, motor: float, user: float) -> Motion:

@@ -8,22 +8,17 @@ import pytest
 
 from canhaptic.cycle import run
 from canhaptic.errors import InputError, SceneError
-from canhaptic.scene.accuracy_choice import (
-    holds_of,
-    ladder,
-    observed,
-    simulation_of,
-    textbook_model,
-    torque_history,
-    with_chosen_accuracy,
-)
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import method_line
 from canhaptic.scene.parts import build_plant
 from canhaptic.scene.plant_price import PlantPrice, estimated_error, plant_prices
+from canhaptic.scene.torque_history import simulation_of, torque_history
+from canhaptic.sim.plant.motion import observed
 from canhaptic.sim.textbook.event_location import reference
 from canhaptic.sim.textbook.reference_motion import difference
+from canhaptic.study.accuracy.accuracy_choice import holds_of, ladder, with_chosen_accuracy
+from canhaptic.study.reference.continuous_reference import textbook_model
 from tests.scene.scene_text import scene_file
 
 COGGING = "simulation.effects=[{type: cogging, amplitude: 0.2, pitch: 5 mm}]"

@@ -14,13 +14,13 @@ import canhaptic
 from canhaptic.audit.recompute import scene_of
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError, SceneError
-from canhaptic.scene.accuracy_choice import textbook_model
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.textbook.event_location import reference
 from canhaptic.study.accuracy.continuous_loop import continuous_loop
 from canhaptic.study.batch.engine import chosen_engine
+from canhaptic.study.reference.continuous_reference import textbook_model
 from canhaptic.study.sweep.points import make_points
 from canhaptic.study.sweep.recipe import make_recipe
 from canhaptic.study.sweep.recipe import scene_of as scene_of_row

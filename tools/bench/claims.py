@@ -10,8 +10,8 @@ import numpy as np
 
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.package_data import shipped
-from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import Scene
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.study.arena.arena_cases import scene_under, with_loop
 from canhaptic.study.field_figures import energy_beyond_device
 from canhaptic.study.loop import LoopRun, render

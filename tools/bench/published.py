@@ -13,10 +13,10 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.package_data import shipped
-from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_plant
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.study.arena.arena_cases import rounded, with_loop
 from canhaptic.study.batch.scalar import run_case
 from canhaptic.study.field_figures import m_width

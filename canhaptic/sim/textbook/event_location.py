@@ -13,9 +13,10 @@ import numpy as np
 
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
+from canhaptic.sim.plant.motion import Motion
 from canhaptic.sim.textbook.reference_elements import Floats, State, Transition
 from canhaptic.sim.textbook.reference_model import Modes
-from canhaptic.sim.textbook.reference_motion import Motion, motion_of
+from canhaptic.sim.textbook.reference_motion import motion_of
 
 _MISSING: Final = f"the reference of an accuracy study needs scipy; install it with: {install_hint('study')}"
 _LONGEST_STEP: Final = 2.5e-4

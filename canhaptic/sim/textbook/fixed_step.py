@@ -8,11 +8,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from canhaptic.sim.plant.motion import Motion
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.textbook.event_location import SwitchedModel, settled
 from canhaptic.sim.textbook.reference_elements import Floats
 from canhaptic.sim.textbook.reference_model import Model, Modes
-from canhaptic.sim.textbook.reference_motion import Motion, motion_of
+from canhaptic.sim.textbook.reference_motion import motion_of
 
 _Step = Callable[[Model, float, Floats, float, Modes, float], Floats]
 _LARGEST: Final = 1e6  # [m or rad] beyond which a motion counts as diverged

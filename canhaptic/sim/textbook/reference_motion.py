@@ -1,21 +1,13 @@
-"""What any method gives of one motion: the state of the motor and the works, at the end of every hold."""
+"""The motion of states that a textbook method found, and how far two motions are apart."""
 
 from typing import NamedTuple
 
 import numpy as np
 
+from canhaptic.sim.plant.motion import Motion
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.textbook.reference_elements import Floats
 from canhaptic.sim.textbook.reference_model import MOTOR_WORK, USER_WORK
-
-
-class Motion(NamedTuple):
-    """Shapes (n_holds,)."""
-
-    position: Array  # [m or rad]
-    velocity: Array  # [m/s or rad/s]
-    motor: Array  # work of the motor since the start [J]
-    user: Array  # work of the user since the start [J]
 
 
 class MotionError(NamedTuple):

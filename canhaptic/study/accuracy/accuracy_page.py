@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from canhaptic.errors import InputError
-from canhaptic.scene.accuracy_choice import FLOOR
+from canhaptic.study.accuracy.accuracy_choice import FLOOR
 from canhaptic.study.accuracy.accuracy_picture import GROUPS, STYLES, price_of
 from canhaptic.study.accuracy.accuracy_table import Row, advice_lines, heading
 from canhaptic.study.accuracy.advice import front

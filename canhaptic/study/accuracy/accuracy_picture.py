@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from canhaptic.errors import InputError
-from canhaptic.scene.accuracy_choice import FLOOR
+from canhaptic.study.accuracy.accuracy_choice import FLOOR
 from canhaptic.study.accuracy.accuracy_table import Row, part_of
 from canhaptic.study.accuracy.advice import front
 from canhaptic.study.accuracy.candidates import COMPILED, OURS

@@ -8,7 +8,7 @@ from rich.text import Text
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
-from canhaptic.scene.accuracy_choice import FLOOR
+from canhaptic.study.accuracy.accuracy_choice import FLOOR
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable
 

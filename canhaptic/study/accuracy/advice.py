@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from canhaptic.scene.accuracy_choice import LEAST_ORDER
+from canhaptic.study.accuracy.accuracy_choice import LEAST_ORDER
 from canhaptic.study.accuracy.accuracy_table import Row
 from canhaptic.study.accuracy.candidates import OURS
 

@@ -11,15 +11,15 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from canhaptic.extras import install_hint
-from canhaptic.scene.accuracy_choice import observed, textbook_model
 from canhaptic.scene.models import AxisSimulation
 from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant.motion import Motion, observed
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.textbook.event_location import located
 from canhaptic.sim.textbook.fixed_step import METHODS, fixed_step
-from canhaptic.sim.textbook.reference_motion import Motion
 from canhaptic.study.accuracy.mujoco_plant import MujocoPlant, inexpressible
+from canhaptic.study.reference.continuous_reference import textbook_model
 
 OURS: Final = "canhaptic"
 COMPILED: Final = "canhaptic, compiled"

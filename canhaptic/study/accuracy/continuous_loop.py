@@ -3,9 +3,10 @@
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from canhaptic.scene.accuracy_choice import simulation_of, textbook_model
 from canhaptic.scene.models import AxisScene
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.propagator import Array
+from canhaptic.study.reference.continuous_reference import textbook_model
 from canhaptic.study.reference.textbook_environment import continuous_run
 from canhaptic.study.scenes import environment_of
 

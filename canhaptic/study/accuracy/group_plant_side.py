@@ -13,14 +13,15 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from canhaptic.errors import InputError
-from canhaptic.scene.accuracy_choice import ladder, simulation_of
 from canhaptic.scene.models import Scene
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant.motion import Motion
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.textbook.event_location import located_states
 from canhaptic.sim.textbook.fixed_step import fixed_step_states, runge_kutta_4
 from canhaptic.sim.textbook.reference_group import GroupModel
-from canhaptic.sim.textbook.reference_motion import Motion
+from canhaptic.study.accuracy.accuracy_choice import ladder
 from canhaptic.study.accuracy.candidates import LSODA, OURS, Candidate, counted
 from canhaptic.study.accuracy.group_variants import finely_solved
 from canhaptic.study.accuracy.plant_solvers import FURTHEST, PlantSide, Row, named, orders_of

@@ -10,10 +10,10 @@ from canhaptic.axis_units import effort_unit
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.multi_axis.group_controller import GroupController
 from canhaptic.errors import ParameterError
-from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_group
 from canhaptic.scene.timing import with_timing
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.study.accuracy.loop_sensitivity import RATES, Variant, fineness, hertz
 from canhaptic.study.algorithms import group_under

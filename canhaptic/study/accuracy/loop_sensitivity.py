@@ -19,9 +19,9 @@ from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.drive.can.pdo_map import AxisMap, choose_map
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import ParameterError
-from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.timing import with_timing
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.study.algorithms import able_under
 from canhaptic.study.batch.engine import WORTH_COMPILING, ChosenEngine, Engine, chosen_engine

@@ -12,10 +12,10 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.scene.models import AxisSimulation
+from canhaptic.sim.plant.motion import Motion
 from canhaptic.sim.plant.own_hand import OwnHand
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.plant.user import UserParameters
-from canhaptic.sim.textbook.reference_motion import Motion
 from canhaptic.study.scenes import viscous_friction
 
 _EXPRESSIBLE: Final = ("viscous_friction", "encoder_noise", "encoder_quantisation")

@@ -6,8 +6,9 @@ from typing import ClassVar, Protocol
 
 from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.errors import InputError
-from canhaptic.scene.accuracy_choice import require_own_axis, simulation_of
 from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.torque_history import simulation_of
+from canhaptic.study.accuracy.accuracy_choice import require_own_axis
 from canhaptic.study.accuracy.candidates import remarks
 from canhaptic.study.accuracy.continuous_loop import continuous_loop
 from canhaptic.study.accuracy.group_plant_side import Plants, group_side

@@ -8,21 +8,16 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.scene.accuracy_choice import (
-    FLOOR,
-    declared_order,
-    fitted_order,
-    ladder,
-    simulation_of,
-    textbook_model,
-    torque_history,
-)
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
+from canhaptic.scene.torque_history import declared_order, simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant.motion import Motion
 from canhaptic.sim.textbook.event_location import reference
-from canhaptic.sim.textbook.reference_motion import Motion, MotionError, difference
+from canhaptic.sim.textbook.reference_motion import MotionError, difference
+from canhaptic.study.accuracy.accuracy_choice import FLOOR, fitted_order, ladder
 from canhaptic.study.accuracy.candidates import OURS, Candidate, candidates, ours
+from canhaptic.study.reference.continuous_reference import textbook_model
 
 FURTHEST: Final = 1.0
 """Error of the position, in travels of the reference, from which a method counts as unstable."""

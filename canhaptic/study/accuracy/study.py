@@ -10,9 +10,9 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.errors import InputError
-from canhaptic.scene.accuracy_choice import FLOOR, holds_of
 from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.study.accuracy.accuracy_choice import FLOOR, holds_of
 from canhaptic.study.accuracy.advice import advice, error_per_microsecond, pareto, rank_agreement
 from canhaptic.study.accuracy.candidates import LSODA
 from canhaptic.study.accuracy.control_thread import exchange_time, log_time

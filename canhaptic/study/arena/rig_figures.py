@@ -15,9 +15,9 @@ import numpy as np
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import ParameterError
-from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import Scene
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.study.arena.arena_cases import label_of, rounded, scene_under, with_loop
 from canhaptic.study.batch import run_batch, run_scalar, scene_with, why_not_batchable

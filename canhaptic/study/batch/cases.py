@@ -8,8 +8,8 @@ import numpy as np
 
 from canhaptic.control.environments.plain import plain
 from canhaptic.errors import ParameterError
-from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisSimulation, Scene
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters

@@ -13,9 +13,9 @@ import numpy as np
 
 from canhaptic.control.multi_axis.group_controller import GroupBalance, GroupController
 from canhaptic.errors import ControlError
-from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_group, build_mechanism, build_plant
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.study.batch.closed_loop import LoopSettings, commanded, measured
 from canhaptic.study.loop import FURTHEST, DivergedError, LoopRun, Recorder
 from canhaptic.study.scenes import mechanism_of_group

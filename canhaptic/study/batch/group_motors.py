@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, MechanismScene, Scene
 from canhaptic.scene.parts import build_mechanism, build_plant
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarMotion
 from canhaptic.sim.plant.mechanism.xy_stage import XYMotion
 from canhaptic.sim.plant.plant import Plant

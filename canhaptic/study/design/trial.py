@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError
-from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.hints import LEAN
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.study.batch.cases import why_not_beforehand
 from canhaptic.study.batch.engine import ChosenEngine, Engine, chosen_engine
 from canhaptic.study.loop import Array

@@ -18,10 +18,11 @@ from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGOR
 from canhaptic.drive.clock import WallClock
 from canhaptic.drive.profile.display_parameters import ForceParameters
 from canhaptic.errors import CanHapticError, InputError, ParameterError
-from canhaptic.scene.accuracy_choice import holds_of, simulation_of
 from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.force_sensor import SimulatedForceSensor
 from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation
+from canhaptic.study.accuracy.accuracy_choice import holds_of
 from canhaptic.study.algorithms import display_group_under, display_under
 from canhaptic.study.displays.display_accuracy_table import ChangeRow, DisplayStudy, PlantRow
 from canhaptic.study.displays.display_equations import integrate, why_no_equations

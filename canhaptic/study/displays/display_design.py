@@ -19,10 +19,10 @@ from canhaptic.control.admittance.group_environment import GroupMass, PathMass
 from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import CheckFailedError, InputError
-from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import display_properties
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.study.displays.display_figures import display_figures
 from canhaptic.study.scenes import parts_of, require_design_room
 from canhaptic.view.si import si

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from canhaptic.control.balance import RANKS, Certificate, EnergyBalance
 from canhaptic.drive.profile.force_channel import ForceChannel
 from canhaptic.errors import CanHapticError, InputError
-from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controller, build_group, build_plant
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.velocity_drive import AdmittancePlant
 from canhaptic.study.loop import FURTHEST, Array
 

@@ -22,14 +22,15 @@ from canhaptic.control.port_hamiltonian.discrete_gradient import extension, grad
 from canhaptic.control.port_hamiltonian.shapes.geometry import moved_by
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.kernels import Buffer, list_of_zeros, zeros
-from canhaptic.scene.accuracy_choice import simulation_of, textbook_model
 from canhaptic.scene.models import Scene
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.mechanism import MechanismParameters
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.textbook.event_location import states_at
 from canhaptic.sim.textbook.reference_elements import Transition
 from canhaptic.sim.textbook.reference_group import AxesModel, GroupModel, State, mechanism_model
 from canhaptic.sim.textbook.reference_model import Modes
+from canhaptic.study.reference.continuous_reference import textbook_model
 from canhaptic.study.scenes import mechanism_of_group
 
 _TOLERANCES: Final = (1e-9, 1e-7)

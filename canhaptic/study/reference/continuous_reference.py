@@ -1,11 +1,13 @@
 """What the continuous environment does at every SYNC and in between: position, force, and how much the force varies."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from canhaptic.control.environments.environment import Environment
+from canhaptic.scene.models import AxisSimulation
+from canhaptic.scene.parts import effect_of
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import UserParameters
@@ -107,6 +109,17 @@ def _environment_torque(environment: Environment, position: Array, velocity: Arr
             torque[i] = -environment.effort(state) - damping * v
         zone_before, last = zone, q
     return torque
+
+
+def textbook_model(simulation: AxisSimulation, without: Callable[[str], bool] = lambda _name: False) -> Model:
+    """Returns the plant of an axis as textbook equations.
+
+    Args:
+        simulation: Simulation of the axis.
+        without: Whether an effect of this name is left out.
+    """
+    effects = [effect_of(effect) for effect in simulation.effects if not without(effect.name)]
+    return Model(simulation.plant, simulation.user, effects)
 
 
 def readings_per_hold(sample_time_ns: int, cycles: int) -> int:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.scene.accuracy_choice import fitted_order
+from canhaptic.study.accuracy.accuracy_choice import fitted_order
 from canhaptic.study.accuracy.advice import (
     advice,
     cheapest,

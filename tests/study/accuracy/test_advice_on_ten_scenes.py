@@ -9,25 +9,19 @@ import numpy as np
 import pytest
 import yaml
 
-from canhaptic.scene.accuracy_choice import (  # fmt: skip
-    LEAST_ORDER,
-    declared_order,
-    fitted_order,
-    holds_of,
-    observed,
-    simulation_of,
-    textbook_model,
-    torque_history,
-)
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_axis_controller, build_plant
+from canhaptic.scene.torque_history import declared_order, simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import DirectRig
+from canhaptic.sim.plant.motion import observed
 from canhaptic.sim.textbook.event_location import located
 from canhaptic.sim.textbook.reference_motion import difference
+from canhaptic.study.accuracy.accuracy_choice import LEAST_ORDER, fitted_order, holds_of
 from canhaptic.study.accuracy.accuracy_table import advice_lines
 from canhaptic.study.accuracy.continuous_loop import continuous_loop
 from canhaptic.study.accuracy.study import AccuracyStudy
+from canhaptic.study.reference.continuous_reference import textbook_model
 
 WALL = {"type": "spring_damper_wall", "stiffness": "500 N/m", "damping": "2 N*s/m", "position": "0 m"}
 AWAY = {**WALL, "position": "-1 m"}

@@ -8,24 +8,18 @@ from functools import cache
 
 import pytest
 
-from canhaptic.scene.accuracy_choice import (
-    FLOOR,
-    choose,
-    holds_of,
-    ladder,
-    observed,
-    simulation_of,
-    textbook_model,
-    torque_history,
-)
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_plant
+from canhaptic.scene.torque_history import simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant.motion import observed
 from canhaptic.sim.textbook.event_location import located
 from canhaptic.sim.textbook.reference_motion import difference
+from canhaptic.study.accuracy.accuracy_choice import FLOOR, choose, holds_of, ladder
 from canhaptic.study.accuracy.advice import advice, line, meets
 from canhaptic.study.accuracy.candidates import OURS
 from canhaptic.study.accuracy.plant_solvers import PlantSide
+from canhaptic.study.reference.continuous_reference import textbook_model
 from tests.study.accuracy.accuracy_scenes import FOLDER, REPOSITORY, SCENES
 
 DEAR = 6.0  # evaluations a period: such rungs are measured anew by the slow tests only

@@ -6,16 +6,18 @@ from typing import Literal
 import pytest
 
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.scene.accuracy_choice import fitted_order, observed, textbook_model
 from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.effects import EFFECTS as ALL_EFFECTS
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.effects.viscous_friction import ViscousFriction
+from canhaptic.sim.plant.motion import observed
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.textbook.event_location import located, reference
 from canhaptic.sim.textbook.fixed_step import METHODS, fixed_step
 from canhaptic.sim.textbook.reference_model import Model
 from canhaptic.sim.textbook.reference_motion import difference
+from canhaptic.study.accuracy.accuracy_choice import fitted_order
+from canhaptic.study.reference.continuous_reference import textbook_model
 from tests.study.accuracy.accuracy_scenes import (
     EFFECTS,
     EXACT,

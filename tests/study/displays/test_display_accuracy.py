@@ -8,8 +8,8 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError
-from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.load import load_scene
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.study.displays.display_accuracy import study_display
 from canhaptic.study.displays.display_accuracy_picture import draw_display_accuracy
 from canhaptic.study.displays.display_equations import integrate, why_no_equations

@@ -6,7 +6,7 @@ which are the same on every machine; no time is measured.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -14,13 +14,13 @@ import numpy as np
 
 from canhaptic.errors import InputError
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
-from canhaptic.scene.parts import build_axis_controller, build_plant, effect_of
+from canhaptic.scene.parts import build_plant
+from canhaptic.scene.torque_history import declared_order, simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.direct_rig import DirectRig
-from canhaptic.sim.plant.plant import Plant
+from canhaptic.sim.plant.motion import Motion, observed
 from canhaptic.sim.textbook.event_location import reference
-from canhaptic.sim.textbook.reference_model import Model
-from canhaptic.sim.textbook.reference_motion import Motion, MotionError, difference
+from canhaptic.sim.textbook.reference_motion import MotionError, difference
+from canhaptic.study.reference.continuous_reference import textbook_model
 
 HOLDS: Final = 1000
 """Holds that settings are compared over; a scene that lasts shorter is compared over all of it."""
@@ -34,8 +34,6 @@ LEAST_ORDER: Final = 0.5
 """Part of the declared order: where the errors of a scene fall by less, no setting of it is advised or chosen."""
 _CEILING: Final = 3e-2
 """Part of the travel above which errors do not yet show an order."""
-_FINE: Final = AccuracyParameters(substeps=16)
-"""Accuracy of the run that the torques are taken from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,12 +142,6 @@ def fitted_order(sizes: Sequence[float], errors: Sequence[float], travel: float)
     return sum((p[0] - x) * (p[1] - y) for p in points) / spread if spread else None
 
 
-def declared_order(simulation: AxisSimulation) -> int | None:
-    """Returns the least order in the substep that an effect of the plant declares; None where all are exact."""
-    orders = [getattr(effect.parameters, "order", None) for effect in simulation.effects]
-    return min((order for order in orders if order is not None), default=None)
-
-
 def _require_order(tried: Sequence[Setting], simulation: AxisSimulation, travel: float, where: str) -> None:
     """Refuses errors that do not fall as declared: one of them may keep a tolerance by luck.
 
@@ -192,58 +184,12 @@ def _tried_setting(
     return Setting(accuracy, error, plant.products)
 
 
-def observed(plant: Plant, torques: Sequence[float], hold_ns: int | None = None) -> Motion:
-    """Returns the motion of a plant under the torques, from its start.
-
-    Args:
-        plant: Not begun.
-        torques: Of each hold [N or N*m].
-        hold_ns: Length of a hold [ns]; None: the sample time of the plant.
-    """
-    plant.begin(0)
-    period, table = hold_ns or plant.sample_time_ns, np.empty((len(torques), 4))
-    for k, torque in enumerate(torques):
-        plant.advance_to((k + 1) * period, torque)
-        energy = plant.energy()
-        table[k] = plant.position, plant.velocity, energy.motor, energy.user
-    return Motion(*table.T)
-
-
-def torque_history(axis: AxisScene, scene: Scene, holds: int, accuracy: AccuracyParameters = _FINE) -> list[float]:
-    """Returns the torque of each hold [N or N*m] of the scene's own controller on a simulated plant, without a bus.
-
-    Args:
-        axis: A simulated axis.
-        scene: Its scene, for rate, delay and quantisation.
-        holds: How many.
-        accuracy: Of the plant.
-    """
-    simulation, period = simulation_of(axis), scene.bus.sample_time_ns
-    plant = build_plant(replace(simulation, accuracy=accuracy, compiled=False), period)
-    given, quantum = axis.parameters, axis.loop.torque_quantum or None
-    step = build_axis_controller(axis).step
-    rig = DirectRig(plant, step, period, scene.bus.delay, given.counts_per_unit, quantum, given.torque_limit)
-    held: list[float] = rig.run(holds + 1).torque_applied[1:].tolist()
-    return held
-
-
 def holds_of(scene: Scene, duration: float | None = None) -> int:
     """Returns how many holds a scene is compared over."""
     if duration is not None:
         return max(2, round(duration / scene.bus.sample_time))
     whole = HOLDS if scene.run.duration is None else round(scene.run.duration / scene.bus.sample_time)
     return max(2, min(HOLDS, whole))
-
-
-def textbook_model(simulation: AxisSimulation, without: Callable[[str], bool] = lambda _name: False) -> Model:
-    """Returns the plant of an axis as textbook equations.
-
-    Args:
-        simulation: Of the axis.
-        without: Whether an effect of this name is left out.
-    """
-    effects = [effect_of(effect) for effect in simulation.effects if not without(effect.name)]
-    return Model(simulation.plant, simulation.user, effects)
 
 
 def require_own_axis(axis: AxisScene, scene: Scene) -> None:
@@ -258,14 +204,3 @@ def require_own_axis(axis: AxisScene, scene: Scene) -> None:
             f"{scene.source}: axis {axis.parameters.name}: {what}, expected an axis with a plant and an algorithm "
             "of its own for a study or choice of accuracy; give accuracy: {event_bits, substeps} instead of auto"
         )
-
-
-def simulation_of(axis: AxisScene) -> AxisSimulation:
-    """Returns the simulation of an axis.
-
-    Raises:
-        InputError: It has none.
-    """
-    if axis.simulation is None:
-        raise InputError(f"{axis.parameters.name}: is not simulated, expected a plant and a user; add `simulation`")
-    return axis.simulation
