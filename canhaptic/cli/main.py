@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from canhaptic.cli.interrupt import INTERRUPTED, PromptEnd, say_interrupted
-from canhaptic.cli.options import OPTIONS
 from canhaptic.cli.output import print_failure, write_note
 from canhaptic.errors import CanHapticError, InputError, OldNameWarning, OverrideWarning
 
@@ -39,6 +38,8 @@ _COMMANDS: Final = {
     "configs": "list the scenes that come with the package, or copy them to change",
     "schema": "print the JSON Schema of scene files, for editors",
 }
+_LABORATORY: Final = frozenset({"accuracy", "arena", "compare", "design", "map", "sweep", "touch"})
+"""Commands in `canhaptic.lab.commands`; the others are in `canhaptic.cli`."""
 _STOP_IN_ORDER: Final = frozenset({"commission", "run", "drive", "scope", "touch"})
 """Commands that take Ctrl-C as the operator's stop, and need time for it."""
 _BROKEN_PIPE: Final = 1
@@ -47,7 +48,7 @@ _BROKEN_PIPE: Final = 1
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line and returns the exit status.
 
-    `canhaptic.cli.options` declares the arguments of every subcommand. The module of its name has `execute`, which
+    The `options` of its package declare the arguments of a subcommand. The module of its name has `execute`, which
     takes them and returns the exit status; it is imported once the arguments are right.
     """
     try:
@@ -69,10 +70,20 @@ def _run(words: list[str], name: str) -> int:
     for known, text in _COMMANDS.items():
         subparser = subparsers.add_parser(known, help=text, description=f"{text[:1].upper()}{text[1:]}.")
         if known == name:
-            OPTIONS[known](subparser)
+            add_options(known, subparser)
     with warnings.catch_warnings():
         _show_old_names()
         return _execute(parser.parse_args(words))
+
+
+def add_options(name: str, parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of a subcommand."""
+    importlib.import_module(f"{_package_of(name)}.options").OPTIONS[name](parser)
+
+
+def _package_of(name: str) -> str:
+    """Returns the package that has the module of a subcommand, and the `options` that declare its arguments."""
+    return "canhaptic.lab.commands" if name in _LABORATORY else "canhaptic.cli"
 
 
 def _show_old_names() -> None:
@@ -117,7 +128,7 @@ def _imported(name: str) -> Any:
 
 def _execute(arguments: argparse.Namespace) -> int:
     try:
-        command = _imported(f"canhaptic.cli.{arguments.command.replace('-', '_')}")
+        command = _imported(f"{_package_of(arguments.command)}.{arguments.command.replace('-', '_')}")
         status: int = command.execute(arguments)
         sys.stdout.flush()
         return status

@@ -61,3 +61,7 @@ def samples(text: str) -> int:
     if kind != "lhs":
         raise argparse.ArgumentTypeError(f"got {text!r}, expected lhs:N with N from 1 to 10^8")
     return whole(1, 100_000_000)(points)
+
+
+PORT: Final = whole(0, 65_535)
+"""Reads the port of a page; 0 for any that is free."""

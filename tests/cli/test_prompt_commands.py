@@ -14,6 +14,7 @@ from canhaptic.cli import options
 from canhaptic.cli.main import _COMMANDS
 from canhaptic.commission.laws import CommissioningLimits
 from canhaptic.drive.clock import WallClock
+from canhaptic.lab.commands import options as lab_options
 from canhaptic.study.accuracy.study import DEFAULT_BUDGET
 from canhaptic.study.design.wall import MARGIN, TOLERANCE
 from canhaptic.study.map.z_width import JUDGEMENTS
@@ -50,9 +51,9 @@ def test_help_takes_no_more_than_three_times_the_import_of_numpy() -> None:
 
 
 def test_defaults_in_the_help_are_those_of_the_code() -> None:
-    assert options.BUDGET == DEFAULT_BUDGET
-    assert (options.MARGIN, options.TOLERANCE) == (MARGIN, TOLERANCE)
-    assert tuple(JUDGEMENTS) == options.JUDGEMENTS
+    assert lab_options.BUDGET == DEFAULT_BUDGET
+    assert (lab_options.MARGIN, lab_options.TOLERANCE) == (MARGIN, TOLERANCE)
+    assert tuple(JUDGEMENTS) == lab_options.JUDGEMENTS
     limits = CommissioningLimits()
     assert (limits.torque, limits.travel, limits.speed) == (options.TORQUE, options.TRAVEL, options.SPEED)
 
@@ -96,8 +97,8 @@ def busy(arguments):
     ctypes.CDLL(None).sleep(20)  # as a compiler does: one call, no instruction of Python in between
     ctypes.CDLL(None).sleep(20)
 
-import canhaptic.cli.sweep
-canhaptic.cli.sweep.execute = busy
+import canhaptic.lab.commands.sweep
+canhaptic.lab.commands.sweep.execute = busy
 sys.exit(main.main(sys.argv[1:]))
 """
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from canhaptic.cli.main import main
-from canhaptic.cli.scene_progress import scene_progress
+from canhaptic.lab.commands.scene_progress import scene_progress
 from canhaptic.study.sweep.run_sweep import Progress
 
 REPOSITORY = Path(__file__).resolve().parents[2]

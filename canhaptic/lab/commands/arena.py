@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.cli.output import note_file, write_file, write_json, write_note
-from canhaptic.cli.scene_progress import scene_progress
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.lab.commands.scene_progress import scene_progress
 from canhaptic.study.arena.arena_cases import scenes_named
 from canhaptic.study.arena.arena_page import write_arena_page
 from canhaptic.study.arena.arena_picture import pictures_of

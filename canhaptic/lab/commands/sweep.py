@@ -8,9 +8,9 @@ from typing import Any
 
 from canhaptic.cli.arguments import scene_of
 from canhaptic.cli.output import note_file, write_json, write_note
-from canhaptic.cli.scene_progress import scene_progress
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.errors import InputError
+from canhaptic.lab.commands.scene_progress import scene_progress
 from canhaptic.study.sweep.run_sweep import Progress, sweep
 from canhaptic.study.sweep.summary import summary, summary_report
 from canhaptic.study.sweep.sweep_table import SweepTable

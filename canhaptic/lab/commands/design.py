@@ -4,7 +4,7 @@ import argparse
 
 from canhaptic.cli.arguments import scene_of
 from canhaptic.cli.output import write_json
-from canhaptic.cli.scene_progress import scene_progress
+from canhaptic.lab.commands.scene_progress import scene_progress
 from canhaptic.scene.models import Scene
 from canhaptic.study.design.design_report import design_report, snippet
 from canhaptic.study.design.wall import design_wall

@@ -1,0 +1,1 @@
+"""The subcommands of the laboratory; `canhaptic.cli.main` lists them."""
