@@ -41,7 +41,7 @@ DISPLAY_NETWORKS: Final[dict[str, str]] = {
 DISPLAY_GROUP_ALGORITHMS: Final[dict[str, str]] = {
     "unprotected": f"{_HERE}.sampled_group:UnprotectedDisplayGroup",
     "passivity_observer": f"{_HERE}.sampled_group:ObservedDisplayGroup",
-    "energy_tank": f"{_HERE}.sampled_group:TankDisplayGroup",
+    "energy_tank": f"{_HERE}.tank_display:TankDisplayGroup",
     "guarded": f"{_HERE}.display_group:GuardedDisplayGroup",
 }
 """The same of the algorithms of several displays; every class takes (environment, parameters, properties of each)."""

@@ -1,7 +1,7 @@
-"""Several admittance displays with one account and without a certificate: `unprotected`, observer, tank.
+"""Several admittance displays with one account and without a certificate: `unprotected` and observer.
 
 What sampling, the drives and the doubt of the account create is booked as `gen`, what they lose as `leak`, as on one
-axis (`sampled_mass`). Observer and tank count the sum of F u T over all axes.
+axis (`sampled_mass`). The observer counts the sum of F u T over all axes.
 """
 
 from abc import ABC, abstractmethod
@@ -23,7 +23,6 @@ from canhaptic.control.admittance.motion import (
 from canhaptic.control.admittance.port import BookedHold, Port, PortSettings, begin_port, book, port_settings
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.admittance.sampled_mass import NothingToChoose
-from canhaptic.control.admittance.tank_display import TankDisplayParameters
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.multi_axis.group_controller import GroupBalance, group_at_rest
 from canhaptic.errors import ControlError, ParameterError
@@ -269,21 +268,3 @@ class ObservedDisplayGroup(UnprotectedDisplayGroup):
             return wish, [0.0] * self.axes
         part = -self._energy / (square * self._time)
         return wish, [part * force for force in forces]
-
-
-class TankDisplayGroup(UnprotectedDisplayGroup):
-    """The same with a tank that a command must not overdraw: all axes are scaled by one factor; see `tank_display`."""
-
-    parameters_type: ClassVar[type[Parameters]] = TankDisplayParameters
-
-    def _begin(self) -> float:
-        return float(self._parameters.initial)
-
-    def _observe(self, energy: float) -> None:
-        self._energy = min(self._parameters.capacity, self._energy + energy)
-
-    def _protected(self, wish: _Vector, forces: _Vector) -> tuple[_Vector, _Vector]:
-        taken = -sum(force * speed for force, speed in zip(forces, wish, strict=True)) * self._time
-        if taken > 0.0 and taken > self._energy:
-            wish = [speed * max(0.0, self._energy) / taken for speed in wish]
-        return wish, [0.0] * self.axes

@@ -5,10 +5,11 @@ is in it is scaled down. As the observer, it takes the drive for perfect. Franke
 Schindlbeck and Haddadin, ICRA 2015.
 """
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from canhaptic.control.admittance.display_controller import DisplayController
 from canhaptic.control.admittance.display_environment import DisplayEnvironment
+from canhaptic.control.admittance.sampled_group import UnprotectedDisplayGroup
 from canhaptic.control.admittance.sampled_mass import DisplayReply, DisplayRun, SampledHold, display_kernel
 from canhaptic.kernels import new
 from canhaptic.units import Parameters, quantity
@@ -43,3 +44,21 @@ class TankDisplay(DisplayController):
 
     parameters_type = TankDisplayParameters
     kernel = display_kernel(respond, first_energy)
+
+
+class TankDisplayGroup(UnprotectedDisplayGroup):
+    """Virtual mass on several axes with one tank: a command that would overdraw it is scaled on all axes alike."""
+
+    parameters_type: ClassVar[type[Parameters]] = TankDisplayParameters
+
+    def _begin(self) -> float:
+        return float(self._parameters.initial)
+
+    def _observe(self, energy: float) -> None:
+        self._energy = min(self._parameters.capacity, self._energy + energy)
+
+    def _protected(self, wish: list[float], forces: list[float]) -> tuple[list[float], list[float]]:
+        taken = -sum(force * speed for force, speed in zip(forces, wish, strict=True)) * self._time
+        if taken > 0.0 and taken > self._energy:
+            wish = [speed * max(0.0, self._energy) / taken for speed in wish]
+        return wish, [0.0] * self.axes
