@@ -4,9 +4,13 @@
     python -m tools.count_structure OLD NEW       several trees, one column each (folders that hold `canhaptic/`)
     python -m tools.count_structure --json        the same as JSON, with the lists behind the counts
 
-Only the syntax trees of the files are read; nothing is imported. Definitions:
+Only the syntax trees of the files are read, but for `loaded`. Definitions:
 
-code             lines with a token that is not a comment, without strings that are statements (docstrings)
+code             lines with a token that is not a comment, without strings that are statements (docstrings);
+                 that of `canhaptic/lab/` is the laboratory's, the rest is the product
+loaded           code of the modules that a run of one axis imports, in a process of its own: `canhaptic run` of
+                 `configs/demo.yaml`, without `canhaptic/sim/`, so that it is about what a real axis loads
+crossing         classes and functions that a module of another room imports by name; a room is a child of the package
 long files       files of more than 400 lines
 long functions   functions of more than 40 lines, their docstring left out
 names            classes and functions at the top level of a module whose own name has no leading underscore, also
@@ -15,6 +19,7 @@ names twice      names of top-level classes, and of files (`__init__.py` and `__
 module circles   groups of modules that import each other; imports in functions and under TYPE_CHECKING count
 sibling circles  the same between children of one package, where a child is a module or all of a subpackage
 Any              uses of the name `Any` in the code, imports left out, per 1,000 lines of code
+arguments        entries of `Args:` that begin with "Of" or "That"
 key places       files of the package that hold a scene key as a string literal, for every key in `configs/`
 """
 
@@ -22,6 +27,9 @@ import argparse
 import ast
 import io
 import json
+import os
+import re
+import subprocess
 import sys
 import tokenize
 from collections import Counter, defaultdict
@@ -35,6 +43,14 @@ import yaml
 _NO_CODE = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 _LONGEST_FILE, _LONGEST_FUNCTION = 400, 40  # lines
 _FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
+_VAGUE_ARGUMENT = re.compile(r"^\s+\*{0,2}\w+: (?:Of|That)\b", re.MULTILINE)
+_RUN = """
+import json, sys
+from canhaptic.cli.main import main
+
+assert main(["run", "configs/demo.yaml", "--duration", "0.1"]) == 0
+print(json.dumps([name for name in sys.modules if name.split(".")[0] == "canhaptic"]))
+"""
 
 
 @dataclass(frozen=True)
@@ -62,6 +78,10 @@ def count(top: Path, package: str = "canhaptic") -> dict[str, Any]:
     return {
         "files": len(modules),
         "code": sum(lines.values()),
+        "code_lab": sum(lines[module.name] for module in modules if _is_lab(module)),
+        "loaded": _loaded_code(top, lines),
+        "crossing": _crossing(modules),
+        "vague_arguments": sum(len(_VAGUE_ARGUMENT.findall(module.text)) for module in modules),
         "long_files": [module.name for module in modules if module.text.count("\n") > _LONGEST_FILE],
         "long_functions": [name for module in modules for name in _long_functions(module)],
         "names": len(names),
@@ -93,6 +113,37 @@ def _code_lines(module: _Module) -> int:
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
             found.difference_update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
     return len(found)
+
+
+def _is_lab(module: _Module) -> bool:
+    return module.name.split(".")[1:2] == ["lab"]
+
+
+def loaded_modules(top: Path) -> list[str]:
+    """Returns the modules of the package in the folder `top` that a run of its demo imports."""
+    environment = {**os.environ, "PYTHONPATH": str(top.resolve())}
+    done = subprocess.run([sys.executable, "-c", _RUN], cwd=top, env=environment, capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(f"{top}: the demo does not run: {done.stderr}")
+    loaded: list[str] = json.loads(done.stdout.splitlines()[-1])
+    return loaded
+
+
+def _loaded_code(top: Path, lines: Mapping[str, int]) -> int | None:
+    """Returns the code that a run loads without `sim`; None for a tree without a demo."""
+    if not (top / "configs/demo.yaml").exists():
+        return None
+    return sum(lines[name] for name in loaded_modules(top) if name.split(".")[1:2] != ["sim"])
+
+
+def _crossing(modules: list[_Module]) -> list[str]:
+    defined = {f"{module.name}.{name}" for module in modules for name in _public_definitions(module)}
+    found: set[str] = set()
+    for module in modules:
+        froms = [node for node in ast.walk(module.tree) if isinstance(node, ast.ImportFrom)]
+        names = {f"{node.module}.{alias.name}" for node in froms for alias in node.names}
+        found |= {name for name in names & defined if name.split(".")[:2] != module.name.split(".")[:2]}
+    return sorted(found)
 
 
 def _long_functions(module: _Module) -> list[str]:
@@ -229,6 +280,11 @@ def _rows(counts: Mapping[str, Any]) -> dict[str, str]:
     return {
         "files": f"{counts['files']:,}",
         "lines of code": f"{counts['code']:,}",
+        "lines of code of the product": f"{counts['code'] - counts['code_lab']:,}",
+        "lines of code of the laboratory": f"{counts['code_lab']:,}",
+        "lines of code that a run of one axis loads, without `sim`": f"{counts['loaded'] or 0:,}",
+        "names that cross a room": str(len(counts["crossing"])),
+        "arguments that begin with Of or That": str(counts["vague_arguments"]),
         "files over 400 lines": str(len(counts["long_files"])),
         "functions over 40 lines": str(len(counts["long_functions"])),
         "public classes and functions": f"{counts['names']:,}",

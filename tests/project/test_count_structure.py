@@ -69,6 +69,24 @@ def test_lines_names_and_doubles_of_a_small_tree_are_counted_by_their_definition
     assert counts["key_places"] == {"stiffness": 2, "axes": 0, "wall": 0}
 
 
+def test_the_laboratory_is_counted_apart_and_a_name_crosses_a_room_once(tree: Path) -> None:
+    argument = "Args:\n        wall: Of the room.\n        other: That is not.\n        size: Offset of it.\n    "
+    (tree / "canhaptic/lab").mkdir()
+    (tree / "canhaptic/lab/__init__.py").write_text("")
+    (tree / "canhaptic/lab/study.py").write_text(
+        f'from canhaptic.first import LIMIT, Wall\n\n\ndef study(wall):\n    """Two.\n\n    {argument}"""\n    pass\n'
+    )
+    (tree / "canhaptic/room/fourth.py").write_text(
+        "from canhaptic.first import Wall\nfrom canhaptic.room import _third\n"
+    )
+    (tree / "canhaptic/room/fifth.py").write_text("from canhaptic.room._third import Wall\n")  # stays in its room
+    counts = count(tree)
+    assert counts["code_lab"] == 3
+    assert counts["crossing"] == ["canhaptic.first.Wall"]  # a constant and a module do not count
+    assert counts["vague_arguments"] == 2
+    assert counts["loaded"] is None
+
+
 def test_files_and_functions_that_are_too_long_are_named(tree: Path) -> None:
     body = "    pass\n" * 39
     for name, lines in (("fits", 400), ("long", 401)):
