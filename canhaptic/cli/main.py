@@ -48,8 +48,8 @@ _BROKEN_PIPE: Final = 1
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line and returns the exit status.
 
-    The `options` of its package declare the arguments of a subcommand. The module of its name has `execute`, which
-    takes them and returns the exit status; it is imported once the arguments are right.
+    `add_options` declares the arguments of a subcommand. The module of its name has `execute`, which takes them
+    and returns the exit status; it is imported once the arguments are right.
     """
     try:
         words = list(sys.argv[1:] if arguments is None else arguments)
@@ -78,12 +78,8 @@ def _run(words: list[str], name: str) -> int:
 
 def add_options(name: str, parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of a subcommand."""
-    importlib.import_module(f"{_package_of(name)}.options").OPTIONS[name](parser)
-
-
-def _package_of(name: str) -> str:
-    """Returns the package that has the module of a subcommand, and the `options` that declare its arguments."""
-    return "canhaptic.lab.commands" if name in _LABORATORY else "canhaptic.cli"
+    module = "canhaptic.lab.commands.lab_options" if name in _LABORATORY else "canhaptic.cli.options"
+    importlib.import_module(module).OPTIONS[name](parser)
 
 
 def _show_old_names() -> None:
@@ -128,7 +124,8 @@ def _imported(name: str) -> Any:
 
 def _execute(arguments: argparse.Namespace) -> int:
     try:
-        command = _imported(f"{_package_of(arguments.command)}.{arguments.command.replace('-', '_')}")
+        package = "canhaptic.lab.commands" if arguments.command in _LABORATORY else "canhaptic.cli"
+        command = _imported(f"{package}.{arguments.command.replace('-', '_')}")
         status: int = command.execute(arguments)
         sys.stdout.flush()
         return status

@@ -18,8 +18,8 @@ from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.scene.torque_history import declared_order, simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.motion import observed
 from canhaptic.sim.plant.plant import Plant
+from canhaptic.sim.plant.plant_motion import observed
 from canhaptic.sim.plant.propagator import Array
 
 _PRODUCTS: Final = 6_000

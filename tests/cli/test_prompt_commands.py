@@ -14,7 +14,7 @@ from canhaptic.cli import options
 from canhaptic.cli.main import _COMMANDS
 from canhaptic.commission.laws import CommissioningLimits
 from canhaptic.drive.clock import WallClock
-from canhaptic.lab.commands import options as lab_options
+from canhaptic.lab.commands import lab_options
 from canhaptic.study.accuracy.study import DEFAULT_BUDGET
 from canhaptic.study.design.wall import MARGIN, TOLERANCE
 from canhaptic.study.map.z_width import JUDGEMENTS

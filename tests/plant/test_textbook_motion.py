@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from canhaptic.sim.plant.motion import Motion
+from canhaptic.sim.plant.plant_motion import Motion
 from canhaptic.sim.textbook.reference_motion import difference
 
 

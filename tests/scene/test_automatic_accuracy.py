@@ -14,7 +14,7 @@ from canhaptic.scene.method import method_line
 from canhaptic.scene.parts import build_plant
 from canhaptic.scene.plant_price import PlantPrice, estimated_error, plant_prices
 from canhaptic.scene.torque_history import simulation_of, torque_history
-from canhaptic.sim.plant.motion import observed
+from canhaptic.sim.plant.plant_motion import observed
 from canhaptic.sim.textbook.event_location import reference
 from canhaptic.sim.textbook.reference_motion import difference
 from canhaptic.study.accuracy.accuracy_choice import holds_of, ladder, with_chosen_accuracy

@@ -13,7 +13,7 @@ import numpy as np
 
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
-from canhaptic.sim.plant.motion import Motion
+from canhaptic.sim.plant.plant_motion import Motion
 from canhaptic.sim.textbook.reference_elements import Floats, State, Transition
 from canhaptic.sim.textbook.reference_model import Modes
 from canhaptic.sim.textbook.reference_motion import motion_of

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.sim.plant.motion import Motion
+from canhaptic.sim.plant.plant_motion import Motion
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.textbook.event_location import SwitchedModel, settled
 from canhaptic.sim.textbook.reference_elements import Floats

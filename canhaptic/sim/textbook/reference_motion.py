@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from canhaptic.sim.plant.motion import Motion
+from canhaptic.sim.plant.plant_motion import Motion
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.textbook.reference_elements import Floats
 from canhaptic.sim.textbook.reference_model import MOTOR_WORK, USER_WORK

@@ -14,8 +14,8 @@ from canhaptic.extras import install_hint
 from canhaptic.scene.models import AxisSimulation
 from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.motion import Motion, observed
 from canhaptic.sim.plant.plant import Plant
+from canhaptic.sim.plant.plant_motion import Motion, observed
 from canhaptic.sim.textbook.event_location import located
 from canhaptic.sim.textbook.fixed_step import METHODS, fixed_step
 from canhaptic.study.accuracy.mujoco_plant import MujocoPlant, inexpressible

@@ -16,7 +16,7 @@ from canhaptic.errors import InputError
 from canhaptic.scene.models import Scene
 from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.motion import Motion
+from canhaptic.sim.plant.plant_motion import Motion
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.textbook.event_location import located_states
 from canhaptic.sim.textbook.fixed_step import fixed_step_states, runge_kutta_4

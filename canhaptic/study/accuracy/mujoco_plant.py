@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.scene.models import AxisSimulation
-from canhaptic.sim.plant.motion import Motion
 from canhaptic.sim.plant.own_hand import OwnHand
+from canhaptic.sim.plant.plant_motion import Motion
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.scenes import viscous_friction

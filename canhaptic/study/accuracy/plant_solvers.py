@@ -12,7 +12,7 @@ from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.scene.torque_history import declared_order, simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.motion import Motion
+from canhaptic.sim.plant.plant_motion import Motion
 from canhaptic.sim.textbook.event_location import reference
 from canhaptic.sim.textbook.reference_motion import MotionError, difference
 from canhaptic.study.accuracy.accuracy_choice import FLOOR, fitted_order, ladder

@@ -14,7 +14,7 @@ from canhaptic.scene.parts import build_axis_controller, build_plant
 from canhaptic.scene.torque_history import declared_order, simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import DirectRig
-from canhaptic.sim.plant.motion import observed
+from canhaptic.sim.plant.plant_motion import observed
 from canhaptic.sim.textbook.event_location import located
 from canhaptic.sim.textbook.reference_motion import difference
 from canhaptic.study.accuracy.accuracy_choice import LEAST_ORDER, fitted_order, holds_of

@@ -12,7 +12,7 @@ from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.scene.torque_history import simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.motion import observed
+from canhaptic.sim.plant.plant_motion import observed
 from canhaptic.sim.textbook.event_location import located
 from canhaptic.sim.textbook.reference_motion import difference
 from canhaptic.study.accuracy.accuracy_choice import FLOOR, choose, holds_of, ladder

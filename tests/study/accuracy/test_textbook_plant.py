@@ -10,8 +10,8 @@ from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.effects import EFFECTS as ALL_EFFECTS
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.effects.viscous_friction import ViscousFriction
-from canhaptic.sim.plant.motion import observed
 from canhaptic.sim.plant.plant import Plant
+from canhaptic.sim.plant.plant_motion import observed
 from canhaptic.sim.textbook.event_location import located, reference
 from canhaptic.sim.textbook.fixed_step import METHODS, fixed_step
 from canhaptic.sim.textbook.reference_model import Model
