@@ -15,7 +15,7 @@ import pytest
 
 from canhaptic.sim.plant import effects as effects_package
 from canhaptic.sim.plant.plant import Plant
-from canhaptic.study.accuracy.operations import executed_bytecodes as operations
+from tests.executed_bytecodes import executed_bytecodes as operations
 from tests.plant.plant_scenes import MS, make_plant, run
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -19,8 +19,7 @@ PLANT_HEADS: Final = (
     "method", "setting", "position", "force", "energy", "evals /\nperiod", "events", "us /\nperiod", "times\nwork", "",
 )  # fmt: skip
 LOOP_HEADS: Final = (
-    "changed", "to", "position", "force", "energy", "energy\nunsure", "control\nthread", "of T", "codes\nper s",
-    "bus\nload",
+    "changed", "to", "position", "force", "energy", "energy\nunsure", "control\nthread", "of T", "bus\nload",
 )  # fmt: skip
 EFFECT_HEADS: Final = (
     "left out", "order", "position", "force", "energy", "evals\nsaved", "us\nsaved", "error\nper us",
@@ -250,8 +249,7 @@ def _loop_cells(row: Row, unit: str) -> list[str]:
     return [
         row["group"], row["setting"], *errors, si(row["energy_uncertainty"], "J", 3),
         "" if thread is None else f"{thread:.1f} us",
-        "" if thread is None else f"{100.0 * row['thread_share']:.0f} %",
-        f"{row['bytecodes_per_second'] / 1e3:.0f} k", load,
+        "" if thread is None else f"{100.0 * row['thread_share']:.0f} %", load,
     ]  # fmt: skip
 
 

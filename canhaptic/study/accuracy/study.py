@@ -19,7 +19,6 @@ from canhaptic.study.accuracy.control_thread import exchange_time, log_time
 from canhaptic.study.accuracy.cycle_timing import WORKLOAD, WallTime, interleaved, workload
 from canhaptic.study.accuracy.group_plant_side import Plants
 from canhaptic.study.accuracy.loop_sensitivity import FINEST, LoopRow, bus_figures, engines_of, loop_row
-from canhaptic.study.accuracy.operations import executed_bytecodes
 from canhaptic.study.accuracy.part import chosen_part
 from canhaptic.study.accuracy.plant_solvers import Row
 from canhaptic.study.batch.engine import Engine
@@ -32,8 +31,6 @@ UNITS: Final = 1000
 _SHARES: Final = {"references": 200, "ladder": 250, "loops": 250, "times": 300}
 _TENTH: Final = 0.1
 _REPEATS: Final = 3
-_TRACED: Final = 0.2
-"""Part of a run, in its middle, whose controller steps are counted in bytecodes."""
 _WORKLOAD: Final = "workload"
 _IDEAL: Final = 1e9
 """Fineness of what has no step, as a number that JSON can hold."""
@@ -158,15 +155,6 @@ class AccuracyStudy:
 
     def _loop_row(self, row: LoopRow) -> Row:
         variant, stable = row.variant, row.is_stable
-        count = len(row.run.position)
-        part = slice(round((0.5 - 0.5 * _TRACED) * count), round((0.5 + 0.5 * _TRACED) * count) + 1)
-        positions, torques = row.run.position[part].tolist(), row.run.torque[part].tolist()
-        controller = variant.case.controller()
-
-        def work() -> None:
-            for position, torque in zip(positions, torques, strict=True):
-                controller.step(position, torque)
-
         return {
             "group": variant.group,
             "setting": variant.setting,
@@ -182,7 +170,6 @@ class AccuracyStudy:
             "energy_uncertainty": row.run.believed_error,
             "energy_given_out": -row.run.least_interaction,
             "wall_per_second": row.seconds / (self.holds * self.scene.bus.sample_time),
-            "bytecodes_per_second": round(executed_bytecodes(work) / max(1, len(positions)) * variant.bus.rate),
             "rate": variant.bus.rate,
             **bus_figures(variant, self.scene),
         }

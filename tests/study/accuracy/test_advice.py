@@ -16,7 +16,7 @@ from canhaptic.study.accuracy.advice import (
     rank_agreement,
 )
 from canhaptic.study.accuracy.cycle_timing import interleaved
-from canhaptic.study.accuracy.operations import executed_bytecodes
+from tests.executed_bytecodes import executed_bytecodes
 
 errors = st.sampled_from([1e-16, 1e-12, 1e-9, 2e-9, 1e-6, 1e-3])
 rows = st.lists(
