@@ -174,6 +174,7 @@ def scene_of(log: EnergyLog, config: Path | None = None, *, allow_code: bool = F
         InputError: The scene cannot be read, is not the one of the run, or names other code than ran then.
     """
     from canhaptic.scene.load import load_scene
+    from canhaptic.scene.old_names import RELEASES
     from canhaptic.scene.own_code import require_same_code
 
     overrides = log.decoded("config_overrides", list[str]())
@@ -183,7 +184,7 @@ def scene_of(log: EnergyLog, config: Path | None = None, *, allow_code: bool = F
     scene = load_scene(path, overrides, allow_code=allow_code)
     resolved = log.decoded("config_resolved", dict[str, dict[str, str]]())
     require_same_code(scene.own_code, resolved.get("own_code", {}), str(log.path))
-    if log.attributes.get("config_hash") not in (scene.config_hash(), scene.config_hash(old_names=True)):
+    if log.attributes.get("config_hash") not in [scene.config_hash(release) for release in (None, *RELEASES)]:
         raise InputError(
             f"{path}: is not the scene of {log.path}, or was changed since; name the right one with --config"
         )

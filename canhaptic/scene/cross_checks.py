@@ -216,7 +216,7 @@ def _check_parts(
 
 
 def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) -> SourceLocation:
-    """Returns where the scene names what a plant refuses: an effect of this type, or this key."""
+    """Returns where the scene names what a plant refuses: an effect of this type, or the plant."""
     axes = simulation.get("axes")
     own = axes.get(axis.parameters.name) if isinstance(axes, MarkedMapping) else None
     for owner in (own, simulation):
@@ -225,7 +225,7 @@ def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) 
             for effect, at in effects.items_at():
                 if isinstance(effect, MarkedMapping) and part == effect.get("type"):
                     return at
-    return simulation.value_at(part if part == "compiled" else "plant")
+    return simulation.value_at("plant")
 
 
 def _check_dictionary(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: Diagnostics) -> AxisMap | None:

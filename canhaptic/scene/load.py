@@ -156,13 +156,13 @@ def _validated(sections: MarkedMapping, laid: MarkedMapping, faults: Diagnostics
 
 
 def _completed(scene: Scene) -> Scene:
-    """Returns a scene whose simulated plants know what holds for all of them: seed, accuracy, whether compiled."""
+    """Returns a scene whose simulated plants know what holds for all of them: seed and accuracy."""
     whole = scene.simulation
     if whole is None:
         return scene
     axes = (
         axis if axis.simulation is None else replace(axis, simulation=replace(
-            axis.simulation, seed=whole.seed + index, accuracy=scene.accuracy, compiled=whole.compiled
+            axis.simulation, seed=whole.seed + index, accuracy=scene.accuracy
         ))
         for index, axis in enumerate(scene.axes)
     )  # fmt: skip

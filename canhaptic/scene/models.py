@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, WrapValidator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, TypeAdapter, WrapValidator
 from pydantic import ValidationInfo as Info
 from pydantic_core import PydanticCustomError
 
@@ -41,7 +41,7 @@ from canhaptic.scene.components import (
 )
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.scene.further_bus import BusName, FurtherBus, NamedBus
-from canhaptic.scene.old_names import in_old_names
+from canhaptic.scene.old_names import Release, in_form_of
 from canhaptic.scene.own_code import OwnCode
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
@@ -135,8 +135,6 @@ class SimulationParameters(Parameters):
 
     seed: Annotated[int, quantity("1", ge=0, le=1e9)] = 0
     """Seed of everything random in the simulation."""
-    compiled: bool = False
-    """Whether plants run compiled by numba (the extra `fast`); seconds of compiling, for stiff scenes."""
 
 
 class GroupMembership(Parameters):
@@ -170,7 +168,6 @@ class AxisSimulation:
     effects: tuple[Annotated[ComponentSpec, ComponentOf(EFFECTS, "effect")], ...] = ()
     seed: int = 0
     accuracy: AccuracyParameters = field(default_factory=AccuracyParameters)
-    compiled: Annotated[bool, Field(exclude=True)] = False
     admittance: AdmittanceSimulation | None = None
 
 
@@ -341,11 +338,12 @@ class Scene:
             **({"own_code": dict(self.own_code)} if self.own_code else {}),
         }
 
-    def config_hash(self, *, old_names: bool = False) -> str:
+    def config_hash(self, release: Release | None = None) -> str:
         """Returns the SHA-256 of the configuration in effect, dictionaries by content.
 
         Args:
-            old_names: Whether by the names of the first release, as in its logs.
+            release: Earlier release whose logs are compared: its names, and its keys that are gone at their default;
+                None for this one.
 
         Comments, the order of keys, log paths and the folder of the dictionaries do not change it, nor does it matter
         whether an automatic accuracy was chosen yet: it follows from the rest. Nor do keys of an axis that came after
@@ -363,8 +361,8 @@ class Scene:
                 del resolved["axes"][axis.parameters.name]["simulation"]["accuracy"]
         if self.auto_accuracy is not None:
             del resolved["accuracy"]["chosen"]
-        if old_names:
-            resolved = in_old_names(resolved, LATER_LOOP_KEYS)
+        if release is not None:
+            resolved = in_form_of(release, resolved, LATER_LOOP_KEYS)
         canonical = json.dumps(resolved, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(canonical.encode()).hexdigest()
 

@@ -1,4 +1,4 @@
-"""Keys and algorithms by their names of the first release: read as what they are called now, with a warning.
+"""Names of the first release, read as what they are called now, with a warning; forms of earlier configurations.
 
 Scenes, overrides, keys of a sweep and the scenes that logs keep may still have them, for one release.
 """
@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Collection, Iterator, Mapping
 from copy import deepcopy
 from multiprocessing import parent_process
-from typing import Any, Final
+from typing import Any, Final, Literal, get_args
 
 from canhaptic.errors import OldNameWarning
 from canhaptic.scene.diagnostics import Diagnostics
@@ -21,6 +21,9 @@ OLD_KEYS: Final = {
 """Key of `passivity` -> what it is called now."""
 OLD_ALGORITHMS: Final = {"direct": "unprotected", "original": "a_priori_dissipation"}
 """Algorithm of one axis -> what it is called now."""
+Release = Literal["0.1", "0.2"]
+RELEASES: Final[tuple[Release, ...]] = get_args(Release)
+"""Earlier releases whose logs are still compared with their scenes."""
 _SECTION: Final = "passivity"
 _SELECTOR: Final = "algorithm"
 
@@ -87,14 +90,22 @@ def _sections(scene: MarkedMapping) -> Iterator[tuple[MarkedMapping, bool]]:
             yield section, is_of_axis
 
 
-def in_old_names(resolved: Mapping[str, Any], later: Collection[str]) -> dict[str, Any]:
-    """Returns a configuration in effect by the names of the first release, as its logs have hashed it.
+def in_form_of(release: Release, resolved: Mapping[str, Any], later: Collection[str]) -> dict[str, Any]:
+    """Returns a configuration in effect as the logs of an earlier release have hashed it.
 
     Args:
-        resolved: The configuration.
-        later: Keys of the loop that came after it.
+        release: Release that wrote the log.
+        resolved: Configuration in effect today.
+        later: Keys of the loop that came after the first release.
     """
     old = deepcopy(dict(resolved))
+    if old["simulation"] is not None:
+        old["simulation"]["compiled"] = False
+    return old if release == "0.2" else _in_old_names(old, later)
+
+
+def _in_old_names(old: dict[str, Any], later: Collection[str]) -> dict[str, Any]:
+    """Gives a configuration in effect the names and the keys of the first release, in place."""
     keys, algorithms = ({new: name for name, new in table.items()} for table in (OLD_KEYS, OLD_ALGORITHMS))
     for owner in (*old["axes"].values(), *old.get("groups", {}).values()):
         section = {keys.get(key, key): value for key, value in owner[_SECTION].items()}

@@ -34,8 +34,14 @@ from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.velocity_drive import AdmittancePlant
 
 
-def build_plant(simulation: AxisSimulation, sample_time_ns: int) -> Plant:
-    """Returns the motor and user of one axis, at rest until the first SYNC with the drive enabled."""
+def build_plant(simulation: AxisSimulation, sample_time_ns: int, *, compiled: bool = False) -> Plant:
+    """Returns the motor and user of one axis, at rest until the first SYNC with the drive enabled.
+
+    Args:
+        simulation: Plant, user and effects.
+        sample_time_ns: Time between two SYNCs [ns].
+        compiled: Whether holds run compiled by numba, for whole runs without a bus; not for an admittance display.
+    """
     effects = [effect_of(effect) for effect in simulation.effects]
     if simulation.admittance is not None:
         return AdmittancePlant(
@@ -44,7 +50,7 @@ def build_plant(simulation: AxisSimulation, sample_time_ns: int) -> Plant:
         )  # fmt: skip
     return Plant(
         simulation.plant, simulation.user, effects, sample_time_ns, simulation.seed, simulation.accuracy,
-        simulation.compiled,
+        compiled,
     )  # fmt: skip
 
 

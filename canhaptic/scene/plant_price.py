@@ -94,7 +94,7 @@ def estimated_error(simulation: AxisSimulation, torques: Sequence[float], sample
         sample_time_ns: Length of a hold [ns].
     """
     accuracy = simulation.accuracy
-    plant = build_plant(replace(simulation, compiled=False), sample_time_ns)
+    plant = build_plant(simulation, sample_time_ns)
     switches = any(part.has_guards for part in plant.scene.parts)
     if plant.is_exact and not switches:
         return None
@@ -127,7 +127,7 @@ class _Runs:
         """Returns the positions with a plant whose sample time, and so its substeps, are `finer` times shorter."""
         key = (accuracy, finer)
         if key not in self._found:
-            changed = replace(self._simulation, accuracy=accuracy, compiled=False)
+            changed = replace(self._simulation, accuracy=accuracy)
             plant = build_plant(changed, max(1, self._period // finer))
             self._found[key] = observed(plant, self._torques, self._period).position
         return self._found[key]

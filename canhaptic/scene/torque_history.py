@@ -22,7 +22,7 @@ def torque_history(axis: AxisScene, scene: Scene, holds: int, accuracy: Accuracy
         accuracy: Accuracy of the plant; fine by default.
     """
     simulation, period = simulation_of(axis), scene.bus.sample_time_ns
-    plant = build_plant(replace(simulation, accuracy=accuracy, compiled=False), period)
+    plant = build_plant(replace(simulation, accuracy=accuracy), period)
     given, quantum = axis.parameters, axis.loop.torque_quantum or None
     step = build_axis_controller(axis).step
     rig = DirectRig(plant, step, period, scene.bus.delay, given.counts_per_unit, quantum, given.torque_limit)

@@ -1,6 +1,6 @@
-"""Keys and algorithms of the first release: scenes, overrides, sweeps and logs that use them still work, and say so.
+"""Names of the first release in scenes, overrides, sweeps and logs still work, and say so; logs of each stay valid.
 
-The logs in `old_logs` were recorded by that release, one for each old name.
+The logs in `old_logs` were recorded by their release: by the first one for each old name, by 0.2 of a scene of an axis.
 """
 
 import json
@@ -198,6 +198,19 @@ def test_a_scene_that_took_the_new_names_is_still_the_one_of_its_old_log(name: s
     other.write_text(text.replace("400 N/m", "401 N/m"))
     with EnergyLog.open(unpacked(f"{name}.h5", tmp_path)) as log:
         assert scene_of(log, today).axes[0].passivity.name in ("guarded", *OLD_ALGORITHMS.values())
+        with pytest.raises(InputError, match="is not the scene of"):
+            scene_of(log, other)
+
+
+def test_a_log_of_the_second_release_is_of_its_scene_and_recomputes_to_the_bit(tmp_path: Path) -> None:
+    """Its configuration had `simulation.compiled`, which is gone."""
+    path, other = OLD_LOGS / "axis_of_0_2.yaml", tmp_path / "other.yaml"
+    other.write_text(path.read_text().replace("400 N/m", "401 N/m"))
+    with EnergyLog.open(unpacked("axis_of_0_2.h5", tmp_path)) as log:
+        assert log.attributes["canhaptic_version"] == "0.2.0"
+        assert log.attributes["config_hash"] == load_scene(path).config_hash("0.2") != load_scene(path).config_hash()
+        [found] = recompute_all(log, path)
+        assert (found["mismatch"], log.rows) == (None, 80)
         with pytest.raises(InputError, match="is not the scene of"):
             scene_of(log, other)
 

@@ -1,7 +1,6 @@
 """What a scene says of its simulated plants: effects, accuracy, compiled; and what is refused, with its line."""
 
 import re
-import sys
 from pathlib import Path
 
 import pytest
@@ -109,10 +108,6 @@ def test_the_method_line_tells_events_and_products(tmp_path: Path) -> None:
         assert "products per period; torque acts" in line
 
 
-def test_a_compiled_scene_without_numba_is_refused_with_its_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "numba", None)
-    monkeypatch.delitem(sys.modules, "canhaptic.sim.plant.njit_stepper", raising=False)
+def test_a_scene_cannot_ask_for_compiled_plants(tmp_path: Path) -> None:
     [line] = faults(tmp_path, ("simulation:\n", "simulation:\n  compiled: true\n"))
-    assert re.search(r"scene.yaml:17:\d+: simulation.compiled: compiled: needs numba", line)
+    assert re.search(r"scene.yaml:17:\d+: simulation.compiled: unknown key", line)

@@ -178,7 +178,7 @@ def _tried_setting(
     exact: Motion,
 ) -> Setting:
     """Returns what one setting errs by and costs under the torques."""
-    plant = build_plant(replace(simulation, accuracy=accuracy, compiled=False), sample_time_ns)
+    plant = build_plant(replace(simulation, accuracy=accuracy), sample_time_ns)
     motion = observed(plant, torques)
     error = difference(motion, exact, simulation.plant.mass, sample_time_ns * 1e-9)
     return Setting(accuracy, error, plant.products)

@@ -109,11 +109,11 @@ def ours(
     compiled: bool = False,
 ) -> Candidate:
     """Returns our plant at one accuracy; compiled, it is a method of its own, for its time."""
-    solved = replace(simulation, accuracy=accuracy, compiled=compiled)
-    kept = build_plant(solved, sample_time_ns)
+    solved = replace(simulation, accuracy=accuracy)
+    kept = build_plant(solved, sample_time_ns, compiled=compiled)
 
     def observe() -> tuple[Motion, int, int]:
-        plant = build_plant(solved, sample_time_ns)
+        plant = build_plant(solved, sample_time_ns, compiled=compiled)
         return observed(plant, torques), plant.products, plant.events
 
     return Candidate(

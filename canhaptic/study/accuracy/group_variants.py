@@ -73,7 +73,7 @@ def finely_solved(scene: Scene, factor: float = 1.0) -> Scene:
         if axis.simulation is None:
             return axis
         accuracy = AccuracyParameters(substeps=substeps)
-        return replace(axis, simulation=replace(simulation_of(axis), accuracy=accuracy, compiled=False))
+        return replace(axis, simulation=replace(simulation_of(axis), accuracy=accuracy))
 
     mechanisms = tuple(replace(of, substeps=substeps) for of in scene.mechanisms)
     return replace(scene, axes=tuple(map(fine, scene.axes)), mechanisms=mechanisms)

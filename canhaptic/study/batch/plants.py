@@ -8,7 +8,6 @@ its last place per hold. Plants with other linear effects are made one by one, e
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, Final, cast
 
 import numpy as np
@@ -90,7 +89,7 @@ def _shared(values: Array) -> Array | float:
 
 
 def _plant(simulation: AxisSimulation, sample_time_ns: int) -> Plant:
-    return build_plant(replace(simulation, compiled=False), sample_time_ns)
+    return build_plant(simulation, sample_time_ns)
 
 
 def _in_arrays(simulation: AxisSimulation, keys: Mapping[str, Array]) -> tuple[Array, Array]:
