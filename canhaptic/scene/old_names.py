@@ -101,6 +101,9 @@ def in_form_of(release: Release, resolved: Mapping[str, Any], later: Collection[
     old = deepcopy(dict(resolved))
     if old["simulation"] is not None:
         old["simulation"]["compiled"] = False
+    for group in old.get("groups", {}).values():
+        if not any("admittance" in old["axes"][axis] for axis in group["axes"]):
+            group[_SECTION]["compiled"] = False
     return old if release == "0.2" else _in_old_names(old, later)
 
 

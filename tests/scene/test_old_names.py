@@ -215,6 +215,19 @@ def test_a_log_of_the_second_release_is_of_its_scene_and_recomputes_to_the_bit(t
             scene_of(log, other)
 
 
+@pytest.mark.parametrize(
+    ("name", "recorded"),
+    [
+        ("axis_of_0_2", "8fbd4614581dc696f73fb1608ec3bb0a34e30537c7da9c0d6ce3ea6496b47f99"),
+        ("group_of_0_2", "6c8fbfa2ce39dae26eecfc5f35f8beda4ee53df63625172831ce22be84abad03"),
+        ("displays_of_0_2", "ce50b088e576376fbcd578592150c8a2fdb7cdf820af689cb394002c5b2c6e12"),
+    ],
+)
+def test_a_scene_has_the_hash_that_release_0_2_gave_it(name: str, recorded: str) -> None:
+    """The hashes were computed by that release; groups of impedance displays had a key `compiled`, too."""
+    assert load_scene(OLD_LOGS / f"{name}.yaml").config_hash("0.2") == recorded
+
+
 def test_a_scene_with_a_name_that_never_was_is_a_fault(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="unknown passivity algorithm 'dirct'"):
         load_scene(scene_file(tmp_path, ("algorithm: unprotected", "algorithm: dirct")))

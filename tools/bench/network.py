@@ -1,8 +1,8 @@
 """How fast and how true is a network on several axes? `python -m tools.bench.network`.
 
-The step of a group in Python and compiled; and the example in two dimensions - a hand on a hardening spring and a
-damper with a virtual mass of 0.3 kg on a viscous floor, four states - against the continuous solution of scipy and
-the same network sampled by explicit Euler. Energies are those of the plant.
+The step of a group; and the example in two dimensions - a hand on a hardening spring and a damper with a virtual mass
+of 0.3 kg on a viscous floor, four states - against the continuous solution of scipy and the same network sampled by
+explicit Euler. Energies are those of the plant.
 """
 
 import math
@@ -36,8 +36,6 @@ HAND_FORCE = 1.0
 DURATION = 2.0
 LONGEST = 1e-4
 STEPS = 4000
-COMPILED_LIMIT = 20.0
-"""Time of a step compiled by numba [us]."""
 
 
 class Followed(NamedTuple):
@@ -48,12 +46,10 @@ class Followed(NamedTuple):
     least: float  # least sum(h_i) [J]
 
 
-def controller_of(
-    environment: Any, kinematics: Any, rate: float, delay: int, compiled: bool = False
-) -> GroupController:
+def controller_of(environment: Any, kinematics: Any, rate: float, delay: int) -> GroupController:
     """Returns a guarded group of two axes with a hand-force certificate."""
     loop = LoopProperties(sample_time=1.0 / rate, delay=delay, moving_mass=MASS, device_damping_bound=2.0 * FRICTION)
-    parameters = GuardedGroupParameters(hand_force=HAND_FORCE, compiled=compiled)
+    parameters = GuardedGroupParameters(hand_force=HAND_FORCE)
     return build_group_controller(environment, kinematics, "guarded", parameters, [loop, loop])
 
 
@@ -179,10 +175,6 @@ def cost_rows() -> list[Row]:
     for name, environment, kinematics, path, limit in cases:
         median, fast = step_time(controller_of(environment, kinematics, 1000.0, 1), path)
         rows.append(Row(name, median, "us", "10 % fastest", fast, target=f"<= {limit:g}", met=median <= limit))
-        machine, _ = step_time(controller_of(environment, kinematics, 1000.0, 1, compiled=True), path)
-        ratio, is_met = median / machine, machine <= COMPILED_LIMIT
-        target = f"<= {COMPILED_LIMIT:g}"
-        rows.append(Row(f"{name}, compiled", machine, "us", "Python", median, ratio, target, is_met))
     return rows
 
 

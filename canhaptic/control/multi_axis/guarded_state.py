@@ -36,8 +36,6 @@ class GuardedGroupParameters(Parameters):
     together what was sent."""
     may_cut: bool = False
     """Whether a drive may cut the torque of one axis by itself, to any part of it; costs stiffness as well."""
-    compiled: bool = False
-    """Whether the whole step runs compiled by numba (the extra `fast`); half a minute the first time, kept on disk."""
 
 
 class GuardedGroupSettings(NamedTuple):

@@ -50,8 +50,6 @@ class ScaledGroupParameters(Parameters):
 
     alpha: Alpha = 0.0
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
-    compiled: bool = False
-    """Whether the whole step runs compiled by numba (the extra `fast`); half a minute the first time, kept on disk."""
 
 
 class ScaledGroupSettings(NamedTuple):

@@ -12,8 +12,7 @@ from canhaptic.control.multi_axis.group_controller import GroupBalance, NetworkE
 from canhaptic.control.multi_axis.group_kernel import GroupKernel, GroupRun
 from canhaptic.control.multi_axis.group_motion import World, world_of
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.errors import ControlError, ParameterError
-from canhaptic.extras import install_hint
+from canhaptic.errors import ControlError
 from canhaptic.kernels import with_quick_fields
 from canhaptic.units import Parameters
 
@@ -31,19 +30,6 @@ def interpreted_run(kernel: GroupKernel, world: World, settings: Any) -> Callabl
         return GroupRun(step, commands.torques, memory.group.ended.interactions, partial(send_nothing, commands))
 
     return begin
-
-
-def compiled_run(kernel: GroupKernel, world: World, settings: Any) -> Callable[[], GroupRun]:
-    """Returns what begins a run compiled by numba.
-
-    Raises:
-        ParameterError: numba is not installed, or parts are given as functions.
-    """
-    try:
-        from canhaptic.control.multi_axis.compiled_group import begin_compiled
-    except ImportError as error:
-        raise ParameterError(f"compiled: needs numba ({error}); {install_hint('fast')}, or leave it out") from error
-    return begin_compiled(kernel, world, settings)
 
 
 class SteppedGroup:
@@ -72,8 +58,7 @@ class SteppedGroup:
         self.axes = kinematics.axes
         world = world_of(environment, kinematics, loops)
         settings = self.kernel.settings(world, parameters, loops)
-        begin = compiled_run if parameters.compiled else interpreted_run
-        self._begin: Callable[[], GroupRun] = begin(self.kernel, world, settings)
+        self._begin: Callable[[], GroupRun] = interpreted_run(self.kernel, world, settings)
         self.reset()
 
     def reset(self) -> None:

@@ -6,16 +6,30 @@ from typing import Any
 
 import numpy as np
 
-from canhaptic.control.multi_axis.compiled_group import compiled_world
 from canhaptic.control.multi_axis.group_kernel import GroupKernel
-from canhaptic.control.multi_axis.group_motion import GroupMotion, World
+from canhaptic.control.multi_axis.group_motion import GroupMotion, World, why_not_world
+from canhaptic.errors import ParameterError
 from canhaptic.kernels.compiler import compiled
-from canhaptic.kernels.records import Records, record_of, records_of
+from canhaptic.kernels.records import Records, arrays_of, record_of, records_of
 from canhaptic.sim.plant.effects.encoder_noise import noise, uniform
 from canhaptic.study.batch.compiled_loops import compiled_noise, compiled_uniform
 from canhaptic.study.batch.group_case import GroupCase
 from canhaptic.study.batch.group_closed_loop import GroupMeter, LinearMotors, run_group, step
 from canhaptic.study.loop import Array
+
+
+def compiled_world(world: World) -> tuple[Any, Records]:
+    """Returns a world for compiled kernels, its tables apart.
+
+    Raises:
+        ParameterError: A part of it is given as functions in Python.
+    """
+    if reason := why_not_world(world):
+        raise ParameterError(
+            f"a compiled group: {reason}, expected mechanisms, geometries and storages that scenes can name"
+        )
+    bare = World(arrays_of(world.mechanism), arrays_of(world.geometry), world.mover, 0, world.functions)  # type: ignore[arg-type]
+    return bare, record_of(world.tables)
 
 
 def run_records(

@@ -1,4 +1,4 @@
-"""A compiled group is the interpreted one: the same source, the same bits; what is Python of its own is refused."""
+"""A group as loops compile it is the interpreted one: the same source, the same bits; Python of its own is refused."""
 
 import random
 import struct
@@ -11,6 +11,7 @@ from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.control.mechanisms.transmission import Transmission
 from canhaptic.control.mechanisms.user_function import UserFunction
 from canhaptic.control.multi_axis import build_group_controller
+from canhaptic.control.multi_axis.group_motion import world_of
 from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
 from canhaptic.control.multi_axis.scaled_group import ScaledGroupParameters
 from canhaptic.control.multi_axis.stepped_group import SteppedGroup
@@ -28,6 +29,9 @@ from canhaptic.control.port_hamiltonian.shapes.virtual_mass import MassOnSpring,
 from canhaptic.errors import ControlError, ParameterError
 
 pytest.importorskip("numba")
+
+from canhaptic.study.batch.compiled_group_loop import compiled_world
+from tests.control.network.compiled_steps import begin_compiled
 
 ODD = (-0.0, 5e-324, -1e-310, 1e-160, 1e3, 1e150)
 """Positions that no hand has: zeros of both signs, subnormal numbers, and such whose squares vanish or overflow."""
@@ -62,7 +66,7 @@ LATE = {"sync_jitter": 0.02, "torque_window": 1e-4, "current_lag": 2e-4, "torque
 
 
 def group_of(rng):
-    """Returns what makes a random group, compiled or not, the positions at which it begins, and its masses."""
+    """Returns what makes a random group, the positions at which it begins, and its masses."""
     kinematics, start, mass = rng.choice(
         [
             (Identity(axes=2), (0.0, 0.0), 0.25),
@@ -81,11 +85,14 @@ def group_of(rng):
     alpha, losses, speed = rng.choice(("0", "100 s/m^2")), rng.choice((0, 1, 3)), rng.choice((None, 0.5))
     algorithm, force = rng.choice(("guarded", "guarded", "step_scaling")), rng.choice((0.0, 2.0))
 
-    def make(compiled):
+    def make():
         own = {"hand_force": force, "hand_speed": speed, "max_consecutive_losses": losses}
         kind = GuardedGroupParameters if algorithm == "guarded" else ScaledGroupParameters
-        parameters = kind(alpha=alpha, compiled=compiled, **(own if algorithm == "guarded" else {}))
-        return build_group_controller(environment, kinematics, algorithm, parameters, [loop, loop])
+        parameters = kind(alpha=alpha, **(own if algorithm == "guarded" else {}))
+        group = build_group_controller(environment, kinematics, algorithm, parameters, [loop, loop])
+        world = world_of(environment, kinematics, (loop, loop))
+        assert isinstance(group, SteppedGroup)
+        return group, world, group.kernel.settings(world, parameters, (loop, loop))
 
     return make, start, mass, loop
 
@@ -107,7 +114,10 @@ def differences(seed, cycles=300):
     """Runs a random group both ways against a trembling hand; returns (SYNCs that differ, SYNCs with a torque)."""
     rng = random.Random(seed)
     make, start, mass, loop = group_of(rng)
-    pair: list[SteppedGroup] = [make(False), make(True)]
+    (one, _, _), (other, world, settings) = make(), make()
+    other._begin = begin_compiled(other.kernel, world, settings)
+    other.reset()
+    pair: list[SteppedGroup] = [one, other]
     q, v, held, pending = list(start), [0.0, 0.0], [0.0, 0.0], [[0.0, 0.0]] * loop.delay
     differ = felt = 0
     for cycle in range(cycles):
@@ -146,7 +156,7 @@ def test_thirty_compiled_groups_have_the_bits_of_the_interpreted_ones():
 def refused(environment, kinematics):
     loop = LoopProperties(sample_time=1e-3, moving_mass=0.25, device_damping_bound=0.0)
     with pytest.raises(ParameterError, match="Python code of its own") as caught:
-        build_group_controller(environment, kinematics, "guarded", GuardedGroupParameters(compiled=True), [loop])
+        compiled_world(world_of(environment, kinematics, (loop,)))
     return str(caught.value)
 
 

@@ -1,4 +1,4 @@
-"""The step of a group compiled by numba, with lists and tuples on the outside; needs the extra `fast`."""
+"""The step of a group compiled by numba, as loops of groups compile it, with lists and tuples on the outside."""
 
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel, GroupRun
-from canhaptic.control.multi_axis.group_motion import World, why_not_world
-from canhaptic.errors import ParameterError
+from canhaptic.control.multi_axis.group_motion import World
 from canhaptic.kernels import Buffer
 from canhaptic.kernels.compiler import compiled
-from canhaptic.kernels.records import Records, arrays_of, record_of, records_of
+from canhaptic.kernels.records import Records, record_of, records_of
+from canhaptic.study.batch.compiled_group_loop import compiled_world
 
 
 def step(
@@ -28,20 +28,6 @@ def step_records(
     """Calls the kernel with what lies in records of shape (1,), which cost less to hand over than records."""
     whole = World(world.mechanism, world.geometry, world.mover, tables[0], world.functions)
     return step(whole, settings[0], states[0], memories[0], missed, positions, torques_applied)
-
-
-def compiled_world(world: World) -> tuple[Any, Records]:
-    """Returns a world for compiled kernels, its tables apart.
-
-    Raises:
-        ParameterError: A part of it is given as functions in Python.
-    """
-    if reason := why_not_world(world):
-        raise ParameterError(
-            f"compiled: {reason}, expected mechanisms, geometries and storages that scenes can name; leave compiled out"
-        )
-    bare = World(arrays_of(world.mechanism), arrays_of(world.geometry), world.mover, 0, world.functions)  # type: ignore[arg-type]
-    return bare, record_of(world.tables)
 
 
 @cache
