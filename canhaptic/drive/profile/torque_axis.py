@@ -67,13 +67,13 @@ class TorqueAxis(ABC):
         left_out: Objects that the start leaves out: those that an older master, whose run is replayed, left out.
         controlword: Sent with the next torque.
         unheard: SYNCs since the last `reset` whose process data did not come in their window.
-        read_back_bound: Of a torque that is measured (0x6077): sum over the holds of its largest difference from that
-            of the hold before and from the one sent, and half a per mille of rounding, times the displacement [J].
-            The true torque of a hold lies between them unless the current loop overshoots, so that the computed energy is not farther from the true
-            one. Of one that is not read back: the same with its largest difference from 0 and from every command
-            before it, because any of them goes on where RPDOs are lost that no frame shows; for holds of which only
-            the whole displacement is known, with the farthest that `speed_limit` allows. 0 where the demand is read
-            back, which is exact.
+        read_back_bound: Of a torque that is measured (0x6077): sum over the holds of its largest difference from
+            that of the hold before and from the one sent, and half a per mille of rounding, times the displacement
+            [J]. The true torque of a hold lies between them unless the current loop overshoots, so that the
+            computed energy is not farther from the true one. Of one that is not read back: the same with its
+            largest difference from 0 and from every command before it, because any of them goes on where RPDOs are
+            lost that no frame shows; for holds of which only the whole displacement is known, with the farthest
+            that `speed_limit` allows. 0 where the demand is read back, which is exact.
         unchanged: SYNCs in a row whose process data, with a torque, were the same to the bit: a handle held still, or
             an encoder that is stuck, or process data that are not made anew.
         uncommanded: Holds whose torque read back was larger than its command, or turned, and is no older command: no
