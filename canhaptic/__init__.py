@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from canhaptic.errors import CanHapticError as CanHapticError
     from canhaptic.errors import InputError as InputError
     from canhaptic.errors import RigError as RigError
+    from canhaptic.lab.batch import run_batch as run_batch
+    from canhaptic.lab.studies.compare.comparison import compare as compare
     from canhaptic.logs.energy_reader import EnergyLog as EnergyLog
     from canhaptic.replay.replayed_run import replay_bus_log as replay_bus_log
     from canhaptic.scene.build import Experiment as Experiment
@@ -48,8 +50,6 @@ if TYPE_CHECKING:
     from canhaptic.simulation import PortAccount as PortAccount
     from canhaptic.simulation import SimulationResult as SimulationResult
     from canhaptic.simulation import simulate as simulate
-    from canhaptic.study.batch import run_batch as run_batch
-    from canhaptic.study.comparison import compare as compare
 
 _PUBLIC: Final = {
     "Account": "canhaptic.simulation",
@@ -79,12 +79,12 @@ _PUBLIC: Final = {
     "build": "canhaptic.scene.build",
     "build_controller": "canhaptic.control.passivity",
     "build_group_controller": "canhaptic.control.multi_axis",
-    "compare": "canhaptic.study.comparison",
+    "compare": "canhaptic.lab.studies.compare.comparison",
     "load_scene": "canhaptic.scene.load",
     "recompute": "canhaptic.audit.recompute",
     "replay_bus_log": "canhaptic.replay.replayed_run",
     "run": "canhaptic.cycle",
-    "run_batch": "canhaptic.study.batch",
+    "run_batch": "canhaptic.lab.batch",
     "scene_from_mapping": "canhaptic.scene.load",
     "scene_from_text": "canhaptic.scene.load",
     "simulate": "canhaptic.simulation",

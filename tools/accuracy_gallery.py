@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
+from canhaptic.lab.render.accuracy_picture import draw_accuracy
+from canhaptic.lab.studies.accuracy.accuracy_table import advice_lines, length, markdown
+from canhaptic.lab.studies.accuracy.advice import advice
+from canhaptic.lab.studies.accuracy.study import AccuracyStudy
 from canhaptic.scene.load import load_scene
-from canhaptic.study.accuracy.accuracy_picture import draw_accuracy
-from canhaptic.study.accuracy.accuracy_table import advice_lines, length, markdown
-from canhaptic.study.accuracy.advice import advice
-from canhaptic.study.accuracy.study import AccuracyStudy
 from tools.bench.report import write_result
 
 ROOT: Final = Path(__file__).resolve().parents[1]

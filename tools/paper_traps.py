@@ -25,7 +25,7 @@ from canhaptic.control.passivity.storage import Storage
 from canhaptic.control.passivity.stored_model import StoredModelSettings
 from canhaptic.control.recovery import largest_stable_damping, least_oscillating_damping
 from canhaptic.kernels.binding import bound
-from canhaptic.study.loop import render
+from canhaptic.lab.loop.axis_loop import render
 from tools.bench.standard_cases import (
     FIGURES_7_9,
     LEANING,

@@ -20,7 +20,7 @@ from typing import Any, Final
 from PIL import Image
 
 from canhaptic.drive.clock import WallClock
-from tests.touch.test_touch import FRAME, MODEL, mouse
+from tests.lab.touch.test_touch import FRAME, MODEL, mouse
 from tests.view.chromium import Page, chromium
 
 ROOT: Final = Path(__file__).resolve().parents[1]

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from canhaptic.sim.bus.faulty_bus import FaultyBus
 
 _Pace = Literal["real", "free"]
-_CHOICES: Final = {"auto": "canhaptic.study.accuracy.accuracy_choice:with_chosen_accuracy"}
+_CHOICES: Final = {"auto": "canhaptic.lab.studies.accuracy.accuracy_choice:with_chosen_accuracy"}
 """Automatic accuracy -> "module:function" that chooses it; the laboratory, loaded only for a scene that asks for it."""
 
 

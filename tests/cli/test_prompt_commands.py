@@ -15,9 +15,9 @@ from canhaptic.cli.main import _COMMANDS
 from canhaptic.commission.laws import CommissioningLimits
 from canhaptic.drive.clock import WallClock
 from canhaptic.lab.commands import lab_options
-from canhaptic.study.accuracy.study import DEFAULT_BUDGET
-from canhaptic.study.design.wall import MARGIN, TOLERANCE
-from canhaptic.study.map.z_width import JUDGEMENTS
+from canhaptic.lab.studies.accuracy.study import DEFAULT_BUDGET
+from canhaptic.lab.studies.design.wall import MARGIN, TOLERANCE
+from canhaptic.lab.studies.map.z_width import JUDGEMENTS
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 HEAVY = (

@@ -6,8 +6,8 @@ import random
 import pytest
 
 from canhaptic.control.friction_watch import FrictionDeclared, FrictionWatch
+from canhaptic.lab.figures.guided_hand import PUSH, PUSH_RATE, GuidedHand
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
-from canhaptic.sim.plant.guided_hand import PUSH, PUSH_RATE, GuidedHand
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 
 MASS, PULL, PUSH_IN = 0.25, 0.2, 5.0

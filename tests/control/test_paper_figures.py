@@ -9,11 +9,11 @@ from canhaptic.control.balance import residual
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.passivity import build_controller
-from canhaptic.control.passivity.a_priori_dissipation import APrioriDissipationParameters
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import open_hold
 from canhaptic.control.passivity.internal_dissipation import InternalDissipation, InternalDissipationParameters
 from canhaptic.kernels.binding import bound
+from canhaptic.lab.rivals.a_priori_dissipation import APrioriDissipationParameters
 from tests.control.reference_loop import continuous, sampled, user_f, variation
 
 DURATION = 8.0

@@ -34,7 +34,7 @@ QUICK = {
     "commission": ["--duration", "0.1", "--yes"],
     "accuracy": ["--duration", "0.1", "--budget", "2"],
     "scope": None,  # lives until it is stopped; tests/view start it
-    "touch": None,  # tests/touch start it
+    "touch": None,  # tests/lab/touch start it
     "drive": ["--duration", "0.2"],
 }
 """Arguments that make a command short; None for one that other tests run."""

@@ -28,14 +28,14 @@ from canhaptic.control.port_hamiltonian.shapes.guided_path import FromPath
 from canhaptic.control.port_hamiltonian.shapes.sphere import Round
 from canhaptic.control.port_hamiltonian.shapes.tube import AroundLine
 from canhaptic.errors import ParameterError
+from canhaptic.lab.batch.closed_loop import run_loop
+from canhaptic.lab.batch.event_plant import book_motor
+from canhaptic.lab.batch.event_plants import by_its_way
+from canhaptic.lab.batch.event_substeps import residual_of_plant
+from canhaptic.lab.batch.group_closed_loop import run_group, step
+from canhaptic.lab.batch.group_events import move_event_motors, run_with_efforts
+from canhaptic.lab.batch.group_five_bar import move_five_bar
 from canhaptic.registry import load
-from canhaptic.study.batch.closed_loop import run_loop
-from canhaptic.study.batch.event_plant import book_motor
-from canhaptic.study.batch.event_plants import by_its_way
-from canhaptic.study.batch.event_substeps import residual_of_plant
-from canhaptic.study.batch.group_closed_loop import run_group, step
-from canhaptic.study.batch.group_events import move_event_motors, run_with_efforts
-from canhaptic.study.batch.group_five_bar import move_five_bar
 
 FORBIDDEN = (
     ast.Raise, ast.Try, ast.With, ast.Lambda, ast.ListComp, ast.GeneratorExp, ast.DictComp, ast.SetComp, ast.Dict,

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from canhaptic.lab.judge.event_location import reference
+from canhaptic.lab.judge.reference_model import Model
 from canhaptic.sim.plant import mode_matrices
 from canhaptic.sim.plant.guard_bounds import GuardBounds, guard_bounds
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.user import UserParameters
-from canhaptic.sim.textbook.event_location import reference
-from canhaptic.sim.textbook.reference_model import Model
 from tests.drawn import examples
 from tests.plant.plant_scenes import MS, make_plant, run
 from tools.bench.plants.affine_judge import exponential, judged

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from canhaptic.lab.loop.scenes import loop_case
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.direct_rig import DirectRig
 from canhaptic.sim.plant.plant import Plant
-from canhaptic.study.scenes import loop_case
 from tests.plant.plant_scenes import ReferenceMode, Way, hand, largest_flow, reference, residual, run
 
 FOLDER = Path(__file__).resolve().parents[2] / "configs" / "hard"

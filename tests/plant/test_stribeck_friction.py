@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from canhaptic.lab.judge.event_location import reference
+from canhaptic.lab.judge.reference_model import Model
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
-from canhaptic.sim.textbook.event_location import reference
-from canhaptic.sim.textbook.reference_model import Model
 from tests.drawn import examples
 from tests.plant.plant_scenes import MS, largest_flow, make_plant, residual, run
 

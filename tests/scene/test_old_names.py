@@ -14,13 +14,13 @@ import pytest
 from canhaptic.audit.recompute import recompute_all, scene_of
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError, OldNameWarning, SceneError
+from canhaptic.lab.loop.algorithms import chosen_algorithms
+from canhaptic.lab.studies.sweep.vary import parse_vary
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.replay.replayed_run import replay_bus_log
 from canhaptic.scene.load import load_scene, scene_from_text
 from canhaptic.scene.models import Scene
 from canhaptic.scene.old_names import OLD_ALGORITHMS, OLD_KEYS
-from canhaptic.study.algorithms import chosen_algorithms
-from canhaptic.study.sweep.vary import parse_vary
 from tests.scene.scene_text import REPOSITORY, faults, scene_file
 
 OLD_LOGS = Path(__file__).parent / "old_logs"

@@ -6,12 +6,12 @@ Only the time of a step depends on the speed of the machine. Finished cases are 
 import os
 from typing import Final
 
-from canhaptic.study.arena.arena_cases import scenes_named
-from canhaptic.study.arena.arena_picture import pictures_of
-from canhaptic.study.arena.arena_store import ArenaStore
-from canhaptic.study.arena.run_arena import ArenaPlan, run_arena
-from canhaptic.study.arena.standings import result_rows
-from canhaptic.study.sweep.workers import Pool
+from canhaptic.lab.render.arena_picture import pictures_of
+from canhaptic.lab.studies.arena.arena_cases import scenes_named
+from canhaptic.lab.studies.arena.arena_store import ArenaStore
+from canhaptic.lab.studies.arena.run_arena import ArenaPlan, run_arena
+from canhaptic.lab.studies.arena.standings import result_rows
+from canhaptic.lab.studies.sweep.workers import Pool
 from tools.bench.report import DEFAULT_OUT, Row, picture_place, publish, write_result
 
 _PACKAGES: Final = ("canhaptic", "numpy", "numba")

@@ -9,14 +9,14 @@ from typing import Final
 import numpy as np
 
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
+from canhaptic.lab.figures.field_figures import energy_beyond_device
+from canhaptic.lab.loop.axis_loop import LoopRun, render
+from canhaptic.lab.loop.scenes import cycles_of, loop_case
+from canhaptic.lab.studies.arena.arena_cases import scene_under, with_loop
+from canhaptic.lab.studies.map.theory import theory_of
 from canhaptic.package_data import shipped
 from canhaptic.scene.models import Scene
 from canhaptic.scene.torque_history import simulation_of
-from canhaptic.study.arena.arena_cases import scene_under, with_loop
-from canhaptic.study.field_figures import energy_beyond_device
-from canhaptic.study.loop import LoopRun, render
-from canhaptic.study.map.theory import theory_of
-from canhaptic.study.scenes import cycles_of, loop_case
 from tools.bench.report import Row, publish
 from tools.paper_runs import figures_of, record
 

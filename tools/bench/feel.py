@@ -26,11 +26,11 @@ from canhaptic.control.certificates.start_energy import energy_for_any_hand, sta
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.lab.figures.held import Bench, Leaning, largest_held, settling_time
+from canhaptic.lab.figures.slow_hand import SlowHand, certified_rest, enter
+from canhaptic.lab.loop.axis_loop import Array, LoopCase, LoopRun, render
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.plant import PlantParameters
-from canhaptic.study.felt.held import Bench, Leaning, largest_held, settling_time
-from canhaptic.study.felt.slow_hand import SlowHand, certified_rest, enter
-from canhaptic.study.loop import Array, LoopCase, LoopRun, render
 from tools.bench.feel_best import rows_of
 from tools.bench.report import Row, publish
 from tools.bench.standard_cases import USER_S, standard_case, standard_reference

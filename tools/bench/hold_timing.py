@@ -12,11 +12,11 @@ from typing import Any, Final
 
 from canhaptic.control.certificates.hold_timing import hold_timing
 from canhaptic.control.certificates.scalar_bounds import displacement_response, renderable_by_hand_force
+from canhaptic.lab.figures.held import Bench, Leaning, largest_held, settling_time
 from canhaptic.package_data import shipped
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.effects.current_loop import CurrentLoop
 from canhaptic.sim.plant.plant import PlantParameters
-from canhaptic.study.felt.held import Bench, Leaning, largest_held, settling_time
 from tools.bench.feel import BEYOND, HAND_FORCES, MASS, PUSH, SOFTEST, STIFF_WALL
 from tools.bench.report import Row, publish
 from tools.bench.standard_cases import USER_S, standard_case

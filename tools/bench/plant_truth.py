@@ -12,12 +12,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from canhaptic.lab.judge.event_location import reference
+from canhaptic.lab.judge.reference_model import Model
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
-from canhaptic.sim.textbook.event_location import reference
-from canhaptic.sim.textbook.reference_model import Model
 from tools.bench.plants.affine_judge import judged
 from tools.bench.plants.random_scenes import RandomScene, apart, random_scene
 from tools.bench.report import Row, out_folder, publish, write_result

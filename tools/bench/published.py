@@ -12,17 +12,17 @@ from typing import Any, Final
 
 import numpy as np
 
+from canhaptic.lab.batch.scalar import run_case
+from canhaptic.lab.figures.field_figures import m_width
+from canhaptic.lab.loop.axis_loop import LoopRun, render
+from canhaptic.lab.loop.scenes import environment_of, loop_case
+from canhaptic.lab.studies.arena.arena_cases import rounded, with_loop
+from canhaptic.lab.studies.map.theory import colgate_stiffness
 from canhaptic.package_data import shipped
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.scene.torque_history import simulation_of
-from canhaptic.study.arena.arena_cases import rounded, with_loop
-from canhaptic.study.batch.scalar import run_case
-from canhaptic.study.field_figures import m_width
-from canhaptic.study.loop import LoopRun, render
-from canhaptic.study.map.theory import colgate_stiffness
-from canhaptic.study.scenes import environment_of, loop_case
 from tools.bench.report import Row, publish
 
 _PACKAGES: Final = ("canhaptic", "numpy")

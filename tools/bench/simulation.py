@@ -12,9 +12,9 @@ from time import perf_counter
 
 import numpy as np
 
+from canhaptic.lab.batch.loop_stability import Loops, decay_per_hold, loop_matrices
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
-from canhaptic.study.batch.loop_stability import Loops, decay_per_hold, loop_matrices
 from tools.bench.plants import precision
 from tools.bench.plants.effects import effect_rows
 from tools.bench.plants.foil import Foil

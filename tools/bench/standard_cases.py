@@ -7,14 +7,14 @@ from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.lab.loop.axis_loop import LoopCase
+from canhaptic.lab.reference.continuous_reference import ContinuousReference, continuous_reference
 from canhaptic.registry import load
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.effects.grasp_change import GraspChange
 from canhaptic.sim.plant.effects.tremor import Tremor
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
-from canhaptic.study.loop import LoopCase
-from canhaptic.study.reference.continuous_reference import ContinuousReference, continuous_reference
 from tools.bench.user_laws import USERS, HandPlant
 
 PLANT: Final = PlantParameters(mass=0.25, damping=0.1)

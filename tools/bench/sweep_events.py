@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from canhaptic.lab.batch import run_batch
 from canhaptic.scene.load import load_scene
-from canhaptic.study.batch import run_batch
 from tools.bench.report import Row
 
 REPOSITORY = Path(__file__).resolve().parents[2]

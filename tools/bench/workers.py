@@ -12,9 +12,9 @@ from pathlib import Path
 from time import perf_counter
 
 from canhaptic.drive.clock import WallClock
+from canhaptic.lab.studies.sweep import sweep
+from canhaptic.lab.studies.sweep.workers import Pool
 from canhaptic.scene.load import load_scene
-from canhaptic.study.sweep import sweep
-from canhaptic.study.sweep.workers import Pool
 from tools.bench.demo import CONFIG
 from tools.bench.report import Row, publish
 

@@ -14,6 +14,7 @@ from canhaptic.registry import load, load_algorithm
 from canhaptic.units import Parameters
 
 _HERE: Final = "canhaptic.control.admittance"
+_RIVALS: Final = "canhaptic.lab.rivals"
 
 DISPLAY_ENVIRONMENTS: Final[dict[str, str]] = {
     "virtual_mass": f"{_HERE}.display_mass:DisplayMass",
@@ -25,8 +26,8 @@ DISPLAY_ALGORITHMS: Final[dict[str, str]] = {
     "unprotected": f"{_HERE}.unprotected_display:UnprotectedDisplay",
     "internal_dissipation": f"{_HERE}.dissipating_display:DissipatingDisplay",
     "passivity_observer": f"{_HERE}.observed_display:ObservedDisplay",
-    "energy_tank": f"{_HERE}.tank_display:TankDisplay",
-    "ultimately_passive": f"{_HERE}.ultimately_passive_display:UltimatelyPassiveDisplay",
+    "energy_tank": f"{_RIVALS}.tank_display:TankDisplay",
+    "ultimately_passive": f"{_RIVALS}.ultimately_passive_display:UltimatelyPassiveDisplay",
     "guarded": f"{_HERE}.guarded_display:GuardedDisplay",
 }
 """Name in a scene -> "module:Class". Every class has `parameters_type` and takes (environment, parameters, loop)."""
@@ -41,7 +42,7 @@ DISPLAY_NETWORKS: Final[dict[str, str]] = {
 DISPLAY_GROUP_ALGORITHMS: Final[dict[str, str]] = {
     "unprotected": f"{_HERE}.sampled_group:UnprotectedDisplayGroup",
     "passivity_observer": f"{_HERE}.sampled_group:ObservedDisplayGroup",
-    "energy_tank": f"{_HERE}.tank_display:TankDisplayGroup",
+    "energy_tank": f"{_RIVALS}.tank_display:TankDisplayGroup",
     "guarded": f"{_HERE}.display_group:GuardedDisplayGroup",
 }
 """The same of the algorithms of several displays; every class takes (environment, parameters, properties of each)."""

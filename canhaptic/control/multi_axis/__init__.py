@@ -10,6 +10,7 @@ from canhaptic.registry import load_algorithm
 from canhaptic.units import Parameters
 
 _HERE: Final = "canhaptic.control.multi_axis"
+_RIVALS: Final = "canhaptic.lab.rivals"
 _SHAPES: Final = "canhaptic.control.port_hamiltonian.shapes"
 
 NETWORKS: Final[dict[str, str]] = {
@@ -29,7 +30,7 @@ NETWORKS: Final[dict[str, str]] = {
 
 GROUP_ALGORITHMS: Final[dict[str, str]] = {
     "guarded": f"{_HERE}.guarded_group:GuardedGroup",
-    "step_scaling": f"{_HERE}.scaled_group:ScaledGroup",
+    "step_scaling": f"{_RIVALS}.scaled_group:ScaledGroup",
 }
 """Name in a scene -> "module:Class". Every class has `parameters_type`, as those of `passivity.ALGORITHMS`."""
 

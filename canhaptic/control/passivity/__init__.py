@@ -9,24 +9,25 @@ from canhaptic.registry import load_algorithm
 from canhaptic.units import Parameters
 
 _HERE: Final = "canhaptic.control.passivity"
+_RIVALS: Final = "canhaptic.lab.rivals"
 
 LITERATURE: Final[dict[str, str]] = {
-    "adaptive_reference": f"{_HERE}.adaptive_reference:AdaptiveReference",
-    "windowed_observer": f"{_HERE}.windowed_observer:WindowedObserver",
-    "bounded_observer": f"{_HERE}.bounded_observer:BoundedObserver",
-    "force_gradient": f"{_HERE}.force_gradient:ForceGradient",
-    "force_augmentation": f"{_HERE}.force_augmentation:ForceAugmentation",
-    "energy_tank": f"{_HERE}.energy_tank:EnergyTank",
-    "ultimate_passivity": f"{_HERE}.ultimate_passivity:UltimatePassivity",
+    "adaptive_reference": f"{_RIVALS}.adaptive_reference:AdaptiveReference",
+    "windowed_observer": f"{_RIVALS}.windowed_observer:WindowedObserver",
+    "bounded_observer": f"{_RIVALS}.bounded_observer:BoundedObserver",
+    "force_gradient": f"{_RIVALS}.force_gradient:ForceGradient",
+    "force_augmentation": f"{_RIVALS}.force_augmentation:ForceAugmentation",
+    "energy_tank": f"{_RIVALS}.energy_tank:EnergyTank",
+    "ultimate_passivity": f"{_RIVALS}.ultimate_passivity:UltimatePassivity",
 }
 """Algorithms of other authors, for comparison, as `ALGORITHMS`: none bounds its torque by a proof."""
 
 ALGORITHMS: Final[dict[str, str]] = {
     "unprotected": f"{_HERE}.unprotected:Unprotected",
-    "a_priori_dissipation": f"{_HERE}.a_priori_dissipation:APrioriDissipation",
+    "a_priori_dissipation": f"{_RIVALS}.a_priori_dissipation:APrioriDissipation",
     "internal_dissipation": f"{_HERE}.internal_dissipation:InternalDissipation",
     "passivity_observer": f"{_HERE}.passivity_observer:PassivityObserver",
-    "energy_bounding": f"{_HERE}.energy_bounding:EnergyBounding",
+    "energy_bounding": f"{_RIVALS}.energy_bounding:EnergyBounding",
     "guarded": f"{_HERE}.guarded:Guarded",
     **LITERATURE,
 }

@@ -9,8 +9,8 @@ from canhaptic.cli.arguments import check_page, check_picture, check_place, scen
 from canhaptic.cli.output import note_file, write_file, write_json
 from canhaptic.cli.progress import run_progress
 from canhaptic.cli.stop_signal import StopSignal
+from canhaptic.lab.studies.accuracy.study import UNITS, AccuracyStudy
 from canhaptic.scene.models import Scene
-from canhaptic.study.accuracy.study import UNITS, AccuracyStudy
 from canhaptic.view.energy_table import make_console
 
 
@@ -52,9 +52,9 @@ def _is_of_display(scene: Scene, name: str | None) -> bool:
 
 
 def _study_display(scene: Scene, arguments: argparse.Namespace) -> int:
-    from canhaptic.study.displays.display_accuracy import study_display
-    from canhaptic.study.displays.display_accuracy_picture import draw_display_accuracy, write_display_accuracy_page
-    from canhaptic.study.displays.display_accuracy_table import display_accuracy_markdown, display_accuracy_report
+    from canhaptic.lab.render.display_accuracy_picture import draw_display_accuracy, write_display_accuracy_page
+    from canhaptic.lab.studies.accuracy.display_accuracy import study_display
+    from canhaptic.lab.studies.accuracy.display_accuracy_table import display_accuracy_markdown, display_accuracy_report
 
     with StopSignal() as stop:
         result = study_display(scene, arguments.axis, arguments.duration, stop.requested)
@@ -70,9 +70,9 @@ def _study_display(scene: Scene, arguments: argparse.Namespace) -> int:
 
 
 def _report(result: dict[str, object], arguments: argparse.Namespace) -> None:
-    from canhaptic.study.accuracy.accuracy_page import write_accuracy_page
-    from canhaptic.study.accuracy.accuracy_picture import draw_accuracy
-    from canhaptic.study.accuracy.accuracy_table import accuracy_report, markdown
+    from canhaptic.lab.render.accuracy_page import write_accuracy_page
+    from canhaptic.lab.render.accuracy_picture import draw_accuracy
+    from canhaptic.lab.studies.accuracy.accuracy_table import accuracy_report, markdown
 
     if arguments.json:
         write_json(result)

@@ -11,13 +11,13 @@ from canhaptic.cli.output import note_file, write_file, write_json, write_note
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.lab.commands.scene_progress import scene_progress
-from canhaptic.study.arena.arena_cases import scenes_named
-from canhaptic.study.arena.arena_page import write_arena_page
-from canhaptic.study.arena.arena_picture import pictures_of
-from canhaptic.study.arena.arena_store import ArenaStore
-from canhaptic.study.arena.run_arena import ArenaPlan, run_arena
-from canhaptic.study.arena.standings import COLUMNS
-from canhaptic.study.sweep.workers import Pool
+from canhaptic.lab.render.arena_page import write_arena_page
+from canhaptic.lab.render.arena_picture import pictures_of
+from canhaptic.lab.studies.arena.arena_cases import scenes_named
+from canhaptic.lab.studies.arena.arena_store import ArenaStore
+from canhaptic.lab.studies.arena.run_arena import ArenaPlan, run_arena
+from canhaptic.lab.studies.arena.standings import COLUMNS
+from canhaptic.lab.studies.sweep.workers import Pool
 from canhaptic.view.energy_table import make_console
 from canhaptic.view.picture_style import require_matplotlib
 from canhaptic.view.table_style import FigureTable

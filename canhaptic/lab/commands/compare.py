@@ -9,10 +9,10 @@ from canhaptic.cli.arguments import check_picture, scene_of
 from canhaptic.cli.output import note_file, write_json
 from canhaptic.cli.progress import run_progress
 from canhaptic.errors import InputError
+from canhaptic.lab.loop.algorithms import chosen_algorithms, own_algorithms
+from canhaptic.lab.loop.scenes import cycles_of
+from canhaptic.lab.studies.compare.comparison import compare
 from canhaptic.scene.models import Scene
-from canhaptic.study.algorithms import chosen_algorithms, own_algorithms
-from canhaptic.study.comparison import compare
-from canhaptic.study.scenes import cycles_of
 from canhaptic.view.energy_table import make_console
 
 if TYPE_CHECKING:
@@ -51,11 +51,11 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.json:
         write_json(comparison.result)
     else:
-        from canhaptic.study.compare_table import comparison_report
+        from canhaptic.lab.render.compare_table import comparison_report
 
         make_console().print(comparison_report(comparison.result))
     if arguments.png is not None:
-        from canhaptic.study.compare_picture import draw_comparison
+        from canhaptic.lab.render.compare_picture import draw_comparison
 
         draw_comparison(comparison, arguments.png)
         note_file("picture", arguments.png)
@@ -63,7 +63,11 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _compare_displays(scene: Scene, arguments: argparse.Namespace) -> int:
-    from canhaptic.study.display_comparison import compare_displays, display_algorithms, display_comparison_report
+    from canhaptic.lab.studies.compare.display_comparison import (
+        compare_displays,
+        display_algorithms,
+        display_comparison_report,
+    )
 
     if arguments.rate is not None or arguments.png is not None:
         raise InputError("--rate, --png: for impedance displays; for admittance displays use --set bus.rate=...")
@@ -71,7 +75,7 @@ def _compare_displays(scene: Scene, arguments: argparse.Namespace) -> int:
 
 
 def _compare_groups(scene: Scene, arguments: argparse.Namespace) -> int:
-    from canhaptic.study.group_comparison import compare_groups, group_algorithms, group_comparison_report
+    from canhaptic.lab.studies.compare.group_comparison import compare_groups, group_algorithms, group_comparison_report
 
     if not all(axis.group for axis in scene.axes):
         alone = ", ".join(axis.parameters.name for axis in scene.axes if not axis.group)

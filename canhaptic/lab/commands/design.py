@@ -5,10 +5,10 @@ import argparse
 from canhaptic.cli.arguments import scene_of
 from canhaptic.cli.output import write_json
 from canhaptic.lab.commands.scene_progress import scene_progress
+from canhaptic.lab.render.design_report import design_report, snippet
+from canhaptic.lab.studies.design.wall import design_wall
+from canhaptic.lab.studies.sweep.run_sweep import Progress
 from canhaptic.scene.models import Scene
-from canhaptic.study.design.design_report import design_report, snippet
-from canhaptic.study.design.wall import design_wall
-from canhaptic.study.sweep.run_sweep import Progress
 from canhaptic.view.energy_table import make_console
 
 
@@ -35,7 +35,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _design_displays(scene: Scene, arguments: argparse.Namespace) -> int:
-    from canhaptic.study.displays.display_design import design_displays, display_design_report, display_snippet
+    from canhaptic.lab.studies.design.display_design import design_displays, display_design_report, display_snippet
 
     with scene_progress("trying masses") as show:
         found = design_displays(

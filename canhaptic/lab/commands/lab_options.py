@@ -10,11 +10,11 @@ from canhaptic.cli.value_texts import PORT, budget, delays, length, rate, rates,
 
 _COUNT, _SOME, _WORKERS = whole(0, 10**9), whole(1, 10**9), whole(1, 1024)
 BUDGET: Final = 12.0
-"""Time for timings [s]; as `study.accuracy.study.DEFAULT_BUDGET`, which is imported when the study begins."""
+"""Time for timings [s]; as `lab.studies.accuracy.study.DEFAULT_BUDGET`, which is imported when the study begins."""
 TOLERANCE, MARGIN = 0.05, 0.2
-"""As in `study.design.wall`, which is imported when the search begins."""
+"""As in `lab.studies.design.wall`, which is imported when the search begins."""
 JUDGEMENTS: Final = ("stable", "passive", "margin", "settled", "covered")
-"""As in `study.map.z_width`, which is imported when a map is drawn."""
+"""As in `lab.studies.map.z_width`, which is imported when a map is drawn."""
 
 
 def _accuracy(parser: argparse.ArgumentParser) -> None:

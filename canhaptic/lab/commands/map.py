@@ -4,11 +4,11 @@ import argparse
 
 from canhaptic.cli.arguments import check_page, check_picture
 from canhaptic.cli.output import note_file, write_json, write_line
-from canhaptic.study.map.field import fields_of
-from canhaptic.study.map.panel import Lines, Panel
-from canhaptic.study.map.panels import Chosen, panels_of
-from canhaptic.study.map.z_width import passing_share, usual_judgement
-from canhaptic.study.sweep.sweep_table import SweepTable
+from canhaptic.lab.studies.map.field import fields_of
+from canhaptic.lab.studies.map.panel import Lines, Panel
+from canhaptic.lab.studies.map.panels import Chosen, panels_of
+from canhaptic.lab.studies.map.z_width import passing_share, usual_judgement
+from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -32,12 +32,12 @@ def execute(arguments: argparse.Namespace) -> int:
     else:
         _print(columns, shares)
     if arguments.png is not None:
-        from canhaptic.study.map.map_picture import draw_map
+        from canhaptic.lab.render.map_picture import draw_map
 
         draw_map(columns, caption, arguments.png)
         note_file("picture", arguments.png)
     if arguments.html is not None:
-        from canhaptic.study.map.map_page import write_map
+        from canhaptic.lab.render.map_page import write_map
 
         write_map(columns, caption, arguments.html)
         note_file("page", arguments.html)

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from canhaptic.drive.clock import WallClock
-from canhaptic.study.sweep.run_sweep import Progress as Scenes
+from canhaptic.lab.studies.sweep.run_sweep import Progress as Scenes
 
 
 @contextmanager

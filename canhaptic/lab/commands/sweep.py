@@ -11,10 +11,10 @@ from canhaptic.cli.output import note_file, write_json, write_note
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.errors import InputError
 from canhaptic.lab.commands.scene_progress import scene_progress
-from canhaptic.study.sweep.run_sweep import Progress, sweep
-from canhaptic.study.sweep.summary import summary, summary_report
-from canhaptic.study.sweep.sweep_table import SweepTable
-from canhaptic.study.sweep.workers import Pool, dask_executor
+from canhaptic.lab.studies.sweep.run_sweep import Progress, sweep
+from canhaptic.lab.studies.sweep.summary import summary, summary_report
+from canhaptic.lab.studies.sweep.sweep_table import SweepTable
+from canhaptic.lab.studies.sweep.workers import Pool, dask_executor
 from canhaptic.view.energy_table import make_console
 
 

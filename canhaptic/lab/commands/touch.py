@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 from canhaptic.cli.arguments import scene_of
 from canhaptic.cli.page_server import serve_page, usable_port
-from canhaptic.touch.two_sides import two_sides
+from canhaptic.lab.touch.two_sides import two_sides
 
 if TYPE_CHECKING:
+    from canhaptic.lab.touch.hand import TouchHand
+    from canhaptic.lab.touch.touch_page import TouchPage
     from canhaptic.scene.models import Scene
-    from canhaptic.touch.hand import TouchHand
-    from canhaptic.touch.touch_page import TouchPage
 
 _PERIOD: Final = 0.033  # [s] between two looks of a page
 
@@ -41,8 +41,8 @@ class _Visits:
 
     def __call__(self, document: Any) -> None:
         """Fills the document of a visitor; the drives start with the first."""
-        from canhaptic.touch.hand import TouchHand
-        from canhaptic.touch.touch_page import TouchPage
+        from canhaptic.lab.touch.hand import TouchHand
+        from canhaptic.lab.touch.touch_page import TouchPage
 
         if self._hand is None:
             self._hand = TouchHand(self._scene, self._arguments.axis, self._arguments.pace)

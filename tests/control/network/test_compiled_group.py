@@ -13,7 +13,6 @@ from canhaptic.control.mechanisms.user_function import UserFunction
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.group_motion import world_of
 from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
-from canhaptic.control.multi_axis.scaled_group import ScaledGroupParameters
 from canhaptic.control.multi_axis.stepped_group import SteppedGroup
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.port_hamiltonian.network import Network, UserEnergy
@@ -27,10 +26,11 @@ from canhaptic.control.port_hamiltonian.shapes.sphere import Sphere
 from canhaptic.control.port_hamiltonian.shapes.tube import Tube
 from canhaptic.control.port_hamiltonian.shapes.virtual_mass import MassOnSpring, VirtualMass
 from canhaptic.errors import ControlError, ParameterError
+from canhaptic.lab.rivals.scaled_group import ScaledGroupParameters
 
 pytest.importorskip("numba")
 
-from canhaptic.study.batch.compiled_group_loop import compiled_world
+from canhaptic.lab.batch.compiled_group_loop import compiled_world
 from tests.control.network.compiled_steps import begin_compiled
 
 ODD = (-0.0, 5e-324, -1e-310, 1e-160, 1e3, 1e150)

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from canhaptic.lab.batch.group_case import group_case
+from canhaptic.lab.batch.group_closed_loop import shares
+from canhaptic.lab.batch.group_scalar import group_meter
 from canhaptic.scene.load import load_scene
-from canhaptic.study.batch.group_case import group_case
-from canhaptic.study.batch.group_closed_loop import shares
-from canhaptic.study.batch.group_scalar import group_meter
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 

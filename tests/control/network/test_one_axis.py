@@ -11,13 +11,13 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.mechanisms.identity import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
-from canhaptic.control.multi_axis.scaled_group import ScaledGroupParameters
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.control.passivity.internal_dissipation import InternalDissipation, InternalDissipationParameters
 from canhaptic.control.port_hamiltonian.sampled_network import settle_network
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
+from canhaptic.lab.rivals.scaled_group import ScaledGroupParameters
 from tests.control.late_plant import climb
 from tests.control.network.networks import group
 

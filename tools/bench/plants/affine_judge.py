@@ -1,6 +1,6 @@
 """An independent judge of piecewise-affine plants: the textbook equations, its own exponential, every event located.
 
-Its equations are those of `canhaptic.sim.textbook`, read off as matrices by evaluating them; it shares no row, no
+Its equations are those of `canhaptic.lab.judge`, read off as matrices by evaluating them; it shares no row, no
 propagator, no bound and no stepper with the plant. Guards are looked at on a grid of 256 instants of every stretch of
 time, between them by a cubic, and a crossing is located by Brent's method on the exponential. Works are integrated by
 Gauss' rule.
@@ -14,10 +14,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
+from canhaptic.lab.judge.event_location import through
+from canhaptic.lab.judge.reference_elements import Transition
+from canhaptic.lab.judge.reference_model import Model, Modes
 from canhaptic.sim.plant.propagator import Array
-from canhaptic.sim.textbook.event_location import through
-from canhaptic.sim.textbook.reference_elements import Transition
-from canhaptic.sim.textbook.reference_model import Model, Modes
 from tools.bench.plants.random_scenes import RandomScene
 
 _DOUBLINGS: Final = 8

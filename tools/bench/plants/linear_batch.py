@@ -1,4 +1,4 @@
-"""Many linear plants at once and nothing else: the floor under a sweep, whose loops are in `study.batch`.
+"""Many linear plants at once and nothing else: the floor under a sweep, whose loops are in `lab.batch`.
 
 The same flows as `Plant`, one NumPy operation per coefficient. Plants that differ in their values but not in their
 states share one structure; its zeros are left out.

@@ -1,0 +1,124 @@
+"""Runs many loops of one kind, in parts whose rows fit the memory; parts and engine change no figure."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from canhaptic.errors import EventLimitError
+from canhaptic.lab.batch.batch_case import BatchCase, NotBatchableError
+from canhaptic.lab.batch.batch_reference import ContinuousModes, continuous_modes, no_modes, why_not_continuous
+from canhaptic.lab.batch.engine import WORTH_COMPILING, Engine, chosen_engine
+from canhaptic.lab.batch.event_loops import loop_replacements, run_event_plants, uninterrupted
+from canhaptic.lab.batch.interpreted_loops import InterpretedLoops
+from canhaptic.lab.batch.meter import BRIEF
+from canhaptic.lab.batch.rows import kernel_of, linear_plants, scene_rows
+from canhaptic.lab.figures.figures import last_rows, metrics_of, sums_of
+from canhaptic.lab.loop.axis_loop import Array
+
+_MOST: Final = 8192
+"""Scenes whose rows are laid out at a time."""
+_FORCES: Final = ("continuous", "force_squares", "force_worst")
+_TRAVELS: Final = ("continuous_travel", "continuous_rest")
+_COMPARED: Final = (*_TRAVELS, "position_squares", "position_worst", *_FORCES)
+"""Sums that need the continuous runs; those that need their forces, and how far they go."""
+
+
+def march(
+    case: BatchCase,
+    scenes: int,
+    cycles: int,
+    engine: Engine,
+    metrics: Sequence[str],
+    stopped: dict[int, str] | None = None,
+) -> dict[str, Array]:
+    """Returns metrics of many loops, each of shape (n_scenes,), in the order of the scenes.
+
+    Args:
+        case: What they have in common, and the numbers in which they differ.
+        scenes: Their number.
+        cycles: SYNCs, the first included.
+        engine: See `run_batch`.
+        metrics: Names of `ALL`.
+        stopped: Takes the number of a scene whose plant could not be moved on, and why; its metrics are NaN.
+
+    Raises:
+        NotBatchableError: The algorithm is no kernel, or numba cannot compile the environment.
+    """
+    names = list(metrics)
+    failed: dict[int, str] = {}
+    found: dict[str, Array] = {name: np.empty(scenes) for name in sums_of(names)}
+    brief = float(BRIEF.union(_COMPARED).issuperset(found))
+    case = replace(case, numbers={**case.numbers, "last_from": _last_from(case, cycles), "is_brief": brief})
+    chosen = chosen_engine(engine, scenes * cycles >= WORTH_COMPILING)
+    for first in range(0, scenes, _MOST):
+        part = slice(first, min(first + _MOST, scenes))
+        numbers = {name: v[part] if isinstance(v, np.ndarray) else v for name, v in case.numbers.items()}
+        ended: dict[int, EventLimitError] = {}
+        for name, values in _part(case, numbers, part.stop - first, cycles, chosen, found, ended).items():
+            if name in found:
+                found[name][part] = values
+        for row, error in ended.items():
+            failed[first + row] = str(error).splitlines()[0]
+    metrics_found = metrics_of(names, found)
+    for values in metrics_found.values():
+        values[list(failed)] = np.nan
+    if stopped is not None:
+        stopped |= failed
+    return metrics_found
+
+
+def _last_from(case: BatchCase, cycles: int) -> Array | float:
+    """Returns the SYNC with which the last part of each run begins."""
+    period = np.asarray(case.numbers["loop.sample_time"], dtype=float)
+    found = {value: float(last_rows(cycles, value).start) for value in np.unique(period).tolist()}
+    return np.array([found[value] for value in period.tolist()]) if period.ndim else found[float(period)]
+
+
+def _part(
+    case: BatchCase, numbers: Mapping[str, Any], count: int, cycles: int, engine: str, asked: Mapping[str, Array],
+    stopped: dict[int, EventLimitError],
+) -> dict[str, Array]:  # fmt: skip
+    kernel = kernel_of(case.algorithm)
+    if kernel is None:
+        raise NotBatchableError(f"algorithm {case.algorithm} is not written as a kernel")
+    modes = no_modes(count)
+    if not {*asked}.isdisjoint(_COMPARED) and not why_not_continuous(case):
+        forces, travels = (not {*asked}.isdisjoint(some) for some in (_FORCES, _TRAVELS))
+        modes = continuous_modes(case, numbers, count, cycles, with_force=forces, with_travel=travels)
+    rows = list(scene_rows(case, kernel, numbers, count))
+    compiles = engine == "numba"
+    loops = _loops(compiles)(kernel, rows, modes, cycles, loop_replacements(case.plants))
+    if case.plants:
+        run_event_plants(loops, case.plants, np.broadcast_to(numbers["plant"], (count,)), stopped, listed=not compiles)
+    else:
+        loops.run(range(count), linear_plants(case, numbers, count, listed=not compiles), uninterrupted)
+    sums, runs = _columns(loops.meters), _columns(loops.references)
+    return sums | _compared(sums, runs, modes)
+
+
+def _loops(compiles: bool) -> Any:
+    if not compiles:
+        return InterpretedLoops
+    from canhaptic.lab.batch.compiled_loops import CompiledLoops
+
+    return CompiledLoops
+
+
+def _columns(found: Any) -> dict[str, Array]:
+    if isinstance(found, np.ndarray):
+        return {name: np.array(found[name]) for name in found.dtype.names or ()}
+    return {name: np.array([getattr(one, name) for one in found]) for name in type(found[0]).__slots__}
+
+
+def _compared(sums: Mapping[str, Array], runs: Mapping[str, Array], modes: ContinuousModes) -> dict[str, Array]:
+    """Returns the sums of the continuous runs and of what is compared with them; NaN where a scene has none."""
+    found = {
+        **{name: sums[name] for name in _COMPARED if name in sums},
+        "continuous_travel": runs["highest"] - runs["lowest"],
+        "continuous_rest": runs["last_highest"] - runs["last_lowest"],
+        "continuous": runs["variation"],
+    }
+    exist = modes.exist
+    return {name: np.where(exist, values, np.nan) for name, values in found.items()}

@@ -1,0 +1,55 @@
+"""One loop, every SYNC of which is kept, by Python or compiled; which one a study takes, and what says so."""
+
+from collections.abc import Callable
+from typing import Final
+
+from canhaptic.lab.batch.batch_case import NotBatchableError
+from canhaptic.lab.batch.cases import why_not_compiled
+from canhaptic.lab.batch.engine import ChosenEngine
+from canhaptic.lab.batch.event_plants import PlantValues
+from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Recorder, render
+
+_OF_A_SUBSTEP: Final = 4
+"""Cost of a substep, whose force is found by a secant, over that of a cycle."""
+
+
+def render_by(
+    engine: ChosenEngine, case: LoopCase, cycles: int, recorder: Recorder | None = None,
+    progress: Callable[[], None] | None = None,
+) -> LoopRun:  # fmt: skip
+    """Runs a case as `loop.render` does; `LoopRun.engine` says what computed it, and why where it is not as asked.
+
+    Args:
+        engine: "python" gives the bits of the path over CAN; "numba" differs from it by rounding, and runs in Python
+            what cannot be compiled.
+        case: What to run.
+        cycles: SYNCs.
+        recorder: Says what counts as divergence; 1 km by default.
+        progress: Called once per cycle.
+
+    Raises:
+        EventLimitError: The plant had more events in one sample time than are allowed.
+        ParameterError: The algorithm cannot do without something that its loop does not say.
+    """
+    if engine == "python":
+        return render(case, cycles, recorder, progress)
+    reason = why_not_compiled(case)
+    if not reason:
+        from canhaptic.lab.batch.kept_rows import render_compiled
+
+        try:
+            return render_compiled(case, cycles, recorder or Recorder(), progress)
+        except NotBatchableError as error:
+            reason = str(error)
+    return render(case, cycles, recorder, progress)._replace(engine=f"python: {reason}")
+
+
+def work_of(case: LoopCase, cycles: int) -> float:
+    """Returns what a run costs, in cycles of a light plant."""
+    if case.simulation is None:
+        return 0.0
+    plant = PlantValues(case.simulation, case.sample_time_ns).scene()
+    if not plant.efforts:
+        return cycles
+    accuracy = case.simulation.accuracy
+    return float(cycles * _OF_A_SUBSTEP * (accuracy.substeps if accuracy else 1))

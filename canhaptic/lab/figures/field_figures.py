@@ -1,0 +1,243 @@
+"""The field's own figures of an algorithm on one axis: one definition each, with its source (`FIELD_FIGURES`).
+
+Figures of a run that are compared with the continuous environment (errors, force variation, limit cycle, stiffness
+rendered) are defined in `figures.py`, the time of a step in `cost.py`; here is what the literature on haptic rendering
+asks besides.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from canhaptic.control.environments.environment import Environment
+from canhaptic.lab.loop.axis_loop import Array, LoopRun
+
+
+class FieldFigure(NamedTuple):
+    """What a figure is, and where its definition and its idea come from."""
+
+    what: str
+    unit: str
+    function: str  # "module.name" below `canhaptic.lab`
+    source: str
+
+
+_COLGATE_BROWN: Final = 'Colgate and Brown, "Factors affecting the Z-width of a haptic display", ICRA 1994'
+FIELD_FIGURES: Final[dict[str, FieldFigure]] = {
+    "K-B plot (Z-width)": FieldFigure(
+        "stiffest wall that is passive, and the stiffest of these rendered near, over the damping asked for", "N/m",
+        "figures.field_figures.stiffest_walls", _COLGATE_BROWN,
+    ),
+    "M-width": FieldFigure(
+        "least and largest virtual mass that is stable", "kg", "figures.field_figures.m_width",
+        'Colonnese and Okamura, "M-width: stability, noise characterization, and accuracy of rendering virtual mass", '
+        "IJRR 34, 2015, doi:10.1177/0278364914559294",
+    ),
+    "rate-hardness": FieldFigure(
+        "largest rate of the force after the first contact over the speed at it", "N/m",
+        "figures.field_figures.rate_hardness",
+        'Lawrence et al., "Rate-hardness: a new performance metric for haptic interfaces", IEEE TRA 16, 2000',
+    ),
+    "impedance spectrum": FieldFigure(
+        "force over velocity at a frequency, and what is asked for", "N*s/m",
+        "figures.field_figures.rendered_impedance",
+        'Lawrence, "Stability and transparency in bilateral teleoperation", IEEE TRA 9, 1993 (cited in what was read)',
+    ),
+    "limit cycle": FieldFigure(
+        "motion to and fro where the continuous axis rests", "m", "figures.figures.CONTINUOUS", "own definition",
+    ),
+    "true energy given out": FieldFigure(
+        "most energy that the port gave out beyond what came in, by the plant", "J",
+        "figures.field_figures.energy_given_out",
+        "Hannaford and Ryu 2002, doi:10.1109/70.988969",
+    ),
+    "force variation": FieldFigure(
+        "total variation of the force over that of the continuous environment", "1", "figures.figures.CONTINUOUS",
+        "own definition",
+    ),
+    "drag in free motion": FieldFigure(
+        "mean size of the force held out of contact", "N", "figures.field_figures.drag", _COLGATE_BROWN,
+    ),
+    "time of a step": FieldFigure(
+        "processor time of one step in Python, interleaved with the others", "us", "loop.cost.microseconds_per_step",
+        "own definition",
+    ),
+}  # fmt: skip
+"""Name -> definition."""
+NEAR: Final = 0.05
+"""Part by which a stiffness that is rendered near may miss the one asked for."""
+
+_WINDOW: Final = 0.02
+"""After the first contact, in which the force rises [s]."""
+
+
+def energy_given_out(run: LoopRun) -> float:
+    """Returns the most energy that the port had given out beyond what was put in, after any hold [J].
+
+    Source: the condition that a passivity observer watches, Hannaford and Ryu 2002, doi:10.1109/70.988969; here with
+    the energy of the plant, not the one booked.
+    """
+    return max(0.0, -run.least_interaction)
+
+
+def energy_beyond_device(run: LoopRun, device_damping: float, sample_time: float) -> float:
+    """Returns the most energy given out beyond what came in and what the device's own damping took, after any hold [J].
+
+    A display is passive where this is 0, also where its environment alone is not: Colgate and Schenkel, "Passivity of a
+    class of sampled-data systems", Journal of Robotic Systems 14, 1997 (its condition was read where others cite it).
+    In a hold that moves D a damping b takes at least b D^2 / T.
+
+    Args:
+        run: Of an axis.
+        device_damping: That is certain [N*s/m or N*m*s/rad].
+        sample_time: [s].
+    """
+    moved = np.diff(run.true_position, prepend=run.true_position[:1])
+    taken = np.cumsum(device_damping / sample_time * moved**2)
+    return max(0.0, -float((run.interaction + taken).min(initial=0.0)))
+
+
+def rate_hardness(run: LoopRun, environment: Environment, sample_time: float) -> float | None:
+    """Returns the largest rate of the force after the first contact over the speed at it [N/m or N*m/rad].
+
+    An ideal wall gives its stiffness. Source: Lawrence, Pao, Dougherty, Salada and Pavlou, "Rate-hardness: a new
+    performance metric for haptic interfaces", IEEE Trans. Robotics and Automation 16, 2000 (its abstract was read).
+
+    Args:
+        run: That begins out of contact.
+        environment: What was rendered.
+        sample_time: [s].
+
+    Returns:
+        None where there was no contact, or the first one was reached without speed.
+    """
+    touching = np.array([bool(environment.contact(q)) for q in run.true_position.tolist()])
+    if not touching.any() or touching[0]:
+        return None
+    first = int(touching.argmax())
+    speed = abs(run.true_position[first] - run.true_position[first - 1]) / sample_time
+    last = first + max(2, math.ceil(_WINDOW / sample_time))
+    rates = np.diff(np.abs(run.torque[first : last + 1])) / sample_time
+    return float(rates.max(initial=0.0) / speed) if speed > 0.0 else None
+
+
+def drag(run: LoopRun) -> float | None:
+    """Returns the mean size of the torque held out of contact [N or N*m]; None without such a hold.
+
+    Free motion should feel like nothing: the lower end of the Z-width, Colgate and Brown, "Factors affecting the
+    Z-width of a haptic display", ICRA 1994, pp. 3205-3210 (cited in what was read).
+    """
+    free = ~np.isfinite(run.damping[1:])  # no hold ends at the first SYNC
+    return float(np.abs(run.torque[1:][free]).mean()) if free.any() else None
+
+
+def rendered_impedance(run: LoopRun, sample_time: float, frequency: float) -> complex:
+    """Returns force over velocity at one frequency, over the whole periods of the last half [N*s/m or N*m*s/rad].
+
+    The transparency of a display is how near this is to the impedance asked for, over frequency. Held forces are taken
+    as they act, constant over each hold; positions at their SYNCs.
+
+    Args:
+        run: Of a hand that moves with this frequency, always in contact.
+        sample_time: [s].
+        frequency: [Hz]; below half of the rate.
+    """
+    omega, count = 2.0 * math.pi * frequency, len(run.position)
+    periods = max(1, math.floor(0.5 * count * sample_time * frequency))
+    rows = np.arange(count - round(periods / (frequency * sample_time)), count)
+    turn = np.exp(-1j * omega * sample_time * rows)
+    half = 0.5 * omega * sample_time
+    position = np.sum(run.true_position[rows] * turn)
+    force = np.sum(-run.torque[rows] * turn) * np.exp(1j * half) * math.sin(half) / half
+    return complex(force / (1j * omega * position))
+
+
+def asked_impedance(stiffness: float, damping: float, frequency: float) -> complex:
+    """Returns force over velocity of a spring with a damper [N*s/m or N*m*s/rad]."""
+    return damping + stiffness / (2j * math.pi * frequency)
+
+
+class StiffestWalls(NamedTuple):
+    """The borders of a K-B plot; each of the shape of what was tried without its first dimension."""
+
+    passive: Array  # the largest stiffness that is passive as all smaller ones are; 0 where not even the least is
+    near: Array  # the largest of these whose stiffness is rendered within `NEAR`; 0 where none is
+    is_open: Any  # whether the largest that was tried is passive, too
+
+
+def stiffest_walls(stiffnesses: Array, passive: Any, shares: Array) -> StiffestWalls:
+    """Returns up to which stiffness walls are passive, and the stiffest of these that is rendered near.
+
+    Over the damping of the wall this is the K-B plot, or Z-width: Colgate and Brown 1994, as above.
+
+    Args:
+        stiffnesses: That were tried, rising, shape (n,) [N/m or N*m/rad].
+        passive: Whether each was passive, shape (n, ...).
+        shares: Stiffness rendered over the one asked for, shape (n, ...); NaN where there is none.
+    """
+    kept = np.logical_and.accumulate(np.asarray(passive, dtype=bool), axis=0)
+    near = kept & (np.abs(shares - 1.0) <= NEAR)
+    column = stiffnesses.reshape(-1, *(1,) * (kept.ndim - 1))
+    return StiffestWalls(
+        np.where(kept, column, 0.0).max(axis=0), np.where(near, column, 0.0).max(axis=0), np.asarray(kept[-1])
+    )
+
+
+class MWidth(NamedTuple):
+    """Virtual masses that are stable lie between these [kg or kg*m^2]."""
+
+    least: float  # below zero: inertia is taken away
+    most: float
+
+
+def m_width(mass: float, damping: float, sample_time: float, delay: int = 0, cutoff: float = math.inf) -> MWidth:
+    """Returns the range of virtual masses that a device displays in a stable way, nothing else attached to it.
+
+    Source: Colonnese and Okamura, "M-width: stability and accuracy of haptic rendering of virtual mass", RSS 2012, and
+    IJRR 34, 2015, doi:10.1177/0278364914559294 (the abstracts were read: "the dynamic range of virtual masses
+    renderable in a stable manner"). The virtual mass is the second backward difference of the sampled position, held
+    over T; without damping, delay and filter the loop is z^2 + (M / 2m) (z + 1) = 0, stable for -m < M < 2m.
+
+    Args:
+        mass: m of the device [kg or kg*m^2].
+        damping: Of the device [N*s/m or N*m*s/rad].
+        sample_time: T [s].
+        delay: Whole holds.
+        cutoff: Of a first-order low-pass on the acceleration [Hz]; infinite: none.
+    """
+    decay = math.exp(-damping * sample_time / mass)
+    moved = _moved_in_a_hold(mass, damping, sample_time)
+    late = -math.expm1(-2.0 * math.pi * cutoff * sample_time) if math.isfinite(cutoff) else 1.0
+    free = np.polymul([1.0, -decay], np.polymul([1.0, late - 1.0], [1.0] + [0.0] * (1 + delay)))
+    held = np.polymul([1.0, -1.0], moved) * late / sample_time**2
+    if damping == 0.0:  # a free mass keeps its speed: that root is no fault of the display
+        free, held = np.polydiv(free, [1.0, -1.0])[0], np.polydiv(held, [1.0, -1.0])[0]
+
+    def is_stable(virtual: float) -> bool:
+        return bool(np.abs(np.roots(np.polyadd(free, virtual * held))).max() < 1.0)
+
+    return MWidth(_last_stable(is_stable, -mass), _last_stable(is_stable, mass))
+
+
+def _moved_in_a_hold(mass: float, damping: float, sample_time: float) -> Array:
+    """Returns the numerator of position over held force, (x1 z + x0) / (z - 1)(z - p), highest power first."""
+    ratio = damping * sample_time / mass
+    if ratio < 1e-6:
+        return np.full(2, 0.5 * sample_time**2 / mass)
+    lost = -math.expm1(-ratio)  # 1 - exp(-ratio) would round a small ratio away
+    return np.array([ratio - lost, lost - ratio * (1.0 - lost)]) * mass / damping**2
+
+
+def _last_stable(is_stable: Callable[[float], bool], step: float) -> float:
+    """Returns how far from zero towards a step all is stable, to six digits; infinite beyond a million steps."""
+    inside, outside = 0.0, 1e-3 * step
+    while is_stable(outside):
+        inside, outside = outside, 1.1 * outside
+        if abs(outside) > 1e6 * abs(step):
+            return math.copysign(math.inf, step)
+    for _ in range(40):
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if is_stable(middle) else (inside, middle)
+    return float(f"{inside:.6g}")

@@ -1,0 +1,255 @@
+"""The figures of a run: each is defined here once, by name, unit and the sums that it is made of.
+
+Sums come from a run that kept its rows (`_sums_of_run`) or are gathered while a run goes on (`canhaptic.lab.batch`).
+Energies [J] are those of the plant unless they say believed.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from canhaptic.control.balance import WEAKEST_LAST
+from canhaptic.control.environments.environment import Environment
+from canhaptic.lab.loop.axis_loop import Array, LoopRun
+from canhaptic.lab.reference.continuous_reference import REST, ContinuousReference
+
+_LAST_PART: Final = 0.1
+"""Part of a run, at its end, in which rest and limit cycles are looked at; at most `_LONGEST_LAST` [s]."""
+_LONGEST_LAST: Final = 2.0
+_LEAST_EFFORT: Final = 1e-9
+"""Effort below which there is nothing to be rendered [N or N*m]."""
+_LAST: Final = ("diverged", "continuous_travel", "continuous_rest")
+_NO_REFERENCE: Final = "NaN in a batch without a continuous run in closed form"
+
+METRICS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
+    "diverged": ("1 where the axis left every place the user could have taken it, else 0", ("diverged",)),
+    "cycles": ("SYNCs that the figures are of: all, or those until it diverged", ("cycles",)),
+    "interaction": ("true sum(h_i) at the end [J]", ("interaction",)),
+    "least_interaction": ("least true sum(h_i) after any hold, eq. 3 [J]", ("least_interaction",)),
+    "least_covered": (
+        "least true sum(h_i) + (b / T) sum(dq^2) + f_c sum|dq| after any hold: with what damping b and Coulomb "
+        "friction f_c of the device dissipate at least; b as declared, else of the simulated plant [J]",
+        ("least_covered",),
+    ),
+    "margin": ("least true sum(h_i) less booked sum(h_r) after any hold, eq. 4 [J]", ("margin",)),
+    "believed_margin": ("the same as booked [J]", ("believed_margin",)),
+    "believed_error": ("largest |believed - true| sum(h_i) after any hold [J]", ("believed_error",)),
+    "surplus_end": ("h_dis at the end [J]", ("surplus",)),
+    "torque_peak": ("largest |torque| held [N or N*m]", ("torque_peak",)),
+    "force_variation": ("total variation of the torque held, the first step included [N or N*m]", ("variation",)),
+    "contact": ("share of the holds that ended in contact", ("contacts", "cycles")),
+    "damping_rendered.mean": ("in contact, NaN without [N*s/m or N*m*s/rad]", ("damping", "contacts")),
+    "damping_rendered.least": ("in contact, NaN without", ("damping_least", "contacts")),
+    "damping_rendered.most": ("in contact, NaN without", ("damping_most", "contacts")),
+    "stiffness_rendered.value": (
+        "mean force over mean state in contact: over whole contacts the damper averages out; NaN without contact and "
+        "where the state relaxes [N/m or N*m/rad]",
+        ("force", "state"),
+    ),
+    "stiffness_rendered.share": ("mean force in contact over the mean effort asked for there", ("force", "asked")),
+    "travel": ("largest less least true position [m or rad]", ("highest", "lowest")),
+    "certificate": ("weakest promise of any hold: 0 exact, 1 device damping, 7 device friction, 2 hand force, "
+                    "3 hand speed, 4 none", ("certificate",)),
+    "branches.free": ("holds without contact", ("free",)),
+    "branches.start": ("holds that began a contact", ("start",)),
+    "branches.exact": ("holds with the balance solved", ("exact",)),
+    "branches.sticky": ("holds that moved out while energy came in", ("sticky",)),
+    "branches.fallback": ("holds without an exact solution", ("fallback",)),
+    "branches.depleted": ("holds that took more than was stored", ("depleted",)),
+    "branches.exit": ("holds that ended a contact", ("exit",)),
+}  # fmt: skip
+"""Name -> (what it is, the sums that it is made of, see `_sums_of_run`)."""
+
+CONTINUOUS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
+    "position_error.rms": (f"against the continuous environment, {_NO_REFERENCE} [m or rad]",
+                           ("position_squares", "cycles")),
+    "position_error.max": (f"the largest, {_NO_REFERENCE} [m or rad]", ("position_worst",)),
+    "force_error.rms": (f"torque held less mean of the continuous one, {_NO_REFERENCE} [N or N*m]",
+                        ("force_squares", "cycles")),
+    "force_error.max": (f"the largest, {_NO_REFERENCE} [N or N*m]", ("force_worst",)),
+    "force_variation.ratio": (f"force_variation over that of the continuous force: 1 is as calm; {_NO_REFERENCE}",
+                              ("variation", "diverged", "continuous")),
+    "limit_cycle": (f"how far it goes to and fro in the last part, where the continuous axis rests; {_NO_REFERENCE} "
+                    "[m or rad]", ("last_highest", "last_lowest", *_LAST)),
+    "stiffness_at_rest.value": (f"mean force over mean state in the last part, where the continuous axis rests; "
+                                f"{_NO_REFERENCE} [N/m or N*m/rad]",
+                                ("last_force", "last_state", "last_asked", "last", *_LAST)),
+    "stiffness_at_rest.share": (f"that over the mean effort asked for there; {_NO_REFERENCE}",
+                                ("last_force", "last_state", "last_asked", "last", *_LAST)),
+}  # fmt: skip
+"""The same, of what needs a continuous run of the same user; a batch has one for walls with spring and damper on one or
+two sides, dampers and free space, and plants with nothing but viscous friction and tremor added."""
+
+_WEAKEST_LAST: Final[Array] = np.array(WEAKEST_LAST, dtype=float)
+
+ALL: Final = {**METRICS, **CONTINUOUS}
+"""Every metric."""
+
+
+def figures(
+    environment: Environment, run: LoopRun, reference: ContinuousReference | None, sample_time: float
+) -> dict[str, Any]:
+    """Returns the figures of one run as plain values; None where there is nothing to measure.
+
+    Args:
+        environment: What was rendered.
+        run: Of one algorithm.
+        reference: The continuous run of the same user; None where there is none.
+        sample_time: [s].
+    """
+    margin = run.interaction - run.dissipated
+    found = _RunMetrics(_sums_of_run(environment, run, reference, sample_time))
+    return {
+        "diverged": len(run.position) * sample_time if run.ended == "diverged" else None,
+        "position_error": found.group("position_error", "rms", "max"),
+        "force_error": found.group("force_error", "rms", "max"),
+        "force_variation": {"value": run.variation, "ratio": found["force_variation.ratio"]},
+        "stiffness_rendered": found.group("stiffness_rendered", "value", "share"),
+        "stiffness_at_rest": found.group("stiffness_at_rest", "value", "share"),
+        "limit_cycle": found["limit_cycle"],
+        "damping_rendered": {
+            "asked": environment.damping,
+            **{part: found[f"damping_rendered.{part}"] for part in ("mean", "least", "most")},
+        },
+        "least_interaction": run.least_interaction,
+        "interaction": float(run.interaction[-1]),
+        "margin": {"value": run.least_margin, "time": int(margin.argmin()) * sample_time},
+        "believed_margin": run.summary.margin_value,
+        "believed_error": run.believed_error,
+        "residual": run.residual,
+        "certificate": run.summary.certificate.name.lower(),
+        "surplus_end": run.summary.surplus_end,
+        "branches": dict(run.summary.branches),
+    }
+
+
+class _RunMetrics:
+    """Metrics of one run by name; None where a sum is missing or there is nothing to measure."""
+
+    def __init__(self, sums: Mapping[str, float]) -> None:
+        self._sums = {name: np.array([value]) for name, value in sums.items()}
+
+    def __getitem__(self, metric: str) -> float | None:
+        if not set(sums_of([metric])) <= set(self._sums):
+            return None
+        value = float(metrics_of([metric], self._sums)[metric][0])
+        return value if np.isfinite(value) else None
+
+    def group(self, name: str, *parts: str) -> dict[str, float | None] | None:
+        """Returns several figures of one kind; None where none of them can be measured."""
+        found = {part: self[f"{name}.{part}"] for part in parts}
+        return None if None in found.values() else found
+
+
+def _sums_of_run(
+    environment: Environment, run: LoopRun, reference: ContinuousReference | None, sample_time: float
+) -> dict[str, float]:
+    """Returns the sums behind the figures of errors, stiffness, damping and rest, by the names in `ALL`.
+
+    Args:
+        environment: What was rendered.
+        run: Of one algorithm.
+        reference: The continuous run of the same user; None leaves out what is compared with it.
+        sample_time: [s].
+    """
+    damping, touching = run.damping[np.isfinite(run.damping)], np.isfinite(run.damping)
+    sums = {
+        "diverged": float(bool(run.ended)),
+        "cycles": float(len(run.position)),
+        "variation": run.variation,
+        "contacts": float(damping.size),
+        "damping": float(damping.sum()),
+        "damping_least": float(damping.min(initial=np.inf)),
+        "damping_most": float(damping.max(initial=0.0)),
+        **_forces(environment, run.position[touching], run.torque[touching]),
+    }
+    if reference is None:
+        return sums
+    at_rest = {} if run.ended else _in_last_part(environment, run, reference, sample_time)
+    return sums | _errors(run, reference) | at_rest
+
+
+def _errors(run: LoopRun, reference: ContinuousReference) -> dict[str, float]:
+    shown = min(len(run.position), len(reference.position))
+    moved = run.true_position[:shown] - reference.position[:shown]
+    force = run.torque[:shown] - reference.torque[:shown]
+    return {
+        "cycles": float(shown),
+        "position_squares": float(np.sum(moved * moved)),
+        "position_worst": float(np.abs(moved).max(initial=0.0)),
+        "force_squares": float(np.sum(force * force)),
+        "force_worst": float(np.abs(force).max(initial=0.0)),
+        "continuous": reference.variation,
+    }
+
+
+def _in_last_part(
+    environment: Environment, run: LoopRun, reference: ContinuousReference, sample_time: float
+) -> dict[str, float]:
+    rows = last_rows(len(run.position), sample_time)
+    position = run.true_position[rows]
+    return {
+        "continuous_travel": reference.travel,
+        "continuous_rest": float(np.ptp(reference.position[rows])),
+        "last_highest": float(position.max()),
+        "last_lowest": float(position.min()),
+        "last": float(len(position)),
+        **{f"last_{name}": value for name, value in _forces(environment, position, run.torque[rows]).items()},
+    }
+
+
+def _forces(environment: Environment, position: Array, torque: Array) -> dict[str, float]:
+    """Returns sums of force, state and effort asked for; zeros where the state relaxes, which has no stiffness."""
+    if environment.relaxes:
+        return {"force": 0.0, "state": 0.0, "asked": 0.0}
+    states = [environment.true_state(q, 0.0, 0.0) for q in position.tolist() if environment.contact(q)]
+    return {
+        "force": -float(torque.sum()),
+        "state": float(sum(states)),
+        "asked": float(sum(environment.effort(state) for state in states)),
+    }
+
+
+def last_rows(cycles: int, sample_time: float) -> slice:
+    """Returns the rows of the last part of a run."""
+    length = min(_LAST_PART * cycles, _LONGEST_LAST / sample_time)
+    return slice(max(0, cycles - max(2, round(length))), cycles)
+
+
+def sums_of(metrics: Sequence[str]) -> tuple[str, ...]:
+    """Returns the sums that some metrics are made of, each once."""
+    return tuple(dict.fromkeys(name for metric in metrics for name in ALL[metric][1]))
+
+
+def metrics_of(metrics: Sequence[str], sums: Mapping[str, Array]) -> dict[str, Array]:
+    """Returns metrics made of the sums of many runs, shape (n_runs,) each; NaN where there is nothing to measure."""
+    with np.errstate(all="ignore"):
+        return {metric: _metric(metric, sums) for metric in metrics}
+
+
+def _metric(metric: str, sums: Mapping[str, Array]) -> Array:
+    names = ALL[metric][1]
+    first, second = sums[names[0]], sums[names[-1]]
+    if metric in ("damping_rendered.least", "damping_rendered.most"):
+        return np.where(second > 0.0, first, np.nan)
+    if metric.startswith(("limit_cycle", "stiffness_at_rest")):
+        return _at_rest(metric, sums)
+    if metric == "force_variation.ratio":
+        return np.where((sums["diverged"] == 0.0) & (second > _LEAST_EFFORT), first / second, np.nan)
+    if metric.endswith("_error.rms"):
+        return np.sqrt(first / second)
+    if len(names) == 1:
+        return _WEAKEST_LAST[first.astype(int)] if metric == "certificate" else np.array(first)
+    return first - second if metric == "travel" else np.where(second != 0.0, first / second, np.nan)
+
+
+def _at_rest(metric: str, sums: Mapping[str, Array]) -> Array:
+    """Returns what is measured in the last part, where the continuous axis rests there."""
+    rest = sums["continuous_rest"]
+    rests = (sums["diverged"] == 0.0) & (rest <= REST * np.maximum(sums["continuous_travel"], 1e-9))
+    if metric == "limit_cycle":
+        return np.where(rests, np.maximum(0.0, sums["last_highest"] - sums["last_lowest"] - rest), np.nan)
+    state, asked = sums["last_state"], sums["last_asked"]
+    known = rests & (np.abs(asked) >= _LEAST_EFFORT * sums["last"]) & (state != 0.0)
+    return np.where(known, sums["last_force"] / (state if metric.endswith("value") else asked), np.nan)

@@ -1,0 +1,232 @@
+"""Equations with modes by scipy's adaptive solvers, every change of mode located; needs the extra `study`.
+
+DOP853 at 1e-12 is the reference of the accuracy study, LSODA at 1e-9 its witness.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import pairwise
+from typing import Any, Final, Protocol, cast
+
+import numpy as np
+
+from canhaptic.errors import InputError
+from canhaptic.extras import install_hint
+from canhaptic.lab.judge.reference_elements import Floats, State, Transition
+from canhaptic.lab.judge.reference_model import Modes
+from canhaptic.lab.judge.reference_motion import motion_of
+from canhaptic.sim.plant.plant_motion import Motion
+
+_MISSING: Final = f"the reference of an accuracy study needs scipy; install it with: {install_hint('study')}"
+_LONGEST_STEP: Final = 2.5e-4
+"""[s] where modes may change: their guards are looked at at the ends of steps."""
+_MOST_CHANGES: Final = 10_000
+"""Changes of mode in one hold."""
+_STRETCH: Final = 0.02
+"""[s] that are solved at once, so that memory stays small and a request to stop is heard."""
+_CHAIN: Final = 16
+"""Changes of mode without time between them."""
+
+
+class SwitchedModel(Protocol):
+    """Ordinary differential equations with modes; a torque is a number, or one for each motor.
+
+    Attributes:
+        start: State at time 0.
+        first: Modes at time 0.
+        breaks: Times at which the equations change by the clock [s].
+        switches: Whether anything may leave its mode.
+    """
+
+    start: Floats
+    first: Modes
+    breaks: list[float]
+    switches: bool
+
+    def rates(self, time: float, state: Any, torque: Any, modes: Modes) -> Floats:
+        """Returns the rate of every state."""
+
+    def ways(self, modes: Modes) -> list[Transition]:
+        """Returns every way out of these modes; valid until it is asked for others."""
+
+
+def reference(
+    model: SwitchedModel, torques: Sequence[float], sample_time_ns: int, stop: Callable[[], bool] | None = None
+) -> Motion:
+    """Returns the motion under the torques by DOP853 with relative tolerance 1e-12.
+
+    Args:
+        model: The plant.
+        torques: Of each hold [N or N*m].
+        sample_time_ns: Of a hold [ns].
+        stop: Asked now and then whether to give up.
+
+    Raises:
+        InputError: scipy is missing, the solver fails, or it was stopped.
+    """
+    return located(model, torques, sample_time_ns, "DOP853", 1e-12, 1e-15, stop)
+
+
+def located(
+    model: SwitchedModel,
+    torques: Sequence[float],
+    sample_time_ns: int,
+    method: str,
+    rtol: float,
+    atol: float,
+    stop: Callable[[], bool] | None = None,
+) -> Motion:
+    """Returns the motion under the torques; arguments and errors as for `located_states`."""
+    return motion_of(located_states(model, torques, sample_time_ns, method, rtol, atol, stop))
+
+
+def located_states(
+    model: SwitchedModel,
+    torques: Sequence[Any],
+    sample_time_ns: int,
+    method: str,
+    rtol: float,
+    atol: float,
+    stop: Callable[[], bool] | None = None,
+) -> list[Floats]:
+    """Returns every state at the end of each hold, by a solver of `scipy.integrate.solve_ivp`.
+
+    Args:
+        model: The plant.
+        torques: Of each hold [N or N*m]; where the plant has several motors, one for each.
+        sample_time_ns: Of a hold [ns].
+        method: Name of the solver.
+        rtol: Relative tolerance.
+        atol: Absolute tolerance, of each state in its own unit.
+        stop: Asked now and then whether to give up.
+
+    Raises:
+        InputError: scipy is missing, the solver fails, or it was stopped.
+    """
+    period = sample_time_ns * 1e-9
+    longest = min(0.25 * period, _LONGEST_STEP) if model.switches else math.inf
+    solve = partial(_solve_ivp(), method=method, rtol=rtol, atol=atol, max_step=longest)
+    state, modes, states = list(model.start), model.first, []
+    for k, torque in enumerate(torques):
+        if k % 16 == 0:
+            _require_running(stop)
+        begin, end = k * period, (k + 1) * period
+        cuts = [begin, *(t for t in sorted(model.breaks) if begin < t < end), end]
+        for start, finish in pairwise(cuts):
+            state, modes = _hold(model, solve, state, modes, torque, (start, finish))
+        states.append(list(state))
+    return states
+
+
+def states_at(
+    model: SwitchedModel,
+    times: Sequence[float],
+    rtol: float,
+    stop: Callable[[], bool] | None = None,
+    longest: float = _LONGEST_STEP,
+) -> list[Floats]:
+    """Returns every state without a torque at some times, by DOP853 with dense output.
+
+    Args:
+        model: The plant and what acts on it.
+        times: Ascending, from 0 [s].
+        rtol: Relative tolerance; a thousandth of it is the absolute one, of each state in its own unit.
+        stop: Asked now and then whether to give up.
+        longest: Step at whose ends guards are looked at, where modes may change [s].
+
+    Raises:
+        InputError: scipy is missing, the solver fails, or it was stopped.
+    """
+    longest = longest if model.switches else math.inf
+    solve = partial(_solve_ivp(), method="DOP853", rtol=rtol, atol=1e-3 * rtol, max_step=longest, dense_output=True)
+    state, modes, found = list(model.start), model.first, [list(model.start)]
+    wanted = iter(times[1:])
+    due = next(wanted, math.inf)
+
+    def read(result: Any) -> None:
+        nonlocal due
+        _require_running(stop)
+        while due <= result.t[-1]:
+            found.append(result.sol(due).tolist())
+            due = next(wanted, math.inf)
+
+    cuts = [*np.arange(0.0, times[-1], _STRETCH), *(t for t in model.breaks if t < times[-1]), times[-1]]
+    for start, finish in pairwise(sorted(cuts)):
+        if finish > start:
+            state, modes = _hold(model, solve, state, modes, 0.0, (start, finish), read)
+    return found
+
+
+def _solve_ivp() -> Callable[..., Any]:
+    """Returns the function of that name, or raises InputError where scipy is missing."""
+    try:
+        from scipy.integrate import solve_ivp
+    except ImportError as error:
+        raise InputError(_MISSING) from error
+    return cast(Callable[..., Any], solve_ivp)
+
+
+def _require_running(stop: Callable[[], bool] | None) -> None:
+    """Raises InputError where it was asked to stop."""
+    if stop is not None and stop():
+        raise InputError("stopped before the reference was there; nothing can be compared without it")
+
+
+def _hold(
+    model: SwitchedModel,
+    solve: Callable[..., Any],
+    state: list[float],
+    modes: Modes,
+    torque: float,
+    span: tuple[float, float],
+    read: Callable[[Any], None] = lambda _result: None,
+) -> tuple[list[float], Modes]:
+    """Returns state and modes after one stretch of time under one torque; `read` sees every solution on the way."""
+    now, end = span
+    for _ in range(_MOST_CHANGES):
+        state, modes = settled(model, now, state, torque, modes)
+        ways = model.ways(modes)
+        result = solve(
+            model.rates, (now, end), state, events=[_event(way) for way in ways] or None, args=(torque, modes)
+        )
+        if result.status < 0:
+            raise InputError(f"the reference failed at {now:g} s ({result.message}); shorten the study or the scene")
+        read(result)
+        state, now = result.y[:, -1].tolist(), float(result.t[-1])
+        if result.status == 0:
+            return state, modes
+        fired = next(way for way, times in zip(ways, result.t_events, strict=True) if len(times))
+        state, modes = through(fired, state, modes)
+    raise InputError(f"the reference changed its mode {_MOST_CHANGES} times in one hold at {now:g} s; damp the contact")
+
+
+def settled(
+    model: SwitchedModel, time: float, state: list[float], torque: Any, modes: Modes
+) -> tuple[list[float], Modes]:
+    """Returns state and modes after every way was taken whose value is below zero here."""
+    for _ in range(_CHAIN):
+        ways = model.ways(modes)
+        broken = next((way for way in ways if way.value(time, state, torque) < -way.rounding), None)
+        if broken is None:
+            break
+        state, modes = through(broken, state, modes)
+    return state, modes
+
+
+def through(way: Transition, state: Sequence[float], modes: Modes) -> tuple[Floats, Modes]:
+    """Returns state and modes after a way was taken."""
+    after = [float(value) for value in state]
+    if way.reset is not None:
+        way.reset(after)
+    return after, (*modes[: way.element], way.mode, *modes[way.element + 1 :])
+
+
+def _event(way: Transition) -> Any:
+    """Returns what falls through zero a hair beyond the guard: a guard that stays at zero is no event."""
+
+    def event(time: float, state: State, torque: Any, _modes: Modes) -> float:
+        return way.value(time, state, torque) + way.rounding
+
+    event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined]
+    return event

@@ -1,0 +1,277 @@
+"""What several motors move as ordinary differential equations: axes of their own, an X-Y stage, a five-bar.
+
+The links of the five-bar are those of the simulated one; the method is another: `M(q) v' = torque + ... - C(q, v)`, in
+accelerations and for any solver, where the simulated one takes steps of a discrete gradient in momenta.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, Protocol
+
+from canhaptic.errors import InputError
+from canhaptic.lab.judge.event_location import SwitchedModel
+from canhaptic.lab.judge.reference_elements import POSITION, VELOCITY, Floats, ReferenceStickSlip, Transition
+from canhaptic.lab.judge.reference_model import MOTOR_WORK, USER_WORK, Model, Modes
+from canhaptic.sim.plant.mechanism import MechanismParameters
+from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
+from canhaptic.sim.plant.mechanism.linkage import (
+    Inertia,
+    LinkagePose,
+    inertia_in,
+    inertia_rate,
+    pose_at,
+    quadratic,
+    singular,
+    solved,
+    span_rates,
+)
+from canhaptic.sim.plant.mechanism.plane_force import force_of_hand, hand_pull
+from canhaptic.sim.plant.mechanism.task_hand import TaskHand
+from canhaptic.sim.plant.mechanism.xy_stage import XYStage
+
+State = Sequence[float]
+
+
+class GroupModel(SwitchedModel, Protocol):
+    """Motors and what they move; the torque of `rates` is one for each motor."""
+
+    @property
+    def evaluations(self) -> int:
+        """Number of evaluations of the forces."""
+
+    def positions(self, state: State) -> Floats:
+        """Returns the positions of the motors [m or rad]."""
+
+    def velocities(self, state: State) -> Floats:
+        """Returns their velocities [m/s or rad/s]."""
+
+    def works(self, state: State) -> tuple[float, float]:
+        """Returns the works of all motors and of the user since the start [J]."""
+
+    def inertia(self, positions: State) -> list[Floats]:
+        """Returns the inertia that the motors feel [kg or kg*m^2]."""
+
+
+class AxesModel:
+    """Motors that each move a plant of their own; its modes are theirs, one after the other."""
+
+    def __init__(self, models: Sequence[Model], masses: Sequence[float]) -> None:
+        self._models, self._masses = models, masses
+        ends = [sum(len(model.start) for model in models[: i + 1]) for i in range(len(models))]
+        self._parts = [slice(end - len(model.start), end) for model, end in zip(models, ends, strict=True)]
+        ends = [sum(len(model.first) for model in models[: i + 1]) for i in range(len(models))]
+        self._modes = [slice(end - len(model.first), end) for model, end in zip(models, ends, strict=True)]
+        self.start = [value for model in models for value in model.start]
+        self.first: Modes = tuple(mode for model in models for mode in model.first)
+        self.breaks = [time for model in models for time in model.breaks]
+        self.switches = any(model.switches for model in models)
+
+    @property
+    def evaluations(self) -> int:
+        """Number of evaluations of the forces."""
+        return max(model.evaluations for model in self._models)
+
+    def positions(self, state: State) -> Floats:
+        """Returns the positions of the motors; see `GroupModel`."""
+        return [float(state[part.start + POSITION]) for part in self._parts]
+
+    def velocities(self, state: State) -> Floats:
+        """Returns their velocities; see `GroupModel`."""
+        return [float(state[part.start + VELOCITY]) for part in self._parts]
+
+    def works(self, state: State) -> tuple[float, float]:
+        """Returns the works of all motors and of the user; see `GroupModel`."""
+        motor = sum(float(state[part.stop + MOTOR_WORK]) for part in self._parts)
+        return motor, sum(float(state[part.stop + USER_WORK]) for part in self._parts)
+
+    def inertia(self, positions: State) -> list[Floats]:
+        """Returns the moving masses; see `GroupModel`."""
+        return _diagonal(self._masses)
+
+    def rates(self, time: float, state: State, torque: State, modes: Modes) -> Floats:
+        """Returns the rate of every state; see `SwitchedModel`."""
+        found: Floats = []
+        for model, part, own, held in zip(self._models, self._parts, self._modes, torque, strict=True):
+            found += model.rates(time, state[part], held, modes[own])
+        return found
+
+    def ways(self, modes: Modes) -> list[Transition]:
+        """Returns every way out of these modes; see `SwitchedModel`."""
+        parts = enumerate(zip(self._models, self._parts, self._modes, strict=True))
+        return [
+            _of_motor(way, motor, part, own.start)
+            for motor, (model, part, own) in parts
+            for way in model.ways(modes[own])
+        ]
+
+
+def _of_motor(way: Transition, motor: int, part: slice, first: int) -> Transition:
+    """Returns the way out of a mode of one plant as one of the group's.
+
+    Args:
+        way: Of the plant.
+        motor: Its place.
+        part: Of the state that is the plant's.
+        first: Place of its first mode.
+    """
+
+    def value(time: float, state: Any, torques: Any) -> float:
+        return way.value(time, state[part], torques[motor])
+
+    def reset(state: Floats) -> None:
+        own = state[part]
+        change(own)
+        state[part] = own
+
+    change = way.reset or (lambda _state: None)
+    return Transition(first + way.element, way.mode, value, way.rounding, reset)
+
+
+class _TwoMotors:
+    """Two motors and a handle in the plane; state: two positions, two velocities, works of motors and user."""
+
+    first: Modes = ()
+    switches = False
+
+    def __init__(self, hand: TaskHand | None, positions: Sequence[float]) -> None:
+        self._hand = force_of_hand(hand)
+        self.start, self.breaks = [*positions, 0.0, 0.0, 0.0, 0.0], list[float]()
+        self.evaluations = 0
+
+    def ways(self, modes: Modes) -> list[Transition]:
+        """Returns every way out of these modes; see `SwitchedModel`."""
+        return []
+
+    def positions(self, state: State) -> Floats:
+        """Returns the positions of the motors; see `GroupModel`."""
+        return [float(value) for value in state[:2]]
+
+    def velocities(self, state: State) -> Floats:
+        """Returns their velocities; see `GroupModel`."""
+        return [float(value) for value in state[2:4]]
+
+    def works(self, state: State) -> tuple[float, float]:
+        """Returns the works of all motors and of the user; see `GroupModel`."""
+        return float(state[4]), float(state[5])
+
+
+class StageModel(_TwoMotors):
+    """An X-Y stage; its modes are those of the dry friction of its guides."""
+
+    def __init__(self, stage: XYStage, hand: TaskHand | None) -> None:
+        super().__init__(hand, stage.initial_position)
+        self._masses, self._damping = (stage.mass_x, stage.mass_y), (stage.damping_x, stage.damping_y)
+        self._guides = [
+            ReferenceStickSlip(
+                dry.kinetic, dry.static, 0.0, 1.0, 0.0, partial(self._other_force, guide), (guide, 2 + guide)
+            )
+            for guide, dry in enumerate((stage.friction_x, stage.friction_y))
+            if dry is not None
+        ]
+        self.first = tuple(guide.modes[0] for guide in self._guides)
+        self.switches = bool(self._guides)
+
+    def inertia(self, positions: State) -> list[Floats]:
+        """Returns the moving masses; see `GroupModel`."""
+        return _diagonal(self._masses)
+
+    def rates(self, time: float, state: State, torque: State, modes: Modes) -> Floats:
+        """Returns the rate of every state; see `SwitchedModel`."""
+        self.evaluations += 1
+        speed, (forces, hand) = state[2:4], self._forces(time, state, torque)
+        for guide, mode in zip(self._guides, modes, strict=True):
+            guide.apply(time, state, mode, forces, [])
+        accelerations = [force / mass for force, mass in zip(forces, self._masses, strict=True)]
+        return [*speed, *accelerations, _dot(torque, speed), _dot(hand, speed)]
+
+    def ways(self, modes: Modes) -> list[Transition]:
+        """Returns every way out of these modes; see `SwitchedModel`."""
+        return [way for i, guide in enumerate(self._guides) for way in guide.ways(i, modes[i])]
+
+    def _forces(self, time: float, state: State, torques: State) -> tuple[Floats, tuple[float, float]]:
+        """Returns the forces on the masses without dry friction, and of them that of the hand [N]."""
+        place, speed = state[:2], state[2:4]
+        hand = hand_pull(self._hand, time, (place[0], place[1]), (speed[0], speed[1]))
+        pairs = zip(torques, hand, self._damping, speed, strict=True)
+        return [torque + force - b * v for torque, force, b, v in pairs], hand
+
+    def _other_force(self, guide: int, time: float, state: State, torques: State) -> float:
+        return self._forces(time, state, torques)[0][guide]
+
+
+class FiveBarModel(_TwoMotors):
+    """A five-bar."""
+
+    def __init__(self, links: FiveBarLinkage, hand: TaskHand | None) -> None:
+        super().__init__(hand, links.initial_angles)
+        self._linkage, self._damping, self._stop = links.linkage(), links.damping, links.elbow_stop
+
+    def inertia(self, positions: State) -> list[Floats]:
+        """Returns the inertia in a pose; see `GroupModel`."""
+        found = inertia_in(self._linkage, self._pose(float(positions[0]), float(positions[1])))
+        return [[found.a, found.b], [found.b, found.c]]
+
+    def rates(self, time: float, state: State, torque: State, modes: Modes) -> Floats:
+        """Returns the rate of every state; see `SwitchedModel`."""
+        self.evaluations += 1
+        left, right, v_left, v_right = (float(value) for value in state[:4])
+        pose = self._pose(left, right)
+        (xl, xr), (yl, yr) = pose.jacobian
+        force = hand_pull(self._hand, time, pose.handle, (xl * v_left + xr * v_right, yl * v_left + yr * v_right))
+        hand = xl * force[0] + yl * force[1], xr * force[0] + yr * force[1]
+        by_left, by_right = (inertia_rate(self._linkage, pose, by) for by in (0, 1))
+        turning = Inertia(*(a * v_left + b * v_right for a, b in zip(by_left, by_right, strict=True)))  # dM / dt
+        centrifugal = 0.5 * quadratic(by_left, v_left, v_right), 0.5 * quadratic(by_right, v_left, v_right)
+        pull = self._stop_pull(pose.span)
+        spans = span_rates(pose)
+        total = [
+            torque[i] + hand[i] - self._damping * v - pull * spans[i] + centrifugal[i] - turned
+            for i, v, turned in (
+                (0, v_left, turning.a * v_left + turning.b * v_right),
+                (1, v_right, turning.b * v_left + turning.c * v_right),
+            )
+        ]
+        accelerations = solved(inertia_in(self._linkage, pose), *total)
+        return [
+            v_left, v_right, *accelerations, torque[0] * v_left + torque[1] * v_right,
+            hand[0] * v_left + hand[1] * v_right,
+        ]  # fmt: skip
+
+    def _pose(self, left: float, right: float) -> LinkagePose:
+        """Returns the pose at two motor angles [rad].
+
+        Raises:
+            ParameterError: It is singular.
+        """
+        pose = pose_at(self._linkage, left, right)
+        if not pose.is_regular:
+            raise singular(self._linkage, left, right, pose.span)
+        return pose
+
+    def _stop_pull(self, span: float) -> float:
+        """Returns the force of the elbow stop, positive where it draws the elbows together [N]."""
+        if self._stop is None:
+            return 0.0
+        return self._stop.stiffness * (max(0.0, span - self._stop.most) - max(0.0, self._stop.least - span))
+
+
+def mechanism_model(parameters: MechanismParameters, hand: TaskHand | None) -> StageModel | FiveBarModel:
+    """Returns the equations of a mechanism.
+
+    Raises:
+        InputError: There are none.
+    """
+    if isinstance(parameters, XYStage):
+        return StageModel(parameters, hand)
+    if isinstance(parameters, FiveBarLinkage):
+        return FiveBarModel(parameters, hand)
+    raise InputError(f"the mechanism {type(parameters).__name__} has no equations here")
+
+
+def _diagonal(masses: Sequence[float]) -> list[Floats]:
+    return [[mass if i == j else 0.0 for j in range(len(masses))] for i, mass in enumerate(masses)]
+
+
+def _dot(one: Sequence[float], other: Sequence[float]) -> float:
+    return math.fsum(a * float(b) for a, b in zip(one, other, strict=True))

@@ -1,0 +1,129 @@
+"""An axis under another algorithm: it keeps what both have in common, and takes from the plant what is not declared."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
+from canhaptic.control.multi_axis import GROUP_ALGORITHMS
+from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.errors import ParameterError
+from canhaptic.lab.loop.scenes import loop_case
+from canhaptic.registry import load
+from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.models import AxisScene, GroupScene, Scene
+from canhaptic.scene.old_names import algorithm_now
+from canhaptic.scene.torque_history import simulation_of
+from canhaptic.units import Parameters
+
+PLANT_OF: Final = {"moving_mass": "mass", "device_damping": "damping", "device_damping_bound": "damping"}
+"""Property of the loop -> parameter of the simulated plant that is its true value."""
+
+
+class _AbleAxis(NamedTuple):
+    """An axis whose algorithm has what it needs."""
+
+    axis: AxisScene
+    from_plant: tuple[str, ...] = ()  # properties of its loop that the scene does not declare, taken from the plant
+
+    @property
+    def remark(self) -> str:
+        """Properties that it takes from the plant, in words; "" for none."""
+        shown = [f"{key} {getattr(self.axis.loop, key):g}" for key in self.from_plant if key != "device_damping_bound"]
+        return f"from the plant: {', '.join(shown)}" if self.from_plant else ""
+
+
+def own_algorithms(scene: Scene) -> list[str]:
+    """Returns the names of the user's own algorithms that a scene has."""
+    return list(dict.fromkeys(axis.passivity.name for axis in scene.axes if axis.passivity.own is not None))
+
+
+def chosen_algorithms(algorithms: Sequence[str] | None, own: Sequence[str] = ()) -> list[str]:
+    """Returns the names asked for, each known; for None all of them, the one that is meant for a rig first.
+
+    Args:
+        algorithms: Asked for.
+        own: Names of the user's own that may be asked for as well; for None they come first.
+
+    Raises:
+        ParameterError: One is unknown.
+    """
+    chosen = [algorithm_now(name, "algorithms") for name in algorithms or (*own, "guarded", *ALGORITHMS)]
+    for name in chosen:
+        if name in own:
+            continue
+        load(ALGORITHMS, name, "passivity algorithm")
+    return list(dict.fromkeys(chosen))
+
+
+def with_algorithm(axis: AxisScene, name: str) -> AxisScene:
+    """Returns an axis under another algorithm, with what the two have in common (alpha, velocity, ...) kept."""
+    if axis.passivity.name == name:
+        return axis
+    name = algorithm_now(name, axis.parameters.name)
+    model: type[Parameters] = load(ALGORITHMS, name, "passivity algorithm").parameters_type
+    given = axis.passivity.parameters
+    if axis.passivity.name == name:
+        return axis
+    common = {key: getattr(given, key) for key in model.model_fields if key in type(given).model_fields}
+    return replace(axis, passivity=ComponentSpec(name, model().model_copy(update=common)))
+
+
+def group_under(group: GroupScene, name: str) -> GroupScene:
+    """Returns a group under another algorithm, with what the two have in common kept."""
+    if group.passivity.name == name:
+        return group
+    model = load(GROUP_ALGORITHMS, name, "group algorithm").parameters_type
+    given = group.passivity.parameters
+    common = {key: getattr(given, key) for key in model.model_fields if key in type(given).model_fields}
+    return replace(group, passivity=ComponentSpec(name, model().model_copy(update=common)))
+
+
+def display_under(axis: AxisScene, name: str) -> AxisScene:
+    """Returns an admittance display under another algorithm, with its defaults where it is not that of the scene.
+
+    Raises:
+        ParameterError: The algorithm needs parameters that the scene does not give.
+    """
+    if axis.passivity.name == name:
+        return axis
+    model = load(DISPLAY_ALGORITHMS, name, "admittance algorithm").parameters_type
+    return replace(axis, passivity=_with_defaults(name, model, "compare a scene with it"))
+
+
+def display_group_under(group: GroupScene, name: str) -> GroupScene:
+    """Returns a group of admittance displays under another algorithm; see `display_under`."""
+    if group.passivity.name == name:
+        return group
+    model = load(DISPLAY_GROUP_ALGORITHMS, name, "algorithm of several admittance displays").parameters_type
+    return replace(group, passivity=_with_defaults(name, model, "study a scene with it"))
+
+
+def _with_defaults(name: str, model: type[Parameters], remedy: str) -> ComponentSpec:
+    try:
+        return ComponentSpec(name, model())
+    except ValueError as error:
+        raise ParameterError(f"{name}: needs parameters that the scene does not give; {remedy}") from error
+
+
+def _with_known_plant(axis: AxisScene) -> _AbleAxis:
+    """Returns an axis whose algorithm takes from the simulated plant what the scene does not declare."""
+    plant = simulation_of(axis).plant
+    from_plant = tuple(key for key in PLANT_OF if getattr(axis.loop, key) is None)
+    values = {key: getattr(plant, PLANT_OF[key]) for key in from_plant}
+    return _AbleAxis(replace(axis, loop=axis.loop.model_copy(update=values)), from_plant)
+
+
+def able_under(axis: AxisScene, name: str, scene: Scene) -> _AbleAxis:
+    """Returns an axis under an algorithm, which takes from the plant only what it cannot do without.
+
+    Raises:
+        ParameterError: It cannot be built even so.
+    """
+    chosen = _AbleAxis(with_algorithm(axis, name))
+    try:
+        loop_case(chosen.axis, scene).controller()
+    except ParameterError:
+        chosen = _with_known_plant(chosen.axis)
+        loop_case(chosen.axis, scene).controller()
+    return chosen

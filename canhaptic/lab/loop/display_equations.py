@@ -1,0 +1,92 @@
+"""The rig of an admittance display as ordinary differential equations, for a solver that shares nothing with the plant.
+
+    M v' = c (r - v) + f_I + F - b v,   f_I' = k (r - v),   F = k_g (x - q) + d_g (w - v)
+    m x'' = -F + K (x_u - x) + D (x_u' - w) + push,          E' = F v
+
+q, v of the mass before the sensor, x, w of what lies behind it; r is the command. Effects and torque limits are left
+out.
+"""
+
+from collections.abc import Sequence
+from math import cos, pi, sin
+from typing import Any
+
+import numpy as np
+
+from canhaptic.errors import InputError
+from canhaptic.lab.loop.axis_loop import Array
+from canhaptic.scene.models import AxisSimulation
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+
+_TOLERANCE = 1e-11
+
+
+def why_no_equations(simulation: AxisSimulation) -> str:
+    """Returns "" where these equations are those of the plant, else what they leave out."""
+    display, user = simulation.admittance, simulation.user
+    if display is None:
+        return "no admittance display"
+    if display.loop.torque_limit is not None:
+        return "the torque limit of the loop"
+    if simulation.effects:
+        return f"effect {simulation.effects[0].name}"
+    if user is not None and type(user) is not UserParameters:
+        return "a hand of the user's own"
+    return ""
+
+
+def integrate(simulation: AxisSimulation, held: Sequence[float], sample_time: float) -> Array:
+    """Returns position [m or rad] and energy through the sensor [J] at each SYNC, shape (len(held), 2), by DOP853.
+
+    Args:
+        simulation: Of the axis.
+        held: Velocity commanded in the hold before each SYNC [m/s or rad/s]; the first is not used.
+        sample_time: T [s].
+
+    Raises:
+        InputError: `why_no_equations`, or the solver failed.
+    """
+    from scipy.integrate import solve_ivp
+
+    if reason := why_no_equations(simulation):
+        raise InputError(f"no equations here for {reason}")
+    state = np.zeros(6)  # q, v, x, w, f_I, E
+    state[0] = state[2] = simulation.plant.initial_position
+    state[1] = state[3] = simulation.plant.initial_velocity
+    rows, rates = [state[[0, 5]]], _rates(simulation)
+    for number, command in enumerate(held[1:]):
+        span = (number * sample_time, (number + 1) * sample_time)
+        found: Any = solve_ivp(rates, span, state, "DOP853", args=(command,), rtol=_TOLERANCE, atol=1e-14)
+        if not found.success:
+            raise InputError(f"DOP853: {found.message}")
+        state = found.y[:, -1]
+        rows.append(state[[0, 5]])
+    return np.array(rows)
+
+
+def _rates(simulation: AxisSimulation) -> Any:
+    display, user, plant = simulation.admittance, simulation.user or UserParameters(), simulation.plant
+    if display is None:
+        raise InputError("no equations here for an axis that is no admittance display")
+    loop, grip = display.loop, display.grip
+    motion = user.motion or SinusoidMotion(amplitude=0.0, frequency=1.0)
+    omega = 2.0 * pi * motion.frequency
+
+    def rates(time: float, state: Array, command: float) -> list[float]:
+        q, v, x, w, integral, _ = state.tolist()
+        angle = omega * time + motion.phase
+        place = user.rest + motion.offset + motion.amplitude * sin(angle)
+        speed = motion.amplitude * omega * cos(angle)
+        force = grip.stiffness * (x - q) + grip.damping * (w - v)
+        hand = user.stiffness * (place - x) + user.damping * (speed - w) + user.push
+        driven = loop.gain * (command - v) + integral - plant.damping * v
+        return [
+            v,
+            (driven + force) / plant.mass,
+            w,
+            (hand - force) / grip.mass,
+            loop.integral_gain * (command - v),
+            force * v,
+        ]
+
+    return rates

@@ -1,0 +1,177 @@
+"""A comparison as a picture: one column per algorithm, the continuous environment in grey behind each of them.
+
+More algorithms than `_ACROSS` go on in further bands below.
+
+Position, force and energy account share their scale across a row, set by the continuous run, so that columns compare at
+one glance and an algorithm that diverges leaves its panel instead of flattening the others.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from canhaptic.axis_units import effort_unit
+from canhaptic.errors import InputError
+from canhaptic.lab.loop.axis_loop import Array, LoopRun
+from canhaptic.lab.reference.continuous_reference import ContinuousReference
+from canhaptic.lab.studies.compare.comparison import AxisComparison, Comparison
+from canhaptic.view.decimate import decimate
+from canhaptic.view.palette import BLUE, GREEN, PALE, VERMILION
+from canhaptic.view.picture_style import axis_scale, drawing, require_matplotlib, save_picture
+from canhaptic.view.si import si
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+_BUCKETS: Final = 1200
+_ACROSS: Final = 6
+"""Columns of one band: more are too small to read on a page."""
+_ROOM: Final = 0.35
+"""Above and below the continuous run, as a part of its range."""
+_FLATTENING: Final = 4.0
+"""Times the median range of an energy, beyond which a run does not widen the scale of all."""
+_PAPER: Final[Any] = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 1.0}
+
+
+def draw_comparison(comparison: Comparison, path: str | Path) -> None:
+    """Draws a comparison into a file; its suffix says how (.png, .svg, .pdf).
+
+    Raises:
+        InputError: matplotlib is not installed, the file cannot be written, or no algorithm ran.
+    """
+    require_matplotlib()
+    most = max(len(_drawn(axis)) for axis in comparison.axes)
+    if most == 0:
+        raise InputError("no algorithm ran, there is nothing to draw; the table says why")
+    bands = -(-most // _ACROSS)
+    columns = -(-most // bands)
+    rows = 3 * bands * len(comparison.axes)
+    with drawing() as figure_type:
+        figure = figure_type(figsize=(1.2 + 3.0 * columns, 0.9 + 2.5 * rows), dpi=110, layout="constrained")
+        panels = figure.subplots(rows, columns, sharex=True, sharey="row", squeeze=False)
+        for index, axis in enumerate(comparison.axes):
+            _draw_axis(axis, comparison, panels[3 * bands * index : 3 * bands * (index + 1)])
+        figure.suptitle(_caption(comparison), x=0.01, ha="left", fontsize=9.5, color="#404040")
+        save_picture(figure, path)
+
+
+def _caption(comparison: Comparison) -> str:
+    result = comparison.result
+    path = "over the CAN path" if result["path"] == "can" else "without a bus"
+    return f"{result['scene']}   {si(result['rate'], 'Hz', 3)}, delay {result['delay']}, {path}   grey: continuous"
+
+
+def _drawn(axis: AxisComparison) -> dict[str, LoopRun]:
+    """Returns the runs of an axis that were not ended before their first SYNC."""
+    return {name: run for name, run in axis.runs.items() if run.position.size}
+
+
+def _draw_axis(axis: AxisComparison, comparison: Comparison, panels: NDArray[Any]) -> None:
+    """Draws one axis into bands of three rows of panels."""
+    unit = axis.unit
+    runs, reference, period = _drawn(axis), axis.reference, comparison.sample_time
+    places = [tuple(band[:, k]) for band in np.split(panels, len(panels) // 3) for k in range(panels.shape[1])]
+    for panel in (panel for place in places[len(runs) :] for panel in place):
+        panel.set_visible(False)
+    if not runs:
+        return
+    calm = [run for run in runs.values() if not run.ended] or list(runs.values())
+    scales = (
+        _scale(reference.position if reference else calm[0].true_position),
+        _scale(reference.fine_torque if reference else calm[0].torque),
+        _scale(*_comparable([run.interaction for run in calm])),
+    )
+    accounts = comparison.result["axes"][axis.name]["algorithms"]
+    for (position, force, energy), (name, run) in zip(places, runs.items(), strict=False):
+        title = name if len(comparison.axes) == 1 else f"{axis.name}: {name}"
+        position.set_title(title, fontweight="bold", fontsize=10.0)
+        _draw_position(position, run, reference, period, scales[0])
+        _draw_force(force, run, reference, period, scales[1])
+        _draw_energy(energy, run, period, scales[2])
+        energy.set_xlabel("time [s]")
+        energy.tick_params(labelbottom=True)
+        _write_error(position, accounts[name], unit)
+    for row, (what, symbol) in enumerate((("position", unit), ("force", effort_unit(unit)), ("energy", "J"))):
+        scale, prefix, (low, high) = scales[row]
+        for panel in panels[row::3, 0]:
+            panel.set_ylim(low / scale, high / scale)
+            panel.set_ylabel(f"{what} [{prefix}{symbol}]")
+
+
+_Scale = tuple[float, str, tuple[float, float]]
+
+
+def _comparable(lines: list[Array]) -> list[Array]:
+    """Returns the lines without those whose range would flatten the rest."""
+    ranges = [float(np.ptp(line)) for line in lines]
+    usual = float(np.median(ranges))
+    return [line for line, size in zip(lines, ranges, strict=True) if size <= _FLATTENING * usual]
+
+
+def _scale(*lines: Array) -> _Scale:
+    """Returns factor, SI prefix and limits that show all lines with room around them."""
+    low = min(float(line.min(initial=0.0)) for line in lines)
+    high = max(float(line.max(initial=0.0)) for line in lines)
+    room = _ROOM * max(high - low, 1e-12)
+    largest = max(abs(low), abs(high))
+    scale, prefix = axis_scale(largest)
+    return scale, prefix, (low - room, high + room)
+
+
+def _times(values: Array, period: float) -> Array:
+    return np.arange(len(values), dtype=np.float64) * np.float64(period)
+
+
+def _line(panel: "Axes", time: Array, values: Array, scale: _Scale, **style: Any) -> None:
+    """Draws a line, cut off a little outside the panel so that a diverged run keeps its direction."""
+    low, high = scale[2]
+    far = 3.0 * (high - low)
+    shown = decimate(values, _BUCKETS)
+    panel.plot(time[shown], np.clip(values[shown], low - far, high + far) / scale[0], **style)
+
+
+def _draw_position(
+    panel: "Axes", run: LoopRun, reference: ContinuousReference | None, period: float, scale: _Scale
+) -> None:
+    if reference is not None:
+        time = _times(reference.position, period)
+        _line(panel, time, reference.position, scale, color=PALE, linewidth=3.0, alpha=0.6)
+    time = _times(run.true_position, period)
+    _line(panel, time, run.true_position, scale, color=BLUE, linewidth=1.0)
+
+
+def _draw_force(
+    panel: "Axes", run: LoopRun, reference: ContinuousReference | None, period: float, scale: _Scale
+) -> None:
+    if reference is not None:
+        _line(panel, reference.fine_time, reference.fine_torque, scale, color=PALE, linewidth=3.0, alpha=0.6)
+    time = _times(run.torque, period)
+    _line(panel, time, run.torque, scale, color=VERMILION, linewidth=0.9, drawstyle="steps-pre")
+
+
+def _draw_energy(panel: "Axes", run: LoopRun, period: float, scale: _Scale) -> None:
+    time = _times(run.interaction, period)
+    panel.axhline(0.0, color="black", linewidth=0.8)
+    _line(panel, time, run.interaction, scale, color=BLUE, linewidth=1.2, label="in, true")
+    _line(panel, time, run.dissipated, scale, color=VERMILION, linewidth=1.1, linestyle="--", label="dissipated")
+    _line(panel, time, run.interaction - run.dissipated, scale, color=GREEN, linewidth=1.1, label="margin of (4)")
+    panel.set_title(
+        f"least in {si(run.least_interaction, 'J', 3)}, margin {si(run.least_margin, 'J', 3)}", fontsize=8.0, loc="left"
+    )
+    if (place := panel.get_subplotspec()) is not None and place.is_first_col() and place.rowspan.start == 2:
+        panel.legend(loc="upper left", fontsize=7.5, ncols=1)
+
+
+def _write_error(panel: "Axes", account: dict[str, Any], unit: str) -> None:
+    error, ratio = account["position_error"], account["force_variation"]["ratio"]
+    words = [] if error is None else [f"rms error {si(error['rms'], unit, 3)}"]
+    if account["status"] != "completed":
+        words = [str(account["status"]).partition(":")[0]]
+    elif ratio is not None:
+        words.append(f"force varies {ratio:.3g} x")
+    panel.text(
+        0.02, 0.98, "\n".join(words), transform=panel.transAxes, va="top", fontsize=8.0, color="#404040", bbox=_PAPER
+    )

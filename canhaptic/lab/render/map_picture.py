@@ -1,0 +1,117 @@
+"""A map as a picture (.png, .svg, .pdf): one column per algorithm, scales shared along a row."""
+
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from canhaptic.lab.studies.map.panel import Cells, Lines, Panel, common_limits
+from canhaptic.view.picture_style import drawing, save_picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.figure import Figure
+
+
+_LETTERS: Final = 80
+"""Letters of the caption over one column."""
+_LINES: Final[dict[str, dict[str, Any]]] = {
+    "measured": {"linewidth": 1.4, "markersize": 4.5, "fillstyle": "none"},
+    "ours": {"linewidth": 2.6, "markersize": 4.5, "fillstyle": "none", "zorder": 5},
+    "colgate": {"linewidth": 1.4, "linestyle": "--", "zorder": 4},
+    "abbott_okamura": {"linewidth": 1.4, "linestyle": ":"},
+    "eigenvalues": {"linewidth": 1.2, "linestyle": "-."},
+    "certificate": {"linewidth": 1.2, "linestyle": (0, (10, 3))},
+}
+_MANY: Final = 5
+"""Lines from which a legend is written smaller."""
+_MARKS: Final = "osv^<>DPX*hpd"
+
+
+def draw_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: str | Path) -> None:
+    """Draws panels into a file; its suffix says how.
+
+    Raises:
+        InputError: matplotlib is not installed, or the file cannot be written.
+    """
+    rows = max(len(column) for column in columns)
+    with drawing() as figure_type:
+        figure = figure_type(figsize=(0.8 + 5.0 * len(columns), 0.6 + 3.6 * rows), dpi=110, layout="constrained")
+        axes = figure.subplots(rows, len(columns), squeeze=False)
+        for row in range(rows):
+            panels = [column[row] if row < len(column) else None for column in columns]
+            _draw_row(figure, axes[row], panels)
+        lines = textwrap.wrap(caption, _LETTERS * len(columns), break_long_words=False)
+        figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=9.5, color="#404040")
+        save_picture(figure, path)
+
+
+def _draw_row(figure: "Figure", axes: "Sequence[Axes]", panels: Sequence[Panel | None]) -> None:
+    limits = common_limits(panels)
+    for place, panel in zip(axes, panels, strict=True):
+        if panel is None:
+            place.set_visible(False)
+            continue
+        place.set_title(panel.title, loc="left", fontweight="bold", fontsize=9.0)
+        place.set_xlabel(panel.x_label)
+        place.set_ylabel(panel.y_label)
+        place.set_xscale("log" if panel.x_log else "linear")
+        place.set_yscale("log" if panel.y_log else "linear")
+        _mark_values(place, panel)
+        if isinstance(panel, Lines):
+            _draw_lines(place, panel)
+        else:
+            _draw_cells(figure, place, panel, limits)
+
+
+def _mark_values(place: "Axes", panel: Panel) -> None:
+    """Puts the marks of a logarithmic axis at the values themselves where those are few."""
+    places = panel.marks()
+    if places:
+        place.set_xticks(places, [f"{value:g}" for value in places])
+        place.set_xticks([], minor=True)
+
+
+def _draw_lines(place: "Axes", panel: Lines) -> None:
+    place.grid(visible=True)
+    for line in panel.lines:
+        mark = _MARKS[line.number % len(_MARKS)] if line.style in ("measured", "ours") else None
+        place.plot(line.x, line.y, label=line.label, color=line.colour, marker=mark, **_LINES[line.style])
+    if panel.note:
+        place.text(
+            0.0,
+            -0.17,
+            textwrap.fill(panel.note, _LETTERS - 20),
+            transform=place.transAxes,
+            fontsize=8.0,
+            color="#606060",
+            va="top",
+        )
+    size = 8.0 if len(panel.lines) <= _MANY else 6.5
+    place.legend(frameon=True, framealpha=0.85, edgecolor="none", fontsize=size, loc="best")
+
+
+def _draw_cells(figure: "Figure", place: "Axes", panel: Cells, limits: tuple[float, float]) -> None:
+    from matplotlib.colors import LogNorm, Normalize
+
+    norm = (LogNorm if panel.value_log else Normalize)(*limits)
+    drawn: ScalarMappable
+    colours = "magma_r" if panel.more_is_worse else "viridis"
+    if panel.dots:
+        drawn = place.scatter(panel.x, panel.y, c=panel.values, norm=norm, cmap=colours, s=14.0, edgecolors="none")
+    else:
+        drawn = place.pcolormesh(*panel.edges(), panel.values, norm=norm, cmap=colours, rasterized=True)
+        _draw_contour(place, panel)
+    figure.colorbar(drawn, ax=place, label=panel.value_label, pad=0.02)
+
+
+def _draw_contour(place: "Axes", panel: Cells) -> None:
+    if panel.contour is None or min(panel.values.shape) < 2 or not np.isfinite(panel.values).any():
+        return
+    if not np.nanmin(panel.values) < panel.contour < np.nanmax(panel.values):
+        return
+    drawn = place.contour(panel.x, panel.y, panel.values, levels=[panel.contour], colors="white", linewidths=1.2)
+    place.clabel(drawn, fmt=f"{100.0 * panel.contour:g} %%", fontsize=8.0)

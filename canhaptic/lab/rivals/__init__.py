@@ -1,0 +1,1 @@
+"""Algorithms to compare with; the tables of `canhaptic.control` name them."""

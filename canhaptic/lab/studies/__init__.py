@@ -1,0 +1,1 @@
+"""Many runs of one question: compare, accuracy, sweep, map, design, arena."""

@@ -1,0 +1,269 @@
+"""A study of accuracy as tables, for a terminal and as Markdown for a page of documentation."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from canhaptic.axis_units import effort_unit
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
+from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR
+from canhaptic.view.si import si
+from canhaptic.view.table_style import FigureTable
+
+Row = Mapping[str, Any]
+_Table = tuple[str, Sequence[str], list[list[str]], list[bool]]
+
+PLANT_HEADS: Final = (
+    "method", "setting", "position", "force", "energy", "evals /\nperiod", "events", "us /\nperiod", "times\nwork", "",
+)  # fmt: skip
+LOOP_HEADS: Final = (
+    "changed", "to", "position", "force", "energy", "energy\nunsure", "control\nthread", "of T", "bus\nload",
+)  # fmt: skip
+EFFECT_HEADS: Final = (
+    "left out", "order", "position", "force", "energy", "evals\nsaved", "us\nsaved", "error\nper us",
+)  # fmt: skip
+
+_NEARER: Final = 0.8
+"""Part of the scene's own error below which a change is worth naming."""
+_SHOWN: Final = 4
+_CLOCK: Final = 0.1
+"""Time of a cycle below which a difference of two runs is not distinguished from zero [us]."""
+_WIDE_HEADS: Final = ("wall time per simulated s", "median over least")
+_AIRY: Final = 9
+"""Columns that a terminal of 100 characters shows with two spaces between them."""
+
+
+def accuracy_report(result: Row, *, tables: bool = False) -> RenderableType:
+    """Returns the answer, what was studied and, where they are asked for, the tables, for a terminal."""
+    parts: list[RenderableType] = [Text(f" {line}") for line in (*advice_lines(result), "", *heading(result))]
+    if not tables:
+        return Group(*parts, Text(" every row: --tables"))
+    for title, heads, rows, marked in _tables(result):
+        table = FigureTable(keys=2, title=f" {title}", padding=(0, int(len(heads) <= _AIRY), 0, 0), pad_edge=False)
+        for index, head in enumerate(heads):
+            table.add_column(head, justify="left" if index < 2 else "right", no_wrap=True)
+        for cells, mark in zip(rows, marked, strict=True):
+            table.add_row(*cells, style="bold" if mark else "")
+        parts.append(table)
+    return Group(*parts)
+
+
+def markdown(result: Row) -> str:
+    """Returns the same as Markdown, with every table."""
+    lines = ["### Advice", "", *(f"- {line}" for line in advice_lines(result)), ""]
+    lines += [*(f"{line}  " for line in heading(result)), ""]
+    for title, heads, rows, marked in _tables(result, wide=True):
+        titles = [head.replace("\n", " ") for head in heads]
+        lines += [f"### {title}", "", "| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
+        for cells, mark in zip(rows, marked, strict=True):
+            lines.append(
+                "| " + " | ".join(f"**{c}**" if mark and i < 2 and c else c for i, c in enumerate(cells)) + " |"
+            )
+        lines.append("")
+    return "\n".join(lines) + "\n"
+
+
+def heading(result: Row) -> list[str]:
+    """Returns what was studied, against what."""
+    unit = result["unit"]
+    lines = [
+        f"{result['scene']}, {part_of(result)}: {result['holds']} sample times at {si(result['rate'], 'Hz', 3)}, "
+        f"{result['status']}"
+    ]
+    reference = result["reference"]
+    if reference:
+        witness = reference["witness"]
+        apart = "" if witness is None else f"; {witness['method']}: {length(witness['apart'], unit)} apart"
+        lines.append(f"reference: {reference['method']}; travel {length(reference['travel'], unit)}{apart}")
+        agreement = reference["rank_agreement"]
+        if agreement is not None:
+            lines.append(f"evaluations of the equations of motion rank like time: Spearman {agreement:.2f}")
+    if result["workload"]:
+        work = result["workload"]
+        lines.append(f"fixed workload of this run: {si(work['seconds'], 's', 3)} ({work['what']})")
+    if result["log_us"] is not None:
+        cost = f"{result['log_us']:.1f} us" if result["log_us"] >= _CLOCK else f"less than {_CLOCK} us"
+        lines.append(f"the energy log costs the control thread {cost} a cycle")
+    engines = {row["engine"].partition(":")[0] for row in result["loop"]}
+    if engines:
+        lines.append(f"the loops ran in {' and '.join(sorted(engines))}")
+    return [*lines, *result["remarks"]]
+
+
+def part_of(result: Row) -> str:
+    """Returns the axis or the group that was studied."""
+    return f"{'group' if result.get('is_group') else 'axis'} {result['axis']}"
+
+
+def advice_lines(result: Row) -> list[str]:
+    """Returns the answer, the line that a scene takes for it, and what else is worth knowing."""
+    advice, unit = result["advice"], result["unit"]
+    if advice is None:
+        return ["no advice: the study was stopped before its end"]
+    within = f"within {length(advice['tolerance'], unit)}"
+    chosen, best = advice["chosen"], advice["most_exact"]
+    if chosen is None:
+        reached = "" if best is None else f"; the most exact setting reaches {length(best['position_error'], unit)}"
+        lines = [f"{within}: no advice: {advice['doubt'] or 'no setting of the plant keeps it'}{reached}"]
+    else:
+        lines = [
+            f"{within}: {chosen['setting']} ({chosen['evaluations_per_period']:.3g} evaluations a period, error "
+            f"{length(chosen['position_error'], unit)}, {si(chosen['energy_error'], 'J', 2)}); paste into the scene:",
+            f"    {advice['line']}",
+        ]
+    lines.append(_loop_advice(result))
+    for other in advice["cheaper_elsewhere"][:1]:
+        lines.append(f"no scene can name it, but fewer evaluations: {other['method']}, {other['setting']}")
+    return [line for line in (*lines, *_effect_advice(result)) if line]
+
+
+def _effect_advice(result: Row) -> list[str]:
+    """Returns what each effect is worth, and which ones did nothing."""
+    effects, unit = result["advice"]["effects"], result["unit"]
+    worth = [effect for effect in effects if effect.get("position_error")]
+    names = ", ".join(f"{effect['effect']} ({length(effect['position_error'], unit)})" for effect in worth)
+    lines = [f"effects, most error per microsecond saved first: {names}"] if worth else []
+    idle = [effect["effect"] for effect in effects if effect.get("position_error") == 0.0]
+    if idle:
+        lines.append(f"changed nothing in this time: {', '.join(idle)}")
+    return [*lines, *(f"{effect['effect']}: {effect['remark']}" for effect in effects if effect["remark"])]
+
+
+def _loop_advice(result: Row) -> str:
+    """Returns what brings the rendered axis nearer to the continuous one and fits the bus, best first."""
+    base = next((row for row in result["loop"] if row["is_scene"] and row["status"] == "ok"), None)
+    if base is None:
+        return ""
+    floor, unit = _loop_floor(result), result["unit"]
+    if base["largest_torque"] == 0.0 or base["position_error"] <= floor:
+        time = si(result["holds"] / result["rate"], "s", 3)
+        return f"loop: in these {time} nothing is felt, and nothing was compared; take a longer --duration"
+
+    def is_nearer(row: Row) -> bool:
+        return bool(row["status"] == "ok" and row["position_error"] < _NEARER * base["position_error"] - floor)
+
+    def lasts(row: Row) -> bool:
+        """Whether it is no coarser than the scene, and every finer one is nearer too: one motion may be luck."""
+        if row["fineness"] is None:
+            return True
+        finer = [r for r in result["loop"] if r["group"] == row["group"] and (r["fineness"] or 0.0) > row["fineness"]]
+        return bool(row["fineness"] > 1.0 and all(is_nearer(other) for other in finer if other["status"] == "ok"))
+
+    nearer = [row for row in result["loop"] if row["bus_fits"] and is_nearer(row) and lasts(row)]
+    if not nearer:
+        return "loop: no single change that fits the bus brings it clearly nearer to the continuous axis"
+    words = []
+    for row in sorted(nearer, key=lambda row: float(row["position_error"]))[:_SHOWN]:
+        given = max(0.0, row["energy_given_out"])
+        out = f", gives out {si(given, 'J', 2)}" if given > PASSIVE_TOLERANCE else ""
+        load = f"bus {100.0 * row['bus_load']:.0f} %"
+        words.append(f"{row['group']} {row['setting']} ({length(row['position_error'], unit)}, {load}{out})")
+    return f"loop: {length(base['position_error'], unit)} from the continuous axis; nearer: {'; '.join(words)}"
+
+
+def _loop_floor(result: Row) -> float:
+    """Returns the error of the position that is the plant's own on the side of the loop [m or rad]."""
+    best = result["advice"]["most_exact"] if result["advice"] else None
+    return max(_floor(result), 2.0 * best["position_error"] if best else 0.0)
+
+
+def length(value: float, unit: str) -> str:
+    """Returns a position with its unit."""
+    return si(value, "m", 3) if unit == "m" else f"{value:.3g} rad"
+
+
+def _tables(result: Row, *, wide: bool = False) -> list[_Table]:
+    """Returns every table; the wide ones have times per simulated second and their spread besides."""
+    unit = result["unit"]
+    floor = _floor(result)
+    found: list[_Table] = []
+    if result["plant"]:
+        rows = [_plant_cells(row, unit, floor) for row in result["plant"]]
+        title = "plant: largest error at any SYNC; bold and *: Pareto front of evaluations, the same on every machine"
+        heads: Sequence[str] = PLANT_HEADS
+        if wide:
+            heads = (*PLANT_HEADS, *_WIDE_HEADS)
+            rows = [[*cells, *_wall(row)] for cells, row in zip(rows, result["plant"], strict=True)]
+        found.append((title, heads, rows, [bool(row["pareto"]) for row in result["plant"]]))
+    if result["orders"]:
+        orders = [[row["method"], _plain(row["declared"]), _fixed(row["fitted"], 2)] for row in result["orders"]]
+        found.append(
+            ("order of the error in the step", ("method", "declared", "fitted"), orders, [False] * len(orders))
+        )
+    effects = result["advice"]["effects"] if result["advice"] else []
+    if effects:
+        rows = [_effect_cells(row, unit) for row in effects]
+        found.append(("effects: what leaving one out does", EFFECT_HEADS, rows, [False] * len(rows)))
+    if result["loop"]:
+        rows = [_loop_cells(row, unit) for row in result["loop"]]
+        title = "loop: largest difference from the continuous axis, one thing changed; !: the cycle does not fit"
+        found.append((title, LOOP_HEADS, rows, [bool(row["is_scene"]) for row in result["loop"]]))
+    return found
+
+
+def _floor(result: Row) -> float:
+    """Returns the error of the position that is none [m or rad]."""
+    return FLOOR * float(result["reference"]["travel"]) if result["reference"] else 0.0
+
+
+def _wall(row: Row) -> list[str]:
+    """Returns wall time per simulated second, and its spread."""
+    if row.get("wall_per_second") is None:
+        return ["", ""]
+    return [si(row["wall_per_second"], "s", 3), f"+{100.0 * row['spread']:.0f} %"]
+
+
+def _plant_cells(row: Row, unit: str, floor: float) -> list[str]:
+    if row["status"] != "ok":
+        return [row["method"], row["setting"], row["status"].partition(":")[0], *[""] * 7]
+    position = f"<= {length(floor, unit)}" if row["position_error"] <= floor else length(row["position_error"], unit)
+    return [
+        row["method"], row["setting"], position, _force(row["force_error"], unit), si(row["energy_error"], "J", 3),
+        _fixed(row["evaluations_per_period"], 2), str(row["events"]) if row["accuracy"] else "",
+        _short(row["us_per_period"], 4), _short(row["ratio"], 3),
+        "*" if row["pareto"] else "",
+    ]  # fmt: skip
+
+
+def _effect_cells(row: Row, unit: str) -> list[str]:
+    if row.get("position_error") is None:
+        return [row["effect"], "-", *[""] * 6]
+    worth = row["error_per_microsecond"]
+    order = "exact" if row["order"] is None else str(row["order"])
+    return [
+        row["effect"], order, length(row["position_error"], unit), _force(row["force_error"], unit),
+        si(row["energy_error"], "J", 3), _fixed(row["evaluations_saved_per_period"], 2),
+        _short(row["us_saved_per_period"], 3), "" if worth is None else length(worth, unit),
+    ]  # fmt: skip
+
+
+def _loop_cells(row: Row, unit: str) -> list[str]:
+    thread = row.get("control_thread_us")
+    load = f"{100.0 * row['bus_load']:.0f} %{'' if row['bus_fits'] else ' !'}"
+    errors = [row["status"].partition(":")[0], "", ""]
+    if row["status"] == "ok":
+        energy = si(row["energy_error"], "J", 3)
+        errors = [length(row["position_error"], unit), _force(row["force_error"], unit), energy]
+    return [
+        row["group"], row["setting"], *errors, si(row["energy_uncertainty"], "J", 3),
+        "" if thread is None else f"{thread:.1f} us",
+        "" if thread is None else f"{100.0 * row['thread_share']:.0f} %", load,
+    ]  # fmt: skip
+
+
+def _force(value: float, unit: str) -> str:
+    return si(value, effort_unit(unit), 3)
+
+
+def _fixed(value: float | None, digits: int) -> str:
+    return "" if value is None else f"{value:.{digits}f}"
+
+
+def _short(value: float | None, digits: int) -> str:
+    return "" if value is None else f"{value:.{digits}g}"
+
+
+def _plain(value: int | None) -> str:
+    return "exact" if value is None else str(value)

@@ -1,0 +1,253 @@
+"""What accuracy costs an admittance display: the simulated plant against a solver, the loop against an ideal one.
+
+commands of the scene's own controller -> the plant of the scene                     against DOP853
+every rate, algorithm, sensor and encoder -> position, energy, mass felt, given out  against the ideal display
+
+The ideal display is the same environment without protection at a 32nd of the sample time (20 kHz at most), with a drive
+a thousand times as stiff, a sensor that shows the mean of each hold without error, and an encoder as much finer. How
+far it is from one with twice its sample time says how sure it is.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
+from canhaptic.drive.clock import WallClock
+from canhaptic.drive.profile.display_parameters import ForceParameters
+from canhaptic.errors import CanHapticError, InputError, ParameterError
+from canhaptic.lab.figures.display_figures import figures_of
+from canhaptic.lab.loop.algorithms import display_group_under, display_under
+from canhaptic.lab.loop.axis_loop import Array
+from canhaptic.lab.loop.display_equations import integrate, why_no_equations
+from canhaptic.lab.loop.display_loop import DisplayRun, run_display
+from canhaptic.lab.loop.scenes import at_rate, parts_of
+from canhaptic.lab.studies.accuracy.accuracy_choice import holds_of
+from canhaptic.lab.studies.accuracy.display_accuracy_table import ChangeRow, DisplayStudy, PlantRow
+from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.torque_history import simulation_of
+from canhaptic.sim.plant.force_sensor import SimulatedForceSensor
+from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation
+
+_FINEST: Final = 32
+"""Most holds of the ideal display in one sample time; half as many in the one that it is compared with."""
+_FASTEST: Final = 20e3
+"""Highest rate that a scene may have [Hz]."""
+_STIFFER: Final = 1000.0
+_PLAIN: Final = "unprotected"
+
+Stop = Callable[[], bool]
+
+
+class _Variant(NamedTuple):
+    """One change of a scene."""
+
+    changed: str
+    to: str
+    scene: Scene
+    steps: int  # holds of the ideal display in one of its holds
+
+
+def study_display(scene: Scene, name: str | None, duration: float | None, stop: Stop) -> DisplayStudy:
+    """Returns the study of one display, or group of displays, as plain values.
+
+    Args:
+        scene: Simulated.
+        name: Of the axis or group; None for the first.
+        duration: Of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter.
+        stop: Asked before every run; what was measured by then is returned.
+
+    Raises:
+        InputError: There is none of that name, or it is not simulated.
+    """
+    parts = parts_of(scene)
+    if name is not None and name not in parts:
+        raise InputError(f"{scene.source}: got axis {name!r}, expected one of: {', '.join(parts)}")
+    name = name or next(iter(parts))
+    alone, holds, steps = parts[name], holds_of(scene, duration), _steps(scene)
+    ideal = run_display(_ideal(alone, steps), holds * steps)
+    nearly = run_display(_ideal(alone, steps // 2), holds * steps // 2)
+    rows: list[ChangeRow] = []
+    found: DisplayStudy = {
+        "scene": scene.source,
+        "axis": name,
+        "unit": alone.axes[0].parameters.unit,
+        "rate": 1.0 / scene.bus.sample_time,
+        "holds": holds,
+        "reference": {
+            "ended": ideal.ended,
+            "travel": float(np.ptp(_positions(ideal), axis=0).max()),
+            "energy": ideal.interaction,
+            "apart": _apart(nearly, ideal, 2)[0],
+        },
+        "plant": [],
+        "loop": rows,
+        "status": "completed",
+    }
+    for variant in _variants(alone, steps):
+        if stop():
+            found["status"] = "stopped"
+            return found
+        rows.append(_row(variant, ideal, holds * steps // variant.steps))
+    found["plant"] = [_plant_row(alone, axis, holds) for axis in alone.axes]
+    return found
+
+
+def _steps(scene: Scene) -> int:
+    """Returns the holds of the ideal display in one sample time, a power of two."""
+    steps = _FINEST
+    while steps > 4 and steps / scene.bus.sample_time > _FASTEST:
+        steps //= 2
+    return steps
+
+
+def _positions(run: DisplayRun) -> Array:
+    return run.columns()[:, :, 0]
+
+
+def _apart(run: DisplayRun, ideal: DisplayRun, steps: int) -> tuple[float, float]:
+    """Returns the largest errors of position [m or rad] and energy [J] against the ideal display, at the same times."""
+    exact, energies = _positions(ideal)[::steps], np.array(ideal.energies[::steps])
+    common = min(len(exact), run.cycles)
+    position = np.abs(_positions(run)[:common] - exact[:common]).max(initial=0.0)
+    return float(position), float(np.abs(np.array(run.energies[:common]) - energies[:common]).max(initial=0.0))
+
+
+def _row(variant: _Variant, ideal: DisplayRun, cycles: int) -> ChangeRow:
+    row: ChangeRow = {"changed": variant.changed, "to": variant.to}
+    clock = WallClock()
+    begin = clock.now()
+    try:
+        run = run_display(variant.scene, cycles)
+    except CanHapticError as error:
+        row["status"] = f"refused: {str(error).splitlines()[0]}"
+        return row
+    spent = clock.now() - begin
+    figures = figures_of(run, variant.scene)
+    position, energy = _apart(run, ideal, variant.steps)
+    return {
+        "changed": variant.changed,
+        "to": variant.to,
+        "status": run.ended or "ok",
+        "position_error": position,
+        "energy_error": energy,
+        "mass_felt": figures["mass_felt"],
+        "given_out": -run.least_interaction,
+        "guard_acts": figures["guard_acts"],
+        "energy_unsure": run.resolution,
+        "us_per_cycle": spent * 1e-3 / max(1, run.cycles),
+    }
+
+
+def _plant_row(scene: Scene, axis: AxisScene, holds: int) -> PlantRow:
+    """Returns how far the plant is from a solver under the commands of the scene's own controller."""
+    simulation = simulation_of(axis)
+    row: PlantRow = {"axis": axis.parameters.name}
+    if reason := why_no_equations(simulation):
+        row["status"] = f"not compared: no equations for {reason}"
+        return row
+    run, place = run_display(scene, holds), scene.axes.index(axis)
+    held = run.held[place :: run.axes]
+    exact = integrate(simulation, held, scene.bus.sample_time)
+    row["status"], row["position_error"] = "ok", float(np.abs(_positions(run)[:, place] - exact[:, 0]).max())
+    if run.axes == 1:
+        row["energy_error"] = float(np.abs(np.array(run.energies) - exact[:, 1]).max())
+    return row
+
+
+# --- what is varied ---------------------------------------------------------------------------------------------------
+
+
+def _variants(scene: Scene, steps: int) -> Iterator[_Variant]:
+    """Yields the scene and its changes; `steps` are the holds of the ideal display in one of its own."""
+    rate = 1.0 / scene.bus.sample_time
+    yield _Variant("the scene", "", scene, steps)
+    for factor in (0.5, 2.0, 4.0):
+        yield _Variant("rate", f"{factor * rate:g} Hz", at_rate(scene, factor * rate), round(steps / factor))
+    changes = [("algorithm", name, changed) for name, changed in _under_others(scene)]
+    changes += [("sampling", sampling, _sensed(scene, sampling=sampling)) for sampling in ("point", "mean")]
+    exact = _sensed(scene, gain=1.0, offset=0.0, drift=0.0, noise=0.0, quantum=0.0)
+    changes += [("sensor", "without errors", exact), ("encoder", "10 times finer", _finer(scene, 10.0))]
+    for what, to, changed in changes:
+        yield _Variant(what, to, changed, steps)
+
+
+def _under_others(scene: Scene) -> Iterator[tuple[str, Scene]]:
+    """Yields the scene under every other algorithm that needs nothing which it does not say."""
+    own = scene.groups[0].passivity.name if scene.groups else scene.axes[0].passivity.name
+    for name in DISPLAY_GROUP_ALGORITHMS if scene.groups else DISPLAY_ALGORITHMS:
+        if name != own:
+            try:
+                yield name, _under(scene, name)
+            except ParameterError:
+                continue
+
+
+def _under(scene: Scene, name: str) -> Scene:
+    if scene.groups:
+        return replace(scene, groups=(display_group_under(scene.groups[0], name),))
+    return replace(scene, axes=tuple(display_under(axis, name) for axis in scene.axes))
+
+
+def _sensed(scene: Scene, **values: float | str) -> Scene:
+    """Returns a scene with other properties of the simulated sensor; its sampling is declared too."""
+
+    def changed(axis: AxisScene) -> AxisScene:
+        display, simulation = axis.parameters.admittance, simulation_of(axis)
+        if display is None or simulation.admittance is None:
+            return axis
+        sensor = simulation.admittance.sensor.model_copy(update=values)
+        known = {"sampling": values["sampling"]} if "sampling" in values else {}
+        force = display.force.model_copy(update=known)
+        return _with(axis, force=force, admittance=simulation.admittance.model_copy(update={"sensor": sensor}))
+
+    return replace(scene, axes=tuple(changed(axis) for axis in scene.axes))
+
+
+def _with(
+    axis: AxisScene, *, force: ForceParameters | None, admittance: AdmittanceSimulation | None, counts: float = 1.0,
+    delay: int | None = None,
+) -> AxisScene:  # fmt: skip
+    given, simulation = axis.parameters, simulation_of(axis)
+    display = given.admittance and given.admittance.model_copy(update={"force": force})
+    update = {"admittance": display, "counts_per_unit": counts * given.counts_per_unit}
+    drive = simulation.drive
+    if drive.display is not None and force is not None:
+        scales = {"force_per_count": force.per_count, "force_offset_counts": force.offset_counts}
+        drive = drive.model_copy(update={"display": drive.display.model_copy(update=scales)})
+    loop = axis.loop if delay is None else axis.loop.model_copy(update={"delay": delay})
+    return replace(
+        axis, parameters=given.model_copy(update=update), loop=loop,
+        simulation=replace(simulation, admittance=admittance, drive=drive),
+    )  # fmt: skip
+
+
+def _finer(scene: Scene, factor: float) -> Scene:
+    def changed(axis: AxisScene) -> AxisScene:
+        display = axis.parameters.admittance
+        force = None if display is None else display.force
+        return _with(axis, force=force, admittance=simulation_of(axis).admittance, counts=factor)
+
+    return replace(scene, axes=tuple(changed(axis) for axis in scene.axes))
+
+
+def _ideal(scene: Scene, steps: int) -> Scene:
+    """Returns the ideal display of a scene, with so many holds in one sample time."""
+
+    def changed(axis: AxisScene) -> AxisScene:
+        display, simulated = axis.parameters.admittance, simulation_of(axis).admittance
+        if display is None or simulated is None:
+            raise InputError(f"{axis.parameters.name}: is no admittance display, expected one")
+        loop = simulated.loop.model_copy(
+            update={"gain": _STIFFER * simulated.loop.gain, "integral_gain": 0.0, "torque_limit": None}
+        )
+        ideal = simulated.model_copy(update={"loop": loop, "sensor": SimulatedForceSensor(sampling="mean")})
+        known = {"sampling": "mean", "latency": 0, "filter": 0.0, "frozen_after": None, "offset_counts": 0.0}
+        force = display.force.model_copy(update={**known, "range": 1e6, "per_count": 1e-6 * display.force.range})
+        return _with(axis, force=force, admittance=ideal, counts=1e3, delay=0)
+
+    finer = at_rate(_under(scene, _PLAIN), steps / scene.bus.sample_time)
+    bus = finer.bus.model_copy(update={"rpdo": "event"})  # a command acts at once
+    return replace(finer, bus=bus, axes=tuple(changed(axis) for axis in finer.axes))

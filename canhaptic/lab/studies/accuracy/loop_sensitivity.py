@@ -1,0 +1,300 @@
+"""The loop side: one thing changed at a time, sample rate, delay, algorithm, velocity filter, resolution, encoder.
+
+Every variant is rendered without a bus and held against the continuous environment; the bus load is arithmetic.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from canhaptic.axis_units import effort_unit
+from canhaptic.canopen.eds import read_dictionary
+from canhaptic.control.passivity import ALGORITHMS, LITERATURE
+from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can.bus_budget import bus_budget
+from canhaptic.drive.can.pdo_map import AxisMap, choose_map
+from canhaptic.drive.clock import WallClock
+from canhaptic.errors import ParameterError
+from canhaptic.lab.batch.engine import WORTH_COMPILING, ChosenEngine, Engine, chosen_engine
+from canhaptic.lab.batch.rendering import render_by, work_of
+from canhaptic.lab.loop.algorithms import able_under
+from canhaptic.lab.loop.axis_loop import Array, Case, LoopCase, LoopRun, Recorder
+from canhaptic.lab.loop.scenes import axis_at, loop_case
+from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.timing import with_timing
+from canhaptic.scene.torque_history import simulation_of
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+
+FINEST: Final = 4
+"""Highest rate over that of the scene; the reference is read at that rate."""
+RATES: Final = (0.25, 0.5, 2.0, float(FINEST))
+"""Sample rates that are tried, over that of the scene."""
+_SUBSTEPS: Final = 32
+"""Substeps of the plant in one sample time of the scene: the finest of the ladder, whose error is the floor here."""
+_ENCODER_EFFECTS: Final = ("encoder_noise", "encoder_quantisation")
+
+
+class Continuous(Protocol):
+    """What is felt without sampling, of an axis or, in further columns, of the axes of a group."""
+
+    @property
+    def step_ns(self) -> int:
+        """Time between two readings [ns]."""
+
+    @property
+    def position(self) -> Array:
+        """At every reading [m or rad]."""
+
+    @property
+    def impulse(self) -> Array:
+        """Impulse of the rendered force since the start [N*s or N*m*s]."""
+
+    @property
+    def interaction(self) -> Array:
+        """Energy taken since the start [J]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Variant:
+    """One loop."""
+
+    group: str
+    setting: str
+    buses: tuple[str, ...]  # names of those that its axes are on
+    bus: BusParameters
+    case: Case
+    is_scene: bool = False
+    remark: str = ""
+    fineness: float | None = None  # times that of the scene, infinite for ideal; None where nothing is finer
+
+    def render(self, cycles: int, motion: Array, tick: Callable[[], None], engine: ChosenEngine) -> LoopRun:
+        """Returns what it did.
+
+        Args:
+            cycles: SYNCs.
+            motion: Of the continuous run, which says what counts as divergence [m or rad].
+            tick: Called at every SYNC; may raise to give up.
+            engine: Of the loop.
+        """
+        raise NotImplementedError
+
+    def work(self, cycles: int) -> tuple[str, float]:
+        """Returns what has to be compiled for it, and its cost in cycles of a light plant; 0: nothing is compiled."""
+        return "", 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _AxisVariant(Variant):
+    """The loop of one axis."""
+
+    axis: AxisScene
+    case: LoopCase
+
+    def render(self, cycles: int, motion: Array, tick: Callable[[], None], engine: ChosenEngine) -> LoopRun:
+        """Returns what it did; see `Variant`."""
+        return render_by(engine, self.case, cycles, Recorder.around(motion), tick)
+
+    def work(self, cycles: int) -> tuple[str, float]:
+        """Returns the algorithm, and the cost of a run; see `Variant`."""
+        return self.case.algorithm, work_of(self.case, cycles)
+
+
+def _variant(
+    group: str, setting: str, axis: AxisScene, bus: BusParameters, case: LoopCase, **rest: Any
+) -> _AxisVariant:
+    return _AxisVariant(group=group, setting=setting, buses=(axis.bus,), axis=axis, bus=bus, case=case, **rest)
+
+
+@dataclass(frozen=True, slots=True)
+class LoopRow:
+    """Result of one variant; errors are the largest over the run, None where it could not be run."""
+
+    variant: Variant
+    run: LoopRun
+    position_error: float
+    force_error: float
+    energy_error: float
+    seconds: float  # wall time of the run, plant and recording included
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether it ran to its end."""
+        return not self.run.ended
+
+
+def variants(axis: AxisScene, scene: Scene) -> Sequence[Variant]:
+    """Returns the scene itself and its variants, one change each, on a finely solved plant."""
+    axis = _with_substeps(axis, 1.0)
+    base = _variant("as it is", axis.passivity.name, axis, scene.bus, loop_case(axis, scene), is_scene=True)
+    found = [base, *_rates(base, scene), *_delays(base, scene), *_algorithms(base, scene), *_filters(base, scene)]
+    return [*found, *_torques(base), *_encoders(base), *_without_encoder_effects(base, scene)]
+
+
+def _with_substeps(axis: AxisScene, factor: float) -> AxisScene:
+    """Returns the axis with substeps of the same length at `factor` times the rate."""
+    fine = AccuracyParameters(substeps=max(1, round(_SUBSTEPS / factor)))
+    return replace(axis, simulation=replace(simulation_of(axis), accuracy=fine))
+
+
+def _rates(base: _AxisVariant, scene: Scene) -> list[_AxisVariant]:
+    found = []
+    for factor in RATES:
+        rate = base.bus.rate * factor
+        if not 1.0 <= rate <= 20_000.0 or (factor > 1.0 and base.bus.sample_time_ns % int(factor)):
+            continue
+        bus = BusParameters(**{**base.bus.model_dump(), "rate": rate})
+        axis = _with_substeps(axis_at(base.axis, bus.sample_time), factor)
+        case = loop_case(axis, replace(scene, bus=bus))
+        found.append(_variant("sample rate", hertz(rate), axis, bus, case, fineness=factor))
+    return found
+
+
+def hertz(rate: float) -> str:
+    """Returns a rate with its unit."""
+    return f"{rate / 1000.0:g} kHz" if rate >= 1000.0 else f"{rate:g} Hz"
+
+
+def _delays(base: _AxisVariant, scene: Scene) -> list[_AxisVariant]:
+    other = "event" if base.bus.rpdo == "synchronous" else "synchronous"
+    bus = base.bus.model_copy(update={"rpdo": other})
+    loop = base.axis.loop.model_copy(update={"delay": bus.delay, "torque_window": None})
+    name = base.axis.parameters.name
+    axes = (replace(base.axis, loop=loop) if each.parameters.name == name else each for each in scene.axes)
+    timed = with_timing(replace(scene, bus=bus, axes=tuple(axes)))
+    axis = next(each for each in timed.axes if each.parameters.name == name)
+    if (axis.loop.torque_window or 0.0) >= bus.sample_time:  # the torque would come behind the next SYNC
+        return []
+    return [_variant("RPDO", other, axis, bus, loop_case(axis, timed))]
+
+
+def _algorithms(base: _AxisVariant, scene: Scene) -> list[_AxisVariant]:
+    found = []
+    for name in ALGORITHMS:
+        if name == base.axis.passivity.name or name in LITERATURE:
+            continue
+        try:
+            chosen = able_under(base.axis, name, scene)
+        except ParameterError:
+            continue
+        case = loop_case(chosen.axis, scene)
+        found.append(_variant("algorithm", name, chosen.axis, base.bus, case, remark=chosen.remark))
+    return found
+
+
+def _filters(base: _AxisVariant, scene: Scene) -> list[_AxisVariant]:
+    parameters = base.axis.passivity.parameters
+    if "velocity" not in type(parameters).model_fields:
+        return []
+    other = "last" if getattr(parameters, "velocity", "last") == "windowed" else "windowed"
+    changed = parameters.model_copy(update={"velocity": other})
+    axis = replace(base.axis, passivity=base.axis.passivity._replace(parameters=changed))
+    return [_variant("velocity", other, axis, base.bus, loop_case(axis, scene))]
+
+
+def _torques(base: _AxisVariant) -> list[_AxisVariant]:
+    quantum = base.case.torque_quantum
+    if quantum is None:
+        return []
+    unit = effort_unit(base.axis.parameters.unit)
+    found = []
+    for factor in (0.1, 10.0, None):
+        step = None if factor is None else quantum * factor
+        loop = base.case.loop.model_copy(update={"torque_quantum": step or 0.0})
+        setting = "ideal" if step is None else f"{step:g} {unit}"
+        case = replace(base.case, torque_quantum=step, loop=loop)
+        found.append(_variant("torque step", setting, base.axis, base.bus, case, fineness=fineness(factor, -1.0)))
+    return found
+
+
+def _encoders(base: _AxisVariant) -> list[_AxisVariant]:
+    counts = base.case.counts_per_unit
+    if counts is None:
+        return []
+    found = []
+    for factor in (0.01, 0.1, 10.0, None):
+        scale: float | None = None if factor is None else abs(counts) * factor
+        loop = base.case.loop.model_copy(update={"encoder_count": 1.0 / scale if scale else 0.0})
+        setting = "ideal" if scale is None else f"{1.0 / scale:.3g} {base.axis.parameters.unit}"
+        case = replace(base.case, counts_per_unit=scale, loop=loop)
+        found.append(_variant("encoder count", setting, base.axis, base.bus, case, fineness=fineness(factor, 1.0)))
+    return found
+
+
+def fineness(factor: float | None, power: float) -> float:
+    """Returns how much finer a step is by a factor; infinite for none."""
+    return math.inf if factor is None else float(factor**power)
+
+
+def _without_encoder_effects(base: _AxisVariant, scene: Scene) -> list[_AxisVariant]:
+    simulation, found = simulation_of(base.axis), []
+    for name in dict.fromkeys(effect.name for effect in simulation.effects if effect.name in _ENCODER_EFFECTS):
+        rest = tuple(effect for effect in simulation.effects if effect.name != name)
+        axis = replace(base.axis, simulation=replace(simulation, effects=rest))
+        found.append(_variant("effect", f"without {name}", axis, base.bus, loop_case(axis, scene)))
+    return found
+
+
+def loop_row(
+    variant: Variant, exact: Continuous, duration_ns: int, tick: Callable[[], None], engine: ChosenEngine = "python"
+) -> LoopRow:
+    """Returns one variant run and judged.
+
+    Args:
+        variant: The loop.
+        exact: The continuous axis or group, read at least as often as the variant samples.
+        duration_ns: Length of the run [ns].
+        tick: Called once a cycle; may raise to give up.
+        engine: Of the loop of an axis.
+    """
+    period = variant.case.sample_time_ns
+    clock = WallClock()
+    begin = clock.now()
+    run = variant.render(duration_ns // period + 1, exact.position, tick, engine)
+    seconds = (clock.now() - begin) * 1e-9
+    stride = period // exact.step_ns
+    shown = min(len(run.position), (len(exact.position) - 1) // stride + 1)
+    rows = slice(0, (shown - 1) * stride + 1, stride)
+    impulse = exact.impulse[rows]
+    mean = np.diff(impulse, axis=0, prepend=np.zeros_like(impulse[:1])) / (period * 1e-9)
+    if run.ended:
+        infinite = float("inf")
+        return LoopRow(variant, run, infinite, infinite, infinite, seconds)
+    return LoopRow(
+        variant,
+        run,
+        _most(run.true_position[:shown] - exact.position[rows]),
+        _most(run.torque[:shown] - mean),
+        _most(run.interaction[:shown] - exact.interaction[rows]),
+        seconds,
+    )
+
+
+def _most(values: Array) -> float:
+    return float(np.abs(values).max(initial=0.0))
+
+
+def engines_of(variants: Sequence[Variant], duration_ns: int, engine: Engine) -> list[ChosenEngine]:
+    """Returns what computes each variant; "auto" compiles where all of one algorithm take longer than compiling it."""
+    works = [variant.work(duration_ns // variant.case.sample_time_ns + 1) for variant in variants]
+    whole: Counter[str] = Counter()
+    for name, work in works:
+        whole[name] += round(work)
+    return [chosen_engine(engine, whole[name] >= WORTH_COMPILING) for name, _ in works]
+
+
+def bus_figures(variant: Variant, scene: Scene) -> dict[str, Any]:
+    """Returns load and worst cycle of the fullest bus that the axes are on, at the variant's rate."""
+    budgets = []
+    for bus in dict.fromkeys(variant.buses):
+        maps: Sequence[AxisMap] = [
+            choose_map(read_dictionary(a.parameters.eds, a.parameters.node_id), a.parameters)
+            for a in scene.axes
+            if a.bus == bus
+        ]
+        budgets.append(bus_budget(variant.bus, maps))
+    budget = max(budgets, key=lambda budget: budget.periodic_load)
+    return {"bus_load": budget.periodic_load, "worst_cycle": budget.worst_cycle, "bus_fits": budget.fits}

@@ -1,0 +1,265 @@
+"""The lightest virtual mass that an admittance display renders within a tolerance, for its hand and for hands like it.
+
+A mass passes where every hand feels it within the tolerance, and no more energy than declared is given out. Masses to
+1.1 (M + c tau) are tried, from heavy to light; the answer is the last before one that fails, times 1 + margin.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Final, TypedDict
+
+import numpy as np
+import yaml
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from canhaptic.axis_units import mass_unit
+from canhaptic.control.admittance.display_mass import DisplayMass
+from canhaptic.control.admittance.group_environment import GroupMass, PathMass
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
+from canhaptic.errors import CheckFailedError, InputError
+from canhaptic.lab.figures.display_figures import display_figures
+from canhaptic.lab.loop.scenes import parts_of, require_design_room
+from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
+from canhaptic.scene.parts import display_properties
+from canhaptic.scene.torque_history import simulation_of
+from canhaptic.view.si import si
+
+_HANDS: Final = ((1.0, 1.0), (0.3, 1.0), (3.0, 1.0), (1.0, 0.3), (1.0, 3.0))
+"""Hands that are tried: (mass at the grip, stiffness of the hand), times those of the scene."""
+_DURATION: Final = 2.0  # of a trial [s]
+_PLACES: Final = (17, 7, 5)  # masses in the whole range, then in each interval found
+_RANGE: Final = (0.05, 1.1)  # of the mass from which the guard never acts
+_DIGITS: Final = 3
+_METRICS: Final = ("mass_felt", "mass_felt.share", "least_interaction", "guard_acts", "diverged", "uncertified")
+
+Progress = Callable[[int, int], None]
+_Figures = dict[str, float]
+_Shares = TypedDict("_Shares", {"mass_felt.share": list[float]}, total=False)
+
+
+class DisplayDesign(_Shares, total=False):
+    """The lightest mass of a display, and what it costs with the worst of all hands."""
+
+    mass: float
+    unit: str
+    never_acts: float  # mass from which the guard never acts
+    least_interaction: float  # [J]
+    energy_allowance: float  # [J]
+    guard_acts: float  # part of the holds
+    uncertified: float  # part of the holds
+    hands: int
+    passes: list[float]  # least and largest mass that passes
+
+
+class DisplayDesigns(TypedDict):
+    """The designs of all displays of a scene."""
+
+    scene: str
+    margin: float
+    tolerance: float
+    displays: dict[str, DisplayDesign]
+
+
+def design_displays(
+    scene: Scene, margin: float, tolerance: float, progress: Progress = lambda _tried, _most: None
+) -> DisplayDesigns:
+    """Returns the lightest mass for each display, and group of displays, of a scene, as plain values.
+
+    Args:
+        scene: Of admittance displays, simulated, each with a hand.
+        margin: How much smaller the mass could be and still pass, relative to it.
+        tolerance: How far the mass felt may be from the mass asked, as a part of it.
+        progress: Called with the number of masses tried, and how many there are at most.
+
+    Raises:
+        InputError: A display renders no virtual mass or has no hand, or a margin or tolerance is out of range.
+        CheckFailedError: No mass passes.
+    """
+    require_design_room(margin, tolerance)
+    parts = parts_of(scene)
+    trials = [_Trial(name, part, tolerance) for name, part in parts.items()]
+    most, tried = len(trials) * (sum(_PLACES) + 1), 0
+    found = {}
+    for trial in trials:
+        for tried_here, result in _search(trial, margin):
+            progress(tried + tried_here, most)
+            found[trial.name] = result
+        tried += sum(_PLACES) + 1
+    return {"scene": scene.source, "margin": margin, "tolerance": tolerance, "displays": found}
+
+
+class _Trial:
+    """One display, or group of displays, with its hands."""
+
+    def __init__(self, name: str, scene: Scene, tolerance: float) -> None:
+        self.name, self._scene, self._tolerance = name, scene, tolerance
+        part = scene.groups[0].network if scene.groups else scene.axes[0].environment
+        if not isinstance(part.parameters, DisplayMass | GroupMass) or isinstance(part.parameters, PathMass):
+            raise InputError(f"{scene.source}: {name}: renders {part.name}, expected virtual_mass to design for")
+        if any(simulation_of(axis).user is None for axis in scene.axes):
+            raise InputError(f"{scene.source}: {name}: has no hand (simulation.user), expected one that moves it")
+        self.never_acts = never_acts(scene)
+        self.unit = mass_unit(scene.axes[0].parameters.unit)
+        spec = scene.groups[0].passivity if scene.groups else scene.axes[0].passivity
+        self.allowance = float(getattr(spec.parameters, "energy_allowance", 0.0))
+
+    def figures(self, mass: float) -> list[_Figures]:
+        """Returns the figures of a mass under every hand."""
+        cycles = round(_DURATION / self._scene.bus.sample_time)
+        return [display_figures(_with_mass(_with_hand(self._scene, *hand), mass), cycles, _METRICS) for hand in _HANDS]
+
+    def passes(self, figures: list[_Figures]) -> bool:
+        """Whether a mass is felt as asked by every hand, and gives nothing out."""
+        floor = -self.allowance - PASSIVE_TOLERANCE
+        return all(
+            of["diverged"] == 0.0
+            and of["least_interaction"] >= floor
+            and abs(of["mass_felt.share"] - 1.0) <= self._tolerance
+            for of in figures
+        )
+
+    def off(self, figures: list[_Figures]) -> float:
+        """Returns how far the mass felt is from the mass asked, for the worst hand."""
+        shares = [abs(of["mass_felt.share"] - 1.0) for of in figures]
+        return 1e9 if np.isnan(shares).any() else max(shares)
+
+
+def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, DisplayDesign]]:
+    """Yields (masses tried so far, what is known of the lightest), from heavy to light.
+
+    Raises:
+        CheckFailedError: None passes.
+    """
+    low, high = (share * trial.never_acts for share in _RANGE)
+    tried, most = 0, 0.0
+    nearest: tuple[float, float, list[_Figures]] = (np.inf, low, [])
+    found: DisplayDesign = {}
+    for places in _PLACES:
+        passed = 0.0
+        for mass in np.geomspace(low, high, places)[::-1].tolist():
+            figures = trial.figures(mass)
+            tried += 1
+            yield tried, found
+            if trial.passes(figures):
+                passed, most = mass, max(most, mass)
+            elif passed or most:
+                low = mass
+                break
+            else:
+                nearest = min(nearest, (trial.off(figures), mass, figures), key=lambda one: one[:2])
+        if not most:
+            raise CheckFailedError(f"{trial.name}: {_why(nearest[2], nearest[1], trial)}")
+        high = passed or high
+    mass = _rounded_up(high * (1.0 + margin))
+    found = _account(trial, mass, trial.figures(mass))
+    found["passes"] = [high, most]
+    yield tried + 1, found
+
+
+def _why(figures: list[_Figures], mass: float, trial: _Trial) -> str:
+    shares = [of["mass_felt.share"] for of in figures]
+    return (
+        f"no mass is felt as asked by every hand, the nearest is {mass:.3g} {trial.unit} (felt {min(shares):.3g} to "
+        f"{max(shares):.3g} times that, {si(max(0.0, -min(of['least_interaction'] for of in figures)), 'J', 3)} given "
+        "out): look for a hand that leaves speed_limit or acceleration_limit, lower the doubt of the force "
+        "(admittance.force.sampling: mean, slew, error), or raise bus.rate"
+    )
+
+
+def _account(trial: _Trial, mass: float, figures: list[_Figures]) -> DisplayDesign:
+    """Returns what a mass is and costs; the worst of all hands."""
+    shares = [of["mass_felt.share"] for of in figures]
+    return {
+        "mass": mass,
+        "unit": trial.unit,
+        "never_acts": trial.never_acts,
+        "mass_felt.share": [min(shares), max(shares)],
+        "least_interaction": min(of["least_interaction"] for of in figures),
+        "energy_allowance": trial.allowance,
+        "guard_acts": max(of["guard_acts"] for of in figures),
+        "uncertified": max(of["uncertified"] for of in figures),
+        "hands": len(figures),
+    }
+
+
+def never_acts(scene: Scene) -> float:
+    """Returns the mass above which every display is passive without a guard, M + c tau [kg or kg*m^2].
+
+    For `guarded` the declared values count, for another algorithm those of the simulated plant.
+    """
+    return max(_of_axis(axis, scene) for axis in scene.axes)
+
+
+def _of_axis(axis: AxisScene, scene: Scene) -> float:
+    properties, simulation = display_properties(axis), simulation_of(axis)
+    known = (scene.groups[0].passivity if scene.groups else axis.passivity).parameters
+    lag = (properties.delay + 0.5 + properties.latency) * properties.sample_time
+    lag += 0.5 / (np.pi * properties.filter) if properties.filter else 0.0
+    if isinstance(known, GuardedDisplayParameters):
+        return float(known.drive_mass + known.loop_gain * lag)
+    gain = 0.0 if simulation.admittance is None else simulation.admittance.loop.gain
+    return float(simulation.plant.mass + gain * lag)
+
+
+def _with_hand(scene: Scene, grip: float, stiffness: float) -> Scene:
+    return replace(scene, axes=tuple(replace(axis, simulation=_held(axis, grip, stiffness)) for axis in scene.axes))
+
+
+def _held(axis: AxisScene, grip: float, stiffness: float) -> AxisSimulation:
+    """Returns a simulated axis with another hand."""
+    simulation = simulation_of(axis)
+    display, user = simulation.admittance, simulation.user
+    if display is None or user is None:
+        return simulation
+    held = display.grip.model_copy(update={"mass": grip * display.grip.mass})
+    hand = user.model_copy(update={"stiffness": stiffness * user.stiffness})
+    return replace(simulation, admittance=display.model_copy(update={"grip": held}), user=hand)
+
+
+def _with_mass(scene: Scene, mass: float) -> Scene:
+    def heavier(spec: ComponentSpec) -> ComponentSpec:
+        return spec._replace(parameters=spec.parameters.model_copy(update={"mass": mass}))
+
+    if scene.groups:
+        (group,) = scene.groups
+        return replace(scene, groups=(replace(group, network=heavier(group.network)),))
+    (axis,) = scene.axes
+    return replace(scene, axes=(replace(axis, environment=heavier(axis.environment)),))
+
+
+def _rounded_up(value: float) -> float:
+    unit = 10.0 ** (np.floor(np.log10(value)) - _DIGITS + 1)
+    return float(f"{np.ceil(value / unit * (1.0 - 1e-12)) * unit:.{_DIGITS}g}")
+
+
+def display_snippet(found: DisplayDesign) -> str:
+    """Returns the mass as YAML for a scene."""
+    environment = {"type": "virtual_mass", "mass": f"{found['mass']:g} {found['unit']}"}
+    return str(yaml.safe_dump({"environment": environment}, sort_keys=False))
+
+
+def display_design_report(result: DisplayDesigns) -> RenderableType:
+    """Returns what a terminal shows of a design; `result` as `design_displays` returns it."""
+    heading = Text(" ")
+    heading.append(str(result["scene"]), style="bold")
+    heading.append(f"   within {100.0 * result['tolerance']:g} %, margin {100.0 * result['margin']:g} %")
+    parts: list[RenderableType] = [heading]
+    for name, found in result["displays"].items():
+        low, high = found["mass_felt.share"]
+        given = si(max(0.0, -found["least_interaction"]), "J", 3)
+        parts += [
+            Text(),
+            Text(f" {name}: the lightest mass, of {found['hands']} hands"),
+            Text(display_snippet(found)),
+            Text(f" passes from {found['passes'][0]:.3g} to {found['passes'][1]:.3g} {found['unit']}"),
+            Text(f" felt: {100.0 * low:.1f} to {100.0 * high:.1f} % of that"),
+            Text(f" given out at most: {given} ({si(found['energy_allowance'], 'J', 3)} declared)"),
+            Text(f" the guard acts in {100.0 * found['guard_acts']:.2g} % of the holds with a command, at most"),
+            Text(f" passive without it from M + c tau = {found['never_acts']:.3g} {found['unit']} on"),
+        ]
+        if found["uncertified"]:
+            parts.append(Text(f" NOT certified in {100.0 * found['uncertified']:.2g} % of the holds", "yellow"))
+    return Group(*parts)

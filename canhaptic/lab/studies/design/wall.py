@@ -1,0 +1,252 @@
+"""The largest stiffness, and then the largest damping, that `guarded` renders within a tolerance and with a margin.
+
+A range is tried at many places in one batch, the interval in which walls stop passing at many more in a second. A wall
+counts only if every smaller one that was tried passes or nearly does, softer ones with the same damping included: what
+a rig renders need not fall evenly.
+"""
+
+import math
+import os
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from canhaptic.axis_units import stiffness_unit
+from canhaptic.errors import CheckFailedError
+from canhaptic.lab.batch.engine import Engine
+from canhaptic.lab.loop.axis_loop import Array
+from canhaptic.lab.loop.scenes import require_design_room
+from canhaptic.lab.studies.compare.comparison import compare
+from canhaptic.lab.studies.design.felt_walls import felt_of
+from canhaptic.lab.studies.design.group_trial import GroupTrial
+from canhaptic.lab.studies.design.trial import (
+    ALGORITHM,
+    DAMPING,
+    DURATION,
+    STIFFEST,
+    STIFFNESS,
+    Booleans,
+    Trial,
+    TrialVerdict,
+)
+from canhaptic.lab.studies.sweep.places import places_of
+from canhaptic.lab.studies.sweep.workers import Pool
+from canhaptic.scene.hints import stability_hints
+from canhaptic.scene.load import scene_from_text
+from canhaptic.scene.models import Scene
+from canhaptic.units import Parameters
+
+TOLERANCE: Final = 0.05
+MARGIN: Final = 0.2
+_DECADES: Final = 4.0
+"""Decades of damping that are tried, below what is hardly rendered."""
+_DEVICE: Final = ("moving_mass", "device_damping", "device_damping_bound", "device_friction", "device_friction_bound")
+"""Keys of the loop that declare the device: timing is that of a rig."""
+_DIGITS: Final = 3
+_SHARES: Final = (1.0, 0.6, 0.3)
+"""Parts of the stiffest wall whose largest damping is shown, so that one can be traded for the other."""
+_BELOW: Final = (0.2, 0.4, 0.6, 0.8, 1.0)
+"""Parts of a stiffness at which a damping has to pass, too."""
+
+
+class _Places(NamedTuple):
+    """How many walls are tried."""
+
+    stiffnesses: tuple[int, ...]  # in the whole range, then in each interval found
+    dampings: tuple[int, ...]  # the same
+    below: int  # stiffnesses, and dampings, at which walls below the answer are tried
+
+    @property
+    def most(self) -> int:
+        """Walls of a whole search."""
+        return sum(self.stiffnesses) + len(_SHARES) * len(_BELOW) * sum(self.dampings) + self.below**2 + 1
+
+
+_COMPILED: Final = _Places((128, 64), (32, 32), 10)
+_ONE_BY_ONE: Final = _Places((12, 6, 6), (8, 6), 5)
+_GROUPS: Final = _Places((12, 6), (6,), 3)
+"""Places where Python runs the loop of a group, which takes four times as long as that of an axis."""
+
+
+def design_wall(
+    scene: Scene,
+    margin: float = MARGIN,
+    tolerance: float = TOLERANCE,
+    engine: Engine = "auto",
+    progress: Callable[[int, int], None] = lambda _tried, _most: None,
+) -> dict[str, Any]:
+    """Returns the stiffest wall for the rig of a scene, and the largest damping at that stiffness, as plain values.
+
+    Args:
+        scene: Of one group, simulated; or of one axis, simulated or with `passivity.moving_mass` declared.
+        margin: Part by which stiffness and damping could both be larger and still pass.
+        tolerance: How far a rendering may be from what is asked, as a part of it.
+        engine: Of the trials, as for a sweep.
+        progress: Called with the number of walls tried, and how many there can be at most.
+
+    Raises:
+        InputError: The scene cannot be designed for, or a margin or tolerance is out of range.
+        CheckFailedError: Not even the softest wall passes.
+    """
+    require_design_room(margin, tolerance)
+    with ExitStack() as stack:
+        trial = _trial_of(scene, tolerance, engine, stack)
+        return _designed(trial, margin, tolerance, progress)
+
+
+def _trial_of(scene: Scene, tolerance: float, engine: Engine, stack: ExitStack) -> Trial | GroupTrial:
+    """Returns the rig of a scene; a group that Python runs gets a process on each core until the stack is left."""
+    if not scene.groups:
+        return Trial(scene, tolerance, engine)
+    trial, cores = GroupTrial(scene, tolerance, engine), os.cpu_count() or 1
+    if trial.is_quick or cores == 1:
+        return trial
+    pool = Pool(cores)
+    stack.callback(pool.close)
+    return GroupTrial(scene, tolerance, engine, pool.executor)
+
+
+def _designed(
+    trial: Trial | GroupTrial, margin: float, tolerance: float, progress: Callable[[int, int], None]
+) -> dict[str, Any]:
+    search = _WallSearch(trial, 1.0 + margin, progress)
+    stiffest = search.largest_stiffness()
+    stiffnesses = [_rounded(share * stiffest) for share in _SHARES]
+    dampings = search.largest_dampings(np.array(stiffnesses))
+    stiffness, damping = stiffnesses[0], dampings[0]
+    below, verdict = search.below_and_at(stiffness, damping)
+    if isinstance(trial, Trial):
+        result = _account(trial, verdict, stiffness, damping)
+        result["felt"] = felt_of(trial.scene, ALGORITHM, trial.hand, tolerance, stiffness)
+    else:
+        result = trial.account(verdict, stiffness, damping)
+    result |= {"margin": margin, "tolerance": tolerance, "walls": trial.walls}
+    result |= {"tried_below": len(below), "failing_below": int((~below).sum())}
+    result["trade"] = [{"stiffness": k, "damping": d} for k, d in zip(stiffnesses, dampings, strict=True)]
+    return result
+
+
+class _WallSearch:
+    """A batch for the whole range and one for each interval found, with a factor on everything that is tried."""
+
+    def __init__(self, trial: Trial | GroupTrial, factor: float, progress: Callable[[int, int], None]) -> None:
+        self._trial, self._factor, self._progress = trial, factor, progress
+        self._places = _COMPILED if trial.is_quick else _ONE_BY_ONE if isinstance(trial, Trial) else _GROUPS
+        progress(0, self._places.most)
+
+    def largest_stiffness(self) -> float:
+        """Returns the largest stiffness without damping, a few digits of it.
+
+        Raises:
+            CheckFailedError: Not even the softest wall passes.
+        """
+        low, high = self._trial.softest, STIFFEST / self._factor
+        for places in self._places.stiffnesses:
+            tried = np.geomspace(low, high, places)
+            verdict = self._verdict(tried, np.zeros(places))
+            last, first = _edges(verdict.passed, verdict.nearly)
+            if last < 0 and low == self._trial.softest:
+                raise self._nothing_passes(verdict)
+            if first == places:
+                return _rounded(high)
+            low, high = float(tried[max(last, 0)]), float(tried[first])
+        return _rounded(low)
+
+    def _nothing_passes(self, verdict: TrialVerdict) -> CheckFailedError:
+        softest = f"{self._trial.softest * self._factor:g} {stiffness_unit(self._trial.unit)}"
+        return CheckFailedError(
+            f"{self._trial.scene.source}: not even {softest} is rendered within the tolerance "
+            f"(stiffness {100.0 * float(verdict.stiffness_share[0]):.3g} % of what was asked, "
+            f"{float(verdict.least_interaction[0]):.3g} J given out); raise bus.rate, or declare what is "
+            "certain (passivity.moving_mass, device_damping)"
+            + (", or a smaller passivity.max_consecutive_losses" if self._trial.scene.groups else "")
+        )
+
+    def largest_dampings(self, stiffnesses: Array) -> list[float]:
+        """Returns the largest damping at each stiffness, shape (n,), 0 where none passes; all are searched at once."""
+        highest = 4.0 * np.array([self._trial.damping_scale(stiffness) for stiffness in stiffnesses.tolist()])
+        first, *others = self._places.dampings
+        shares = np.concatenate([[0.0], np.logspace(-_DECADES, 0.0, first - 1)])
+        low, high = self._between(stiffnesses, highest[:, None] * shares)
+        for places in others:
+            low, high = self._between(stiffnesses, np.linspace(low, high, places, axis=1))
+        return [_rounded(damping) for damping in low.tolist()]
+
+    def _between(self, stiffnesses: Array, dampings: Array) -> tuple[Array, Array]:
+        """Returns the last damping that passes and the first that is out of the question, shape (n,) each.
+
+        Args:
+            stiffnesses: Shape (n,).
+            dampings: Rising, shape (n, m); where all pass, the last is both, and where none does, the first is.
+        """
+        walls = np.broadcast_arrays(stiffnesses[:, None, None] * np.array(_BELOW), dampings[:, :, None])
+        verdict = self._verdict(*(wall.ravel() for wall in walls))
+        passed, nearly = (np.all(found.reshape(walls[0].shape), axis=2) for found in (verdict.passed, verdict.nearly))
+        edges = np.array([_edges(*row) for row in zip(passed, nearly, strict=True)]).clip(0, dampings.shape[1] - 1)
+        rows = np.arange(len(dampings))
+        return dampings[rows, edges[:, 0]], dampings[rows, edges[:, 1]]
+
+    def below_and_at(self, stiffness: float, damping: float) -> tuple[Booleans, TrialVerdict]:
+        """Returns which weaker walls pass, and the verdict on the wall itself.
+
+        A wall is accepted if all weaker ones pass too. They are tried with the factor, the wall itself without.
+        """
+        parts = np.linspace(1.0 / self._places.below, 1.0, self._places.below)
+        dampings = parts if damping else np.zeros(1)
+        grid = np.array([(k, d) for k in parts for d in dampings])
+        own = np.array([[1.0, 1.0]]) / self._factor
+        verdict = self._verdict(*(np.concatenate([grid, own]) * (stiffness, damping)).T)
+        return verdict.passed[:-1], verdict.last()
+
+    def _verdict(self, stiffness: Array, damping: Array) -> TrialVerdict:
+        found = self._trial.verdict(self._factor * stiffness, self._factor * damping)
+        self._progress(self._trial.walls, self._places.most)
+        return found
+
+
+def _edges(passed: Booleans, nearly: Booleans) -> tuple[int, int]:
+    """Returns the last that passes before any that does not even nearly, -1 for none, and the first that does not."""
+    first = int(np.logical_and.accumulate(nearly).sum())
+    return int(np.flatnonzero(np.append(True, passed[:first]))[-1]) - 1, first
+
+
+def _chosen(parameters: Parameters) -> dict[str, Any]:
+    """Returns what differs from its default; `alpha`, whose unit is its own, is left out."""
+    fields = {key: field for key, field in type(parameters).model_fields.items() if key != "alpha"}
+    return {key: value for key, of in fields.items() if (value := getattr(parameters, key)) != of.default}
+
+
+def _rounded(value: float) -> float:
+    """Returns a value with a few digits, never a larger one."""
+    if value <= 0.0:
+        return 0.0
+    unit = 10.0 ** (math.floor(math.log10(value)) - _DIGITS + 1)
+    return float(f"{math.floor(value / unit * (1.0 + 1e-12)) * unit:.{_DIGITS}g}")
+
+
+def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: float) -> dict[str, Any]:
+    """Returns what the wall is and costs: its verdict, and one run of it, leant on, next to the continuous wall."""
+    values = {STIFFNESS: stiffness, DAMPING: damping}
+    places = places_of(trial.scene, tuple(values))
+    overrides = [f"{place}={value!r}" for key, value in values.items() for place in places[key]]
+    scene = trial.scene
+    allowed = bool(scene.own_code)
+    wall = scene_from_text(scene.text, scene.source, [*scene.overrides, *overrides], allow_code=allowed)
+    [axis] = wall.axes
+    axes = compare(wall, [ALGORITHM], duration=DURATION, repeats=0).result["axes"]
+    run, parameters = axes[axis.parameters.name]["algorithms"][ALGORITHM], axis.passivity.parameters
+    return {
+        "scene": trial.scene.source,
+        "unit": axis.parameters.unit,
+        "stiffness": stiffness,
+        "damping": damping,
+        **verdict.account(damping),
+        "certificate": run.get("certificate"),
+        "certified": {hint.certificate: hint.limit for hint in stability_hints(axis) if hint.certificate},
+        "engine": trial.engine,
+        "remark": trial.remark,
+        "loop": {key: value for key, value in _chosen(axis.loop).items() if key in _DEVICE},
+        "hand": {"hand_force": getattr(parameters, "hand_force", 0.0), **_chosen(parameters)},
+    }

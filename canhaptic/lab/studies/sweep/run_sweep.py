@@ -1,0 +1,354 @@
+"""Chunks to workers, results to the file as they come: memory does not grow with the number of scenes.
+
+What a scene gives depends on its own values and its global index alone, so that serial, pool and cluster write the same
+bits; only the order in which chunks become ready differs.
+"""
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from contextlib import ExitStack
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from canhaptic.errors import CanHapticError, InputError, WorkersLostError
+from canhaptic.lab.batch import why_not_batchable
+from canhaptic.lab.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
+from canhaptic.lab.batch.group_case import group_case
+from canhaptic.lab.loop.algorithms import with_algorithm
+from canhaptic.lab.loop.display_loop import is_display
+from canhaptic.lab.loop.scenes import cycles_of, parts_of
+from canhaptic.lab.studies.sweep.chunk import FIGURES, ChunkResult, is_batch_key, run_chunk, usual_figures
+from canhaptic.lab.studies.sweep.points import Points, make_points
+from canhaptic.lab.studies.sweep.recipe import RATE, Recipe, make_recipe, scene_of
+from canhaptic.lab.studies.sweep.sweep_table import Columnset, SweepTable, create
+from canhaptic.lab.studies.sweep.vary import Varied, parse_vary
+from canhaptic.lab.studies.sweep.workers import Pool, SerialExecutor
+from canhaptic.scene.models import Scene
+from canhaptic.scene.old_names import algorithm_now
+
+_BATCH_CHUNK: Final = (1000, 5000)
+"""Least and most scenes of a chunk unless the user says otherwise: fewer, and making the batch costs more than it."""
+_SCALAR_CHUNK: Final = (1, 50)
+_WORTH_A_POOL: Final = 1e6
+"""Scenes times cycles that Python runs, from which a pool of processes pays: some 10 s on one core."""
+_FEWEST_CHUNKS: Final = 16
+_FEWEST_TOGETHER: Final = 8
+"""Scenes of one kind in a sweep, below which making their batch costs more than running them."""
+_LOOK: Final = 0.2
+"""Time between two looks at a request to stop [s]."""
+_MOST_LOSSES: Final = 3
+"""Pools lost in a row without a chunk finished in between."""
+
+
+class _Sweep(NamedTuple):
+    """A sweep that can be begun, or gone on with."""
+
+    recipe: Recipe
+    points: Points
+    chunk: int
+    identity: dict[str, Any]
+
+
+class Progress(NamedTuple):
+    """Progress of a sweep."""
+
+    done: int  # scenes whose results are in the file
+    total: int
+    begun: int  # scenes that an earlier run had finished
+
+
+def sweep(
+    scene: Scene,
+    vary: Sequence[str | Varied],
+    out: str | Path,
+    executor: Executor | Pool | None = None,
+    *,
+    resume: bool = False,
+    force: bool = False,
+    in_flight: int = 4,
+    pool_if_long: bool = False,
+    progress: Callable[[Progress], None] = lambda _: None,
+    stop_requested: Callable[[], bool] = lambda: False,
+    **options: Any,
+) -> Progress:
+    """Runs every scene and keeps the figures in a file; a sweep that was stopped or killed goes on where it was.
+
+    Args:
+        scene: With simulated drives, from a file or text.
+        vary: What varies, as for `--vary`.
+        out: The file (HDF5).
+        executor: Any `concurrent.futures.Executor`, or a `Pool`; None: in this thread.
+        resume: Whether to go on with a file that is there; one that is not there is made.
+        force: Whether to replace a file that is there.
+        in_flight: Chunks submitted and not yet written, at most.
+        pool_if_long: Whether a long sweep that Python runs gets a process on each core where no executor is given.
+        progress: Called now and then with how far it is.
+        stop_requested: Asked now and then; True ends the sweep after the chunks under way.
+        options: As for `_make_sweep`.
+
+    Raises:
+        InputError: Bad input, or a file of another sweep.
+        LogWriteError: The file cannot be written.
+        WorkersLostError: The workers die again and again.
+    """
+    asked, path = _make_sweep(scene, vary, **options), Path(out)
+    if resume and path.exists():
+        with SweepTable(path) as table:
+            _check_same(table, asked)
+    else:
+        create(path, asked.points, asked.chunk, _columns(scene, asked), replace=force)
+    with ExitStack() as stack:
+        table = stack.enter_context(SweepTable(path, writable=True))
+        cores = os.cpu_count() or 1
+        if executor is None and pool_if_long and cores > 1 and _is_long(asked):
+            pool = Pool(cores)
+            executor, in_flight = pool, 2 * cores
+            stack.callback(pool.close)
+        run = _Run(asked, table, progress)
+        run.run(executor or SerialExecutor(), 1 if executor is None else in_flight, stop_requested)
+        table.merge()
+        return run.state
+
+
+def _make_sweep(
+    scene: Scene,
+    vary: Sequence[str | Varied],
+    *,
+    controllers: Sequence[str] = (),
+    samples: int = 0,
+    seed: int = 0,
+    duration: float | None = None,
+    cycles: int | None = None,
+    metrics: Sequence[str] | None = None,
+    engine: Engine = "auto",
+    chunk: int | None = None,
+    beyond_bus: bool = False,
+    allow_code: bool = False,
+) -> _Sweep:
+    """Returns a sweep, everything checked that can be before a scene runs.
+
+    Args:
+        scene: With simulated drives, from a file or text.
+        vary: What varies, as for `--vary`.
+        controllers: Passivity algorithms that every point is judged under; none: that of the scene.
+        samples: Points of a Latin hypercube; 0 for the grid of all values.
+        seed: Of the hypercube.
+        duration: Of every scene [s]; by default that of the scene.
+        cycles: SYNCs of every scene instead of a duration.
+        metrics: Names of `FIGURES`; by default `usual_figures`, which need no continuous run of each scene.
+        engine: For scenes that fit a batch; "auto" is numba where it is installed and pays.
+        chunk: Scenes that are finished together; changes nothing but how much a kill can lose.
+        beyond_bus: Whether to judge rates that the bus could not carry, instead of refusing them.
+        allow_code: Whether program files that a varied value names may run; those of the scene may where it was loaded
+            so.
+
+    Raises:
+        InputError: Anything is wrong.
+    """
+    controllers = [algorithm_now(name, "controllers") for name in controllers]
+    points = make_points([_varied(one) for one in vary], controllers, samples, seed)
+    _check(metrics, duration, cycles)
+    recipe = make_recipe(
+        scene,
+        points,
+        metrics=tuple(dict.fromkeys(metrics or usual_figures(scene))),
+        engine=chosen_engine(engine, pays=False),
+        duration=duration,
+        cycles=cycles,
+        beyond_bus=beyond_bus,
+        allow_code=allow_code,
+    )
+    together = _together(recipe, points)
+    if together < _FEWEST_TOGETHER and not scene.groups and not recipe.displays:
+        reason = f"only {together} of the scenes differ in nothing but keys of a batch, expected {_FEWEST_TOGETHER}"
+        recipe = replace(recipe, alone=reason)
+    least, most = _SCALAR_CHUNK if recipe.alone or _is_not_batchable(scene, controllers) else _BATCH_CHUNK
+    chunk = chunk or min(most, max(least, -(-len(points) // _FEWEST_CHUNKS)))
+    pays = _pays(scene, len(points), recipe.cycles or cycles_of(scene, duration))
+    recipe = replace(recipe, engine=chosen_engine(engine, pays))
+    return _Sweep(recipe, points, chunk, _identity(scene, recipe, points))
+
+
+def _check(metrics: Sequence[str] | None, duration: float | None, cycles: int | None) -> None:
+    unknown = [name for name in metrics or () if name not in FIGURES]
+    if unknown:
+        raise InputError(f"unknown metric {unknown[0]!r}, expected one of: {', '.join(FIGURES)}")
+    if duration is not None and cycles is not None:
+        raise InputError("got a duration and a number of cycles; give one")
+
+
+def _pays(scene: Scene, scenes: int, cycles: int) -> bool:
+    """Returns whether compiling takes less time than it saves."""
+    if scene.groups:
+        parts = [part for part in parts_of(scene).values() if part.groups]
+        return scenes * cycles >= WORTH_COMPILING_GROUPS and any(group_case(part).is_compilable for part in parts)
+    return scenes * cycles >= WORTH_COMPILING
+
+
+def _is_long(asked: _Sweep) -> bool:
+    """Returns whether Python runs so many cycles that starting processes is a small part of the time."""
+    cycles = asked.recipe.cycles or cycles_of(scene_of(asked.recipe, ()).permitted(), asked.recipe.duration)
+    return asked.recipe.engine == "python" and len(asked.points) * cycles >= _WORTH_A_POOL
+
+
+class _Run:
+    """A sweep on its way: which chunks are out, which are in the file."""
+
+    def __init__(self, asked: _Sweep, table: SweepTable, progress: Callable[[Progress], None]) -> None:
+        self._asked, self._table, self._progress = asked, table, progress
+        done = table.done()
+        self._waiting = np.flatnonzero(~done).tolist()[::-1]
+        begun = sum(stop - start for start, stop in map(table.span, np.flatnonzero(done).tolist()))
+        self._out: dict[Future[ChunkResult], int] = {}
+        self._losses = 0
+        self.state = Progress(begun, len(table), begun)
+
+    def run(self, executor: Executor | Pool, in_flight: int, stop_requested: Callable[[], bool]) -> None:
+        """Runs what is not in the file yet."""
+        self._progress(self.state)
+        try:
+            while (self._waiting or self._out) and not stop_requested():
+                self._submit(executor, in_flight)
+                ready, _ = wait(self._out, timeout=_LOOK, return_when=FIRST_COMPLETED)
+                for future in ready:
+                    self._take(future, executor)
+        finally:
+            for future in self._out:
+                future.cancel()
+        for future in [*self._out]:
+            if not future.cancelled():  # what is under way is not thrown away
+                self._take(future, executor)
+
+    def _submit(self, executor: Executor | Pool, in_flight: int) -> None:
+        target = executor.executor if isinstance(executor, Pool) else executor
+        while self._waiting and len(self._out) < in_flight:
+            chunk = self._waiting.pop()
+            start, stop = self._table.span(chunk)
+            columns = self._table.columns(start, stop)
+            try:
+                self._out[target.submit(run_chunk, self._asked.recipe, start, columns)] = chunk
+            except BrokenExecutor as error:
+                self._waiting.append(chunk)
+                self._lost(executor, error)
+                return
+
+    def _take(self, future: Future[ChunkResult], executor: Executor | Pool) -> None:
+        chunk = self._out.pop(future, None)
+        if chunk is None:
+            return
+        try:
+            result = future.result()
+        except BrokenExecutor as error:
+            self._waiting.append(chunk)
+            self._lost(executor, error)
+        except CanHapticError:
+            raise
+        except (Exception, CancelledError) as error:
+            start, stop = self._table.span(chunk)
+            raise WorkersLostError(
+                f"{self._table.path}: scenes {start} to {stop - 1} failed in a worker "
+                f"({type(error).__name__}: {error}); workers need the same canhaptic and the drive's EDS at the same "
+                "path; what was finished is kept, --resume goes on"
+            ) from error
+        else:
+            self._table.write(chunk, result)
+            start, stop = self._table.span(chunk)
+            self._losses = 0
+            self.state = self.state._replace(done=self.state.done + stop - start)
+            self._progress(self.state)
+
+    def _lost(self, executor: Executor | Pool, error: BrokenExecutor) -> None:
+        """Begins anew with new workers after one died, unless that does not help."""
+        self._waiting += self._out.values()
+        self._out.clear()
+        self._losses += 1
+        if not isinstance(executor, Pool) or self._losses >= _MOST_LOSSES:
+            raise WorkersLostError(
+                f"{self._table.path}: the workers died {self._losses} times in a row without finishing a chunk "
+                f"({error or type(error).__name__}); what was finished is kept: look for the cause (memory?), take "
+                "fewer workers or a smaller --chunk with a new file, and --resume"
+            ) from error
+        executor.renew()
+
+
+def _varied(one: str | Varied) -> Varied:
+    return parse_vary(one) if isinstance(one, str) else one
+
+
+def _together(recipe: Recipe, points: Points) -> int:
+    """Returns how many scenes of the whole sweep differ in nothing but keys that may differ inside a batch."""
+    apart = [v for v in points.varied if not is_batch_key(recipe, v.key) or (v.key == RATE and recipe.cycles is None)]
+    if points.samples and any(v.spacing != "list" for v in apart):
+        return 1
+    return len(points) // math.prod(len(v.values) for v in apart)
+
+
+def _is_not_batchable(scene: Scene, controllers: Sequence[str]) -> bool:
+    """Whether some of the scenes will have to run one by one."""
+    if scene.groups or any(is_display(part) for part in parts_of(scene).values()):
+        return True
+    for axis in scene.axes:
+        for name in controllers or (axis.passivity.name,):
+            if why_not_batchable(replace(scene, axes=(with_algorithm(axis, name),))):
+                return True
+    return False
+
+
+def _identity(scene: Scene, recipe: Recipe, points: Points) -> dict[str, Any]:
+    """Returns what two runs must have in common to share a file."""
+    return {
+        "configuration": scene.config_hash(),
+        "varied": [
+            {"key": v.key, "given": str(v), "spacing": v.spacing, "hash": _hash(v), "numbers": v.is_number}
+            for v in points.varied
+        ],
+        "samples": points.samples,
+        "seed": points.seed if points.samples else 0,
+        "duration": recipe.duration,
+        "cycles": recipe.cycles,
+        "metrics": list(recipe.metrics),
+        "beyond_bus": recipe.beyond_bus,
+        "axes": list(recipe.axes),
+        "canhaptic": version("canhaptic"),
+    }
+
+
+def _hash(varied: Varied) -> str:
+    return hashlib.sha256(json.dumps(varied.values).encode()).hexdigest()
+
+
+def _columns(scene: Scene, asked: _Sweep) -> Columnset:
+    figures = tuple(f"{axis}/{metric}" for axis in asked.recipe.axes for metric in asked.recipe.metrics)
+    notes = {"scene": scene.text, "source": scene.source, "overrides": json.dumps(scene.overrides)}
+    return Columnset(figures, asked.identity, notes)
+
+
+def _check_same(table: SweepTable, asked: _Sweep) -> None:
+    """Refuses to go on with a file of something else.
+
+    Raises:
+        InputError: It is; names what differs.
+    """
+    there: Mapping[str, Any] = table.identity
+    for name, value in asked.identity.items():
+        if there.get(name) == value:
+            continue
+        found, wanted = (_words(name, entry) for entry in (there.get(name), value))
+        raise InputError(
+            f"{table.path}: was made with {name.replace('_', ' ')} {found}, now asked {wanted}; ask for the same, "
+            "give another --out, or replace it with --force"
+        )
+
+
+def _words(name: str, value: Any) -> str:
+    if name == "varied" and value:
+        return " ".join(str(varied["given"]) for varied in value)
+    return str(value)[:160]

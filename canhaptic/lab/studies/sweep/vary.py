@@ -1,0 +1,222 @@
+"""What a sweep varies: `environment.stiffness=1e2:1e6:log:40`, `bus.rate=40,100,1 kHz`, `bus.rpdo=event,synchronous`.
+
+    KEY=LOW:HIGH:N            N values, evenly spaced          KEY=LOW:HIGH:log:N     evenly spaced in the logarithm
+    KEY=A,B,C                 exactly these, of any type       KEY=LOW:HIGH[:log]     a range, for a Latin hypercube
+
+Numbers are SI or carry a unit, as in a scene; the scene itself checks the dimension.
+"""
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from canhaptic.errors import InputError
+from canhaptic.lab.loop.axis_loop import Array
+from canhaptic.scene.diagnostics import Diagnostics
+from canhaptic.scene.document import parse_yaml
+from canhaptic.scene.old_names import algorithm_now, path_now
+from canhaptic.units import parse_unit
+
+_MOST_VALUES: Final = 1_000_000
+"""Most values of one key."""
+Value = float | str
+"""A number in SI, or the YAML text of anything else."""
+
+_SPACINGS: Final = ("lin", "log")
+_LARGEST_INTEGER: Final = 2.0**53
+_NUMBER: Final = re.compile(r"[-+]?(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_SHAPES: Final = "expected LOW:HIGH:N, LOW:HIGH:log:N, or values with commas"
+
+
+@dataclass(frozen=True, slots=True)
+class Varied:
+    """One key of a scene and the values it takes.
+
+    Attributes:
+        key: Path in the scene, as for `--set`.
+        values: All of them; for a range without a number of values its two ends.
+        unit: As typed with the ends of a range or the values; "" for SI.
+        spacing: Of a range; "list" for values given one by one.
+        is_open: A range whose values a Latin hypercube chooses.
+    """
+
+    key: str
+    values: tuple[Value, ...]
+    unit: str
+    spacing: Literal["list", "lin", "log"]
+    is_open: bool = False
+
+    @property
+    def is_number(self) -> bool:
+        """Whether every value is a number."""
+        return all(isinstance(value, float) for value in self.values)
+
+    @property
+    def ends(self) -> tuple[Value, ...]:
+        """The values that say whether all are permitted: the ends of a range, or each one of a list."""
+        if self.spacing == "list":
+            return self.values
+        return tuple(dict.fromkeys((self.values[0], self.values[-1])))
+
+    def at(self, shares: Array) -> list[Value] | Array:
+        """Returns the values at shares of the range, 0 <= share < 1, shape (n,): a Latin hypercube's strata.
+
+        A list is divided into as many equal parts as it has values.
+        """
+        if self.spacing == "list":
+            chosen = [self.values[int(share * len(self.values))] for share in shares]
+            return np.array(chosen) if self.is_number else chosen
+        low, high = (float(value) for value in (self.values[0], self.values[-1]))
+        if self.spacing == "log":
+            return np.array([low * math.pow(high / low, share) for share in shares.tolist()])
+        return low + (high - low) * shares
+
+    def yaml(self, value: Value, *, with_unit: bool = False) -> str:
+        """Returns a value as YAML text for an override: in SI, or in the unit as typed so that it can be checked."""
+        if isinstance(value, str):
+            return value
+        if with_unit and self.unit:
+            return f'"{value / parse_unit(self.unit)[0]!r} {self.unit}"'
+        return repr(int(value) if value.is_integer() and abs(value) < _LARGEST_INTEGER else value)
+
+    def __str__(self) -> str:
+        """One line for a file and a screen."""
+        if self.spacing == "list":
+            return f"{self.key}={','.join(_short(value) for value in self.values)}"
+        count = "" if self.is_open else f":{len(self.values)}"
+        return f"{self.key}={_short(self.values[0])}:{_short(self.values[-1])}:{self.spacing}{count}"
+
+
+def parse_vary(text: str) -> Varied:
+    """Returns what a `--vary` option says.
+
+    Raises:
+        InputError: It is none of the shapes above, or a number, spacing or count is out of range.
+    """
+    key, equals, rest = text.partition("=")
+    key, rest = ".".join(path_now(tuple(key.strip().split(".")), f"--vary {text}")), rest.strip()
+    if not equals or not key or not rest:
+        raise _refused(text, "got no KEY=VALUES", _SHAPES)
+    parts = _split(rest, ":")
+    if len(parts) > 1 and _number(parts[0]) is not None:
+        return _range(text, key, parts)
+    items = [item.strip() for item in _split(rest, ",")]
+    if not all(items):
+        raise _refused(text, "got an empty value", "remove the comma too many")
+    if key.endswith("passivity.algorithm"):
+        items = [algorithm_now(item, f"--vary {text}") for item in items]
+    return _list(text, key, items)
+
+
+def ranged(key: str, low: float, high: float, count: int, spacing: Literal["lin", "log"] = "lin") -> Varied:
+    """Returns a key with evenly spaced values, ends included, in SI.
+
+    Raises:
+        InputError: The ends or the count make no range.
+    """
+    return Varied(key, _spaced(f"{key}={low:g}:{high:g}", low, high, count, spacing), "", spacing)
+
+
+def listed(key: str, values: Sequence[float | int | str]) -> Varied:
+    """Returns a key with exactly these values: numbers in SI, or YAML text."""
+    kept: list[Value] = [value if isinstance(value, str) else float(value) for value in values]
+    return Varied(key, tuple(dict.fromkeys(kept)), "", "list")
+
+
+def _refused(text: str, seen: str, remedy: str) -> InputError:
+    return InputError(f"--vary {text}: {seen}; {remedy}")
+
+
+def _range(text: str, key: str, parts: list[str]) -> Varied:
+    spacing: Literal["lin", "log"] = "lin"
+    words = [part.strip() for part in parts[2:]]
+    if words and words[0] in _SPACINGS:
+        spacing = "log" if words.pop(0) == "log" else "lin"
+    low, high = _number(parts[0]), _number(parts[1])
+    if low is None or high is None or len(words) > 1:
+        raise _refused(text, f"cannot read the range {':'.join(parts)!r}", _SHAPES)
+    if low[1] and high[1] and low[1] != high[1]:
+        raise _refused(text, f"got the units {low[1]!r} and {high[1]!r}", "give both ends in one unit")
+    unit = high[1] or low[1]
+    scale = parse_unit(unit)[0] if unit else 1.0
+    ends = low[0] * scale, high[0] * scale
+    if not words:
+        return Varied(key, _spaced(text, *ends, 2, spacing), unit, spacing, is_open=True)
+    if not words[0].isascii() or not words[0].isdigit():
+        raise _refused(text, f"got {words[0]!r} for the number of values", _SHAPES)
+    return Varied(key, _spaced(text, *ends, int(words[0]), spacing), unit, spacing)
+
+
+def _spaced(text: str, low: float, high: float, count: int, spacing: str) -> tuple[float, ...]:
+    if not 2 <= count <= _MOST_VALUES:
+        raise _refused(text, f"got {count} values", f"expected 2 to {_MOST_VALUES}")
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise _refused(text, f"got {low:g} to {high:g}", "expected finite ends, the lower one first")
+    if spacing == "log" and not low > 0.0:
+        raise _refused(text, f"got {low:g} as the lower end", "a logarithmic range begins above 0; use lin, or list 0")
+    if spacing == "log":
+        inner = [low * math.pow(high / low, i / (count - 1)) for i in range(1, count - 1)]
+    else:
+        inner = [low + (high - low) * (i / (count - 1)) for i in range(1, count - 1)]
+    return (low, *inner, high)
+
+
+def _list(text: str, key: str, items: list[str]) -> Varied:
+    read = [_number(item) for item in items]
+    numbers = [number for number in read if number is not None]
+    if len(numbers) < len(items):
+        return Varied(key, tuple(dict.fromkeys(_plain(text, item) for item in items)), "", "list")
+    units = {unit for _, unit in numbers if unit}
+    values = [number * (parse_unit(unit)[0] if unit else 1.0) for number, unit in numbers]
+    if not all(math.isfinite(value) for value in values):
+        raise _refused(text, "got a number that is not finite", "give finite values")
+    if len({parse_unit(unit)[1] for unit in units}) > 1:
+        raise _refused(text, f"got the units {', '.join(sorted(units))}", "give values of one dimension")
+    return Varied(key, tuple(dict.fromkeys(values)), min(units, default=""), "list")
+
+
+def _plain(text: str, item: str) -> str:
+    """Returns the text of a value that is valid YAML."""
+    faults = Diagnostics()
+    parse_yaml(item, f"--vary {text}", faults, lined=False)
+    faults.raise_if_any()
+    return item
+
+
+def _number(text: str) -> tuple[float, str] | None:
+    """Returns (number, unit) of `1e3` or `1 kHz`; None when it is no number with a known unit."""
+    text = text.strip().strip("\"'")
+    match = _NUMBER.match(text)
+    if match is None:
+        return None
+    unit = text[match.end() :].strip()
+    try:
+        if unit:
+            parse_unit(unit)
+    except ValueError:
+        return None
+    return float(match.group(0).replace("_", "")), unit
+
+
+def _split(text: str, separator: str) -> list[str]:
+    """Splits outside of brackets and quotes."""
+    parts, depth, quote = [""], 0, ""
+    for letter in text:
+        if quote:
+            quote = "" if letter == quote else quote
+        elif letter in "\"'":
+            quote = letter
+        depth += (letter in "[{") - (letter in "]}") if not quote else 0
+        if letter == separator and not depth and not quote:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return parts
+
+
+def _short(value: Value) -> str:
+    return value if isinstance(value, str) else f"{value:.6g}"

@@ -1,0 +1,281 @@
+"""The process in which both sides run in real time: places of the hand go in, rows of the cycle come out.
+
+At an even pace master and drives run in lock-step, and each cycle waits for its time on the wall clock. One that comes
+late is caught up, and none is left out: a browser that takes the processor does not turn one hold into two, which no
+algorithm knows of. At real pace late SYNCs are skipped, as on a rig.
+
+What crosses: an array in shared memory with the last place of the pointer (never waited for), and a pipe with rows. A
+pointer that stops sending leaves its last place there, and the hand stays where it is. A reader that does not read
+loses rows, not cycles.
+"""
+
+import contextlib
+import math
+import os
+import select
+import signal
+import socket
+import threading
+from collections.abc import Callable, MutableSequence
+from dataclasses import dataclass
+from multiprocessing import parent_process
+from multiprocessing.connection import Connection, wait
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+
+from canhaptic.cycle import run
+from canhaptic.drive.clock import WallClock
+from canhaptic.errors import CanHapticError, InputError
+from canhaptic.histogram import DurationHistogram
+from canhaptic.lab.touch.touch_scene import TouchScene
+from canhaptic.lab.touch.two_sides import two_sides
+from canhaptic.scene.build import Experiment, build
+from canhaptic.scene.load import scene_from_text
+from canhaptic.sim.plant.mechanism.xy_stage import XYMotion
+from canhaptic.sim.plant.plant import Plant
+
+TouchPace = Literal["even", "real"]
+X, Y, TOKEN, ARRIVED, RUN = range(5)
+"""Places in the shared array: of the pointer, what the page sent with it, when it arrived [ns], and which run is on."""
+SHARED: Final = 5
+_SETTLING: Final = (
+    0.006  # [s] time constant with which the hand follows the pointer: pages send some 60 places a second
+)
+_FASTEST: Final = 10.0  # widths of what is shown, per second
+_BATCH: Final = 0.01  # [s] between two parcels of rows
+_MOST_ROWS: Final = 4000  # kept for a reader that does not read
+_GIVEN_UP: Final = 100_000_000  # [ns] behind the wall clock: what is more is not caught up any more
+_BUFFER: Final = 1 << 22  # [bytes]
+
+
+@dataclass(frozen=True, slots=True)
+class TouchJob:
+    """What to run.
+
+    Attributes:
+        number: Of the run; another number in shared memory ends it.
+        text: The scene.
+        source: Its file.
+        overrides: Values that replace those of the scene.
+        axis: That is touched; None for the first.
+        allow_code: Whether files that the scene names may run.
+        pace: "even" or "real".
+    """
+
+    number: int
+    text: str
+    source: str
+    overrides: tuple[str, ...]
+    axis: str | None
+    allow_code: bool
+    pace: TouchPace = "even"
+
+    def touched(self) -> TouchScene:
+        """Returns the scene twice.
+
+        Raises:
+            InputError: It is wrong, or cannot be touched.
+        """
+        scene = scene_from_text(self.text, self.source, self.overrides, allow_code=self.allow_code)
+        return two_sides(scene, self.axis)
+
+
+SharedNumbers = MutableSequence[float]
+"""Memory that both processes see: places, token, time of arrival and number of the run."""
+
+
+class TouchStatus(NamedTuple):
+    """How a run does; energies in [J], times in [s]."""
+
+    run: int
+    cycles: int
+    late: int  # cycles that began more than a sample time after their time
+    skipped: int  # SYNCs left out, at real pace
+    given_up: float  # time that was not caught up, at an even pace
+    lateness: tuple[float, float]  # of a cycle: what half and what 99 % of them stay within
+    answered: tuple[float, float]  # from the arrival of a place to the end of the first cycle with it: half, 99 %
+    least: tuple[float, float]  # least true sum of h_i of each side since the start
+    ended: str  # why the run ended; "" while it goes on
+
+
+def no_run(number: int, ended: str) -> TouchStatus:
+    """Returns the status of a run that did no cycle, or of which nothing more is known."""
+    return TouchStatus(number, 0, 0, 0, 0.0, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), ended)
+
+
+def columns(touched: TouchScene) -> list[str]:
+    """Returns the names of the columns of a row: time, token, place of the hand, then those of each side.
+
+    `force` is that of the display on the hand; of an admittance display that of the hand, as its sensor shows it.
+    """
+    names = ["time", "token", *(f"hand.{d}" for d in touched.directions)]
+    parts = ("position", "force", "velocity", "command") if touched.is_display else ("position", "force")
+    for number in range(len(touched.sides)):
+        names += [f"{number}.{what}.{d}" for what in parts for d in touched.directions]
+        names.append(f"{number}.energy")
+    return names
+
+
+def work(pipe: Connection, shared: SharedNumbers) -> None:
+    """Runs what the pipe asks for, one job after the other, until it closes; the target of the process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_follow_parent, daemon=True).start()
+    with contextlib.suppress(OSError), socket.socket(fileno=os.dup(pipe.fileno())) as end:
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
+    with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        while True:
+            job: TouchJob = pipe.recv()
+            _HandRun(job, pipe, shared).run()
+
+
+def _follow_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+class _HandRun:
+    """One run of both sides."""
+
+    def __init__(self, job: TouchJob, pipe: Connection, shared: SharedNumbers) -> None:
+        self._job, self._pipe, self._shared = job, pipe, shared
+        self._clock = WallClock(spin_margin=0.0)
+        self._rows: list[tuple[float, ...]] = []
+        self._late = self._seen = self._given_up = 0
+        self._answered, self._lateness = DurationHistogram(), DurationHistogram()
+
+    def run(self) -> None:
+        """Runs until another run is asked for, or something fails; the last parcel says why it ended."""
+        ended = ""
+        try:
+            touched = self._job.touched()
+            with build(touched.scene, "free" if self._job.pace == "even" else "real") as experiment:
+                self._begin(touched, experiment)
+                run(experiment.cycle, None, self._is_over, self._after_cycle)
+        except CanHapticError as error:
+            ended = str(error)
+        if ended:
+            self._send(ended)
+
+    def _is_over(self) -> bool:
+        return int(self._shared[RUN]) != self._job.number
+
+    def _begin(self, touched: TouchScene, experiment: Experiment) -> None:
+        self._experiment = experiment
+        self._period = touched.scene.bus.sample_time
+        self._share = 1.0 - math.exp(-self._period / _SETTLING)
+        self._steps = [_FASTEST * (high - low) * self._period for low, high in touched.shown]
+        self._place = list(touched.start)
+        self._every = max(1, round(_BATCH / self._period))
+        ports = [axis.parameters.name for axis in touched.scene.axes]
+        groups = [group.name for group in touched.scene.groups]
+        self._axes = [[ports.index(name) for name in side.axes] for side in touched.sides]
+        self._accounts = [
+            [len(ports) + groups.index(side.group)] if side.group else axes
+            for side, axes in zip(touched.sides, self._axes, strict=True)
+        ]
+        self._start = self._clock.now()
+        self._is_display = touched.is_display
+        self._servos = [[self._servo(axis) for axis in axes] for axes in self._axes]
+        self._movers = [self._mover([servo.motor for servo in servos]) for servos in self._servos]
+        self._least = [0.0] * len(touched.sides)
+
+    def _servo(self, axis: int) -> Any:
+        """Returns the power stage of a simulated drive."""
+        drives = self._experiment.far_side
+        if drives is None:
+            raise InputError("touch: the drives are not in this process, expected simulated ones")
+        return drives.drives[axis].servo
+
+    def _mover(self, motors: list[Any]) -> Callable[..., None]:
+        """Returns what moves the hand of a side, by its motors."""
+        if not isinstance(motors[0], Plant):
+            moved: XYMotion = motors[0].shared.mechanism
+            return moved.move_hand
+        plants: list[Plant] = motors
+
+        def move(*place: float) -> None:
+            for plant, at in zip(plants, place, strict=True):
+                plant.move_hand(at)
+
+        return move
+
+    def _after_cycle(self, cycles: int) -> None:
+        """Moves the hands and takes a row; called once per cycle."""
+        place, shared = self._place, self._shared
+        for direction, step in enumerate(self._steps):
+            gap = (shared[direction] - place[direction]) * self._share
+            place[direction] += step if gap > step else -step if gap < -step else gap
+        for move in self._movers:
+            move(*place)
+        arrived = int(shared[ARRIVED])
+        if arrived != self._seen:
+            self._seen = arrived
+            self._answered.add(self._clock.now() - arrived)
+        self._take_row(cycles)
+        self._keep_time(cycles)
+        if cycles % self._every == 0:
+            self._send("")
+
+    def _take_row(self, cycles: int) -> None:
+        experiment = self._experiment
+        rig, judge = experiment.rig, experiment.cycle.judge
+        if judge is None:  # a scene without simulation was refused
+            return
+        samples, row = rig.records[-1].samples, [cycles * self._period, self._shared[TOKEN], *self._place]
+        for side, axes in enumerate(self._axes):
+            row += [samples[axis].position for axis in axes]
+            row += [(-1.0 if self._is_display else 1.0) * samples[axis].torque_applied for axis in axes]
+            if self._is_display:
+                servos = self._servos[side]
+                row += [servo.motor.velocity for servo in servos] + [servo.torque for servo in servos]
+            energy = sum(judge.interaction[place] for place in self._accounts[side])
+            self._least[side] = min(self._least[side], energy)
+            row.append(energy)
+        self._rows.append(tuple(row))
+
+    def _keep_time(self, cycles: int) -> None:
+        """Waits for the time of the next cycle, and counts how late this one began."""
+        if self._job.pace == "real":
+            late = self._experiment.rig.timing.wakeup_lateness
+        else:
+            due = self._start + self._given_up + round(cycles * self._period * 1e9)
+            self._clock.wait_until(due)
+            late = self._clock.now() - due
+            if late > _GIVEN_UP:
+                self._given_up += late
+        self._lateness.add(late)
+        if late > self._period * 1e9:
+            self._late += 1
+
+    def _send(self, ended: str) -> None:
+        """Hands rows and status over; keeps them while the pipe is full."""
+        if not ended and not select.select([], [self._pipe.fileno()], [], 0.0)[1]:
+            del self._rows[:-_MOST_ROWS]
+            return
+        status = self._status(ended)
+        self._pipe.send((np.array(self._rows), status))
+        self._rows.clear()
+
+    def _status(self, ended: str) -> TouchStatus:
+        experiment: Experiment | None = getattr(self, "_experiment", None)
+        if experiment is None:
+            return no_run(self._job.number, ended)
+        cycle = experiment.cycle
+        return TouchStatus(
+            self._job.number,
+            cycle.cycles,
+            self._late,
+            experiment.rig.skipped_syncs,
+            self._given_up * 1e-9,
+            _half_and_most(self._lateness),
+            _half_and_most(self._answered),
+            (self._least[0], self._least[1]),
+            ended,
+        )
+
+
+def _half_and_most(durations: DurationHistogram) -> tuple[float, float]:
+    return durations.quantile(0.5), durations.quantile(0.99)

@@ -1,0 +1,343 @@
+"""The page of `canhaptic touch`: two handles at one pointer, with live force, energy and verdict, and sliders."""
+
+import html
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from bokeh.document import Document
+from bokeh.events import Pan, PanStart
+from bokeh.layouts import column, row
+from bokeh.models import (
+    BoxAnnotation,
+    Button,
+    ColumnDataSource,
+    CustomJS,
+    CustomJSTickFormatter,
+    DataRange1d,
+    Div,
+    RadioButtonGroup,
+    Range1d,
+    Slider,
+    Span,
+)
+from bokeh.plotting import figure
+
+from canhaptic.axis_units import effort_unit
+from canhaptic.control.verdict import PASSIVE_TOLERANCE, passive_verdict
+from canhaptic.errors import CanHapticError
+from canhaptic.lab.loop.axis_loop import Array
+from canhaptic.lab.touch.hand import TouchHand, TouchNews
+from canhaptic.lab.touch.hand_process import TouchStatus
+from canhaptic.lab.touch.touch_scene import TouchScene, TouchSlider
+from canhaptic.view.bokeh_style import finished, new_panel, si_ticks
+from canhaptic.view.decimate import decimate
+from canhaptic.view.palette import BLUE, GREY, PALE, VERMILION
+from canhaptic.view.si import si
+from canhaptic.view.verdict_bar import verdict_bar
+
+_WINDOW: Final = 3.0  # [s]
+_POINTS: Final = 3000  # kept per line
+_BUCKETS: Final = 120  # per second of the run
+_LINES_EVERY: Final = 0.2  # [s] of the run: handles move at every look, lines grow more slowly
+_MOST_WAITED: Final = 60  # looks without an answer, after which the page is asked again
+_COLOURS: Final = (VERMILION, BLUE)
+_RATES: Final = ("200", "500", "1000", "2000")  # [Hz]
+_DELAYS: Final = {"event": "no delay", "synchronous": "one sample late"}
+_SEND: Final = """
+pointer.data = {x: [cb_obj.x], y: [cb_obj.y], token: [performance.now()]};
+"""
+_MEASURE: Final = """
+const {token: [token], frame: [frame]} = cb_obj.data;
+requestAnimationFrame(() => { drawn.data = {frame: [frame]}; });
+if (token > 0 && token != window.last_token) {
+  window.last_token = token;
+  (window.answers ??= []).push(performance.now() - token);
+  if (window.answers.length > 20000) window.answers.shift();
+}
+"""
+
+
+class TouchPage:
+    """One visitor's view of a hand, which a later visitor takes over.
+
+    Args:
+        document: The visitor's Bokeh document.
+        hand: That runs.
+        period: Between two looks [s].
+    """
+
+    def __init__(self, document: Document, hand: TouchHand, period: float) -> None:
+        self._hand, self._document = hand, document
+        touched = hand.touched
+        self._pointer = ColumnDataSource({"x": [0.0], "y": [0.0], "token": [0.0]}, name="pointer")
+        self._pointer.on_change("data", self._take_pointer)
+        self._status = Div(text="the drives start ...", name="status", sizing_mode="stretch_width")
+        self._sides = [_SideView(hand, number, self._pointer) for number in range(2)]
+        self._handles = self._sides[-1].handle
+        self._drawn = ColumnDataSource({"frame": [0]}, name="drawn")
+        self._handles.js_on_change("data", CustomJS(args={"drawn": self._drawn}, code=_MEASURE))
+        self._frame = self._waited = 0
+        _share_range(self._sides)
+        self._controls = _Controls(hand, self._begin)
+        document.title = f"canhaptic touch: {touched.scene.source}"
+        sides = row(*(side.layout for side in self._sides), sizing_mode="stretch_width")
+        hint = Div(
+            text=f"Drag in a {'square' if touched.is_plane else 'strip'}: the pointer is the hand on both handles."
+        )
+        document.add_root(
+            column(hint, self._controls.layout, sides, self._status, sizing_mode="stretch_width", name="root")
+        )
+        self._looking = document.add_periodic_callback(self.update, max(20, round(1000 * period)))
+
+    def end(self, text: str) -> None:
+        """Stops looking, and says why."""
+        self._document.remove_periodic_callback(self._looking)
+        self._document.add_next_tick_callback(lambda: setattr(self._status, "text", html.escape(text)))
+
+    def update(self) -> None:
+        """Takes what is new into the page, once it has drawn what it has: a slow browser must not fall behind."""
+        self._waited += 1
+        if self._drawn.data["frame"][0] != self._frame and self._waited < _MOST_WAITED:
+            return
+        news = self._hand.look()
+        if len(news.rows["time"]):
+            self._frame, self._waited = self._frame + 1, 0
+            for side in self._sides:
+                side.take(news, self._frame)
+        if news.status is not None:
+            for side in self._sides if news.status.cycles else ():
+                side.judge(news.status)
+            self._status.text = _status(news.status)
+
+    def _take_pointer(self, _name: str, _old: object, new: dict[str, list[float]]) -> None:
+        place = (new["x"][0], new["y"][0])[: len(self._hand.touched.shown)]
+        self._hand.move(place, new["token"][0])
+
+    def _begin(self, changes: dict[str, str]) -> None:
+        """Begins a run anew with values of the controls."""
+        try:
+            self._hand.begin(changes)
+        except CanHapticError as error:
+            self._status.text = f"<b>refused, the run goes on:</b> {html.escape(str(error))}"
+            return
+        for side in self._sides:
+            side.clear()
+        self._status.text = "the drives start ..."
+
+
+def _share_range(sides: list["_SideView"]) -> None:
+    """Gives both sides the same scale of force and of energy, so that they can be compared."""
+    first, second = sides
+    for mine, other in zip(first.panels, second.panels, strict=True):
+        other.y_range = mine.y_range
+        mine.y_range.renderers = [*mine.renderers, *other.renderers]
+
+
+class _SideView:
+    """Handle, force, energy and verdict of one side."""
+
+    def __init__(self, hand: TouchHand, number: int, pointer: ColumnDataSource) -> None:
+        touched = hand.touched
+        self._waiting: list[dict[str, Array]] = []
+        self._name, self._number = touched.sides[number].name, number
+        self._directions, self._is_display = touched.directions, touched.is_display
+        self._allowance = touched.sides[number].allowance
+        start = dict(zip(("x", "y"), (*touched.start, 0.0), strict=False))
+        self.handle = ColumnDataSource(
+            {
+                "x": [start["x"]],
+                "y": [start["y"]],
+                "hand_x": [start["x"]],
+                "hand_y": [start["y"]],
+                "token": [0.0],
+                "frame": [0],
+            },
+            name=f"handle {number}",
+        )
+        vectors = ("force", "velocity", "command") if touched.is_display else ("force",)
+        self._columns = {f"{vector} {d}": f"{number}.{vector}.{d}" for vector in vectors for d in self._directions}
+        self._columns["energy"] = f"{number}.energy"
+        self._lines = ColumnDataSource({name: [] for name in ("time", *self._columns)}, name=f"lines {number}")
+        self._verdict = Div(text="", name=f"verdict {number}", sizing_mode="stretch_width")
+        self.scene = self._new_scene(touched, pointer)
+        self.panels = self._panels(touched)
+        self.panels[-1].add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_dash="dashed"))
+        title = Div(text=f"<b style='font-size:1.3em;color:{_COLOURS[number]}'>{html.escape(self._name)}</b>")
+        parts = (title, self._verdict, self.scene, *self.panels)
+        self.layout = column(*parts, sizing_mode="stretch_width")
+
+    def _new_scene(self, touched: TouchScene, pointer: ColumnDataSource) -> figure:
+        """Returns the place where the handle is dragged."""
+        (low, high), *rest = touched.shown
+        across = rest[0] if rest else (-1.0, 1.0)
+        plane = figure(
+            height=330 if touched.is_plane else 105,
+            x_range=Range1d(low, high),
+            y_range=Range1d(*across),
+            tools="",
+            toolbar_location=None,
+            sizing_mode="stretch_width",
+            output_backend="canvas",
+            min_border_left=90,
+            min_border_right=40,
+            name=f"scene {self._number}",
+        )
+        plane.grid.grid_line_color = None
+        plane.xaxis.formatter = plane.yaxis.formatter = si_ticks(touched.unit)
+        plane.yaxis.visible = touched.is_plane
+        self._draw_solid(plane, touched, (low, high))
+        plane.segment("x", "y", "hand_x", "hand_y", source=self.handle, line_color=PALE, line_width=3)
+        plane.scatter("hand_x", "hand_y", source=self.handle, marker="cross", size=22, line_color=GREY, line_width=2)
+        plane.scatter("x", "y", source=self.handle, size=26, fill_color=_COLOURS[self._number], line_color="white")
+        for event in (PanStart, Pan):
+            plane.js_on_event(event, CustomJS(args={"pointer": pointer}, code=_SEND))
+        return plane
+
+    def _draw_solid(self, plane: figure, touched: TouchScene, shown: tuple[float, float]) -> None:
+        look = {"fill_color": GREY, "fill_alpha": 0.25, "line_color": GREY}
+        if touched.path:
+            x, y = zip(*touched.path, strict=True)
+            plane.line(x, y, line_color=PALE, line_width=8, line_alpha=0.5)
+        if touched.is_plane:
+            for (left, right), (bottom, top) in zip(touched.solid[::2], touched.solid[1::2], strict=True):
+                for edge in ({"right": left}, {"left": right}, {"left": left, "right": right, "top": bottom},
+                             {"left": left, "right": right, "bottom": top}):  # fmt: skip
+                    plane.add_layout(BoxAnnotation(**edge, **look))
+            return
+        for low, high in touched.solid:
+            edges = {"left": low} if low > shown[0] else {}
+            edges |= {"right": high} if high < shown[1] else {}
+            plane.add_layout(BoxAnnotation(**edges, **look))
+
+    def _panels(self, touched: TouchScene) -> list[figure]:
+        """Returns force, of an admittance display velocity too, and energy, each against time."""
+        panels = [self._panel("force" if touched.unit == "m" else "torque", effort_unit(touched.unit), ["force"])]
+        if self._is_display:
+            panels.append(self._panel("velocity", f"{touched.unit}/s", ["command", "velocity"]))
+        return [*panels, self._panel("energy", "J", ["energy"])]
+
+    def _panel(self, title: str, unit: str, vectors: list[str]) -> figure:
+        # A range of its own: a shared one stands still while any of its panels is scrolled out of sight.
+        time = DataRange1d(follow="end", follow_interval=_WINDOW, range_padding=0.0)
+        panel = new_panel(title, unit, time, 150)
+        shown = [name for vector in vectors for name in self._columns if name.split()[0] == vector]
+        for name in shown:
+            is_main, along = name.split()[0] == vectors[-1], not name.endswith(" y")
+            panel.line(
+                "time", name, source=self._lines, color=_COLOURS[self._number] if is_main else GREY,
+                line_width=1.5 if is_main else 1.0, line_dash="solid" if along else "dashed",
+                legend_label=self._label(name),
+            )  # fmt: skip
+        panel.toolbar_location, panel.window_axis = None, "none"
+        return finished(panel)
+
+    def _label(self, name: str) -> str:
+        """Returns what the legend says of a line."""
+        vector, *direction = name.split()
+        if vector == "energy":
+            return "into the display, at the sensor" if self._is_display else "taken in by the wall"
+        names = {"force": "of the hand" if self._is_display else "on the hand", "velocity": "handle"}
+        text = names.get(vector, vector)
+        return f"{text} {direction[0]}" if len(self._directions) > 1 else text
+
+    def take(self, news: TouchNews, frame: int) -> None:
+        """Takes rows; `frame` comes back when they are drawn."""
+        rows, number = news.rows, self._number
+        last: dict[str, object] = {"token": rows["token"][-1:], "frame": [frame]}
+        for name, prefix in (("", f"{number}.position."), ("hand_", "hand.")):
+            for d in ("x", "y"):
+                last[name + d] = rows[prefix + d][-1:] if d in self._directions else np.zeros(1)
+        self.handle.data = last
+        self._waiting.append(rows)
+        if rows["time"][-1] - self._waiting[0]["time"][0] >= _LINES_EVERY:
+            parts, self._waiting = self._waiting, []
+            self._grow({name: np.concatenate([part[name] for part in parts]) for name in rows})
+
+    def _grow(self, rows: dict[str, Array]) -> None:
+        """Adds rows to the lines."""
+        columns = {name: rows[column] for name, column in self._columns.items()}
+        buckets = max(2, round(_BUCKETS * (rows["time"][-1] - rows["time"][0])))
+        shown = np.unique(np.concatenate([decimate(values, buckets) for values in columns.values()]))
+        new = {"time": rows["time"][shown]} | {name: values[shown] for name, values in columns.items()}
+        self._lines.stream(new, rollover=_POINTS)
+
+    def judge(self, status: TouchStatus) -> None:
+        """Shows whether the side gave out more than it took in so far."""
+        least = status.least[self._number]
+        passive = passive_verdict(least + self._allowance + PASSIVE_TOLERANCE)
+        verdict = verdict_bar(
+            {self._name: {"passive_at_sensor": passive} if self._is_display else {"passive": passive}}
+        )
+        allowed = f", it may {si(self._allowance, 'J')}" if self._allowance else ""
+        self._verdict.text = f"{verdict} gave out {si(max(0.0, -least), 'J')} more than it took in{allowed}"
+
+    def clear(self) -> None:
+        """Forgets the run before."""
+        self._lines.data = {name: [] for name in self._lines.data}
+        self._waiting = []
+
+
+class _Controls:
+    """Sliders of what is rendered and of the loop; a change begins a run anew."""
+
+    def __init__(self, hand: TouchHand, begin: Callable[[dict[str, str]], object]) -> None:
+        self._begin = begin
+        bus, touched = hand.touched.scene.bus, hand.touched
+        self._sliders: list[tuple[TouchSlider, Slider]] = [(one, _slider(one)) for one in touched.sliders]
+        rate = f"{bus.rate:g}"
+        self._rates = sorted({*_RATES, rate}, key=float)
+        self._rate = RadioButtonGroup(
+            labels=[f"{rate} Hz" for rate in self._rates], active=self._rates.index(rate), name="rate"
+        )
+        self._delay = RadioButtonGroup(
+            labels=list(_DELAYS.values()), active=list(_DELAYS).index(bus.rpdo), name="delay",
+            disabled=touched.is_display,
+        )  # fmt: skip
+        again = Button(label="start again", name="again")
+        again.on_click(self._changed)
+        widgets = [widget for _, widget in self._sliders]
+        for slider in widgets:
+            slider.on_change("value_throttled", self._moved)
+        for group in (self._rate, self._delay):
+            group.on_change("active", self._moved)
+        self.layout = row(*widgets, self._rate, self._delay, again, sizing_mode="stretch_width")
+
+    def _moved(self, _name: str, _old: object, _new: object) -> None:
+        self._changed()
+
+    def _changed(self) -> None:
+        changes = {"bus.rate": self._rates[self._rate.active], "bus.rpdo": list(_DELAYS)[self._delay.active]}
+        for one, widget in self._sliders:
+            changes[one.key] = repr(float(10.0**widget.value if one.decades else widget.value))
+        self._begin(changes)
+
+
+def _slider(one: TouchSlider) -> Slider:
+    """Returns the widget of a value of the scene."""
+    if not one.decades:
+        most, step = max(20.0, 5.0 * one.value), max(0.1, one.value / 20.0)
+        title = f"{one.title} [{one.unit}]"
+        return Slider(start=0.0, end=most, step=step, value=one.value, title=title, name=one.title)
+    middle = np.log10(max(one.value, 1e-3))
+    shown = CustomJSTickFormatter(
+        args={"unit": one.unit}, code="return `${Math.pow(10, tick).toPrecision(3)} ${unit}`"
+    )  # fmt: skip
+    return Slider(
+        start=middle - one.decades, end=middle + one.decades, step=0.025 * one.decades, value=middle, title=one.title,
+        format=shown, name=one.title,
+    )  # fmt: skip
+
+
+def _status(status: TouchStatus) -> str:
+    if status.ended:
+        return f"<b>ended:</b> {html.escape(status.ended)}"
+    facts = [
+        f"{status.cycles} cycles",
+        f"{status.late} of them late by more than a sample time",
+        f"99 % of all begin within {si(status.lateness[1], 's')} of their time",
+        f"{status.skipped} SYNCs skipped",
+        f"{status.given_up:.2f} s not caught up" if status.given_up else "",
+        f"pointer to cycle {si(status.answered[0], 's')}, 99 % {si(status.answered[1], 's')}",
+    ]
+    return " &nbsp; ".join(fact for fact in facts if fact)

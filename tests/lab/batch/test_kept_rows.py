@@ -1,0 +1,78 @@
+"""Loops compiled with their plant whose every SYNC is kept: as the loop that Python runs, but for rounding."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from canhaptic.control.balance import EnergyBalance
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.lab.batch.meter import MeterSettings
+from canhaptic.lab.batch.rendering import render_by, work_of
+from canhaptic.lab.loop.axis_loop import Recorder
+from canhaptic.lab.loop.scenes import loop_case
+from canhaptic.lab.studies.accuracy.loop_sensitivity import engines_of, variants
+from canhaptic.lab.studies.compare.comparison import compare
+from canhaptic.scene.load import load_scene
+from tests.lab.batch.test_event_plants import PLANTS, demo
+
+
+def case_of(scene):
+    return loop_case(scene.axes[0], scene)
+
+
+def test_a_row_holds_what_a_recorder_takes():
+    pytest.importorskip("numba")
+    from canhaptic.lab.batch.kept_rows import keep
+
+    balance = EnergyBalance(*(float(i) for i in range(4, 19)))  # type: ignore[arg-type]
+    rows = [[0.0] * 19, [0.0] * 19]
+    keep(SpringDamperWall(stiffness=1.0), MeterSettings(), rows, 1, 0.0, 1.0, 2.0, 3.0, balance)
+    assert rows == [[0.0] * 19, [float(i) for i in range(19)]]
+    assert EnergyBalance._fields[-4:] == ("branch", "damping_rendered", "certificate", "state")
+
+
+def test_what_cannot_be_compiled_runs_in_python_and_says_why():
+    case = case_of(load_scene("configs/demo.yaml"))
+    moved_from_outside = render_by("numba", replace(case, simulation=None), 20)
+    assert moved_from_outside.engine == "python: the plant is not that of a scene"
+    assert moved_from_outside.position.tolist() == render_by("python", case, 20).position.tolist()
+
+
+def test_compiling_pays_for_long_runs_and_for_forces_over_substeps():
+    light, heavy = case_of(load_scene("configs/demo.yaml")), case_of(demo(PLANTS["LuGre"]))
+    assert work_of(heavy, 1000) > work_of(light, 1000) == 1000
+    scene = demo(PLANTS["LuGre"])
+    of_study = variants(scene.axes[0], scene)
+    chosen = dict(zip([one.setting for one in of_study], engines_of(of_study, 10**9, "auto"), strict=True))
+    assert {name: engine for name, engine in chosen.items() if engine == "numba"}
+    assert chosen["unprotected"] == "python"  # alone it is over before it is compiled
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("plant", ["", "stop and friction", "LuGre"])
+def test_compiled_a_run_is_that_of_python_but_for_rounding(plant):
+    pytest.importorskip("numba")
+    scene = demo(PLANTS.get(plant, ""), algorithm="unprotected")
+    case = case_of(scene)
+    slow, fast = (render_by(engine, case, 1500, Recorder(furthest=1.0)) for engine in ("python", "numba"))
+    assert (slow.engine, fast.engine) == ("python", "numba")
+    for name in ("position", "true_position", "torque", "interaction", "believed", "dissipated", "damping"):
+        np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), rtol=1e-6, atol=1e-9, err_msg=name)
+    assert fast.summary.branches == slow.summary.branches
+    found = compare(scene, ["unprotected"], duration=0.2, repeats=0, engine="numba").result
+    assert found["axes"]["handle"]["algorithms"]["unprotected"]["engine"] == "numba"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_compiled_a_run_that_diverges_ends_where_that_of_python_does():
+    pytest.importorskip("numba")
+    unstable = demo("", "environment.damping=2000", "simulation.plant.mass=0.01", algorithm="unprotected")
+    for furthest in (0.05, 1e300):
+        slow, fast = (
+            render_by(engine, case_of(unstable), 1500, Recorder(furthest=furthest)) for engine in ("python", "numba")
+        )
+        assert (fast.ended, len(fast.position)) == (slow.ended, len(slow.position))
+        assert slow.ended == "diverged" or furthest > 1.0

@@ -1,0 +1,209 @@
+"""The loop of a group as a kernel: against the loop with the plants themselves, and compiled."""
+
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from canhaptic.control.balance import EnergyBalance
+from canhaptic.control.mechanisms.transmission import Transmission
+from canhaptic.control.mechanisms.workspace import PoseAsked
+from canhaptic.control.multi_axis.group_kernel import GroupHold
+from canhaptic.control.multi_axis.group_motion import why_not_world
+from canhaptic.lab.batch.group_case import group_case
+from canhaptic.lab.batch.group_closed_loop import GroupMeter, LinearMotors, shares
+from canhaptic.lab.batch.group_loop import GroupRecorder, motors_of
+from canhaptic.lab.batch.group_rows import keep_group, render_group_by
+from canhaptic.lab.batch.group_scalar import group_meter
+from canhaptic.lab.studies.compare.group_comparison import compare_groups
+from canhaptic.lab.studies.sweep import sweep
+from canhaptic.lab.studies.sweep.chunk import ENGINES
+from canhaptic.lab.studies.sweep.sweep_table import SweepTable
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import Scene
+from tests.lab.sweep.conftest_sweep import REPOSITORY
+
+_SCALING = "groups.0.passivity={algorithm: step_scaling}"
+
+
+def scene_of(name: str, *overrides: str) -> Scene:
+    return load_scene(REPOSITORY / "configs" / f"{name}.yaml", list(overrides))
+
+
+def values_of(meter: GroupMeter) -> dict[str, float]:
+    found = asdict(meter)
+    return {**found.pop("figures"), **found}
+
+
+def random_scene(name: str, seed: int) -> Scene:
+    """One of many scenes: another network, rate, delay and moving mass."""
+    random = np.random.default_rng(seed)
+    overrides = [
+        f"groups.0.network.stiffness={10.0 ** random.uniform(2.0, 4.5)!r}",
+        f"groups.0.network.damping={random.integers(2) * 10.0 ** random.uniform(-1.0, 1.5):.17g}",
+        f"bus.rpdo={('synchronous', 'event')[random.integers(2)]}",
+        f"bus.rate={random.choice([250, 500, 1000])}",
+    ]
+    if random.random() < 0.5:
+        return scene_of(name, *overrides, _SCALING)
+    return scene_of(name, *overrides, f"groups.0.passivity.moving_mass={random.uniform(0.05, 0.2)!r}")
+
+
+STAGE = "simulation.mechanisms.0"
+FRICTION = "{kinetic: 0.4, static: 0.6}"
+STOP = "{type: hard_stop, side: upper, position: 0.004, stiffness: 2e4, damping: 20}"
+LUGRE = "{type: lugre_friction, kinetic: 0.3, static: 0.5, stribeck_velocity: 0.01, bristle_stiffness: 1e4}"
+NOISE = "{type: encoder_noise, deviation: 2e-6}, {type: encoder_quantisation, count: 1e-5}"
+WEAK = "{type: torque_saturation, limit: 2}, {type: torque_quantisation, quantum: 0.01}"
+LAG = "{type: current_loop, time_constant: 300 us}"
+WITH_EVENTS = {
+    "stage with friction": ("xy_box", f"{STAGE}.friction_x={FRICTION}", f"{STAGE}.friction_y={FRICTION}"),
+    "friction in x": ("xy_box", f"{STAGE}.friction_x={FRICTION}"),
+    "handles with stops": (
+        "two_handles",
+        f"simulation.axes.first.effects=[{STOP}, {{type: coulomb_friction, kinetic: 0.2, static: 0.3}}]",
+        f"simulation.axes.second.effects=[{STOP}]",
+    ),
+    "handles with current loop and LuGre": (
+        "two_handles",
+        f"simulation.axes.first.effects=[{LAG}]",
+        f"simulation.axes.second.effects=[{LUGRE}]",
+    ),
+    "handles with noise and saturation": (
+        "two_handles",
+        f"simulation.axes.first.effects=[{NOISE}]",
+        f"simulation.axes.second.effects=[{WEAK}]",
+    ),
+    "five-bar": ("five_bar_sphere",),
+}
+
+
+@pytest.mark.slow_for("stage with friction", "friction in x", "handles with stops", "handles with noise and saturation")
+@pytest.mark.parametrize("kind", WITH_EVENTS)
+def test_motors_with_events_do_what_the_plants_do(kind: str) -> None:
+    scene = scene_of(*WITH_EVENTS[kind])
+    case = group_case(scene, explains=True)
+    assert case.why_not == ""
+    axes = [scene.axis(axis) for axis in scene.groups[0].axes]
+    by_plants = values_of(group_meter(case._replace(motors=motors_of(scene, axes)), 200))
+    in_loop = values_of(group_meter(case, 200))
+    assert in_loop == pytest.approx(by_plants, rel=1e-6, abs=1e-10)
+    name, *effects = WITH_EVENTS[kind]
+    if effects:
+        without = values_of(group_meter(group_case(scene_of(name)), 200))
+        assert in_loop["interaction"] != pytest.approx(without["interaction"], rel=1e-3)
+    assert in_loop["torque_peak"] > 0.0
+
+
+def test_what_a_group_cannot_compile_is_named() -> None:
+    case = group_case(scene_of("xy_box"))
+    assert case.why_not == why_not_world(case.world) == ""
+    own = case.world._replace(mechanism=PoseAsked(Transmission(matrix=((1.0, 0.0), (0.0, 1.0)))))
+    assert why_not_world(own) == "got PoseAsked, which is Python code of its own"
+
+
+@pytest.mark.parametrize(("name", "seed"), [("xy_box", 1), ("xy_box", 2), ("two_handles", 2)])
+def test_motors_as_one_flow_do_what_the_plants_do(name: str, seed: int) -> None:
+    scene = random_scene(name, seed)
+    case = group_case(scene, explains=True)
+    assert case.is_compilable
+    axes = [scene.axis(axis) for axis in scene.groups[0].axes]
+    by_plants = values_of(group_meter(case._replace(motors=motors_of(scene, axes)), 200))
+    by_flow = values_of(group_meter(case, 200))
+    assert by_flow == pytest.approx(by_plants, rel=1e-9, abs=1e-13)
+    assert by_flow["torque_peak"] > 0.0
+
+
+@pytest.mark.slow
+def test_what_is_held_is_explained_by_spring_and_damper() -> None:
+    share, damper = shares(group_meter(group_case(scene_of("xy_box"), explains=True), 1000))
+    assert share == pytest.approx(1.0, abs=0.03)
+    assert damper == pytest.approx(1.0, abs=0.05)
+    weak = scene_of("xy_box", "groups.0.passivity.moving_mass=1e-3")  # next to nothing is certified
+    assert shares(group_meter(group_case(weak, explains=True), 1000))[0] < 0.5
+
+
+def test_nothing_felt_has_no_share() -> None:
+    away = scene_of("xy_box", "groups.0.network.lower=[-1, -1]", "groups.0.network.upper=[1, 1]")
+    assert np.isnan(shares(group_meter(group_case(away, explains=True), 100))).all()
+
+
+def test_a_number_that_is_not_finite_ends_the_loop() -> None:
+    case = group_case(scene_of("xy_box"))
+    assert isinstance(case.motors, LinearMotors)
+    far = case.motors._replace(state=[float("nan"), *case.motors.state[1:]])
+    assert group_meter(case._replace(motors=far), 10).figures.diverged == 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("name", ["xy_box", "two_handles"])
+def test_compiled_it_has_the_same_bits(name: str) -> None:
+    pytest.importorskip("numba")
+    for seed in range(30):
+        case = group_case(random_scene(name, seed), explains=True)
+        expected, found = (values_of(group_meter(case, 500, engine)) for engine in ("python", "numba"))
+        assert repr(found) == repr(expected), seed
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("kind", [kind for kind in WITH_EVENTS if kind != "friction in x"])
+def test_compiled_motors_with_events_have_the_same_bits(kind: str) -> None:
+    pytest.importorskip("numba")
+    name, *overrides = WITH_EVENTS[kind]
+    for stiffness in (300.0, 3000.0):
+        case = group_case(scene_of(name, *overrides, f"groups.0.network.stiffness={stiffness}"), explains=True)
+        expected, found = (values_of(group_meter(case, 500, engine)) for engine in ("python", "numba"))
+        assert repr(found) == repr(expected)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_sweep_of_groups_says_what_computed_it(tmp_path) -> None:
+    pytest.importorskip("numba")
+    found = []
+    for engine in ("python", "numba"):
+        path = tmp_path / f"{engine}.h5"
+        sweep(scene_of("xy_box"), ["groups.0.network.stiffness=500,3000"], path, cycles=300, engine=engine)
+        with SweepTable(path) as table:
+            computed = "scalar" if engine == "python" else engine
+            assert table.engine().tolist() == [ENGINES.index(computed)] * 2
+            found.append(table.figure("stage", "believed_error").tolist())
+    assert found[0] == found[1]
+
+
+def test_a_row_of_a_group_holds_what_its_recorder_takes() -> None:
+    case = group_case(scene_of("xy_box"))
+    room, meter, rows = case.room(), GroupMeter(supplied=3.0, work=1.0), [[0.0] * 22, [0.0] * 22]
+    for buffer, values in ((room.seen, [3.0, 4.0]), (room.true, [5.0, 6.0]), (room.held, [7.0, 8.0])):
+        buffer[:] = values
+    meter.figures.cycles = 1.0
+    balance = EnergyBalance(*(float(i) for i in range(9, 24)))  # type: ignore[arg-type]
+    keep_group(case.rig, room, meter, rows, GroupHold(balance, 0.0, 0.0, 0.0, 0, 0))
+    assert rows == [[0.0] * 22, [2.0, *(float(i) for i in range(3, 24))]]
+    assert meter.figures.cycles == 2.0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_compiled_every_sync_of_a_group_is_that_of_python_but_for_rounding() -> None:
+    pytest.importorskip("numba")
+    scene = scene_of("five_bar_sphere")
+    slow, fast = (render_group_by(engine, scene, 500, GroupRecorder(2)) for engine in ("python", "numba"))
+    assert (slow.engine, fast.engine) == ("python", "numba")
+    for name in ("position", "true_position", "torque", "interaction", "believed", "dissipated", "damping"):
+        np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), rtol=1e-6, atol=1e-9, err_msg=name)
+    assert fast.summary.branches == slow.summary.branches
+    (group,) = scene.groups
+    name = group.passivity.name
+    over_can, compiled = (
+        compare_groups(scene, [name], duration=0.3, engine=engine)["groups"][group.name]["algorithms"][name]
+        for engine in ("python", "numba")
+    )
+    assert (over_can["engine"], compiled["engine"]) == ("python", "numba")
+    assert compiled["branches"] == over_can["branches"]
+    for key in ("in", "out", "dissipated"):
+        assert compiled[key] == pytest.approx(over_can[key], rel=1e-6)
+    assert compiled["truth"]["interaction"] == pytest.approx(over_can["truth"]["interaction"], rel=1e-6)
+    assert compiled["passive"] == "yes"

@@ -1,0 +1,202 @@
+"""Batches of scene files: keys, refusals, and the same figures as one scene at a time and as the comparison prints."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.errors import CanHapticError, ParameterError
+from canhaptic.lab.batch import (
+    METRICS,
+    NotBatchableError,
+    run_batch,
+    run_scalar,
+    scene_with,
+    spectral_radius,
+    why_not_batchable,
+)
+from canhaptic.lab.figures.figures import figures
+from canhaptic.lab.loop.algorithms import with_algorithm
+from canhaptic.lab.loop.axis_loop import render
+from canhaptic.lab.loop.scenes import environment_of, loop_case
+from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import Scene
+from canhaptic.sim.plant.effects import read_effect
+
+DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo.yaml"
+CYCLES = 700
+
+
+def demo(algorithm: str = "unprotected", *overrides: str) -> Scene:
+    scene = load_scene(DEMO, ["passivity.device_damping=0.1", "simulation.user.motion.frequency=1.5", *overrides])
+    return replace(scene, axes=(with_algorithm(scene.axes[0], algorithm),))
+
+
+def with_effect(scene: Scene, **values: object) -> Scene:
+    axis = scene.axes[0]
+    assert axis.simulation is not None
+    effect = ComponentSpec(str(values["type"]), read_effect(values))  # type: ignore[arg-type]
+    return replace(scene, axes=(replace(axis, simulation=replace(axis.simulation, effects=(effect,))),))
+
+
+def many(scenes: int) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(11)
+    return {
+        "environment.stiffness": 10.0 ** rng.uniform(2.0, 3.5, scenes),
+        "environment.damping": rng.uniform(0.0, 20.0, scenes),
+        "bus.rate": rng.choice([500.0, 777.0, 1000.0], scenes),
+        "loop.delay": rng.integers(0, 2, scenes).astype(float),
+        "simulation.plant.mass": rng.uniform(0.2, 0.5, scenes),
+        "simulation.user.stiffness": rng.uniform(50.0, 300.0, scenes),
+        "simulation.user.motion.frequency": rng.uniform(1.0, 2.0, scenes),
+        "axes.0.counts_per_unit": 10.0 ** rng.uniform(4.5, 7.0, scenes),
+    }
+
+
+# `a_priori_dissipation` fails by limit cycles (Fig. 5), in which a last bit of the plant decides about a start
+@pytest.mark.slow_for(
+    "energy_bounding",
+    "passivity_observer",
+    "energy_tank",
+    "windowed_observer",
+    "bounded_observer",
+    "force_gradient",
+    "ultimate_passivity",
+    "a_priori_dissipation",
+)
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_a_batch_gives_the_figures_of_one_scene_at_a_time(algorithm):
+    scene, varied = demo(algorithm), many(5)
+    found = run_batch(scene, varied, CYCLES, engine="python")
+    for i in range(5):
+        one = run_scalar(scene_with(scene, {key: float(values[i]) for key, values in varied.items()}), CYCLES)
+        for name in METRICS:
+            assert found[name][i] == pytest.approx(one[name], rel=1e-6, abs=1e-12, nan_ok=True), (i, name)
+
+
+@pytest.mark.parametrize("algorithm", ["unprotected", "guarded", "internal_dissipation"])
+def test_the_figures_are_those_of_the_comparison(algorithm):
+    scene = demo(algorithm)
+    case = loop_case(scene.axes[0], scene)
+    run = render(case, CYCLES)
+    of_comparison = figures(environment_of(scene.axes[0]), run, None, 1e-3)
+    found = {name: float(values[0]) for name, values in run_batch(scene, {}, CYCLES, engine="python").items()}
+    assert found["least_interaction"] == pytest.approx(of_comparison["least_interaction"], rel=1e-6, abs=1e-12)
+    assert found["interaction"] == pytest.approx(of_comparison["interaction"], rel=1e-6)
+    assert found["margin"] == pytest.approx(of_comparison["margin"]["value"], rel=1e-6, abs=1e-12)
+    assert found["believed_margin"] == pytest.approx(of_comparison["believed_margin"], rel=1e-6, abs=1e-12)
+    assert found["believed_error"] == pytest.approx(of_comparison["believed_error"], rel=1e-6)
+    assert found["surplus_end"] == pytest.approx(of_comparison["surplus_end"], rel=1e-6, abs=1e-12)
+    assert found["force_variation"] == pytest.approx(of_comparison["force_variation"]["value"], rel=1e-6)
+    for part in ("mean", "least", "most"):
+        expected = of_comparison["damping_rendered"][part]
+        assert found[f"damping_rendered.{part}"] == pytest.approx(expected, rel=1e-6)
+    for part in ("value", "share"):
+        expected = of_comparison["stiffness_rendered"][part]
+        assert found[f"stiffness_rendered.{part}"] == pytest.approx(expected, rel=1e-6)
+    assert found["torque_peak"] == pytest.approx(float(np.abs(run.torque).max()), rel=1e-6)
+    assert found["travel"] == pytest.approx(float(np.ptp(run.true_position)), rel=1e-6)
+    assert found["contact"] == pytest.approx(float(np.isfinite(run.damping).mean()))
+
+
+def test_a_wall_that_is_leaned_on_renders_its_stiffness():
+    scene = demo("guarded", "simulation.user={stiffness: 0, damping: 30, push: -5}")
+    found = run_batch(
+        scene, {"environment.stiffness": np.array([200.0, 400.0])}, 1200, metrics=["stiffness_rendered.value"]
+    )
+    np.testing.assert_allclose(found["stiffness_rendered.value"], [200.0, 400.0], rtol=0.1)
+
+
+def test_plants_that_do_not_fit_are_named():
+    scene = with_effect(demo(), type="tremor", amplitude=1e-3)
+    axis = scene.axes[0]
+    assert axis.simulation is not None
+    alone = replace(scene, axes=(replace(axis, simulation=replace(axis.simulation, user=None)),))
+    assert "effect tremor does not stand alone" in why_not_batchable(alone)
+    with pytest.raises(NotBatchableError, match="one by one with run_scalar"):
+        run_batch(alone, {}, 10)
+
+
+def test_linear_effects_fit():
+    for effect in ({"type": "viscous_friction", "damping": 0.5}, {"type": "tremor", "amplitude": 1e-3},
+                   {"type": "shaft_compliance", "stiffness": 2000.0, "damping": 1.0, "load_mass": 0.1}):  # fmt: skip
+        scene = with_effect(demo(), **effect)
+        assert why_not_batchable(scene) == "", effect
+        varied = {"simulation.plant.mass": np.array([0.2, 0.3]), "bus.rate": np.array([1000.0, 800.0])}
+        found = run_batch(scene, varied, CYCLES, engine="python", metrics=["interaction", "torque_peak"])
+        for i in range(2):
+            one = run_scalar(scene_with(scene, {key: float(values[i]) for key, values in varied.items()}), CYCLES)
+            for name, values in found.items():
+                assert values[i] == pytest.approx(one[name], rel=1e-6), (effect, name)
+
+
+def test_what_does_not_fit_for_other_reasons_is_named():
+    scene = demo()
+    assert why_not_batchable(scene) == ""
+    assert "2 axes" in why_not_batchable(replace(scene, axes=scene.axes * 2))
+    assert "not simulated" in why_not_batchable(replace(scene, axes=(replace(scene.axes[0], simulation=None),)))
+    wall = "environment={type: hardening_wall, stiffness: 100, hardening: 1e5}"
+    assert why_not_batchable(demo("internal_dissipation", wall)) == ""
+
+
+@pytest.mark.parametrize(
+    ("varied", "part"),
+    [
+        ({"environment.colour": [1.0]}, "environment.colour"),
+        ({"simulation.drive.x": [1.0]}, "simulation.drive.x"),
+        ({"environment.hardening": [1.0]}, "spring_damper_wall does not have"),
+        ({"environment.stiffness": [1.0, -5.0]}, "stiffness"),
+        ({"environment.stiffness": [1.0, float("nan")]}, "not finite"),
+        ({"environment.stiffness": [1.0], "environment.damping": [1.0, 2.0]}, "shapes"),
+        ({"environment.stiffness": []}, "shapes"),
+        ({"simulation.plant.mass": [0.0, 1.0]}, "mass"),
+    ],
+)
+def test_bad_values_are_refused(varied, part):
+    with pytest.raises(CanHapticError, match=part):
+        run_batch(demo(), {key: np.array(values) for key, values in varied.items()}, 10)
+
+
+def test_bad_arguments_are_refused():
+    with pytest.raises(ParameterError, match="nonsense"):
+        run_batch(demo(), {}, 10, metrics=["nonsense"])
+    with pytest.raises(ParameterError, match="1 cycles"):
+        run_batch(demo(), {}, 1)
+    with pytest.raises(ParameterError, match="fortran"):
+        run_batch(demo(), {}, 10, engine="fortran")  # type: ignore[arg-type]
+
+
+def test_the_radius_is_that_of_the_loop_that_is_run():
+    """Growth per cycle of a loop in contact all the time, measured on the marched travel."""
+    ideal = {"axes.0.counts_per_unit": 1e12, "axes.0.rated_torque": 1e-6, "axes.0.torque_limit": 1e6}
+    scene = scene_with(demo("unprotected", "environment={type: viscous_medium, damping: 1}"), ideal)
+    damping = np.array([50.0, 480.0, 620.0])
+    radius = spectral_radius(scene, {"environment.damping": damping, "loop.delay": np.array([1.0, 0.0, 0.0])})
+    mass, period, own = 0.25, 1e-3, 5.1
+    for d, delay, found in zip(damping, (1, 0, 0), radius, strict=True):
+        # the matrix of the sampled loop, its flow by diagonalisation
+        rates = np.array([[0.0, 1.0, 0.0], [-60.0 / mass, -own / mass, 1.0 / mass], [0.0, 0.0, 0.0]])
+        values, vectors = np.linalg.eig(rates)
+        flow = (vectors @ np.diag(np.exp(values * period)) @ np.linalg.inv(vectors)).real
+        size = 3 + delay
+        step = np.zeros((size, size))
+        torque = np.zeros(size)
+        torque[0], torque[2] = -d / period, d / period
+        held = torque if delay == 0 else np.eye(size)[3]
+        step[:2, :2] = flow[:2, :2]
+        step[:2] += flow[:2, 2:] * held
+        step[2, 0] = 1.0
+        if delay:
+            step[3] = torque
+        assert found == pytest.approx(np.abs(np.linalg.eigvals(step)).max(), rel=1e-9)
+    marched = run_batch(scene, {"environment.damping": damping[1:], "loop.delay": np.zeros(2)}, 400, metrics=["travel"])
+    assert (radius[1:] > 1.0).tolist() == [False, True]
+    assert (marched["travel"] > 1.0).tolist() == [False, True]
+
+
+def test_a_loop_without_a_radius_is_refused():
+    with pytest.raises(ParameterError, match="no linear stiffness"):
+        spectral_radius(demo("unprotected", "environment={type: detents, peak: 1 N, pitch: 1 cm}"), {})

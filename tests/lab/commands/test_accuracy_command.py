@@ -1,0 +1,220 @@
+"""`canhaptic accuracy` and `tools/accuracy.py`."""
+
+import json
+import os
+import pty
+import re
+import runpy
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from canhaptic.cli.main import main
+from canhaptic.lab.studies.accuracy import control_thread
+from canhaptic.lab.studies.accuracy.study import AccuracyStudy
+from canhaptic.scene.load import load_scene
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+SCENE = str(REPOSITORY / "configs" / "accuracy" / "delayed_bus.yaml")
+SHORT = ["--duration", "0.03 s", "--budget", "0"]
+
+Captured = pytest.CaptureFixture[str]
+
+
+@pytest.mark.slow
+def test_json_is_one_object_and_page_and_tables_are_written(
+    capsys: Captured, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(control_thread, "_TURNS", 1)
+    pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
+    files = {kind: tmp_path / f"a.{kind}" for kind in ("html", "markdown")}
+    words = [word for kind, path in files.items() for word in (f"--{kind}", str(path))]
+    words += ["--duration", "0.01 s", "--budget", "0.001", "--tolerance", "1 um", "--json"]
+    assert main(["accuracy", SCENE, *words]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["status"], result["holds"], result["tolerance"]) == ("completed", 5, 1e-6)
+    assert result["workload"]["seconds"] > 0.0
+    assert result["advice"]["chosen"]["position_error"] <= 1e-6
+    assert all(row["control_thread_us"] > row["controller_us"] > 0.0 for row in result["loop"])
+    assert {row["effect"] for row in result["advice"]["effects"]} == {"cogging", "torque_ripple", "current_loop"}
+    page = files["html"].read_text(encoding="utf-8")
+    assert "semi-implicit Euler" in page
+    assert "<script src=" not in page
+    assert "<link" not in page
+    assert "| canhaptic | 1 substep |" in files["markdown"].read_text(encoding="utf-8").replace("*", "")
+
+
+@pytest.mark.slow
+def test_the_answer_comes_first_with_a_line_that_a_scene_takes(capsys: Captured, tmp_path: Path) -> None:
+    picture = tmp_path / "a.png"
+    assert main(["accuracy", SCENE, *SHORT, "--tolerance", "1e-7", "--tables", "--png", str(picture)]) == 0
+    assert picture.stat().st_size > 30_000
+    shown = capsys.readouterr().out
+    assert shown.lstrip().startswith("within 100 nm: ")
+    assert shown.index("accuracy: {event_bits") < shown.index("Pareto front")
+    [text] = [line.strip() for line in shown.splitlines() if line.strip().startswith("accuracy: {event_bits")]
+    scene = load_scene(
+        SCENE, [f"accuracy={yaml.safe_dump(yaml.safe_load(text)['accuracy'], default_flow_style=True).strip()}"]
+    )
+    assert scene.axes[0].simulation.accuracy.substeps == yaml.safe_load(text)["accuracy"]["substeps"]
+    assert main(["accuracy", SCENE, *SHORT, "--tolerance", "1e-7"]) == 0
+    brief = capsys.readouterr().out
+    assert "Pareto front" not in brief
+    assert text in brief
+
+
+@pytest.mark.slow
+def test_a_rate_beyond_the_bus_is_studied_where_it_is_asked_for(capsys: Captured) -> None:
+    words = ["accuracy", SCENE, "--duration", "5 ms", "--budget", "0", "--set", "bus.rate=8 kHz"]
+    assert main(words) == 2
+    assert "fit" in capsys.readouterr().err
+    assert main([*words, "--beyond-bus", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["status"] == "completed"
+    assert not any(row["bus_fits"] for row in result["loop"] if row["is_scene"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effect", "idle"),
+    [
+        ("{type: hard_stop, position: 0.9, stiffness: 1e6, damping: 30}", True),
+        ("{type: cogging, amplitude: 0 N, pitch: 5 mm}", True),
+        ("{type: viscous_friction, damping: 0.5}", False),
+    ],
+)
+def test_an_effect_that_did_nothing_is_worth_nothing(capsys: Captured, effect: str, idle: bool) -> None:
+    demo = str(REPOSITORY / "configs" / "demo.yaml")
+    words = ["--duration", "0.02 s", "--budget", "0", "--set", f"simulation.effects=[{effect}]"]
+    assert main(["accuracy", demo, *words, "--json"]) == 0
+    [row] = json.loads(capsys.readouterr().out)["advice"]["effects"]
+    assert (row["position_error"] == 0.0) is idle
+    assert main(["accuracy", demo, *words]) == 0
+    assert ("changed nothing in this time" in capsys.readouterr().out) is idle
+
+
+def test_a_time_in_which_nothing_is_felt_is_no_comparison_and_nothing_is_cut_off(capsys: Captured) -> None:
+    demo = str(REPOSITORY / "configs" / "demo.yaml")
+    assert main(["accuracy", demo, "--duration", "0.02 s", "--budget", "0"]) == 0
+    printed = capsys.readouterr().out
+    assert "nothing is felt, and nothing was compared; take a longer --duration" in printed
+    assert "nearer:" not in printed
+    assert "…" not in printed
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--axis", "knee"], "got axis 'knee', expected one of: handle"),
+        (["--png", "/no/such/folder/a.png"], "no such folder"),
+        (["--png", "picture.bmp"], "expected a name that ends in"),
+        (["--html", "/no/such/folder/a.html"], "no such folder"),
+        (["--set", "simulation=null", "--set", "bus.channel=x"], "is not simulated"),
+    ],
+)
+def test_bad_arguments_end_with_2(capsys: Captured, arguments: list[str], message: str) -> None:
+    assert main(["accuracy", SCENE, *SHORT, *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_bad_tolerance_ends_with_2(capsys: Captured) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["accuracy", SCENE, "--tolerance", "1 N"])
+    assert ended.value.code == 2
+    assert "unit 'N' does not fit" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def whole() -> dict[str, Any]:
+    """A study that nothing stopped."""
+    return AccuracyStudy(load_scene(SCENE), duration=0.01, budget=0.0).run()
+
+
+@pytest.mark.slow_for("40", "10")
+@pytest.mark.parametrize("calls", [0, 3, 10, 40])
+def test_a_study_that_is_stopped_keeps_what_it_measured(calls: int, whole: dict[str, Any]) -> None:
+    asked: list[None] = []
+
+    def stop() -> bool:
+        asked.append(None)
+        return len(asked) > calls
+
+    result = AccuracyStudy(load_scene(SCENE), duration=0.01, budget=0.0, stop=stop).run()
+    assert result["status"] == "stopped"
+    assert whole["status"] == "completed"
+    differ = {"pareto", "wall_per_second"}  # the first depends on all rows, the second is a time
+    kept, every = (
+        [{key: value for key, value in row.items() if key not in differ} for row in study["plant"] + study["loop"]]
+        for study in (result, whole)
+    )
+    assert kept == every[: len(kept)]
+    assert max(0, min(calls - 12, 10)) <= len(kept) < len(every)
+    assert result["advice"] is None  # what was not measured might be the better choice
+
+
+@pytest.mark.slow
+def test_ctrl_c_prints_what_was_measured_and_ends_with_130() -> None:
+    words = ["accuracy", SCENE, "--duration", "0.02 s", "--budget", "600", "--tables"]
+    screen, terminal = pty.openpty()  # a terminal, so that there is a progress bar to wait for
+    with subprocess.Popen(
+        [sys.executable, "-m", "canhaptic", *words], stdout=subprocess.PIPE, stderr=terminal, text=True
+    ) as process:
+        os.close(terminal)
+        try:
+            seen = ""
+            while not any(int(part) > 71 for part in re.findall(r"(\d+) %", seen)):  # the times are being measured
+                seen += os.read(screen, 4096).decode(errors="replace")
+            process.send_signal(signal.SIGINT)
+            out = process.communicate(timeout=60)[0]
+        finally:
+            process.kill()
+            os.close(screen)
+    assert process.returncode == 130
+    assert "stopped" in out
+    assert "semi-implicit Euler" in out
+    assert "no advice: the study was stopped before its end" in out
+    assert "accuracy: {" not in out
+
+
+def test_the_tool_says_the_same(capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
+    tool = str(REPOSITORY / "tools" / "accuracy.py")
+    monkeypatch.setattr(sys, "argv", [tool, SCENE, *SHORT, "--axis", "knee"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(tool, run_name="__main__")
+    assert ended.value.code == 2
+    assert "got axis 'knee'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("config", ["two_handles", "five_bar_sphere"])
+def test_axes_that_are_not_their_own_have_no_accuracy_chosen(capsys: Captured, config: str) -> None:
+    path = str(REPOSITORY / "configs" / f"{config}.yaml")
+    assert main(["run", path, "--set", "accuracy={auto: 1 um}", "--duration", "0.01 s"]) == 2
+    assert "instead of auto" in capsys.readouterr().err
+
+
+@pytest.mark.slow_for("two_handles*", "five_bar*")
+@pytest.mark.parametrize(
+    ("config", "name", "words"),
+    [
+        ("two_handles", "coupling", "exact"),
+        ("xy_box", "stage", "exact"),
+        ("five_bar_sphere", "stylus", r"\d+ substeps?"),
+    ],
+)
+def test_a_group_is_studied_as_an_axis_is(capsys: Captured, config: str, name: str, words: str) -> None:
+    path = str(REPOSITORY / "configs" / f"{config}.yaml")
+    assert main(["accuracy", path, "--budget", "0", "--duration", "0.02 s", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["axis"], result["is_group"], result["status"]) == (name, True, "completed")
+    assert re.fullmatch(words, result["advice"]["chosen"]["setting"])
+    assert result["advice"]["chosen"]["position_error"] <= result["tolerance"]
+    changed = {row["group"] for row in result["loop"]}
+    assert {"as it is", "sample rate", "RPDO", "algorithm", "torque step", "encoder count"} == changed
+    assert all(row["status"] == "ok" for row in result["loop"])
+    assert main(["accuracy", path, "--axis", "nothing"]) == 2
+    assert f"expected one of: {name}" in capsys.readouterr().err

@@ -1,0 +1,107 @@
+"""`canhaptic sweep`, `canhaptic map`, `canhaptic design` and `tools/sweep.py`."""
+
+import json
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+from canhaptic.cli.main import main
+from canhaptic.lab.commands.scene_progress import scene_progress
+from canhaptic.lab.studies.sweep.run_sweep import Progress
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+DEMO = str(REPOSITORY / "configs" / "demo.yaml")
+SMALL = ["sweep", DEMO, "--vary", "environment.stiffness=1e2:1e4:log:3", "--cycles", "20"]
+
+Captured = pytest.CaptureFixture[str]
+
+
+def test_json_is_one_object_with_what_computed_each_scene(capsys: Captured, tmp_path: Path) -> None:
+    out = tmp_path / "a.h5"
+    words = ["--vary", "bus.rate=100,4000", "--controllers", "unprotected,guarded", "--out", str(out), "--json"]
+    assert main([*SMALL, *words]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["scenes"] == result["finished"] == 12
+    assert result["status"] == {"completed": 6, "refused": 6}
+    assert sum(result["engines"].values()) == 12
+    assert set(result["figures"]["handle"]) == {"unprotected", "guarded"}
+    assert any("does not fit the bus" in entry["remark"] for entry in result["remarks"])
+
+
+def test_the_table_says_engine_and_reason(capsys: Captured) -> None:
+    assert main([*SMALL, "--set", "simulation.effects=[{type: coulomb_friction, static: 0.1 N, kinetic: 0.1 N}]"]) == 0
+    shown = capsys.readouterr().out
+    assert "computed by: 3 scalar" in shown
+    assert "3 of 3 scenes" in shown
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--vary", "environment.damping=abc"], "--vary environment.damping=abc: environment.damping: got 'abc'"),
+        (["--vary", "environment.stifness=1,2"], "did you mean 'stiffness'"),
+        (["--vary", "environment.damping=1:2"], "no number of values"),
+        (["--controllers", "best"], "unknown passivity algorithm 'best'"),
+        (["--resume"], "name it with --out"),
+        (["--out", "/no/such/folder/a.h5"], "/no/such/folder/a.h5"),
+        (["--metrics", "beauty"], "unknown metric"),
+        pytest.param(["--dask", "nonsense://"], "--dask nonsense://", marks=pytest.mark.slow),  # imports Dask
+    ],
+)
+def test_bad_input_ends_with_2_and_one_clear_error(capsys: Captured, arguments: list[str], message: str) -> None:
+    assert main([*SMALL, *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--sample", "lhs"], ["--sample", "sobol:5"], ["--workers", "-1"], ["--duration", "5"]]
+)
+def test_bad_options_are_refused_by_the_parser(capsys: Captured, arguments: list[str]) -> None:
+    with pytest.raises(SystemExit) as raised:
+        main([*SMALL, *arguments])
+    assert raised.value.code == 2
+    assert f"argument {arguments[0]}: " in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_map_of_a_sweep(capsys: Captured, tmp_path: Path) -> None:
+    out, picture = tmp_path / "a.h5", tmp_path / "map.png"
+    words = ["--vary", "bus.rate=100,200", "--controllers", "unprotected", "--set", "environment.damping=0"]
+    main([*SMALL, *words, "--out", str(out)])
+    capsys.readouterr()
+    assert main(["map", str(out), "--png", str(picture)]) == 0
+    assert "Colgate" in capsys.readouterr().out
+    assert picture.stat().st_size > 10_000
+    assert main(["map", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["passing"].keys() == {"unprotected"}
+    assert main(["map", DEMO]) == 2
+    assert main(["map", str(out), "--png", "map.bmp"]) == 2
+    assert main(["map", str(out), "--axis", "elbow"]) == 2
+
+
+def test_a_design_that_cannot_be_made_says_why(capsys: Captured) -> None:
+    assert main(["design", DEMO, "--margin", "-1", "--json"]) == 2
+    assert "expected 0 <= margin" in json.loads(capsys.readouterr().out)["faults"][0]
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_progress_is_shown_where_somebody_can_see_it(
+    capsys: Captured, monkeypatch: pytest.MonkeyPatch, is_terminal: bool
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # a terminal to rich
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: is_terminal)
+    with scene_progress("walls") as show:
+        show(Progress(done=3, total=12, begun=0))
+    assert ("walls" in (shown := capsys.readouterr().err)) is is_terminal
+    assert ("3/12" in shown) is is_terminal
+
+
+def test_the_tool_is_the_same_command(capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
+    tool = str(REPOSITORY / "tools/sweep.py")
+    monkeypatch.setattr(sys, "argv", [tool, DEMO, "--vary", "environment.stiffness=-1,1"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(tool, run_name="__main__")
+    assert ended.value.code == 2
+    assert "got -1" in capsys.readouterr().err

@@ -1,0 +1,198 @@
+"""Algorithms of the literature: each keeps the rule of its source, promises nothing, and has a true account."""
+
+import importlib
+import random
+from collections import deque
+from typing import Any
+
+import numpy as np
+import pytest
+
+from canhaptic.control.balance import Certificate
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.passivity import LITERATURE, build_controller
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.hold_account import Hold
+from canhaptic.errors import ParameterError
+from canhaptic.lab.loop.axis_loop import render
+from canhaptic.lab.rivals import (
+    adaptive_reference,
+    bounded_observer,
+    energy_tank,
+    force_augmentation,
+    force_gradient,
+    ultimate_passivity,
+    windowed_observer,
+)
+from canhaptic.registry import load
+from tests.lab.batch.loops import scalar_case
+
+WALL = SpringDamperWall(stiffness=5000.0, damping=0.0)
+LOOP = LoopProperties(sample_time=1e-3, moving_mass=0.25)
+
+
+def rendered(algorithm, positions, parameters=None, wall=WALL, delay=0):
+    """Returns controller, torques commanded and balances along the positions; torques act at once."""
+    made = build_controller(wall, algorithm, parameters, LOOP.model_copy(update={"delay": delay}))
+    balances, held = [], 0.0
+    for position in positions:
+        balances.append(made.step(position, held))
+        held = balances[-1].torque
+    return made, np.array([balance.torque for balance in balances]), balances
+
+
+def presses(depth=-2e-3, steps=40, count=1):
+    """Positions of a hand that presses to a depth and goes back to a tenth of it, again and again."""
+    way = np.linspace(0.1 * depth, depth, steps)
+    return [0.001, 0.0, *np.concatenate([np.concatenate([way, way[::-1]]) for _ in range(count)])]
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize("algorithm", LITERATURE)
+def test_it_promises_nothing_and_books_what_the_plant_took(algorithm, delay):
+    run = render(scalar_case("spring_damper_wall", algorithm, delay=delay), 1500)
+    assert not run.ended
+    assert abs(run.believed_error) <= 1e-9 * max(1.0, float(np.abs(run.interaction).max()))
+    _, _, balances = rendered(algorithm, presses(), delay=delay)
+    assert {balance.certificate for balance in balances[1:]} == {Certificate.NONE}
+
+
+@pytest.mark.parametrize(
+    "algorithm", ["adaptive_reference", "force_gradient", "ultimate_passivity", "windowed_observer"]
+)
+def test_a_damper_without_any_bound_is_refused(algorithm):
+    with pytest.raises(ParameterError, match=f"{algorithm}: got neither damping_limit nor moving_mass"):
+        build_controller(WALL, algorithm, None, LoopProperties(sample_time=1e-3))
+
+
+def test_the_reference_energy_is_fitted_while_energy_comes_in_and_followed_while_it_goes_out():
+    state = adaptive_reference._AdaptiveReferenceState()
+    state.model.true = -0.002
+    assert adaptive_reference.below_reference(state, 0.01, 0.001) == 0.0
+    assert state.coefficient == pytest.approx(0.01 / 0.002**2)
+    state.model.true = -0.001  # the reference falls to a quarter
+    assert adaptive_reference.below_reference(state, 0.002, -0.008) == pytest.approx(0.002 - 0.0025)
+    assert adaptive_reference.below_reference(state, 0.003, -0.007) == 0.0
+
+
+def test_the_damper_of_the_reference_acts_where_the_observer_still_waits():
+    way = np.linspace(0.0, -2e-3, 21)
+    positions = [0.001, *way, *way[-2:9:-1]]  # back to half the depth: more comes out there than went in
+    _, adaptive, _ = rendered("adaptive_reference", positions)
+    _, observed, _ = rendered("passivity_observer", positions)
+    _, plain, _ = rendered("unprotected", positions)
+    assert np.array_equal(observed, plain)
+    assert np.array_equal(adaptive[:22], plain[:22])
+    assert np.all(adaptive[23:] < plain[23:])  # less force outward while it goes out
+
+
+def test_what_was_dissipated_long_ago_is_forgotten_only_where_the_sum_stays_above_zero():
+    state, recent = windowed_observer._WindowedObserverState(), [0.0] * 3
+    for brought, remembered in ((2.0, 2.0), (1.0, 3.0), (0.0, 3.0), (0.5, 1.5), (-0.2, 0.3), (-0.5, -0.2), (0.0, -0.2)):
+        windowed_observer.remember(state, recent, brought)
+        assert state.energy == pytest.approx(remembered)
+    long_since = presses(count=1) + [0.001] * 40  # out of contact for longer than the window
+    damped = SpringDamperWall(stiffness=5000.0, damping=20.0)
+    made, _, balances = rendered("windowed_observer", long_since, wall=damped)
+    assert sum(balance.h_i for balance in balances) > 20.0 * made._state.energy > 0.0
+
+
+def test_the_force_of_the_bounded_observer_is_bounded_at_rest_and_turns_nothing_round():
+    loop = LoopProperties(sample_time=1e-3)
+    given = bounded_observer.BoundedObserverParameters(force_limit=3.0)
+    settings = bounded_observer.settings_of(WALL, given, loop)
+    rng = random.Random(3)
+    for _ in range(300):
+        state = bounded_observer._BoundedObserverState(integral=rng.uniform(0.0, 5.0))
+        moved, wanted = rng.choice([1e-12, 1e-6, 1e-3, 0.0]) * rng.choice([1.0, -1.0]), rng.uniform(-5.0, 5.0)
+        hold = Hold(moved, 0.0, 0.0, 0.0, 1e-3, moved / 1e-3, 0.0, 0)
+        force = bounded_observer.controlling_force(settings, state, -rng.uniform(0.0, 1.0), hold, wanted)
+        assert abs(force) <= 3.0 or force == -wanted
+        assert (wanted + force) * wanted >= 0.0
+    state = bounded_observer._BoundedObserverState(integral=1.0)
+    bounded_observer.controlling_force(settings, state, 0.0, hold, 1.0)
+    assert state.integral == 0.0
+
+
+def test_the_force_that_follows_changes_is_the_spring_until_the_controller_acts_and_keeps_what_that_did():
+    positions = presses()
+    _, gradient, _ = rendered("force_gradient", positions)
+    _, plain, _ = rendered("unprotected", positions)
+    assert gradient[:60] == pytest.approx(plain[:60], abs=1e-9)  # the observer has nothing to win back till then
+    assert gradient[-1] != pytest.approx(plain[-1])
+    state = force_gradient._ForceGradientState(wanted=-5.0, force=-4.0, depth=-1e-3)  # one newton taken away before
+    assert force_gradient.gradient_force(1e-3, state, -6.0, -1.2e-3) == pytest.approx(-5.0)
+    assert force_gradient.gradient_force(1e-3, state, -3.0, -0.6e-3) == pytest.approx(-2.0)
+    assert force_gradient.gradient_force(1e-3, state, -0.5, -0.1e-3) == 0.0  # never pulls
+
+
+def test_a_force_that_is_augmented_meets_the_stiffness_in_the_end_and_gives_back_that_of_the_soft_spring():
+    given = force_augmentation.ForceAugmentationParameters(feedback_stiffness=500.0)
+    way = np.linspace(-1.95e-3, -2e-3, 11)
+    positions = [0.001, *np.linspace(0.0, -2e-3, 41), *np.concatenate([np.concatenate([way[::-1], way])] * 400)]
+    _, torques, balances = rendered("force_augmentation", positions, given)
+    assert torques[1:42] == pytest.approx(-5000.0 * np.array(positions[1:42]))  # the first press is the wall
+    assert torques[53] == pytest.approx(500.0 * 1.95e-3, rel=0.2)  # and its release soft
+    assert torques[-1] == pytest.approx(5000.0 * 2e-3, rel=0.02)  # K, in the middle of the way
+    assert np.diff(torques[-22:-11]) / np.diff(positions[-22:-11]) == pytest.approx(-500.0)
+    assert sum(balance.h_i for balance in balances) > 0.0
+
+
+def test_a_tank_gives_no_more_than_is_in_it_to_a_motion_that_goes_on():
+    rng = random.Random(5)
+    for _ in range(200):
+        given = energy_tank.EnergyTankParameters()
+        state = energy_tank._EnergyTankState(brought=rng.choice([0.0, rng.uniform(0.0, 0.01)]))
+        moved, variable, damper = rng.uniform(-1e-3, 1e-3), rng.uniform(-20.0, 20.0), rng.uniform(-1.0, 1.0)
+        hold = Hold(moved, 0.0, 0.0, 0.0, 1e-3, moved / 1e-3, 0.0, 0)
+        share = energy_tank.allowed_share(given, state, hold, variable, damper)
+        assert 0.0 <= share <= 1.0
+        assert -share * variable * moved <= state.brought + max(0.0, damper * moved) + 1e-15
+        if variable * moved >= 0.0:
+            assert share == 1.0
+
+
+def test_a_full_tank_renders_the_wall_and_an_empty_one_only_its_constant_part():
+    inside = [0.0, *[-1e-3] * 5, -0.5e-3, -0.4e-3]  # entered in one step: the spring gives back what it never took
+    for energy, share in ((10.0, 1.0), (0.0, 0.2)):
+        given = energy_tank.EnergyTankParameters(constant_stiffness=1000.0, initial_energy=energy, most_energy=20.0)
+        _, torques, _ = rendered("energy_tank", inside, given)
+        assert torques[-1] == pytest.approx(share * 5000.0 * 0.4e-3)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2])
+def test_over_lost_samples_a_tank_holds_what_came_in(delay):
+    """With a variable spring alone every torque is out of the tank, also a repeated one."""
+    rng, sent, position = random.Random(delay), deque([0.0] * (delay + 1)), 1e-3
+    made: Any = build_controller(WALL, "energy_tank", None, LOOP.model_copy(update={"delay": delay}))
+    known = 0.0
+    for _ in range(300):
+        position = min(1e-3, max(-2e-3, position + rng.uniform(-2e-4, 2e-4)))
+        applied = sent.popleft()
+        balance = made.hold() if rng.random() < 0.2 else made.step(position, applied)
+        sent.append(balance.torque)
+        known += balance.h_i
+        assert made._state.brought == pytest.approx(known, abs=1e-12)
+    assert known != 0.0
+
+
+def test_the_switch_of_ultimate_passivity_has_hysteresis():
+    given = ultimate_passivity.UltimatePassivityParameters(lower=-0.5, upper=0.5, counted_holds=7)
+    state = ultimate_passivity._UltimatePassivityState()
+    modes = []
+    for brought in (-0.4, -0.2, 0.5, 0.5, 0.2, -0.8, 0.0, -0.4):
+        ultimate_passivity.switch(given, state, brought)
+        modes.append(state.conservative)
+    assert modes == [False, True, True, True, False, False, False, False]
+    assert state.energy == -0.4  # set to zero at the seventh hold
+    with pytest.raises(ValueError, match="upper > lower"):
+        ultimate_passivity.UltimatePassivityParameters(lower=-0.1, upper=-0.2)
+
+
+def test_every_one_names_its_source_and_its_departures():
+    for name in LITERATURE:
+        module = importlib.import_module(load(LITERATURE, name, "algorithm").__module__)
+        doc = " ".join((module.__doc__ or "").split())
+        assert "which was read" in doc or "which was." in doc
+        assert "Departures:" in doc
+        assert "It promises nothing" in doc or "that it promises nothing" in doc

@@ -1,0 +1,170 @@
+"""A scene twice in one rig, held by one hand that is moved from outside."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
+from canhaptic.control.admittance.sampled_mass import NothingToChoose
+from canhaptic.cycle import run
+from canhaptic.errors import InputError
+from canhaptic.lab.touch.two_sides import two_sides
+from canhaptic.scene.build import build
+from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.load import load_scene
+from canhaptic.sim.plant.effects.hard_stop import HardStop
+from canhaptic.sim.plant.mechanism.task_hand import PointerTaskHand, TaskHand
+from canhaptic.sim.plant.mechanism.xy_stage import XYStage
+from canhaptic.sim.plant.plant import Plant, PlantParameters
+from canhaptic.sim.plant.pointer_hand import PointerHand
+from canhaptic.sim.plant.user import UserParameters
+
+CONFIGS = Path(__file__).parents[3] / "configs"
+
+
+def touched_by_a_sine(name: str, cycles: int, overrides: Sequence[str] = ()) -> dict[str, float]:
+    """Least true sum of h_i of every account."""
+    touched = two_sides(load_scene(CONFIGS / name, overrides))
+    directions = len(touched.shown)
+    with build(touched.scene, "free") as experiment:
+        assert experiment.far_side is not None
+        motors: list[Any] = [drive.servo.motor for drive in experiment.far_side.drives]
+
+        def move(cycle: int) -> None:
+            angle = 2.0 * math.pi * cycle * touched.scene.bus.sample_time
+            turns = (math.sin(angle), math.cos(angle))[:directions]
+            place = [0.5 * (a + b) + 0.3 * (b - a) * t for (a, b), t in zip(touched.shown, turns, strict=True)]
+            for number, motor in enumerate(motors):
+                if isinstance(motor, Plant):
+                    motor.move_hand(place[number % directions])
+                else:
+                    motor.shared.mechanism.move_hand(*place)
+
+        run(experiment.cycle, cycles, progress=move)
+        judge = experiment.cycle.judge
+        assert judge is not None
+        names = [*(a.parameters.name for a in touched.scene.axes), *(g.name for g in touched.scene.groups)]
+        return dict(zip(names, judge.least, strict=True))
+
+
+def test_a_stiff_wall_gives_energy_out_unprotected_alone() -> None:
+    least = touched_by_a_sine("hard/stiff_wall.yaml", 3000)
+    assert least["unprotected"] < -0.01
+    assert least["guarded"] >= -1e-9
+
+
+def test_a_box_is_touched_in_a_plane() -> None:
+    least = touched_by_a_sine("xy_box.yaml", 500)
+    assert set(least) == {"unprotected x", "unprotected y", "guarded x", "guarded y", "stage"}
+    assert least["stage"] >= -1e-9
+
+
+LIGHT = ("bus.rate=250", "environment.mass=1", "simulation.admittance.grip.mass=1")
+
+
+def test_a_light_mass_gives_energy_out_unprotected_alone() -> None:
+    least = touched_by_a_sine("admittance/virtual_mass.yaml", 700, LIGHT)
+    assert least["unprotected"] < -0.1
+    assert least["guarded"] >= -1e-3
+
+
+def test_two_displays_with_one_account_are_touched_in_a_plane() -> None:
+    least = touched_by_a_sine("admittance/guided_path.yaml", 250)
+    assert set(least) == {"unprotected x", "unprotected y", "guarded x", "guarded y", "unprotected", "guarded"}
+    assert least["guarded"] >= -1e-3
+    touched = two_sides(load_scene(CONFIGS / "admittance" / "guided_path.yaml"))
+    assert touched.path[0] == touched.path[-1] == (-0.05, 0.0)
+    assert [slider.key for slider in touched.sliders] == ["groups.0.network.mass", "groups.0.network.damping"]
+
+
+def test_an_unprotected_display_is_guarded_by_what_its_simulated_drive_says() -> None:
+    scene = load_scene(CONFIGS / "admittance" / "wall.yaml")
+    axis = replace(scene.axes[0], passivity=ComponentSpec("unprotected", NothingToChoose()))
+    known = two_sides(replace(scene, axes=(axis,))).scene.axes[1].passivity.parameters
+    assert isinstance(known, GuardedDisplayParameters)
+    assert (known.drive_mass, known.loop_gain, known.integral_gain) == pytest.approx((2.1, 659.4, 6594.0))
+
+
+def test_a_display_shows_its_walls() -> None:
+    touched = two_sides(load_scene(CONFIGS / "admittance" / "wall.yaml"))
+    assert touched.solid == ((touched.shown[0][0], -0.05),)
+
+
+def test_both_sides_have_one_scene_and_one_hand() -> None:
+    scene = load_scene(CONFIGS / "demo.yaml")
+    touched = two_sides(scene)
+    plain, guarded = touched.scene.axes
+    assert (plain.passivity.name, guarded.passivity.name) == ("unprotected", "guarded")
+    assert plain.environment == guarded.environment == scene.axes[0].environment
+    assert plain.simulation == guarded.simulation
+    assert plain.simulation is not None
+    assert isinstance(plain.simulation.user, PointerHand)
+    assert (plain.simulation.user.stiffness, plain.simulation.user.damping) == (60.0, 5.0)
+    [(low, high)] = touched.solid
+    assert low == touched.shown[0][0]
+    assert high == pytest.approx(-0.05, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "said"),
+    [
+        ("socketcan_example.yaml", [], "must not move a real drive"),
+        ("two_buses.yaml", [], "expected one"),
+        ("five_bar_sphere.yaml", [], "touch shows an axis by itself, or a box"),
+        ("two_handles.yaml", [], "touch shows an axis by itself, or a box"),
+        ("admittance/two_link_arm.yaml", [], "kinematics planar_2r; touch shows an axis by itself, or two axes"),
+    ],
+)
+def test_what_cannot_be_touched_is_refused(name: str, overrides: list[str], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        two_sides(load_scene(CONFIGS / name, overrides))
+    with pytest.raises(InputError, match="has no axis 'left'"):
+        two_sides(load_scene(CONFIGS / "demo.yaml"), "left")
+
+
+def test_a_placed_hand_is_a_hand_at_rest_there() -> None:
+    mass = PlantParameters(mass=0.25, damping=0.1)
+    placed = Plant(mass, PointerHand(stiffness=300.0, damping=3.0), [], 1_000_000)
+    resting = Plant(mass, UserParameters(stiffness=300.0, damping=3.0, rest=0.02), [], 1_000_000)
+    placed.begin(0)
+    placed.move_hand(0.02)
+    torques = np.sin(np.arange(400) / 30.0)
+    assert placed.run(torques) == pytest.approx(resting.run(torques), abs=1e-15)
+    assert placed.energy() == pytest.approx(resting.energy(), rel=1e-11)
+    assert abs(placed.energy().user) > 1e-3
+    placed.move_hand(0.0)
+    for k in range(6000):
+        placed.advance_to((401 + k) * 1_000_000, 0.0)
+    assert placed.position == pytest.approx(0.0, abs=1e-9)
+    energy = placed.energy()
+    assert energy.motor + energy.user - energy.dissipated - energy.stored == pytest.approx(0.0, abs=1e-11)
+
+
+def test_a_hand_that_is_moved_reaches_a_stop_that_was_far_ahead() -> None:
+    mass, stop = PlantParameters(mass=0.25, damping=0.1), HardStop(position=0.01, stiffness=1e5, damping=20.0)
+    plant = Plant(mass, PointerHand(stiffness=300.0, damping=3.0), [stop], 1_000_000)
+    plant.run(np.zeros(80))
+    plant.move_hand(0.05)
+    farthest = plant.run(np.zeros(500)).max()
+    assert 0.01 < farthest < 0.0115
+    energy = plant.energy()
+    assert energy.motor + energy.user - energy.dissipated - energy.stored == pytest.approx(0.0, abs=1e-11)
+
+
+def test_a_placed_hand_in_a_plane_is_a_hand_at_rest_there() -> None:
+    stage = XYStage(mass_x=0.5, mass_y=0.25, damping_x=0.2, damping_y=0.1)
+    grip = {"stiffness": 150.0, "stiffness_across": 60.0, "damping": 4.0, "angle": 0.5}
+    placed = stage.build(PointerTaskHand(**grip), 1_000_000, 1)
+    resting = stage.build(TaskHand(**grip, rest=(0.02, -0.01)), 1_000_000, 1)
+    placed.move_hand(0.02, -0.01)
+    for motion in (placed, resting):
+        motion.begin(0)
+        for k in range(300):
+            motion.advance_to((k + 1) * 1_000_000, (0.3, -0.1))
+    assert placed.handle == pytest.approx(resting.handle, abs=1e-15)
+    assert placed.energy(0) == pytest.approx(resting.energy(0), rel=1e-11)
