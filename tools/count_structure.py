@@ -48,7 +48,7 @@ _RUN = """
 import json, sys
 from canhaptic.cli.main import main
 
-assert main(["run", "configs/demo.yaml", "--duration", "0.1"]) == 0
+assert main(["run", "configs/demo.yaml", "--duration", "0.1", *sys.argv[1:]]) == 0
 print(json.dumps([name for name in sys.modules if name.split(".")[0] == "canhaptic"]))
 """
 
@@ -119,10 +119,12 @@ def _is_lab(module: _Module) -> bool:
     return module.name.split(".")[1:2] == ["lab"]
 
 
-def loaded_modules(top: Path) -> list[str]:
-    """Returns the modules of the package in the folder `top` that a run of its demo imports."""
+def loaded_modules(top: Path, *options: str) -> list[str]:
+    """Returns the modules of the package in the folder `top` that a run of its demo with options imports."""
     environment = {**os.environ, "PYTHONPATH": str(top.resolve())}
-    done = subprocess.run([sys.executable, "-c", _RUN], cwd=top, env=environment, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", _RUN, *options], cwd=top, env=environment, capture_output=True, text=True
+    )
     if done.returncode:
         raise SystemExit(f"{top}: the demo does not run: {done.stderr}")
     loaded: list[str] = json.loads(done.stdout.splitlines()[-1])
