@@ -20,7 +20,6 @@ from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.guesses import require_no_guesses
 from canhaptic.scene.log_places import logs_elsewhere
-from canhaptic.view.headline import headline_text
 
 _NOT_PASSIVE: Final = 1  # exit status of --strict
 _KEPT: Final = ("yes", "no contact", "dry run")
@@ -68,6 +67,8 @@ def _withheld(result: RunResult) -> str:
 
 def _fails(result: RunResult) -> bool:
     """Says which port is not shown as passive, if one is not; no contact is no failure."""
+    from canhaptic.view.headline import headline_text
+
     for name, account in result["ports"].items():
         if account.get("verdict", "yes") not in _KEPT:
             write_note(f"canhaptic: --strict:{headline_text(name, account).plain}")
