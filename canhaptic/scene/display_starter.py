@@ -129,7 +129,7 @@ def display_simulation(display: DisplayParameters, objects: str, rated: float, l
         grip_damping=number(10.0 * mass),
         noise=number(5e-5 * limit),
     )
-    return simulated_machine(rated, objects, mass, mass, limit, "a hand that moves to and fro", between)
+    return simulated_machine(rated, objects, mass, mass, limit, "a hand that moves to and fro", between, (0.1, 2.0))
 
 
 def _gain(limit: float) -> float:

@@ -18,7 +18,7 @@ $objects  plant:
 $between  user: # $hand
     stiffness: $stiffness N*m/rad
     damping: $hand_damping N*m*s/rad
-    motion: {type: sinusoid, amplitude: 0.15 rad, frequency: 0.5 Hz}
+    motion: {type: sinusoid, amplitude: $amplitude rad, frequency: $frequency Hz}
 """)
 
 
@@ -28,8 +28,9 @@ def number(value: float) -> str:
 
 
 def simulated_machine(
-    rated: float, objects: str, mass: float, bearings: float, limit: float, hand: str, between: str = ""
-) -> str:
+    rated: float, objects: str, mass: float, bearings: float, limit: float, hand: str, between: str = "",
+    motion: tuple[float, float] = (0.15, 0.5),
+) -> str:  # fmt: skip
     """Returns the section `simulation`.
 
     Args:
@@ -40,8 +41,10 @@ def simulated_machine(
         limit: Of the torque, to which the hand is scaled [N*m].
         hand: What the hand does.
         between: Further lines, ahead of the hand.
+        motion: Amplitude [rad] and frequency [Hz] of the hand.
     """
     return _TEXT.substitute(
         rated=f"{rated:g}", objects=objects, mass=number(mass), bearings=number(bearings), between=between, hand=hand,
+        amplitude=motion[0], frequency=motion[1],
         stiffness=number(3.0 * limit), hand_damping=number(0.25 * limit),
     )  # fmt: skip

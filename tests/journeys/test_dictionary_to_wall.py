@@ -8,7 +8,6 @@ import pytest
 from canhaptic.logs.energy_reader import EnergyLog
 from tests.journeys.person import FIT, OURS, Person, dictionary
 
-BRISK = ("--set", "simulation.user.motion.frequency=2 Hz", "--set", "simulation.user.motion.amplitude=0.1 rad")
 FINE = ("--set", "axes.0.counts_per_unit=1e6 count/rad")  # mode 8 needs it, as `check` says
 FELT = 0.1  # part of the mass by which the one that is felt may differ
 
@@ -48,7 +47,7 @@ def mass_felt(person: Person) -> float:
 def test_a_dictionary_leads_to_a_mass_that_is_felt(
     name: str, mode: str, person: Person, request: pytest.FixtureRequest
 ) -> None:
-    sets = BRISK if mode == "velocity" else (*BRISK, *FINE)
+    sets = () if mode == "velocity" else FINE
     person.types("new", dictionary(name, request), "--display", mode, "--simulate", "--out", "rig.yaml")
     asked, least = check_of_mass(person, *sets)
     port = person.runs_one("rig.yaml", *sets, "--duration", "3", "--log", "run.h5")
