@@ -261,11 +261,17 @@ def headline(account: PortResult) -> Headline:
         return found
     if not contact["holds"]:
         return "no contact"
-    return "nothing rendered" if _is_silent(contact) else found
+    return "nothing rendered" if _is_silent(account, contact) else found
 
 
-def _is_silent(contact: ContactHolds) -> bool:
-    """Returns whether less than a tenth was rendered: of the efforts asked for, else of the holds of contact."""
+def _is_silent(account: PortResult, contact: ContactHolds) -> bool:
+    """Returns whether less than a tenth was rendered: of the efforts asked for, else of the damping.
+
+    Of a group, or an admittance display, nothing is known of what was asked for: there no torque at all is silence.
+    """
     if contact.get("asked"):
         return contact["sent"] < _LEAST_RENDERED * contact["asked"]
-    return contact["holds"] - contact["without_torque"] < _LEAST_RENDERED * contact["holds"]
+    damping = account["rendered"]["damping"] if "rendered" in account else None
+    if damping is not None:
+        return damping < _LEAST_RENDERED
+    return contact["without_torque"] == contact["holds"]

@@ -256,6 +256,7 @@ def test_a_certificate_is_refuted_where_its_own_sum_is(known: dict[str, float], 
     assert ("suspects" in account) is (left == ["none"])
 
 
+AT_REST_INSIDE = {"holds": 100, "without_torque": 99, "asked": 0.0, "sent": 0.0}
 TOUCHED = {"holds": 100, "without_torque": 0, "asked": 50.0, "sent": 49.0}
 
 
@@ -272,8 +273,13 @@ TOUCHED = {"holds": 100, "without_torque": 0, "asked": 50.0, "sent": 49.0}
         ({"passive": "yes", "contact": {**TOUCHED, "sent": 5.0}}, "yes"),
         ({"passive": "yes", "contact": {**TOUCHED, "sent": 4.9}}, "nothing rendered"),
         ({"passive": "no", "contact": {**TOUCHED, "sent": 0.0}}, "no"),
-        ({"passive": "in doubt", "contact": {"holds": 100, "without_torque": 91}}, "nothing rendered"),
-        ({"passive": "in doubt", "contact": {"holds": 100, "without_torque": 90}}, "in doubt"),
+        ({"passive": "in doubt", "contact": {"holds": 100, "without_torque": 100}}, "nothing rendered"),
+        ({"passive": "in doubt", "contact": {"holds": 100, "without_torque": 99}}, "in doubt"),
+        ({"passive": "yes", "contact": AT_REST_INSIDE, "rendered": {"stiffness": None, "damping": 0.1}}, "yes"),
+        (
+            {"passive": "yes", "contact": AT_REST_INSIDE, "rendered": {"stiffness": None, "damping": 0.0}},
+            "nothing rendered",
+        ),
     ],
 )
 def test_the_word_that_is_shown(account: Any, word: str) -> None:
