@@ -39,7 +39,7 @@ def test_the_error_falls_with_the_declared_order():
     steps = np.array([1, 2, 4, 8, 16])
     errors = [np.abs(run(five_bar(substeps=int(n)), wavy(100)) - expected).max() for n in steps]
     order = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
-    assert five_bar().order == 2
+    assert FiveBarLinkage.order == 2
     assert 1.9 < order < 2.1
 
 
