@@ -155,7 +155,8 @@ def _copy_packages(place: Path) -> None:
     shutil.copytree(PROJECT / "canhaptic", place / "canhaptic", ignore=UNUSED)
     about = place / "canhaptic-0.dist-info"  # the package asks for its own version
     about.mkdir()
-    (about / "METADATA").write_text(str(importlib.metadata.metadata("canhaptic")))
+    version = importlib.metadata.version("canhaptic")
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: canhaptic\nVersion: {version}\n")
 
 
 def _closure(name: str, found: set[str] | None = None) -> set[str]:
