@@ -1,6 +1,13 @@
-"""Pages that live in a browser: one server for this host, until SIGINT or SIGTERM."""
+"""Pages that live in a browser: one server for this host and who has its address, until SIGINT or SIGTERM.
+
+A page of another origin in the same browser can send requests here, and by a name of its own that resolves to this host
+it can read the answers, too. So a request must name this host itself, come from the page or from no page, and carry a
+secret in its path, which only the printed address has.
+"""
 
 import argparse
+import re
+import secrets
 import signal
 import socket
 from collections.abc import Callable
@@ -13,6 +20,32 @@ from canhaptic.view.energy_table import make_console
 from canhaptic.view.html_page import require_bokeh
 
 _HOST: Final = "127.0.0.1"  # no other computer may read, or load, what runs here
+_NAMES: Final = (_HOST, "localhost")
+_OURS: Final = re.compile(rf"({'|'.join(map(re.escape, _NAMES))})(:[0-9]{{1,5}})?")
+_SECRET: Final = 16  # [B]
+_WAITING: Final = 2  # visitors whose browser has not come yet; those before them are ended
+_CHECK: Final = 1000  # [ms] between two looks for visitors to end
+
+
+class _Door:
+    """Lets the requests in that a page served at a path needs; others are answered 404, and begin nothing.
+
+    A matcher for tornado's router.
+    """
+
+    def __init__(self, path: str) -> None:
+        self._paths = (path, f"{path}/", f"{path}/ws")
+
+    def match(self, request: Any) -> dict[str, Any] | None:
+        """Returns no parameters where the request may come in, None where it may not.
+
+        Any port is right: the page may be reached through a tunnel of ssh.
+        """
+        host = request.headers.get("Host", "")
+        is_ours = _OURS.fullmatch(host)
+        is_same_origin = request.headers.get("Origin", f"http://{host}") == f"http://{host}"
+        is_known = request.path in self._paths or request.path.startswith("/static/js/")
+        return {} if is_ours and is_same_origin and is_known else None
 
 
 def usable_port(arguments: argparse.Namespace) -> int:
@@ -40,14 +73,29 @@ def serve_page(page: Callable[[Any], object], port: int, title: str, *, show: bo
         title: What is served, for the line that gives the address.
         show: Whether to open it in a browser.
     """
-    from bokeh.server.server import Server
+    from bokeh.server.server import BaseServer
+    from bokeh.server.tornado import BokehTornado
+    from tornado.httpserver import HTTPServer
+    from tornado.ioloop import IOLoop
+    from tornado.routing import Rule, RuleRouter
 
-    origins = [f"{_HOST}:{port}", f"localhost:{port}"]
-    server = Server({"/": page}, address=_HOST, port=port, allow_websocket_origin=origins)
+    path = f"/{secrets.token_urlsafe(_SECRET)}"
+
+    def visit(document: object) -> None:
+        for session in pages.get_sessions(path)[:-_WAITING]:
+            if session.connection_count == 0:
+                session.request_expiration()
+        page(document)
+
+    origins = [f"{name}:*" for name in _NAMES]
+    pages = BokehTornado({path: visit}, extra_websocket_origins=origins, check_unused_sessions_milliseconds=_CHECK)
+    http = HTTPServer(RuleRouter([Rule(_Door(path), pages)]))
+    http.listen(port, _HOST)
+    server = BaseServer(IOLoop.current(), pages, http)
     ended_by = _stop_on_signals(server.io_loop)
-    make_console().print(f" {title} at http://{_HOST}:{port}/   Ctrl-C ends", soft_wrap=True)
+    make_console().print(f" {title} at http://{_HOST}:{port}{path}   Ctrl-C ends", soft_wrap=True)
     if show:
-        server.io_loop.add_callback(server.show, "/")
+        server.io_loop.add_callback(server.show, path)
     server.start()
     server.io_loop.start()
     server.stop()

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import urllib.parse
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
@@ -104,7 +105,7 @@ def test_ctrl_c_ends_it_with_130_and_a_taken_port_is_said() -> None:
         assert address.startswith("http://127.0.0.1:")
         with urllib.request.urlopen(address) as page:  # the first visit starts the drives
             assert b"bokeh" in page.read()
-        taken = address.rstrip("/").rpartition(":")[2]
+        taken = str(urllib.parse.urlsplit(address).port)
         assert main(["touch", str(STIFF), "--port", taken]) == 2
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: every process of the command gets it
         assert process.wait(20) == 130
