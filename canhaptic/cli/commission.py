@@ -23,6 +23,7 @@ from canhaptic.errors import CanHapticError, InputError
 from canhaptic.scene.edited_text import edited_scene
 from canhaptic.scene.models import Scene
 from canhaptic.view.energy_table import make_console
+from canhaptic.view.terminal import visible
 
 _TO_CORRECT: Final = 1  # exit status: the configuration differs from the rig, or the rig must not be used
 _LONGEST_LINE: Final = 4096  # bytes; a terminal hands over one line at a time
@@ -160,7 +161,7 @@ class _Terminal:
 
     def _ask(self, prompt: str) -> str:
         self._forget()
-        sys.stderr.write(prompt)
+        sys.stderr.write(visible(prompt))
         sys.stderr.flush()
         return self._line().strip()
 

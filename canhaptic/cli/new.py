@@ -1,11 +1,10 @@
 """`canhaptic new EDS --out rig.yaml`: a commented configuration to start from."""
 
 import argparse
-import sys
 
 from canhaptic.cli.arguments import check_place
 from canhaptic.cli.check_eds import survey_of
-from canhaptic.cli.output import note_file, write_file
+from canhaptic.cli.output import note_file, write_file, write_line
 from canhaptic.errors import InputError
 from canhaptic.scene.starter import starter_scene
 
@@ -25,7 +24,7 @@ def execute(arguments: argparse.Namespace) -> int:
     found, profile = survey_of(arguments.file, arguments.display, arguments.force_object)
     text = starter_scene(found, simulate=arguments.simulate, drive=profile, out=out)
     if out is None:
-        sys.stdout.write(text)
+        write_line(text.removesuffix("\n"))
     else:
         write_file(out, text)
         note_file("scene", out)

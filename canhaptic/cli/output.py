@@ -9,6 +9,7 @@ from typing import Any
 
 from canhaptic.errors import CanHapticError, InputError, SceneError
 from canhaptic.host.output_file import replacing
+from canhaptic.view.terminal import visible
 
 
 def write_json(value: Any) -> None:
@@ -17,13 +18,13 @@ def write_json(value: Any) -> None:
 
 
 def write_line(text: str = "") -> None:
-    """Writes one line to standard output."""
-    sys.stdout.write(text + "\n")
+    """Writes one line to standard output, made `visible`."""
+    sys.stdout.write(visible(text) + "\n")
 
 
 def write_note(text: str) -> None:
-    """Writes one line to standard error."""
-    sys.stderr.write(text + "\n")
+    """Writes one line to standard error, made `visible`."""
+    sys.stderr.write(visible(text) + "\n")
     sys.stderr.flush()
 
 

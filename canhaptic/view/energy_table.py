@@ -14,7 +14,7 @@ from canhaptic.control.verdict import PASSIVE_TOLERANCE, PortResult, Verdict, ac
 from canhaptic.result import TruthResult
 from canhaptic.view.headline import headline_text
 from canhaptic.view.si import si
-from canhaptic.view.table_style import FigureTable, in_lines
+from canhaptic.view.table_style import FigureTable, SafeConsole, in_lines
 
 _PLAIN_WIDTH: Final = 100  # columns, where there is no terminal to ask
 _HEAD_WIDTH: Final = 18  # of the name of a port above its figures; longer ones go on in the next line
@@ -40,10 +40,10 @@ _TrueEnergy = Literal["interaction", "least_interaction", "least_at_handle", "be
 
 def make_console(file: IO[str] | None = None) -> Console:
     """Returns a console on standard output, as wide as COLUMNS says, else the terminal; 100 columns without either."""
-    console = Console(highlight=False, file=file)
+    console = SafeConsole(highlight=False, file=file)
     if console.is_terminal or os.environ.get("COLUMNS", "").isdecimal():
         return console
-    return Console(highlight=False, width=_PLAIN_WIDTH, file=file)
+    return SafeConsole(highlight=False, width=_PLAIN_WIDTH, file=file)
 
 
 def print_energy(result: _Result, console: Console | None = None) -> None:

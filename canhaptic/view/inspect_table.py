@@ -84,7 +84,7 @@ def checks_table(checks: list[Outcome]) -> Table:
     for check in checks:
         verdict = Text("holds", style="green") if check["holds"] else Text("FAILS", style="bold red")
         value = check["value"] if isinstance(check["value"], str) else f"{check['value']:.9g}"
-        table.add_row(check["check"], check["name"], value, verdict)
+        table.add_row(Text(check["check"]), Text(check["name"]), Text(value), verdict)
     return table
 
 

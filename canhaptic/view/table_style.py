@@ -9,10 +9,22 @@ from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.markup import escape
 from rich.measure import Measurement
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from canhaptic.view.terminal import visible
+
 _ENDLESS = 100_000  # columns, to measure what a table would take
+
+
+class SafeConsole(Console):
+    """A console that shows every text with `visible`; its own colours and styles go through."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        """Yields the parts of what is shown."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else Segment(visible(segment.text), segment.style)
 
 
 def plain_table(title: str, *columns: str) -> Table:
