@@ -26,6 +26,7 @@ STYLE: Final[Any] = {
     "legend.frameon": False,
     "legend.handlelength": 1.6,
     "svg.hashsalt": "canhaptic",
+    "text.parse_math": False,  # a name may have dollars
 }
 """For `matplotlib.rc_context`."""
 _PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"), (1e-12, "p"))
@@ -41,6 +42,10 @@ def require_matplotlib() -> None:
         import matplotlib.figure  # noqa: F401 - raises where it is not installed
     except ImportError as error:
         raise InputError(f"a picture needs matplotlib; install it with: {install_hint('plot')}") from error
+    except (OSError, ValueError) as error:  # it reads a `matplotlibrc` of the current folder
+        raise InputError(
+            f"matplotlib cannot be loaded ({error}); look for a file matplotlibrc in this folder"
+        ) from error
 
 
 @contextmanager
@@ -51,10 +56,12 @@ def drawing() -> "Iterator[type[Figure]]":
         InputError: matplotlib is not installed.
     """
     require_matplotlib()
-    from matplotlib import rc_context
+    from matplotlib import rc_context, rcdefaults, rcParams
     from matplotlib.figure import Figure
 
-    with rc_context(STYLE):
+    with rc_context():
+        rcdefaults()  # what a `matplotlibrc` of the current folder or of the user says is not for these
+        rcParams.update(STYLE)
         yield Figure
 
 
@@ -65,7 +72,7 @@ def save_picture(figure: "Figure", path: str | Path) -> None:
         InputError: The file cannot be written.
     """
     try:
-        with replacing(Path(path)) as picture:
+        with drawing(), replacing(Path(path)) as picture:
             figure.savefig(picture)
     except InputError:
         raise
