@@ -27,11 +27,11 @@ class PortRecord:
 
     def __init__(self, log: EnergyLog, name: str, start: int = 0) -> None:
         self._name = name
-        losses = int(log.attributes.get(f"{name}.max_consecutive_losses", 0))
-        self._promise = Promise(losses, float(log.attributes.get(f"{name}.energy_allowance", 0.0)))
+        losses = int(log.number(f"{name}.max_consecutive_losses"))
+        self._promise = Promise(losses, log.number(f"{name}.energy_allowance"))
         self._is_damped = f"{name}.is_damped" in log.attributes
-        self._largest_torque = float(log.attributes.get(f"{name}.torque_limit", inf))
-        self._damping_asked = float(log.attributes.get(f"{name}.damping_asked", 0.0))
+        self._largest_torque = log.number(f"{name}.torque_limit", inf)
+        self._damping_asked = log.number(f"{name}.damping_asked")
         self._is_group, self._is_dry = name in log.groups, log.dry_run
         self._is_measured, self._knows_active = "energy_resolution" in log.ports[name], "active" in log.ports[name]
         self._sample_time, self._since = log.sample_time, dict[int, float]()

@@ -7,6 +7,7 @@ with EnergyLog.open("run.h5") as log:
 """
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -22,8 +23,9 @@ from canhaptic.logs.log_file import log_file
 
 _Json = TypeVar("_Json", list[str], dict[str, float], dict[str, dict[str, str]])
 
-DAMAGE: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError)
+DAMAGE: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError, OverflowError)
 """What h5py and NumPy raise for one kind of damage or another."""
+_LONGEST_NS: Final = 10_000_000_000
 _OURS = ("format", "format_version", "sample_time_ns", "ports", "status", "rows_lost")
 
 
@@ -55,7 +57,7 @@ class Quantities(Mapping[str, Array]):
         path = f"{self._group}/{name}"
         try:
             return self._file[path].read(start, self._rows if stop is None else min(stop, self._rows))
-        except (OSError, RuntimeError) as error:
+        except DAMAGE as error:
             raise LogFormatError(f"{path}: the data is damaged ({error}); `inspect --repair` saves the rest") from error
 
     def unit(self, name: str) -> str:
@@ -125,6 +127,19 @@ class EnergyLog:
     def close(self) -> None:
         """Closes the file; arrays already loaded stay valid."""
         self._file.close()
+
+    def number(self, name: str, default: float = 0.0) -> float:
+        """Returns an attribute that is a number, or the default where the log has none.
+
+        Raises:
+            LogFormatError: It is no finite number.
+        """
+        value = self.attributes.get(name)
+        if value is None:
+            return default
+        if isinstance(value, str) or not math.isfinite(value):
+            raise LogFormatError(f"{self.path}: attribute {name} holds {value!r}, expected a number; damaged")
+        return value
 
     def decoded(self, name: str, default: _Json) -> _Json:
         """Returns an attribute that was written as JSON, or the default where the log has none.
@@ -248,7 +263,7 @@ def _description(path: Path, attributes: Mapping[str, Attribute]) -> LogDescript
         raise LogFormatError(f"{path}: the attributes {', '.join(missing)} are missing")
     ports = tuple(line.rpartition(" ")[0] for line in str(_plain(attributes["ports"])).splitlines())
     sample_time_ns = int(attributes["sample_time_ns"])
-    if not ports or sample_time_ns <= 0:
+    if not ports or not 0 < sample_time_ns <= _LONGEST_NS:
         raise LogFormatError(f"{path}: {len(ports)} ports at a sample time of {sample_time_ns} ns; the file is damaged")
     return LogDescription(sample_time_ns, ports, str(_plain(attributes["status"])), int(attributes["rows_lost"]))
 
@@ -256,4 +271,5 @@ def _description(path: Path, attributes: Mapping[str, Attribute]) -> LogDescript
 def _plain(value: Attribute) -> str | int | float:
     if isinstance(value, bytes):
         return value.decode("utf-8", "replace")
-    return value.item() if isinstance(value, np.generic) else value
+    plain: object = value.item() if isinstance(value, np.generic) else value
+    return plain if isinstance(plain, str | int | float) else str(plain)  # of an array, or of nothing
