@@ -41,7 +41,7 @@ def execute(arguments: argparse.Namespace) -> int:
         arguments.log = arguments.repair
     if arguments.log.suffix.lower() in {".log", *CONVERTIBLE}:
         return _inspect_frames(arguments, console)
-    for path in (arguments.log, arguments.compare):
+    for path in (arguments.log, arguments.compare, *arguments.overlay):
         if path is not None:
             require_readable(path)
     with EnergyLog.open(arguments.log) as log:

@@ -10,6 +10,7 @@ from canhaptic.cli.output import write_json
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import describe_skipped
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.repair import require_readable
 from canhaptic.replay.difference import FrameWords
 from canhaptic.replay.replayed_run import ReplayResult, replay_bus_log
 from canhaptic.view.energy_table import energy_report, make_console
@@ -23,6 +24,7 @@ def execute(arguments: argparse.Namespace) -> int:
     """
     dry_run = arguments.no_torque
     if arguments.energy_log is not None:
+        require_readable(arguments.energy_log)
         with EnergyLog.open(arguments.energy_log) as log:
             scene = scene_of_log(log, arguments.config, allow_code=arguments.allow_code)
             dry_run = dry_run or log.dry_run

@@ -1,7 +1,7 @@
 """The part of h5py that the logs use, with types: the one place where the untyped library is touched."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import RLock
 from types import TracebackType
@@ -47,8 +47,9 @@ class Dataset:
     def read_tables(self) -> None:
         """Reads its type, its attributes and the places of its chunks, but no element."""
         self._dataset.dtype, self.attributes  # noqa: B018 - for what the library does to find them
-        if self._dataset.chunks:
-            self._dataset.id.get_num_chunks()
+        with _bounded_memory():
+            if self._dataset.chunks:
+                self._dataset.id.get_num_chunks()
 
     @property
     def dtype(self) -> np.dtype[np.generic]:
@@ -95,7 +96,8 @@ class Hdf5File:
 
     def __init__(self, path: Path, mode: str) -> None:
         if mode == "live":
-            self._file = h5py.File(path, "r", swmr=True)
+            with _bounded_memory():
+                self._file = h5py.File(path, "r", swmr=True)
         else:
             oldest = "v110" if mode == "x live" else "earliest"
             # Without a cache for chunks: each is written once, whole; a megabyte of them per column would be kept.
@@ -129,14 +131,16 @@ class Hdf5File:
         return Dataset(self._file.create_dataset(path, (0,), maxshape=(None,), dtype=dtype, chunks=(chunk,), **options))
 
     def __getitem__(self, path: str) -> Dataset:
-        found = self._file[path]
+        with _bounded_memory():
+            found = self._file[path]
         if not isinstance(found, h5py.Dataset):
             raise KeyError(f"{path} is no column")
         return Dataset(found)
 
     def names(self, group: str) -> list[str]:
         """Returns the names inside a group; none when the group is missing."""
-        return list(self._file[group]) if isinstance(self._file.get(group), h5py.Group) else []
+        with _bounded_memory():
+            return list(self._file[group]) if isinstance(self._file.get(group), h5py.Group) else []
 
     def datasets(self) -> Iterator[tuple[str, Dataset]]:
         """Yields path and column of everything in the file that is one."""
@@ -146,13 +150,20 @@ class Hdf5File:
             if isinstance(item, h5py.Dataset) and item.ndim == 1:
                 found.append((path if isinstance(path, str) else path.decode("utf-8", "replace"), Dataset(item)))
 
-        self._file.visititems(visit)
+        with _bounded_memory():
+            self._file.visititems(visit)
         yield from found
 
     def read_tables(self) -> None:
-        """Reads what the library itself keeps of every column: name, type, attributes, places of the chunks."""
+        """Reads what the library keeps: the root's attributes, and of every column name, type, attributes and chunks.
+
+        Goes on behind what is damaged: another reader may come there first.
+        """
+        with suppress(Exception):
+            self.attributes  # noqa: B018 - for what the library does to find them
         for _, dataset in self.datasets():
-            dataset.read_tables()
+            with suppress(Exception):
+                dataset.read_tables()
 
     def copy_to(self, other: "Hdf5File") -> None:
         """Copies everything, compressed chunks as they are, and the root's attributes."""

@@ -1,5 +1,6 @@
-"""Reads a damaged file in a copy of this process: HDF5 follows damaged addresses, and may crash."""
+"""Reads a damaged file in a copy of this process: HDF5 follows damaged addresses, and may crash or never end."""
 
+import ctypes
 import faulthandler
 import os
 import pickle
@@ -8,11 +9,16 @@ import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Final, TypeVar
 
 from canhaptic.errors import LogFormatError
+from canhaptic.logs.log_file import log_file
 
 _Result = TypeVar("_Result")
+_SECONDS: Final = 2
+"""CPU time that a copy may take, and for each so many bytes of the file one more [s]."""
+_BYTES_A_SECOND: Final = 1_000_000
+_PR_SET_PDEATHSIG: Final = 1  # of Linux's prctl
 
 
 def in_own_process(path: Path, work: Callable[[], _Result]) -> _Result:
@@ -23,18 +29,19 @@ def in_own_process(path: Path, work: Callable[[], _Result]) -> _Result:
         work: Returns or raises something that can be pickled; what it changes in memory is lost.
 
     Raises:
-        LogFormatError: The copy crashed.
+        LogFormatError: There is no file, or the copy crashed or took more CPU time than any log of this size needs.
         Exception: What `work` raised.
     """
     if sys.platform == "win32":
         return work()
+    seconds, parent = _SECONDS + log_file(path).stat().st_size // _BYTES_A_SECOND, os.getpid()
     reader, writer = os.pipe()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # of forks with other threads: h5py guards its own lock
         child = os.fork()
     if child == 0:
         os.close(reader)
-        _answer(writer, work)
+        _answer(writer, work, seconds, parent)
     os.close(writer)
     content = b""
     try:
@@ -44,6 +51,8 @@ def in_own_process(path: Path, work: Callable[[], _Result]) -> _Result:
         if not content:
             os.kill(child, signal.SIGKILL)  # after an interrupt; of one that has crashed nothing is left to end
         _, status = os.waitpid(child, 0)
+    if not content and _exit(status) == signal.SIGXCPU.name:
+        raise LogFormatError(f"{path}: too damaged: the HDF5 library reads on and on in it (for {seconds} s)")
     if not content:
         raise LogFormatError(f"{path}: too damaged: the HDF5 library crashes on it (exit status {_exit(status)})")
     result, error = pickle.loads(content)
@@ -59,11 +68,19 @@ def _exit(status: int) -> str:
     )
 
 
-def _answer(writer: int, work: Callable[[], object]) -> None:
+def _answer(writer: int, work: Callable[[], object], seconds: int, parent: int) -> None:
     """Sends the result or the error of `work` and ends the copy; nothing of the first process is flushed or closed."""
     import resource
 
     try:
+        if sys.platform == "linux":
+            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:  # it died before it could be watched
+            return
+        signal.signal(signal.SIGXCPU, signal.SIG_DFL)
+        _, most = resource.getrlimit(resource.RLIMIT_CPU)
+        if most == resource.RLIM_INFINITY or seconds < most:
+            resource.setrlimit(resource.RLIMIT_CPU, (seconds, most))
         signal.set_wakeup_fd(-1)  # the first process is sent its signals itself
         faulthandler.disable()
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

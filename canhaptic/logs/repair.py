@@ -2,17 +2,20 @@
 
 from contextlib import suppress
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Final
 
 from canhaptic.errors import InputError, LogFormatError
 from canhaptic.host.output_file import require_writable_place
 from canhaptic.logs.column_check import FoundColumns, found_columns, usual_length
-from canhaptic.logs.energy_reader import DAMAGE, open_file
+from canhaptic.logs.energy_reader import DAMAGE, EnergyLog, open_file
+from canhaptic.logs.hdf5 import Hdf5File
 from canhaptic.logs.own_process import in_own_process
 from canhaptic.logs.packing import repack, unfinished
 
 _STEP: Final = 512  # rows tried at a time
+_BLOCK: Final = 1 << 18  # rows read at a time
 
 
 def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
@@ -41,17 +44,23 @@ def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
 
 
 def require_readable(source: Path) -> None:
-    """Returns if HDF5 survives the tables that it keeps in a log; other damage is found where it is read.
+    """Returns if HDF5 survives everything in a file; what it calls damaged is for who reads that.
 
     Raises:
-        LogFormatError: It crashes on them.
+        LogFormatError: It crashes, or does not come to an end; or there is no file.
     """
-    in_own_process(source, partial(_read_tables, source))
+    in_own_process(source, partial(_read_all, source))
 
 
-def _read_tables(source: Path) -> None:
-    with suppress(*DAMAGE), open_file(source)[0] as file:
+def _read_all(source: Path) -> None:
+    with suppress(*DAMAGE), Hdf5File(source, "live") as file:
         file.read_tables()
+    with suppress(*DAMAGE), EnergyLog.open(source) as log:  # by the same ways as who reads it later
+        for quantities in (log.timing, *log.ports.values(), *log.truth.values()):
+            for name, start in product(quantities, range(0, log.rows, _BLOCK)):
+                with suppress(*DAMAGE):
+                    quantities.unit(name), quantities.read(name, start, start + _BLOCK)
+        log.events  # noqa: B018 - for what the library does to find them
 
 
 def _repair(source: Path, target: Path) -> tuple[int, int]:

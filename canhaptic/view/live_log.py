@@ -15,6 +15,7 @@ from canhaptic.control.verdict import PortResult
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
+from canhaptic.logs.repair import require_readable
 from canhaptic.signals import CycleTiming
 from canhaptic.view.series import COLUMNS, MarkedEvent, PortFacts, losses, port_facts
 
@@ -71,6 +72,8 @@ class LiveLog:
     def look(self) -> News | None:
         """Returns what is new; None while there is no log that can be read."""
         try:
+            if self._run is None:
+                require_readable(self.path)
             with EnergyLog.open(self.path) as log:
                 self.trouble = ""
                 return self._take(log)

@@ -9,6 +9,7 @@ from canhaptic.lab.studies.map.panel import Lines, Panel
 from canhaptic.lab.studies.map.panels import Chosen, panels_of
 from canhaptic.lab.studies.map.z_width import passing_share, usual_judgement
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
+from canhaptic.logs.repair import require_readable
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -21,6 +22,7 @@ def execute(arguments: argparse.Namespace) -> int:
         check_picture(arguments.png)
     if arguments.html is not None:
         check_page(arguments.html)
+    require_readable(arguments.file)
     with SweepTable(arguments.file) as table:
         fields = fields_of(table, arguments.axis, allow_code=arguments.allow_code)
         chosen = Chosen(arguments.x, arguments.y, arguments.metric, arguments.by)
