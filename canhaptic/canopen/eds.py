@@ -26,6 +26,7 @@ from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, dat
 
 from canhaptic.canopen.objects import CONSUMER_HEARTBEAT_TIME
 from canhaptic.errors import DictionaryError
+from canhaptic.input_file import read_regular
 
 _OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?")
 _DOMAIN_OBJECT, _VAR, _ARRAY, _RECORD = 2, 7, 8, 9  # object types (CiA 301, table 42)
@@ -35,6 +36,7 @@ _BARE_HEXADECIMAL: Final = re.compile(
 _OBJECT_TYPES: Final = frozenset({_DOMAIN_OBJECT, _VAR, _ARRAY, _RECORD})
 _LARGEST_STANDARD_TYPE: Final = datatypes.UNSIGNED64
 _ACCESS_TYPES: Final = frozenset({"ro", "wo", "rw", "rwr", "rww", "const"})
+_LARGEST: Final = 4_000_000  # [B]; the largest known has a tenth of it
 _BIT_RATES_KBIT: Final = (10, 20, 50, 125, 250, 500, 800, 1000)
 
 _Entries = dict[str, str]
@@ -69,7 +71,7 @@ def read_dictionary(path: str | Path, node_id: int) -> ObjectDictionary:
     path = Path(path)
     if not 1 <= node_id <= 127:
         raise DictionaryError(f"{path}: node ID {node_id} does not exist, expected 1..127")
-    return _read(path, _content(path), node_id)
+    return _read(path, dictionary_content(path), node_id)
 
 
 @lru_cache(maxsize=32)  # a scene asks four times for each drive, and a sweep has thousands of scenes
@@ -108,9 +110,14 @@ def _parse(path: Path, content: bytes) -> _Sections:
     return sections
 
 
-def _content(path: Path) -> bytes:
+def dictionary_content(path: Path) -> bytes:
+    """Returns the bytes of an EDS or DCF.
+
+    Raises:
+        DictionaryError: It is no regular file, is larger than any dictionary, or cannot be read.
+    """
     try:
-        return path.read_bytes()
+        return read_regular(path, _LARGEST)
     except OSError as error:
         raise DictionaryError(
             f"{path}: cannot be read ({error.strerror}); give the path of the drive's EDS or DCF"

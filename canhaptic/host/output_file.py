@@ -2,23 +2,15 @@
 
 import os
 import secrets
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
 from canhaptic.errors import InputError
+from canhaptic.input_file import kind_of
 
 _NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL
-_KINDS: Final = (
-    (stat.S_ISLNK, "a symbolic link"),
-    (stat.S_ISDIR, "a folder"),
-    (stat.S_ISFIFO, "a pipe"),
-    (stat.S_ISSOCK, "a socket"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-)
 
 
 def why_not_written(path: Path) -> str:
@@ -29,10 +21,8 @@ def why_not_written(path: Path) -> str:
         return ""
     except OSError as error:
         return f"{path}: {error.strerror}; choose a folder that exists and may be written"
-    if stat.S_ISREG(mode):
-        return ""
-    kind = next((name for is_kind, name in _KINDS if is_kind(mode)), "no regular file")
-    return f"{path}: is {kind}, expected a regular file or none; name another file"
+    kind = kind_of(mode)
+    return f"{path}: is {kind}, expected a regular file or none; name another file" if kind else ""
 
 
 def require_writable_place(path: Path) -> None:

@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
@@ -13,6 +14,7 @@ from canhaptic.logs.log_file import CONVERTIBLE, log_file
 
 _ERROR_FLAG: Final = 0x2000_0000  # of an identifier in candump text (CAN_ERR_FLAG of linux/can.h)
 _LATEST: Final = 4_000_000_000_000_000_000  # [ns], in the year 2096
+_LONGEST: Final = 4096  # letters of a line
 _LINE: Final = re.compile(
     r"\((\d{1,12})\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#([0-9A-Fa-f]*)(?:\s+([RTrt]))?\s*"
 )
@@ -21,6 +23,27 @@ _LINE: Final = re.compile(
 _FD_LINE: Final = re.compile(r"\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]{3,8}##[0-9A-Fa-f]+(?:\s+[RTrt])?\s*")
 _REMOTE_LINE: Final = re.compile(r"\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]{3,8}#[Rr]\d?(?:\s+[RTrt])?\s*")
 SkippedKind = Literal["CAN FD", "error", "remote"]
+
+
+class _Lines(TextIOWrapper):
+    """A text whose lines are bounded: a file without line ends would be read into one."""
+
+    def readline(self, size: int | None = -1) -> str:  # type: ignore[override]
+        """Returns the next line; empty at the end.
+
+        Raises:
+            LogFormatError: It is longer than any of a bus log.
+        """
+        line = super().readline(_LONGEST)
+        if len(line) == _LONGEST:
+            raise LogFormatError(f"{self.buffer.name}: has a line of {_LONGEST} letters or more, expected a bus log")
+        return line
+
+    def __next__(self) -> str:  # type: ignore[override]
+        """Returns the next line."""
+        if line := self.readline():
+            return line
+        raise StopIteration
 
 
 class Frame(NamedTuple):
@@ -55,7 +78,7 @@ def describe_skipped(skipped: Mapping[SkippedKind, int]) -> str:
 
 def _read_candump(path: Path, skipped: Counter[SkippedKind]) -> Iterator[Frame]:
     try:
-        with path.open(encoding="ascii", errors="replace") as file:
+        with _Lines(path.open("rb"), encoding="ascii", errors="replace") as file:
             for number, line in enumerate(file, 1):
                 match = _LINE.fullmatch(line)
                 if match is None or len(match[5]) % 2:
@@ -121,7 +144,7 @@ def _messages(path: Path) -> Iterator[can.Message]:
         with path.open("rb") as binary:
             yield from can.BLFReader(binary)
         return
-    with path.open() as text:
+    with _Lines(path.open("rb")) as text:
         yield from can.TRCReader(text) if suffix == ".trc" else can.ASCReader(text, relative_timestamp=False)
 
 

@@ -11,6 +11,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from canhaptic.errors import SceneConflictError, SceneError
+from canhaptic.input_file import read_regular
 from canhaptic.scene.cross_checks import cross_check
 from canhaptic.scene.device_bounds import with_device_bounds
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
@@ -95,13 +96,10 @@ def scene_from_mapping(
 
 def _text(path: Path, source: str) -> str:
     try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
+        content = read_regular(path, MAX_BYTES)
+    except OSError as error:
+        reason = error.strerror
         raise SceneError([f"{source}: cannot be read ({reason}); give the path of a scene file (YAML)"]) from error
-    if len(content) > MAX_BYTES:
-        raise SceneError([f"{source}: larger than {MAX_BYTES} bytes; a scene has a few thousand"])
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -16,6 +16,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, TypeAdapter, W
 from pydantic import ValidationInfo as Info
 from pydantic_core import PydanticCustomError
 
+from canhaptic.canopen.eds import dictionary_content
 from canhaptic.control.admittance import (
     DISPLAY_ALGORITHMS,
     DISPLAY_ENVIRONMENTS,
@@ -210,7 +211,7 @@ class AxisScene:
 
     def dictionary_hash(self) -> str:
         """Returns the SHA-256 of the drive's EDS or DCF."""
-        return hashlib.sha256(self.parameters.eds.read_bytes()).hexdigest()
+        return hashlib.sha256(dictionary_content(self.parameters.eds)).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ from types import ModuleType
 from typing import Any, Final, Literal
 
 from canhaptic.errors import InputError, ParameterError
+from canhaptic.input_file import read_regular
 
 CodeUse = Literal["refused", "run", "left"]
 """What happens to own code that a scene names: refused with one error, run, or left unread."""
@@ -165,11 +166,10 @@ def _listed() -> str:
 
 
 def _content(path: Path) -> bytes:
-    with path.open("rb") as file:
-        content = file.read(_LARGEST + 1)
-    if len(content) > _LARGEST:
-        raise ParameterError(f"{path.name}: larger than {_LARGEST} bytes; a component has a few hundred lines at most")
-    return content
+    try:
+        return read_regular(path, _LARGEST)
+    except OSError as error:
+        raise ParameterError(f"{path.name}: cannot be read ({error.strerror}); name a file of Python") from error
 
 
 @cache

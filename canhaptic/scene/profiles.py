@@ -11,12 +11,14 @@ from typing import Any, Final
 
 from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.errors import SceneError
+from canhaptic.input_file import read_regular
 from canhaptic.package_data import shipped
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedMapping, parse_yaml
 from canhaptic.scene.explain import read_mapping, refuse_unknown_keys
 from canhaptic.units import shown
 
+_LARGEST: Final = 1_000_000  # [B]
 _PROFILES: Final = shipped("configs") / "drives"
 _PROFILE_KEY: Final = "drive"
 """Key of an axis: its drive profile."""
@@ -78,7 +80,7 @@ def _path(name: str, at: SourceLocation) -> Path | None:
 def _read(path: Path, faults: Diagnostics) -> MarkedMapping:
     """Returns the keys of a profile; what is wrong with it is noted, and left out."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_regular(path, _LARGEST).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         whole = SourceLocation(str(path), 0, 0, ())
         faults.add(whole, f"cannot be read ({error}); give a profile in YAML, as UTF-8")

@@ -327,9 +327,9 @@ def test_a_file_that_is_no_scene_is_one_clear_error(tmp_path: Path, content: byt
 
 
 def test_a_missing_file_or_a_folder_is_one_clear_error(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match=r"cannot be read \(No such file or directory\)"):
+    with pytest.raises(SceneError, match=r"cannot be read \(no such file\)"):
         load_scene(tmp_path / "none.yaml")
-    with pytest.raises(SceneError, match=r"cannot be read \(Is a directory\)"):
+    with pytest.raises(SceneError, match=r"cannot be read \(is a folder\)"):
         load_scene(tmp_path)
     with pytest.raises(SceneError, match="cannot be read"):
         load_scene("a\0b")

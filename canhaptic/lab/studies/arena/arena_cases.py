@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.errors import InputError, ParameterError
+from canhaptic.input_file import read_regular
 from canhaptic.lab.figures.field_figures import drag, energy_beyond_device, energy_given_out, rate_hardness
 from canhaptic.lab.figures.figures import figures
 from canhaptic.lab.loop.algorithms import able_under
@@ -15,7 +16,7 @@ from canhaptic.lab.loop.scenes import at_rate, cycles_of, environment_of, loop_c
 from canhaptic.lab.reference.continuous_reference import ContinuousReference, continuous_reference
 from canhaptic.package_data import shipped
 from canhaptic.scene.components import ComponentSpec
-from canhaptic.scene.load import load_scene, scene_from_text
+from canhaptic.scene.load import MAX_BYTES, load_scene, scene_from_text
 from canhaptic.scene.models import Scene
 
 CaseFigures = dict[str, Any]
@@ -85,7 +86,7 @@ def entry_of(reference: str, path: Path, allow_code: bool) -> ComponentSpec:
     """
     file, _, name = reference.partition(":")
     own = Path(file).resolve()
-    text, source = path.read_text(encoding="utf-8"), str(own.with_name(path.name))
+    text, source = read_regular(path, MAX_BYTES).decode("utf-8"), str(own.with_name(path.name))
     algorithm = f"passivity={{algorithm: {own.name}:{name}}}"
     return scene_from_text(text, source, [algorithm], allow_code=allow_code).axes[0].passivity
 

@@ -14,8 +14,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.errors import InputError
+from canhaptic.input_file import read_regular
 from canhaptic.lab.studies.arena.arena_cases import CaseFigures, CaseGroup, is_own, label_of
 
+_LARGEST: Final = 100_000_000  # [B], of the store, and of the files that a case is made of
 _COMPUTES: Final = ("control", "kernels", "scene", "sim", "study")
 """Folders of the package whose code decides what a case gives."""
 
@@ -38,7 +40,7 @@ class ArenaStore:
             path.parent.mkdir(parents=True, exist_ok=True)
             if force:
                 path.unlink(missing_ok=True)
-            text = path.read_text(encoding="utf-8") if path.exists() else ""
+            text = read_regular(path, _LARGEST).decode("utf-8") if path.exists() else ""
             if text and not text.endswith("\n"):
                 self._write("\n")  # what follows is not to be added to a line that a kill cut off
         except (OSError, UnicodeDecodeError) as error:
@@ -88,7 +90,7 @@ def _key(group: CaseGroup, delay: int, algorithm: str) -> str:
 
 
 def _hash_of(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(read_regular(path, _LARGEST)).hexdigest()
 
 
 @cache

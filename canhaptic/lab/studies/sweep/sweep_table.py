@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.errors import InputError, LogFormatError, LogWriteError
+from canhaptic.input_file import require_regular
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.studies.sweep.chunk import ENGINES, SLOTS, STATUS, ChunkResult
 from canhaptic.lab.studies.sweep.chunk_files import KEPT, ChunkFiles, write_error
@@ -331,9 +332,10 @@ def _write_values(file: h5py.File, points: Points) -> None:
 
 def _opened(path: Path) -> h5py.File:
     try:
+        require_regular(path)
         file = h5py.File(path, "r", locking=False)
     except (OSError, RuntimeError) as error:
-        reason = "no such file" if not path.exists() else str(error)
+        reason = getattr(error, "strerror", None) or str(error)
         raise LogFormatError(
             f"{path}: cannot be read as a sweep ({reason}); give a file made by canhaptic sweep"
         ) from error
