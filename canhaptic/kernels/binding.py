@@ -3,7 +3,6 @@
 import builtins
 from collections.abc import Callable, Mapping
 from dis import get_instructions
-from functools import cache
 from types import CodeType, FunctionType
 from typing import TypeVar, cast
 
@@ -62,7 +61,17 @@ def bound(function: _Function, instead: Mapping[object, object]) -> _Function:
     return cast(_Function, Binding(instead).rebound(function))
 
 
-@cache
+def filled(function: _Function, **places: Callable[..., object]) -> _Function:
+    """Returns a kernel with functions in the places that it leaves open; what those name is looked up when it runs.
+
+    Args:
+        function: The kernel.
+        places: Name of a placeholder that it calls itself -> the function in its place.
+    """
+    kernel = cast(FunctionType, function)
+    return cast(_Function, FunctionType(kernel.__code__, {**kernel.__globals__, **places}, kernel.__name__))
+
+
 def _names_in(code: CodeType) -> set[str]:
     """Returns the global names that a function asks for; those of attributes are not among them."""
     inner = [_names_in(constant) for constant in code.co_consts if isinstance(constant, CodeType)]

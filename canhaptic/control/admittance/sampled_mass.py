@@ -25,7 +25,7 @@ from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.environments.plain import plain
 from canhaptic.kernels import GivenT, Kernel, MakeBuffer, Run, new
-from canhaptic.kernels.binding import bound
+from canhaptic.kernels.binding import filled
 from canhaptic.units import Parameters
 
 _EXACT, _FREE, _NONE = Branch.EXACT.value, Branch.FREE.value, Certificate.NONE.value
@@ -148,5 +148,5 @@ def display_kernel(
     settings: Callable[..., DisplaySettings[Any]] = settings_of,
 ) -> Kernel:
     """Returns the kernel of an algorithm with these functions in the place of `respond` and `first_energy`."""
-    instead: dict[object, object] = {respond: respond_as, first_energy: first_energy_as}
-    return Kernel(settings, DisplayState, memory_of, bound(step, instead))
+    made = filled(step, respond=respond_as, first_energy=first_energy_as)
+    return Kernel(settings, DisplayState, memory_of, made)

@@ -25,15 +25,15 @@ from canhaptic.control.passivity.hold_account import (
     Hold,
     HoldAccount,
     HoldSettings,
-    axis_memory,
     begin,
     close_hold,
+    hold_memory,
     hold_settings,
     open_hold,
 )
 from canhaptic.control.velocity import DamperVelocity
 from canhaptic.kernels import Buffer, GivenT, Kernel, MakeBuffer, Run, StateT, new
-from canhaptic.kernels.binding import bound
+from canhaptic.kernels.binding import filled
 
 _FREE, _START, _EXACT, _EXIT = Branch.FREE.value, Branch.START.value, Branch.EXACT.value, Branch.EXIT.value
 
@@ -209,7 +209,6 @@ def sampled_kernel(
     """
 
     def memory_of(made: SampledSettings[Any], make_buffer: MakeBuffer) -> SampledMemory:
-        axis = axis_memory(made.hold.delay, made.hold.longest_window, make_buffer)
-        return SampledMemory(axis, make_buffer(kept(made)))
+        return SampledMemory(hold_memory(made, make_buffer), make_buffer(kept(made)))
 
-    return Kernel(settings, state, memory_of, bound(step, {respond: respond_as}))
+    return Kernel(settings, state, memory_of, filled(step, respond=respond_as))

@@ -36,7 +36,7 @@ class SteppedController:
     )
 
     def __init_subclass__(cls) -> None:
-        """Refuses a kernel whose step takes settings, state and memory one by one, as it did in 0.2.0.
+        """Refuses a kernel whose step takes settings, state and memory one by one, as kernels once did.
 
         Raises:
             ParameterError: It does.

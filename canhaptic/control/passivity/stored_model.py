@@ -29,7 +29,7 @@ from canhaptic.control.passivity.storage import UNTOUCHED, Storage, begin_storag
 from canhaptic.control.recovery import Alpha, damping_cap, modulated_damping
 from canhaptic.control.velocity import DamperVelocity
 from canhaptic.kernels import GivenT, Kernel, Run
-from canhaptic.kernels.binding import bound
+from canhaptic.kernels.binding import filled
 
 
 class StoredModelParameters(DamperVelocity):
@@ -128,8 +128,7 @@ def stored_model_kernel(
     exchange_as: Callable[..., HoldAccount],
 ) -> Kernel:
     """Returns the kernel of an algorithm with these functions in the place of `touch` and `exchange`."""
-    instead: dict[object, object] = {touch: touch_as, exchange: exchange_as}
-    return Kernel(stored_model_settings, state, hold_memory, bound(step, instead))
+    return Kernel(stored_model_settings, state, hold_memory, filled(step, touch=touch_as, exchange=exchange_as))
 
 
 def close(
