@@ -45,8 +45,11 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
         allowance, at_handle = port.get("energy_allowance", 0.0), port["passive"] != "yes"
         found += [(", ", f"within {si(allowance, 'J', 3)}")] if allowance else []
         found += [(", ", "at the handle")] if at_handle and _is_at_handle(port) else []
-    if word in ("yes", "no") and plant is not None and not _account_says(port, word):
-        found.append((", ", "by the plant; the account alone cannot tell"))
+    said = (port["passive"], port.get("passive_at_handle"))
+    if word in ("yes", "no") and plant is not None and word not in said:
+        is_misled = word == "no" and "yes" in said
+        known = "the account says yes, so that a declaration is false" if is_misled else "the account alone cannot tell"
+        found.append((", ", f"by the plant; {known}"))
     if word == "no":
         found += [(", ", f"for certain from {port['active_since']:.4g} s on")] if "active_since" in port else []
         found += [(", ", "before this part already")] if port.get("active_before") else []
@@ -65,7 +68,3 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
 
 def _is_at_handle(port: PortResult) -> bool:
     return "yes" in (port.get("passive_at_handle"), port.get("plant_passive_at_handle"))
-
-
-def _account_says(port: PortResult, word: str) -> bool:
-    return word in (port["passive"], port.get("passive_at_handle"))

@@ -1,0 +1,38 @@
+"""The first line of a port in words."""
+
+from typing import Any
+
+import pytest
+
+from canhaptic.control.verdict import headline
+from canhaptic.view.headline import headline_text
+
+CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
+
+
+@pytest.mark.parametrize(
+    ("port", "words"),
+    [
+        ({"passive": "yes", **CERTIFIED}, "passive: yes; guarantee rests on: hand force"),
+        ({"passive": "yes", "energy_allowance": 1e-4}, "passive: yes, within 100 uJ"),
+        ({"passive": "no", "passive_at_handle": "yes", **CERTIFIED},
+         "passive: yes, at the handle; guarantee rests on: hand force"),
+        ({"passive": "in doubt", "plant_passive": "yes"}, "passive: yes, by the plant; the account alone cannot tell"),
+        ({"passive": "in doubt", "plant_passive": "no"}, "passive: NO, by the plant; the account alone cannot tell"),
+        ({"passive": "yes", "plant_passive": "no"},
+         "passive: NO, by the plant; the account says yes, so that a declaration is false"),
+        ({"passive": "no", "plant_passive": "no", "active_since": 0.5, "contradicted": ["hand_force"],
+          "suspects": ["moving_mass", "delay"]},
+         "passive: NO, for certain from 0.5 s on; contradicts its certificates (hand force): one of moving_mass, delay "
+         "is wrong"),
+        ({"passive": "no", "active_before": True}, "passive: NO, before this part already"),
+        ({"passive": "in doubt", "energy_resolution": 0.5}, "passive: in doubt: the account is certain to +-500 mJ"),
+        ({"passive": "yes", "contact": {"holds": 0, "without_torque": 0}}, "no contact"),
+        ({"passive": "yes", "contact": {"holds": 9, "without_torque": 9}, "advice": "a lower current_lag"},
+         "NOTHING RENDERED: a lower current_lag"),
+        ({"passive": "yes", "dry_run": True}, "dry run, no torque was sent"),
+    ],
+)  # fmt: skip
+def test_a_port_says_its_word_and_why(port: Any, words: str) -> None:
+    port = {"certificate": "none", **port}
+    assert headline_text("handle", {**port, "verdict": headline(port)}).plain == f" handle: {words}"
