@@ -14,6 +14,7 @@ from canhaptic.audit.listened_axis import OF_A_NODE, DeclaredDrive, DeclaredForc
 from canhaptic.audit.recompute import logged_rows
 from canhaptic.audit.user_checks import Outcome
 from canhaptic.canopen import objects as od
+from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.dry_run import claim_nothing
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.multi_axis.axis_group import GroupedControllers
@@ -137,68 +138,81 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     Raises:
         InputError: The log holds no answered SYNC with all axes enabled.
     """
-    groups, alone = build_axis_groups(scene), build_axis_controllers(scene)
-    dry_run = log is not None and log.dry_run
-    controllers, torques = GroupedControllers(alone, groups, dry_run), [_Heard() for _ in scene.axes]
-    meters, deadline = RunMeters(build_axis_meters(scene), torques, alone, groups), -1
-    names = [*(axis.parameters.name for axis in scene.axes), *(group.name for group in groups)]
-    ledgers = [Ledger() for _ in names]
-    judges = [] if log is None else [_Judge(log, name) for name in names]
-    cycles = 0
+    derived = _Derivation(scene, dry_run=log is not None and log.dry_run)
+    judges = [] if log is None else [_Judge(log, name) for name in derived.units]
     for periods, samples, shown in _samples_of(bus_log, scene):
-        if log is not None and cycles == log.rows:
+        if log is not None and derived.cycles == log.rows:
             break
-        controllers.lasted(periods)
-        for axis, sample, is_demand in zip(torques, samples, shown, strict=True):
-            axis.take(sample, periods, is_demand)
-        balances = [*controllers.step(samples), *(group.balance.account for group in groups)]
-        samples += [group.sample(samples) for group in groups]
-        deadline += periods if cycles else 1
-        for group in groups:
-            group.book(cycles, deadline)
-        for port, (sample, balance) in enumerate(zip(samples, balances, strict=True)):
-            ledgers[port].add(balance, cycles)
-            if judges:
-                judges[port].compare(cycles, (sample.position, sample.torque_applied, *balance[1:]))
-        meters.take(samples, balances, ledgers, deadline)
-        cycles += 1
+        rows = derived.take(periods, samples, shown)
+        for judge, (sample, balance) in zip(judges, rows, strict=False):
+            judge.compare(derived.cycles - 1, (sample.position, sample.torque_applied, *balance[1:]))
+    cycles = derived.cycles
     if not cycles:
         raise InputError(f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}")
-    ports = _accounts(scene, ledgers, meters, dry_run)
-    verdicts = overall(ports)
-    result: Rederived = {
-        "cycles": cycles,
-        "verdict": verdicts["verdict"],
-        "passive": verdicts["passive"],
-        "ports": ports,
-    }
+    ports = derived.accounts()
+    verdict = overall(ports)
+    result: Rederived = {"cycles": cycles, "verdict": verdict["verdict"], "passive": verdict["passive"], "ports": ports}
     if log is not None:
         result["differences"] = [judge.difference for judge in judges if judge.difference is not None]
         if cycles < log.rows:  # the frames end early: of the rows behind nothing was derived
-            short: Departure = {
-                "port": "",
-                "cycle": cycles,
-                "quantity": "cycles",
-                "logged": log.rows,
-                "rederived": cycles,
-            }
+            short = Departure(port="", cycle=cycles, quantity="cycles", logged=log.rows, rederived=cycles)
             result["differences"].append(short)
     return result
 
 
-def _accounts(scene: Scene, ledgers: Sequence[Ledger], meters: RunMeters, dry_run: bool) -> dict[str, PortResult]:
-    """Returns the accounts of the axes, then of the groups; of an axis in a group what came in and went out by it."""
-    units: dict[str, str] = {axis.parameters.name: axis.parameters.unit for axis in scene.axes}
-    units |= {group.name: units[group.axes[0]] for group in scene.groups}
-    rendered = [*(axis.passivity for axis in scene.axes), *(group.passivity for group in scene.groups)]
-    promises = [promise_of(passivity.parameters) for passivity in rendered]
-    ports: dict[str, PortResult] = {
-        name: {"unit": unit, **port_account(port, ledger, promise, scene.bus.sample_time)}
-        for (name, unit), port, ledger, promise in zip(units.items(), meters.ports, ledgers, promises, strict=True)
-    }
-    for account in ports.values() if dry_run else ():
-        claim_nothing(account)
-    return with_groups(ports, {group.name: group.axes for group in scene.groups})
+class _Derivation:
+    """Controllers and accounts of a scene, fed with what the frames show.
+
+    Attributes:
+        units: Name and unit of each axis, then of each group.
+        cycles: SYNCs taken.
+    """
+
+    def __init__(self, scene: Scene, *, dry_run: bool) -> None:
+        self._scene, self._dry_run = scene, dry_run
+        self._groups, alone = build_axis_groups(scene), build_axis_controllers(scene)
+        self._controllers = GroupedControllers(alone, self._groups, dry_run)
+        self._torques = [_Heard() for _ in scene.axes]
+        self._meters = RunMeters(build_axis_meters(scene), self._torques, alone, self._groups)
+        self.units: dict[str, str] = {axis.parameters.name: axis.parameters.unit for axis in scene.axes}
+        self.units |= {group.name: self.units[group.axes[0]] for group in scene.groups}
+        self._ledgers = [Ledger() for _ in self.units]
+        self.cycles, self._deadline = 0, -1
+
+    def take(self, periods: int, samples: list[Sample], shown: Sequence[bool]) -> list[tuple[Sample, EnergyBalance]]:
+        """Takes a SYNC; returns sample and balance of each axis, then of each group.
+
+        Args:
+            periods: Sample times since the SYNC before.
+            samples: One for each axis.
+            shown: Whether the torque of each axis is the demand.
+        """
+        self._controllers.lasted(periods)
+        for axis, sample, is_demand in zip(self._torques, samples, shown, strict=True):
+            axis.take(sample, periods, is_demand)
+        balances = [*self._controllers.step(samples), *(group.balance.account for group in self._groups)]
+        samples = [*samples, *(group.sample(samples) for group in self._groups)]
+        self._deadline += periods if self.cycles else 1
+        for group in self._groups:
+            group.book(self.cycles, self._deadline)
+        for ledger, balance in zip(self._ledgers, balances, strict=True):
+            ledger.add(balance, self.cycles)
+        self._meters.take(samples, balances, self._ledgers, self._deadline)
+        self.cycles += 1
+        return list(zip(samples, balances, strict=True))
+
+    def accounts(self) -> dict[str, PortResult]:
+        """Returns the accounts of axes and groups; of an axis in a group what came in and went out by it."""
+        scene = self._scene
+        rendered = [*(axis.passivity for axis in scene.axes), *(group.passivity for group in scene.groups)]
+        known = zip(self.units.items(), self._meters.ports, self._ledgers, rendered, strict=True)
+        ports: dict[str, PortResult] = {
+            name: {"unit": unit, **port_account(port, ledger, promise_of(of.parameters), scene.bus.sample_time)}
+            for (name, unit), port, ledger, of in known
+        }
+        for account in ports.values() if self._dry_run else ():
+            claim_nothing(account)
+        return with_groups(ports, {group.name: group.axes for group in scene.groups})
 
 
 class _Judge:
