@@ -1,4 +1,4 @@
-"""What a run knows of an axis in addition to its ledger: how well its energy is known, and what the device dissipated.
+"""Accuracy of an axis's booked energy, and the energy that its device dissipated.
 
 **Position.** A position p_k = x_k + e_k, |e_k| <= e, is booked as -f_k (p_k - p_(k-1)). The sum of n holds is wrong by
 -sum f_k (e_k - e_(k-1)), by parts at most e (|f_n| + sum |f_k - f_(k-1)|), with f_0 = 0: a torque that stays leaves
@@ -60,12 +60,12 @@ class Accuracy:
 
     @property
     def is_estimate(self) -> bool:
-        """Whether what late torques leave open is an estimate."""
+        """Whether the uncertainty due to late torques is an estimate."""
         return self.late > 0.0 and self.late_speed is None
 
     @property
     def most_dissipated(self) -> float:
-        """Largest power that the device can dissipate [W]; infinite where that is not declared."""
+        """Largest power that the device can dissipate [W]; infinite if undeclared."""
         damping, friction, speed = self.device_damping_bound, self.device_friction_bound, self.largest_speed
         if damping is None or friction is None or speed == inf:
             return inf
@@ -76,12 +76,12 @@ IDEAL: Final = Accuracy()
 
 
 class AxisMeter:
-    """Adds up, hold by hold.
+    """Accumulate both, hold by hold.
 
     Args:
-        accuracy: Of the axis.
-        environment: Rendered on it; None where that is a group's, or unknown.
-        watch: Compares the motion with declared friction; None where nothing can be compared.
+        accuracy: Accuracy of the axis.
+        environment: Environment rendered on it; None if a group renders it or it is unknown.
+        watch: Comparison of the motion with declared friction; None where nothing can be compared.
 
     Attributes:
         accuracy: As given.
@@ -136,12 +136,12 @@ class AxisMeter:
         return self.accuracy.device_damping is not None or self.accuracy.device_friction is not None
 
     def leave_open(self, torque: float, time: int, booked: float) -> None:
-        """Takes holds whose torques are not known, behind `take` of the hold that they were booked with.
+        """Add the uncertainty of holds with unknown torques; call it after `take` of the hold that booked them.
 
         Args:
-            torque: Largest difference of theirs from the one that was booked [N or N*m].
-            time: They lasted [sample times].
-            booked: Energy that the algorithm took off for their sake [J].
+            torque: Largest difference of these torques from the booked one [N or N*m].
+            time: Duration of the holds [sample times].
+            booked: Energy that the algorithm subtracted on their account [J].
         """
         accuracy = self.accuracy
         if accuracy.counts_losses:
@@ -152,13 +152,13 @@ class AxisMeter:
             self.resolution += energy
 
     def take(self, position: float, torque: float, deadline: float, touches: bool) -> None:
-        """Takes a hold that was booked.
+        """Take a booked hold.
 
         Args:
-            position: At its end [m or rad].
-            torque: Booked for it [N or N*m].
+            position: Position at its end [m or rad].
+            torque: Torque booked for it [N or N*m].
             deadline: Sample times from the first SYNC to its end, which may be late.
-            touches: Whether its balance is one in contact.
+            touches: Whether the hold was in contact.
         """
         environment = self._environment
         if environment is not None:
@@ -195,7 +195,7 @@ class AxisMeter:
             self.watch.take(position, torque, int(self._booked_at), self.asked)
 
     def _path_to(self, position: float) -> float:
-        """Returns how far the axis has gone at least to be at a position [m or rad]; see the module."""
+        """Least path of the axis to a position [m or rad]; see the module."""
         low, high = self._lazy
         lowest, highest = position - self.accuracy.position, position + self.accuracy.position
         if lowest > high:
@@ -230,7 +230,7 @@ class SilentMeter(AxisMeter):
     """Meter of an admittance display: its algorithm itself subtracts the uncertainty of its sensors."""
 
     def leave_open(self, torque: float, time: int, booked: float) -> None:
-        """Takes nothing."""
+        """No-op."""
 
     def take(self, position: float, torque: float, deadline: float, touches: bool) -> None:
         """Takes the position [m or rad]."""

@@ -1,4 +1,4 @@
-"""EnergyBalance: what one step of a controller did with the energy of one hold.
+"""EnergyBalance: the account of one step of a controller.
 
 Identity of every step, for every algorithm (to 1e-12 of the largest term); for axes in a group, of the group's step:
 
@@ -19,7 +19,7 @@ def interaction_energy(torque: float, displacement: float) -> float:
     takes energy in.
 
     Args:
-        torque: Held by the actuator during the whole hold [N*m or N].
+        torque: Torque held by the actuator during the whole hold [N*m or N].
         displacement: Motion of the same axis from the start to the end of the hold [rad or m].
     """
     return -torque * displacement
@@ -107,7 +107,7 @@ AT_REST: Final = EnergyBalance(
 
 
 def residual(balance: EnergyBalance, stored_before: float) -> float:
-    """Returns how far one step is from the identity of this module [J]."""
+    """Difference of one step from the identity of this module [J]."""
     return (
         (balance.h_s - stored_before)
         + balance.h_r

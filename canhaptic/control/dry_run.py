@@ -1,11 +1,11 @@
-"""The account of a dry run, in which no torque was sent: a positive result says nothing of the controller."""
+"""The account of a dry run, in which no torque was sent: a positive result proves nothing about the controller."""
 
 from canhaptic.control.balance import Certificate
 from canhaptic.control.verdict import PortResult
 
 
 def claim_nothing(account: PortResult) -> None:
-    """Takes from the account of a port what only a torque that was sent can show: certificates and what was rendered.
+    """Remove from a port's account what needs a sent torque: certificates and rendered shares.
 
     Args:
         account: Changed.

@@ -1,4 +1,4 @@
-"""Whether a port gave out more energy than was declared: counted apart from its controller, so that a run can end."""
+"""Check of the energy that a port gave out against its declared limit, independent of the controller."""
 
 from collections.abc import Sequence
 
@@ -6,14 +6,14 @@ from canhaptic.signals import Sample
 
 
 class EnergyLossMeter:
-    """The energy that came in by one port, from the torques applied and the positions read alone.
+    """Energy that came in by one port, from the applied torques and measured positions alone.
 
-    What lost samples leave open is not taken off: a controller books it at its worst, and a run would end for energy
-    that was never given out. What the damping of the device certainly dissipates is added, as a certificate by damping
-    counts on it.
+    The uncertainty due to lost samples is not subtracted: a controller books it at its worst, and a run would end for
+    energy that was never given out. What the damping of the device certainly dissipates is added, as a certificate by
+    damping counts on it.
 
     Args:
-        name: Of the port.
+        name: Name of the port.
         axes: Places of its axes in the rig.
         limit: Energy that may be given out beyond the allowance [J].
         allowance: Energy that may be given out by declaration [J].
@@ -21,7 +21,7 @@ class EnergyLossMeter:
         sample_time: [s]
 
     Attributes:
-        energy: That came in so far; negative where more was given out [J].
+        energy: Energy that came in so far; negative where more was given out [J].
     """
 
     __slots__ = (
@@ -49,7 +49,8 @@ class EnergyLossMeter:
         """Counts the hold that ended; returns whether more was given out than the floor allows.
 
         Args:
-            samples: Of the whole rig; where one of the port's is not fresh, the next that is counts for all holds.
+            samples: Samples of the whole rig; where one of the port's is not fresh, the next fresh one counts for all
+                holds.
             deadline: Sample times from the first SYNC to this one; SYNCs that were skipped count.
         """
         booked_at, positions = self._booked_at, self._positions

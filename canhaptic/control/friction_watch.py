@@ -1,4 +1,4 @@
-"""Does a run contradict the dry friction that is declared of its device? What encoder and torque can say of it.
+"""Check of a run against the declared dry friction of its device, by encoder and torque.
 
 Over two stretches of time T_1 and T_2 of a motion one way, s = 1 or -1, with w(t) rising from 0 to 1 over the first and
 falling over the second, the equation of motion m a = tau + u - s F gives by parts, for the mean speeds v_1 and v_2,
@@ -55,7 +55,7 @@ class FrictionWatch:
     """Compares a run, hold by hold.
 
     Args:
-        declared: Of device and hand.
+        declared: Declared friction and hand.
 
     Attributes:
         excess: Largest force by which the axis was faster than declared friction lets it be [N or N*m]; 0: none.
@@ -78,8 +78,8 @@ class FrictionWatch:
         """Takes a hold; after a gap the motion begins anew.
 
         Args:
-            position: At its end [m or rad].
-            torque: Held in it [N or N*m].
+            position: Position at its end [m or rad].
+            torque: Torque held in it [N or N*m].
             deadline: Sample times from the first SYNC to its end.
             asked: Effort of the environment at its end, which points into the contact; 0 out of contact [N or N*m].
         """

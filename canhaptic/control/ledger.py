@@ -94,7 +94,7 @@ class Ledger:
         """Adds the account of the hold that ended at SYNC `cycle`.
 
         Args:
-            balance: Of the hold.
+            balance: Account of the hold.
             cycle: Index of the SYNC.
             deadline: Sample times to it; None: no SYNC was skipped.
         """

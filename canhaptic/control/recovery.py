@@ -73,7 +73,7 @@ def modulated_damping(
         alpha: Damping per joule of surplus [s/m^2 or s/rad^2].
         surplus: Energy still to be dissipated [J]; at or below 0 the damper is off.
         model_damping: Damping that the model itself has inside the same torque [N*s/m or N*m*s/rad].
-        cap: Of the total [N*s/m or N*m*s/rad].
+        cap: Largest total damping [N*s/m or N*m*s/rad].
         displacement: Motion of the hold that ended [m or rad]; 0 for no limit by the surplus.
         sample_time: [s].
     """

@@ -1,4 +1,4 @@
-"""PortResult: what is known of a port after a run. Verdicts: whether the port was passive by it.
+"""PortResult: the account of a port after a run. Verdicts: whether the port was passive by it.
 
 **Active.** A sum of energy that is booked with an error of at most R fell below -A for certain where booked + R < -A,
 at any time. R grows in a run and the sum may recover, so the end of a run does not show it: a run notes the first such
@@ -85,7 +85,7 @@ _Flows = TypedDict("_Flows", {"in": float, "out": float}, total=False)
 
 
 class PortResult(_Flows, total=False):
-    """What is known of one port, an axis or a group of axes, by the names of `run --json`. Energies in [J].
+    """Account of one port, an axis or a group of axes, by the names of `run --json`. Energies in [J].
 
     Which keys there are depends on the port and on where the account comes from.
     """
@@ -154,12 +154,12 @@ def passive_verdict(
     Args:
         least: Its least value after any hold, as booked [J].
         resolution: Largest difference of that from the true one [J].
-        energy_in: Energy that came in, all in all [J].
-        is_promised: Whether certificates held in every hold that rule out less.
+        energy_in: Total energy that came in [J].
+        is_promised: Whether certificates of every hold exclude less.
         has_open_hold: Whether the run ended in holds that are not booked, because no position came any more. What is
             promised is promised of them too: a torque that acts for longer than its certificate covers loses it.
         allowance: Energy that may be given out [J].
-        is_estimated: Whether the resolution is an estimate, so that a sum below it is a doubt.
+        is_estimated: Whether the resolution is an estimate, so that a sum below it proves nothing.
     """
     floor = -(allowance + ROUNDING)
     if least + resolution < floor and not is_estimated:
@@ -176,12 +176,12 @@ def is_certified(account: PortResult) -> bool:
 
 
 def account_verdict(account: PortResult) -> Verdict:
-    """Returns whether a port was passive at the motor (eq. 3): the sum of what came in with the motor's torque.
+    """Whether a port was passive at the motor (eq. 3): the sum of the energy that came in against the motor's torque.
 
     Where a damping of the device is declared, certificates promise the sum at the handle and not this one.
 
     Args:
-        account: The sums of `LedgerSummary.as_json`, with what is known in addition.
+        account: Sums of `LedgerSummary.as_json`, with the port's other figures.
     """
     if "active_since" in account or account.get("active_before"):
         return "no"
@@ -195,7 +195,7 @@ def account_verdict(account: PortResult) -> Verdict:
 def handle_verdict(account: PortResult) -> Verdict | None:
     """Returns whether a port was passive at the handle: with what the device itself dissipated for certain.
 
-    None where no damping of the device is declared. It may have dissipated more, so that a sum below zero is a doubt.
+    None without a declared damping of the device. It may have dissipated more: a sum below zero proves nothing.
 
     Args:
         account: The same as for `account_verdict`.
@@ -224,10 +224,10 @@ def _verdict_of(account: PortResult, least: float, resolution: float, is_promise
 
 
 def contradict(account: PortResult) -> None:
-    """Makes void what an account's own energies refute: certificates of a port that was active for certain.
+    """Void the certificates of a port whose own energies prove it active.
 
     Args:
-        account: Of a port, with `active_since` where it was; changed.
+        account: Account of a port, with `active_since` where it was active; changed.
     """
     key = "active_since" if account.get("least_at_handle") is None else "active_at_handle_since"
     names = [name for name in account.get("certificates", ()) if name not in ("exact", "none")]
@@ -244,12 +244,12 @@ def plant_verdict(least: float, allowance: float) -> Verdict:
 
 
 def headline(account: PortResult) -> Headline:
-    """Returns the word that is shown of a port, from its verdicts and contacts.
+    """Headline word of a port, from its verdicts and contacts.
 
     Passive at the handle is passive: there the port ends where the device is part of the promise.
 
     Args:
-        account: Of a port, with its verdicts.
+        account: Account of a port, with its verdicts.
     """
     if account.get("dry_run"):
         return "dry run"
@@ -267,7 +267,7 @@ def headline(account: PortResult) -> Headline:
 def _is_silent(account: PortResult, contact: ContactHolds) -> bool:
     """Returns whether less than a tenth was rendered: of the efforts asked for, else of the damping.
 
-    Of a group, or an admittance display, nothing is known of what was asked for: there no torque at all is silence.
+    The request is unknown for a group, or an admittance display: there no torque at all is silence.
     """
     if contact.get("asked"):
         return contact["sent"] < _LEAST_RENDERED * contact["asked"]

@@ -80,8 +80,8 @@ def build_display_group(
         environment: What is rendered, a class of `DISPLAY_NETWORKS`.
         algorithm_name: A name of `DISPLAY_GROUP_ALGORITHMS`.
         parameters: The algorithm's own `parameters_type`.
-        properties: Of each axis.
-        kinematics: Between the axes and what is rendered; None where they are its coordinates.
+        properties: Declared properties of each axis.
+        kinematics: Map between the axes and task space; None where the axes are the task coordinates.
 
     Raises:
         ParameterError: Unknown name, or parts that do not fit together.

@@ -1,8 +1,8 @@
-"""How fast a drive without an integral may be commanded where the hand is declared: a spring, a damper and a mass.
+"""Largest certified speed of a drive without an integral, for a hand declared as spring, damper and mass.
 
     F = K (x - q) + b (x' - v) - m v',     0 <= K <= K_e, 0 <= b <= B, 0 <= m <= N, abs(x') <= w, all constant but x
 
-x is the far side of the grip; q and v = q' belong to the mass before the sensor, M v' = c (r - v) + F - f, with the
+x is the arm's end of the grip; q and v = q' belong to the mass before the sensor, M v' = c (r - v) + F - f, with the
 friction f = f_c + d v, f_c v >= 0, abs(f_c) <= f_d, 0 <= d <= d_d. E >= -allowance at every time, for every such hand.
 
 Proof. Let g be the velocity that the commands alone make, l g' = r - g for a chosen l, and s = v - g what the hand
@@ -10,9 +10,9 @@ adds. With D = (c - M / l) (r - g), M s' = F - f - c s + D, so that for A = E - 
 
     A' = F g + c s^2 + f s - D s        and        f s >= -f_d abs(g) - d_d g^2 / 4                                (1)
 
-At a SYNC all commands are known, and with them g, the way y that it goes from there to a later time, and the longest
+At a SYNC all commands are known, and with them g, the distance y that it covers until a later time, and the longest
 way P that is left to it at any time. F is known there, and what it says of the spring: F + m a + b v, with a = v'. The
-hand of that moment changes by the spring's way, by the far side and by the motion, so that integration by parts gives
+hand of that moment changes by the spring's motion, by the arm's and by the axis's, so that integration by parts gives
 
     int F g  >=  (F + m a + b v) y - K_e y^2 / 2 - b int g^2 - m (g_1^2 - g_0^2) / 2 + m (s_0 g_0 - s_1 g_1)
                  - K_e w int P - 2 B w P_0 - int (K P + b abs(g) + m abs(g')) abs(s)                               (2)
@@ -63,7 +63,7 @@ class DeclaredHandSettings:
 
 @dataclass(slots=True)
 class DeclaredHand:
-    """State at the SYNC of the last force, and the motion that the commands make."""
+    """State at the SYNC of the last force, and the motion due to the commands alone."""
 
     known: float = 0.0  # A, at least [J]
     speed: float = 0.0  # g now [m/s or rad/s]
@@ -103,7 +103,7 @@ def declared_hand_settings(
 
 
 def speeds_of(latency: int, make_buffer: MakeBuffer) -> Buffer:
-    """Returns the ring of g at the SYNCs whose forces have not come, shape (latency + 1,) [m/s or rad/s]."""
+    """Ring of g at the SYNCs whose forces have not arrived, shape (latency + 1,) [m/s or rad/s]."""
     return make_buffer(latency + 1)
 
 
@@ -123,7 +123,7 @@ def hear(
     speeds: Buffer,
     heard: HeardForce,
 ) -> None:
-    """Takes a force: A and the force of the hand at its SYNC."""
+    """Update A and the hand force with the force received for an earlier SYNC."""
     samples, begin = hand.waiting, hand.before
     hand.waiting = 0
     hand.before = speeds[hand.place + 1 if hand.place + 1 < len(speeds) else 0]
@@ -152,7 +152,7 @@ def _gained(
     begin: float,
     end: float,
 ) -> float:
-    """Returns the least change of A in a hold, by (1), half of c s^2 left for D; -inf behind a filter [J]."""
+    """Least change of A in a hold by (1), with half of c s^2 reserved for D; -inf behind a filter [J]."""
     if port.lag > 0.0:
         return -inf
     time, lead = loop.sample_time, heard.command - begin
@@ -182,8 +182,8 @@ def _forces(
 ) -> tuple[float, float]:
     """Returns the least F in a direction at the SYNC without a mass, and the least F + N a with one [N or N*m].
 
-    A mean belongs to the whole hold: since then the spring lost K_e times the mean way to the end, and the far side
-    took on. The mean of the acceleration follows from the drive.
+    A mean belongs to the whole hold: by its end the spring may have lost K_e times half the displacement, and the arm
+    moved on. The mean of the acceleration follows from the drive.
     """
     time = loop.sample_time
     along, late = sign * heard.force - error, 0.0
@@ -210,16 +210,16 @@ def loss(
     settings: DeclaredHandSettings, loop: VelocityLoopSettings, hand: DeclaredHand, commands: Buffer, newest: int,
     speed: float, holds: int,
 ) -> float:  # fmt: skip
-    """Returns the largest fall of A at any time, by commands under way and a new one [J].
+    """Largest decrease of A at any time, by the commands under way and a new one [J].
 
     Args:
-        settings: Of the run.
-        loop: Of the drive.
-        hand: At the SYNC of the last force.
-        commands: Sent.
-        newest: Place of the first that is not the new one.
-        speed: The new one [m/s or rad/s].
-        holds: In which others act before it.
+        settings: Constants of the run.
+        loop: Declared velocity loop of the drive.
+        hand: State of the hand at the SYNC of the last force.
+        commands: Ring of the commands sent.
+        newest: Place of the oldest command that differs from the new one.
+        speed: New command [m/s or rad/s].
+        holds: Holds in which older commands act before it.
     """
     time, lag, g = loop.sample_time, settings.lag, hand.before
     forth, back, late = lag * max(0.0, g), lag * max(0.0, -g), lag * lag * abs(g)
@@ -268,7 +268,7 @@ def fastest_for_declared(
     wish: float,
     allowance: float,
 ) -> float:
-    """Returns the largest speed towards a wish that may be commanded now, without its sign [m/s or rad/s].
+    """Largest speed towards the requested one that may be commanded now, without its sign [m/s or rad/s].
 
     The loss is convex: a chord between a speed that fits and one that does not meets the budget at one that fits.
     """
@@ -300,7 +300,7 @@ def used_by_declared(
     commands: Buffer,
     motion: DisplayMotion,
 ) -> float:
-    """Returns what the commands that may still act can take, the newest included [J]; inf where it is not known."""
+    """Largest energy that the commands still able to act can take, the newest included [J]; inf if unknown."""
     if hand.waiting > 0 or hand.up == -inf:
         return inf
     before = motion.newest - 1
@@ -308,7 +308,7 @@ def used_by_declared(
 
 
 def lightest(settings: DeclaredHandSettings, loop: VelocityLoopSettings, speed: float) -> float:
-    """Returns the virtual mass that keeps a speed with such a hand, pushed by nothing [kg or kg*m^2]."""
+    """Least virtual mass that keeps its speed with such a hand when nothing pushes it [kg or kg*m^2]."""
     steady = DeclaredHand(
         before=speed, slowest=speed, fastest=speed, up=0.0, down=0.0, up_with_mass=0.0, down_with_mass=0.0
     )

@@ -21,12 +21,12 @@ class DisplayController(SteppedController):
 
     @property
     def energy_resolution(self) -> float:
-        """Width of what is known of the sum of h_i [J]; what is booked is its lower end."""
+        """Uncertainty of the sum of h_i [J]; its lower end is booked."""
         doubt: float = self._axis.doubt
         return 2.0 * doubt
 
     def lasted(self, periods: float) -> None:
-        """Counts the SYNCs that were skipped as samples that were lost; the command acted on."""
+        """Count skipped SYNCs as lost samples; the command acted on."""
         state, skipped = self._state, round(periods) - 1
         if self._axis.started:
             self._axis.missed += skipped
@@ -35,7 +35,7 @@ class DisplayController(SteppedController):
                 self._environment.go_along(self._memory.inner, own, own, self._settings.motion.sample_time)
 
     def _command_unseen(self) -> float:
-        """Returns the command of a SYNC without a sample [m/s or rad/s]: 0, unless an algorithm can do better."""
+        """Command for a SYNC without a sample [m/s or rad/s]: 0, unless an algorithm overrides this."""
         state, memory = self._state, self._memory
         before, state.slip = state.motion.speed - state.slip, 0.0
         send(state.motion, memory.commands, 0.0)

@@ -1,7 +1,7 @@
-"""What an admittance display renders: a speed that answers a force, with walls that limit the position.
+"""Environments of an admittance display: a velocity in response to a force, with walls that limit the position.
 
-Commands change at SYNCs only. An environment with states of its own goes along with the command that was sent, which
-limits and certificates may have cut.
+Commands change at SYNCs only. An environment with states of its own follows the command that was sent, which limits and
+certificates may have reduced.
 """
 
 from typing import Annotated, ClassVar, Literal, Self
@@ -34,28 +34,28 @@ class DisplayEnvironment(Parameters):
 
     @property
     def inertia(self) -> float:
-        """What a slow hand moves [kg or kg*m^2]."""
+        """Inertia felt by a hand that moves slowly [kg or kg*m^2]."""
         raise NotImplementedError
 
     def speed_after(self, inner: Buffer, speed: float, force: float, position: float, time: float) -> float:
-        """Returns the speed after another hold under a force [m/s or rad/s].
+        """Speed after another hold under a constant force [m/s or rad/s].
 
         Args:
-            inner: Its states.
-            speed: Of the last command [m/s or rad/s].
-            force: Of the hand [N or N*m].
-            position: At this SYNC [m or rad].
+            inner: States of the environment.
+            speed: Speed of the last command [m/s or rad/s].
+            force: Force of the hand [N or N*m].
+            position: Position at this SYNC [m or rad].
             time: T [s].
         """
         raise NotImplementedError
 
     def go_along(self, inner: Buffer, before: float, speed: float, time: float) -> None:
-        """Moves its states on by a hold at a speed; `before` is that of the hold before [m/s or rad/s]."""
+        """Advance its states by a hold at a speed; `before` is the speed of the hold before [m/s or rad/s]."""
 
     def stored(self, inner: Buffer, speed: float, position: float) -> float:
-        """Returns the energy that it holds [J]."""
+        """Stored energy [J]."""
         raise NotImplementedError
 
     def stretch(self, position: float) -> float:
-        """Returns the displacement of its spring, for logs; 0 without one [m or rad]."""
+        """Displacement of its spring, for logs; 0 without one [m or rad]."""
         return 0.0

@@ -1,9 +1,9 @@
-"""Several admittance displays with one account: what came in by one axis may go out by another.
+"""Several admittance displays with one account: energy that came in by one axis may go out by another.
 
 Each axis has a drive of its own, so that the margins of `velocity_loop` add up: W = E - sum V_i, and the losses of all
-commands under way add up too. A wish that does not fit is cut as a whole, in all axes by one factor, so that it keeps
-its direction: the loss is convex in the factor, hence the chord between a factor that fits and one that does not gives
-a larger one that fits.
+commands under way add up too. A request that does not fit is reduced as a whole, in all axes by one factor, so that it
+keeps its direction: the loss is convex in the factor, hence the chord between a factor that fits and one that does not
+gives a larger one that fits.
 """
 
 from collections.abc import Sequence
@@ -70,16 +70,16 @@ class _GroupAxis(GroupAxis):
             self._check.begin(position, force, 0.0)
 
     def fall(self, change: float) -> None:
-        """Takes the change of the margin in the hold that ended, at least [J]."""
+        """Apply a lower bound on the change of the margin in the hold that ended [J]."""
         self._evidence.fall(change)
 
     def contradiction(self, of: str, hold: BookedHold, force: float, *, is_first: bool) -> str:
-        """Returns why force and motion cannot both be right; "" where they can. Call it at every SYNC, after `send`.
+        """Reason why force and motion cannot both be right, or "". Call it at every SYNC, after `send`.
 
         Args:
             of: The sensor.
-            hold: As booked.
-            force: That came [N or N*m].
+            hold: The hold as it was booked.
+            force: Received force [N or N*m].
             is_first: Whether samples were lost before this one.
         """
         evidence, loop = self._evidence, self.loop_settings
@@ -96,7 +96,7 @@ class _GroupAxis(GroupAxis):
         return "" if found is None else found.text(of)
 
     def change(self, moved: float | None) -> float:
-        """Returns by how much the margin changed in the hold that ended, at least [J]; `moved` None: not seen."""
+        """Lower bound on the change of the margin in the hold that ended [J]; `moved` is None if no sample came."""
         commands = self.memory.commands
         if moved is not None:
             return gained(self.loop_settings, self.loop.lead, commands, self.motion, moved)
@@ -113,11 +113,11 @@ class _GroupAxis(GroupAxis):
         return lost, lost
 
     def used(self) -> float:
-        """Returns the largest loss of the margin by all that is under way [J]."""
+        """Largest loss of the margin by all commands under way [J]."""
         return loss_under_way(self.loop_settings, self.loop.lead, self.memory.commands, self.motion)
 
     def acted(self) -> float:
-        """Returns the way commanded in the hold that ended [m or rad]."""
+        """Displacement commanded in the hold that ended [m or rad]."""
         return sent(self.motion, self.memory.commands, self.loop_settings.delay) * self.port_settings.sample_time
 
     def limit(self, wish: float, position: float, velocity: float) -> float:
@@ -126,7 +126,7 @@ class _GroupAxis(GroupAxis):
         return whole(self.motion_settings, wish)
 
     def replace_newest(self, speed: float) -> None:
-        """Puts another command in the place of the newest."""
+        """Replace the newest command."""
         self.memory.commands[self.motion.newest] = self.motion.speed = speed
 
 
@@ -136,11 +136,11 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
     Args:
         environment: What is rendered.
         parameters: For every axis: over-estimates of the largest.
-        properties: Of each axis; sample time, delay and latency are the same for all.
+        properties: Declared properties of each axis; sample time, delay and latency are the same for all.
 
     Attributes:
-        axes: How many.
-        energy_resolution: Width of what is known of the energy of all axes; what is booked is its lower end [J].
+        axes: Number of axes.
+        energy_resolution: Uncertainty of the energy of all axes; its lower end is booked [J].
 
     Raises:
         ParameterError: Parts do not fit together, or a hand is declared.
@@ -191,7 +191,7 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         return GroupBalance(speeds, account, speeds)
 
     def lasted(self, periods: float) -> None:
-        """Takes SYNCs that were skipped: no command was sent, and those that acted did so for longer."""
+        """Account for skipped SYNCs: no command was sent, and those under way acted longer."""
         skipped = round(periods) - 1
         if not self._started:
             return
@@ -204,7 +204,7 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         self._watch_limit()
 
     def _let_pass(self, changes: Sequence[float]) -> None:
-        """Lets a hold pass of which no sample came, and in which the margin changed by these at least [J]."""
+        """Account for a hold without a sample, in which the margin changed by at least these amounts [J]."""
         for axis in self._each:
             axis.loop.lead += axis.acted()
             axis.port.missed += 1
@@ -259,7 +259,7 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         return holds, proved - free
 
     def _require_agreement(self, holds: Sequence[BookedHold], forces: Sequence[float], *, is_first: bool) -> None:
-        """Compares every force with the motion; each drive has its own loop, so that each axis says it for itself.
+        """Compare every force with the motion, axis by axis: each drive has its own loop.
 
         Raises:
             ForceContradictedError: They do not agree.
@@ -277,7 +277,7 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
             axis.leads[self._margin.place] = axis.loop.lead
 
     def _send(self, wish: Sequence[float]) -> int:
-        """Sends the largest part of a wish that is certified; returns by which certificate it was cut."""
+        """Send the largest certified part of the requested speeds; return the certificate that reduced it."""
         for axis, speed in zip(self._each, wish, strict=True):
             send(axis.motion, axis.memory.commands, speed)
         budget, used = self._margin.known + self._allowance, sum(axis.used() for axis in self._each)
@@ -298,19 +298,19 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         return Certificate.VELOCITY_LOOP.value
 
     def _used_at(self, wish: Sequence[float], part: float) -> float:
-        """Puts a part of a wish in the place of the newest commands; returns what is then used [J]."""
+        """Energy used [J] with a part of the requested speeds as the newest commands."""
         for axis, speed in zip(self._each, wish, strict=True):
             axis.replace_newest(whole(axis.motion_settings, part * speed))
         return sum(axis.used() for axis in self._each)
 
     def _watch_limit(self) -> None:
-        """Finds out whether the torque of a drive with an integral may reach its limit: nothing is certified then."""
+        """Determine whether a drive with an integral may reach its torque limit: nothing is certified then."""
         for axis in self._each:
             if axis.loop_settings.integral > 0.0 and not self._is_unsure:
                 self._is_unsure = may_limit(axis.loop_settings, axis.loop, axis.motion.speed, axis.port.missed)
 
     def _settle(self, h_i: float, before: list[float], velocities: Sequence[float], certificate: int) -> EnergyBalance:
-        """Dissipates and leaks what neither the mass nor the drives can give back; returns the account."""
+        """Dissipate and leak what neither the mass nor the drives can give back; return the account."""
         environment, under_way = self._environment, sum(axis.used() for axis in self._each)
         speeds, carried = [axis.motion.speed for axis in self._each], under_way
         for axis, velocity in zip(self._each, velocities, strict=True):

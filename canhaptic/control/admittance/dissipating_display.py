@@ -5,7 +5,8 @@ Energy that flows in with the held velocity is u J; the damper takes T b u u+. T
     m u+^2 / 2 + T b u u+ - [m u^2 / 2 + u J - (U(x+) - U(x))] = 0
 
 that keeps the sign. At rest it begins with J / m, which creates J^2 / 2m. Where there is no root the store is
-overdrawn: the mass stops, and what is missing is a deficit. It takes the drive for perfect, so that it bounds what the
+overdrawn: the mass stops, and the shortfall is a deficit. It assumes a perfect drive, so that it bounds what the
+sampling creates and not what the drive does.
 sampling creates and not what the drive does.
 """
 
@@ -64,11 +65,11 @@ def next_speed(environment: DisplayMass, time: float, speed: float, impulse: flo
     """Returns the root that keeps the sign of the speed; 0 where there is none [m/s or rad/s].
 
     Args:
-        environment: Mass and damper.
+        environment: Virtual mass and damper.
         time: T [s].
-        speed: Of the hold that ended, not 0 [m/s or rad/s].
-        impulse: J of the force in it [N*s or N*m*s].
-        risen: What the potential gained in it [J].
+        speed: Speed of the hold that ended, not 0 [m/s or rad/s].
+        impulse: J, the impulse of the force in it [N*s or N*m*s].
+        risen: Increase of the potential in it [J].
     """
     share = time * environment.damping / environment.mass
     square = (1.0 + share * share) * speed * speed + 2.0 * (speed * impulse - risen) / environment.mass

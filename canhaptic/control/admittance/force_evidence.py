@@ -1,4 +1,4 @@
-"""What the force sensor of one axis says of the energy that came in, against what encoder and commands say.
+"""Energy of one axis by its force sensor, compared with the energy by encoder and commands.
 
 By the force no more than `by_force` came in; by encoder and commands, E - V is no less than `by_encoder` (see
 `velocity_loop`), and V is not negative. More by the encoder than by the force: one of them is wrong.
@@ -34,17 +34,17 @@ class ForceEvidence:
         self.memory = margin_memory(self.latency, list_of_zeros)
 
     def fall(self, change: float) -> None:
-        """Takes the change of E - V in the hold that ended, at least [J]."""
+        """Apply a lower bound on the change of E - V in the hold that ended [J]."""
         self.by_encoder += change
         fall(self.margin, self.memory, change, 0.0)
 
     def book(self, loop: VelocityLoopSettings, hold: BookedHold, acceleration: float) -> None:
-        """Takes what a force says; at the first one the handle may have moved already.
+        """Add the energy bounds of a received force; at the first one the handle may have moved already.
 
         Args:
-            loop: Of the drive.
-            hold: As booked.
-            acceleration: Largest of the handle [m/s^2 or rad/s^2].
+            loop: Declared velocity loop of the drive.
+            hold: The hold as it was booked.
+            acceleration: Largest acceleration of the handle [m/s^2 or rad/s^2].
         """
         if not hold.is_booked:
             return
@@ -54,13 +54,13 @@ class ForceEvidence:
 
     @property
     def is_contradicted(self) -> bool:
-        """Whether more came in by encoder and commands, at the SYNC of the last force, than by the force at most."""
+        """Whether encoder and commands show more energy at the SYNC of the last force than the force allows."""
         late = self.by_encoder - self.by_force
         return late > 0.0 and known_then(self.by_encoder, self.margin, self.memory) > self.by_force + ROUNDING
 
 
 def contradiction(of: str, by_force: float, by_encoder: float) -> str:
-    """Returns in words that a sensor contradicts the encoder, with the remedy.
+    """Message that a sensor contradicts the encoder, with the remedy.
 
     Args:
         of: The sensor.

@@ -54,12 +54,12 @@ class GroupMass(Parameters):
         )  # fmt: skip
 
     def speeds_after(self, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
-        """Returns the speeds after another hold under the forces of the hand [m/s or rad/s].
+        """Speeds after another hold under the forces of the hand [m/s or rad/s].
 
         Args:
-            speeds: Of the last commands [m/s or rad/s].
-            forces: Of the hand [N or N*m].
-            positions: At this SYNC [m or rad].
+            speeds: Speeds of the last commands [m/s or rad/s].
+            forces: Forces of the hand [N or N*m].
+            positions: Positions at this SYNC [m or rad].
             time: T [s].
         """
         whole = self.mass + time * self.damping
@@ -70,14 +70,14 @@ class GroupMass(Parameters):
         return 0.5 * self.mass * _dot(speeds, speeds)
 
     def lost(self, speeds: _Vector, time: float) -> float:
-        """Returns what its damper takes in a time [J]."""
+        """Energy that its damper dissipates in a time [J]."""
         return self.damping * _dot(speeds, speeds) * time
 
 
 class PathMass(GroupMass):
-    """`guided_path`: a mass on straight pieces from point to point; it moves along them and nowhere else.
+    """`guided_path`: a mass that moves only along straight pieces from point to point.
 
-    Along the path the hand feels the mass, across it the drives stand still. A handle off the path is led back.
+    Along the path the hand feels the mass; across it the drives hold still. A handle off the path is led back.
     """
 
     points: tuple[Coordinates, ...]

@@ -3,10 +3,10 @@
 The promise: E, the energy that came in through the sensor, never falls below -energy_allowance, for every hand. It
 rests on what is declared of the drive (`velocity_loop`) and of the sensor (`port`), and on nothing about the hand.
 
-Each SYNC: the hold that a force belongs to is booked with its doubt; W, what the drive can still give out safely, is
-brought up to date by force and encoder, whichever proves more; the virtual mass moves on under the last force; its
-speed is cut to the largest one certified, and the mass keeps the speed that is left; the account is then settled down
-to what the mass, or the drive with the commands under way, can give back.
+Each SYNC: the hold that a force belongs to is booked with its uncertainty; W, what the drive can still give out safely,
+is updated by force and encoder, whichever proves more; the virtual mass moves on under the last force; its speed is
+reduced to the largest one certified, and the mass keeps that speed; the account is then reduced to what the mass, or
+the drive with the commands under way, can give back.
 
 A drive with an integral is certified as long as its torque stays below its limit for certain; from the first hold on
 in which it may not, nothing is certified any more and the account rests on the force alone.
@@ -111,7 +111,7 @@ def step(
 def _certified(
     settings: GuardedDisplaySettings, state: GuardedDisplayState, commands: Buffer, wish: float
 ) -> tuple[float, int]:
-    """Returns (the nearest speed that is certified [m/s or rad/s], by which certificate it was cut)."""
+    """Nearest certified speed [m/s or rad/s], and the certificate that reduced it."""
     sign = 1.0 if wish >= 0.0 else -1.0
     motion, budget = state.motion, state.margin.known + settings.allowance
     most = fastest(settings.loop, state.loop.lead, commands, motion, budget, sign)
@@ -135,7 +135,7 @@ def _certified(
 
 
 def _watch_limit(settings: GuardedDisplaySettings, state: GuardedDisplayState, commands: Buffer) -> None:
-    """Finds out whether the torque may reach its limit while the newest command acts, and ends what it then ends.
+    """Determine whether the torque may reach its limit under the newest command; end the certificates that this voids.
 
     The loop without an integral may certify all that is under way: a torque at its limit then ends nothing.
     """
@@ -153,7 +153,7 @@ def _watch_limit(settings: GuardedDisplaySettings, state: GuardedDisplayState, c
 def miss(
     environment: DisplayEnvironment, settings: GuardedDisplaySettings, state: GuardedDisplayState, memory: GuardedMemory
 ) -> float:
-    """Takes a SYNC of which no sample came; returns the command [m/s or rad/s].
+    """Handle a SYNC without a sample; return the command [m/s or rad/s].
 
     Without an integral the last command goes on as long as it is certified without knowing what it did; with one the
     command is 0 at once, and all that was under way counts as lost.
@@ -180,7 +180,7 @@ def skip(
     memory: GuardedMemory,
     skipped: int,
 ) -> None:
-    """Takes SYNCs that were skipped: no command was sent, and the one that acted did so for longer."""
+    """Account for skipped SYNCs: no command was sent, and the one under way acted longer."""
     loop, motion, commands = settings.loop, state.motion, memory.display.commands
     if loop.integral > 0.0:
         state.unsure = state.unsure or state.axis.missed > 0
@@ -196,7 +196,7 @@ def skip(
 def _let_pass(
     settings: GuardedDisplaySettings, state: GuardedDisplayState, memory: GuardedMemory, change: float
 ) -> None:
-    """Lets a hold pass of which no sample came, and in which the margin changed by this at least [J]."""
+    """Account for a hold without a sample, in which the margin changed by at least this amount [J]."""
     acted = sent(state.motion, memory.display.commands, settings.loop.delay)
     state.loop.lead += acted * settings.port.sample_time
     state.axis.missed += 1
@@ -207,7 +207,7 @@ def _let_pass(
 def _take(
     settings: GuardedDisplaySettings, state: GuardedDisplayState, memory: GuardedMemory, position: float, force: float
 ) -> tuple[float, float]:
-    """Books the hold that ended and brings W up to date; returns (h_i [J], mean velocity [m/s or rad/s])."""
+    """Book the hold that ended and update W; return (h_i [J], mean velocity [m/s or rad/s])."""
     port, loop, motion, commands = state.axis, state.loop, state.motion, memory.display.commands
     missed, origin, heard = port.missed, port.origin, port.force
     at_limit = state.limited > 0
@@ -247,7 +247,7 @@ def _take(
 
 
 def _fall(settings: GuardedDisplaySettings, state: GuardedDisplayState, memory: GuardedMemory, change: float) -> None:
-    """Takes the change of the margins in the hold that ended, and keeps what is known at this SYNC for its force."""
+    """Update the margins for the hold that ended, and record the state of this SYNC for its force."""
     fall(state.margin, memory.margin, change, state.taken)
     memory.leads[state.margin.place] = state.loop.lead
     if settings.hand.force > 0.0:
@@ -317,7 +317,7 @@ class GuardedDisplay(DisplayController):
         """Accounts for the hold that ended; see `Controller.step`.
 
         Raises:
-            ControlError: What came is not finite.
+            ControlError: A force, position or velocity is not finite.
             ForceContradictedError: The force sensor contradicts the encoder.
         """
         before, state = self._axis.missed or not self._axis.started, self._state

@@ -1,4 +1,4 @@
-"""What `guarded` of an admittance display knows: what is fixed for a run, and what is remembered between two SYNCs."""
+"""Constants and state of `guarded` of an admittance display."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple

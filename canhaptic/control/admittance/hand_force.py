@@ -1,4 +1,4 @@
-"""How fast a drive without an integral may be commanded where the force of the hand is bounded: abs(F) <= f.
+"""Largest certified speed of a drive without an integral, for a hand of bounded force: abs(F) <= f.
 
 With r = 0 such a hand can take from a speed v just
 

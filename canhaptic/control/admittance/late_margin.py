@@ -1,7 +1,7 @@
-"""A margin W of energy, known from below, where forces come late by whole samples.
+"""Lower bound of an energy margin W, where forces arrive late by whole samples.
 
-Between two SYNCs W falls by no more than is known of the commands, and by nothing else: its `change`. A force that
-belongs to an earlier SYNC says what W was then; the changes since bring it up to date. The larger of the two counts.
+Between two SYNCs W decreases by no more than follows from the commands: its `change`. A force that belongs to an
+earlier SYNC gives a bound on W then; the changes since bring it up to date. The larger of the two bounds counts.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ class LateMargin:
 
 
 class MarginMemory(NamedTuple):
-    """Rings of the SYNCs whose forces have not come, shape (latency + 1,)."""
+    """Rings over the SYNCs whose forces have not arrived, shape (latency + 1,)."""
 
     changes: Buffer  # of W in the hold that ended there [J]
     before: Buffer  # W there, with all that was taken from the account before [J]
@@ -31,7 +31,7 @@ def margin_memory(latency: int, make_buffer: MakeBuffer) -> MarginMemory:
 
 
 def fall(margin: LateMargin, memory: MarginMemory, change: float, taken: float) -> None:
-    """Takes the change of W in the hold that ended [J], and what was taken from the account so far [J]."""
+    """Apply the change of W in the hold that ended [J], and record the energy taken from the account so far [J]."""
     margin.known += change
     if len(memory.changes) == 1:  # no force comes late
         memory.before[0] = margin.known + taken
@@ -45,13 +45,13 @@ def fall(margin: LateMargin, memory: MarginMemory, change: float, taken: float) 
 
 
 def oldest(margin: LateMargin, memory: MarginMemory) -> int:
-    """Returns the place of the SYNC to which the force belongs that came now."""
+    """Place of the SYNC to which the received force belongs."""
     then = margin.place + 1
     return then if then < len(memory.changes) else 0
 
 
 def known_then(known: float, margin: LateMargin, memory: MarginMemory) -> float:
-    """Returns what is known now, less the changes since the SYNC to which the force belongs that came now [J]."""
+    """Present bound, less the changes since the SYNC to which the received force belongs [J]."""
     then = oldest(margin, memory)
     for place in range(len(memory.changes)):
         if place != then:
@@ -60,7 +60,7 @@ def known_then(known: float, margin: LateMargin, memory: MarginMemory) -> float:
 
 
 def rise(margin: LateMargin, memory: MarginMemory, then: int, value: float, taken: float) -> None:
-    """Takes what W was at the place `then` at least, by the force [J]."""
+    """Raise the bound by W at the place `then`, as the force shows it [J]."""
     if then != margin.place:
         for place in range(len(memory.changes)):
             if place != then:

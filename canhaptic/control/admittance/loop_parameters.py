@@ -1,4 +1,4 @@
-"""What `guarded` asks to be declared of the drive of an admittance display, and of the hand."""
+"""Parameters of `guarded` of an admittance display: its drive and the hand."""
 
 from typing import Annotated
 
@@ -44,7 +44,7 @@ class GuardedDisplayParameters(Parameters):
 
 
 def loop_settings(parameters: GuardedDisplayParameters, properties: DisplayProperties) -> VelocityLoopSettings:
-    """Returns what is declared of the drive; a hold lasts as long as it may, which costs and proves the least.
+    """Declared velocity loop; a hold counts with its longest duration, where it costs most and proves least.
 
     Raises:
         ParameterError: Losses or a hand are declared for a drive with an integral, or a hand where its proof fails.
@@ -70,7 +70,7 @@ def loop_settings(parameters: GuardedDisplayParameters, properties: DisplayPrope
 
 
 def _require_what_a_hand_needs(parameters: GuardedDisplayParameters, properties: DisplayProperties) -> None:
-    """Raises what contradicts a hand declared as spring, damper and mass, or what of one is declared without it."""
+    """Refuse an incomplete declaration of a hand as spring, damper and mass, and values that contradict one."""
     if not parameters.hand_stiffness:
         for key in ("hand_speed", "hand_mass", "hand_damping"):
             if getattr(parameters, key):

@@ -1,4 +1,4 @@
-"""Whether the force that a sensor shows agrees with the motion: the momentum of the mass that the drive moves.
+"""Consistency of the measured force with the motion: the momentum of the mass that the drive moves.
 
     F = M v' + c (v - r) - k lead + friction
 
@@ -9,7 +9,7 @@ no encoder is differentiated twice. With abs(F') <= L, abs(v') <= A and an encod
     error + L T^2 / 6H + friction + damping (mean of abs(v) + A T / 4)
     + c (A T^2 / 6H + e / H) + k (e + A T^2 / 8) + 2 M e / H^2      and half the range of M, c and k times their terms;
 
-the terms in T^2 / 6H are those of a weight that changes inside a hold. Point samples add the doubt of `port`. A SYNC
+the terms in T^2 / 6H are those of a weight that changes inside a hold. Point samples add the error of `port`. A SYNC
 that comes early or late by up to j T shifts a weight, which costs j T / H (2 max + total change) of the force, and c
 times that of the command. The energy of a constant offset o is o times the displacement, so that until it is noticed it
 gives out o times the way moved, and never more than o times the room between the limits of the position.
@@ -97,8 +97,8 @@ class MomentumCheck:
 
     Args:
         parameters: With a `drive_friction`.
-        port: Of the sensor.
-        loop: Of the drive.
+        port: Settings of the force sensor.
+        loop: Declared velocity loop of the drive.
     """
 
     def __init__(self, parameters: GuardedDisplayParameters, port: PortSettings, loop: VelocityLoopSettings) -> None:
@@ -109,15 +109,15 @@ class MomentumCheck:
         self.begin(0.0, 0.0, 0.0)
 
     def begin(self, position: float, force: float, lead: float) -> None:
-        """Begins anew, at a first sample or after one that was lost."""
+        """Restart at a first sample, or after a lost one."""
         self._memory = _Memory(position, force, 0.0, lead, filling=_Half(position))
 
     def take(self, hold: MovedHold, force: float) -> Disagreement | None:
         """Takes the hold that ended and the force that came; returns a disagreement, if there is one.
 
         Args:
-            hold: As encoder and commands say.
-            force: Shown [N or N*m]; it belongs to a hold `latency` samples ago.
+            hold: The hold by encoder and commands.
+            force: Measured force [N or N*m]; it belongs to a hold `latency` samples ago.
         """
         memory = self._memory
         memory.waiting.append(hold)
@@ -162,7 +162,7 @@ class MomentumCheck:
         memory.force, memory.command, memory.lead = force, hold.command, hold.lead
 
     def _mean_force(self, force: float, before: float) -> tuple[float, float]:
-        """Returns the mean force of a hold and what is unsure of it besides the error of a value [N or N*m]."""
+        """Mean force of a hold and its uncertainty besides the error of a sample [N or N*m]."""
         port, change, doubt = self._port, force - before, 0.0
         if not port.is_mean:
             length = port.sample_time * (1.0 + port.jitter)
@@ -191,7 +191,7 @@ class MomentumCheck:
         return Disagreement(force, low - margin, high + margin, 2.0 * self._half)
 
     def _margin(self, first: _Half, second: _Half) -> float:
-        """Returns what the means may differ by, without what is unsure in each hold [N or N*m]."""
+        """Largest admissible difference of the means, without the uncertainty of each hold [N or N*m]."""
         port, loop, half = self._port, self._loop, self._half
         time = port.sample_time
         turned = time * time / (6.0 * half)
@@ -212,14 +212,14 @@ class MomentumCheck:
 def moved_hold(
     loop: VelocityLoopSettings, motion: DisplayMotion, commands: Buffer, moved: float, lead: float
 ) -> MovedHold:
-    """Returns the hold that ended, once the command of this SYNC is sent.
+    """The hold that ended; call it once the command of this SYNC is sent.
 
     Args:
-        loop: Of the drive.
-        motion: With the place of the newest command.
-        commands: Sent.
-        moved: In the hold [m or rad].
-        lead: At its end [m or rad].
+        loop: Declared velocity loop of the drive.
+        motion: Motion, with the place of the newest command.
+        commands: Ring of the commands sent.
+        moved: Displacement in the hold [m or rad].
+        lead: Lead at its end [m or rad].
     """
     age = loop.delay + 1
     acted, unsure = sent(motion, commands, age), 0.0

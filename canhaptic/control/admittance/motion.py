@@ -1,4 +1,4 @@
-"""The motion of what is rendered, its limits, and the commands under way."""
+"""Motion of the rendered environment, its limits, and the commands under way."""
 
 from dataclasses import dataclass
 from math import inf
@@ -38,7 +38,7 @@ class DisplayMemory(NamedTuple):
 
 @dataclass(slots=True)
 class DisplayMotion:
-    """What is remembered of the commands."""
+    """State of the commands."""
 
     speed: float = 0.0  # of the last command [m/s or rad/s]
     newest: int = 0  # place of the last command
@@ -59,7 +59,7 @@ def motion_settings(
 def display_memory(
     port: PortSettings, motion: DisplayMotionSettings, kept: int, make_buffer: MakeBuffer
 ) -> DisplayMemory:
-    """Returns the buffers of one axis that keeps so many commands."""
+    """Buffers of one axis that keeps this number of commands."""
     return DisplayMemory(port_positions(port, make_buffer), make_buffer(kept), make_buffer(motion.states))
 
 
@@ -85,8 +85,8 @@ def limited(
 ) -> float:
     """Returns the nearest command that speed, acceleration and position limits allow [m/s or rad/s].
 
-    A command may always fall to zero. Towards a limit of the position there is room for the commands under way and for
-    the way that the drive needs to follow; from beyond it the command leads back, slowly: a drive without an integral
+    A command may always go to zero. Towards a position limit, room is left for the commands under way and for the
+    distance that the drive needs to follow; beyond it the command leads back, slowly: a drive without an integral
     yields to a hand that pushes.
     """
     last, step, most = motion.speed, settings.step, settings.fastest
@@ -109,7 +109,7 @@ def limited(
 
 
 def whole(settings: DisplayMotionSettings, speed: float) -> float:
-    """Returns a command in whole quanta, towards zero [m/s or rad/s]."""
+    """Round a command towards zero to whole quanta [m/s or rad/s]."""
     quantum = settings.quantum
     if quantum == 0.0 or speed in (inf, -inf):
         return speed

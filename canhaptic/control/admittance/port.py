@@ -1,4 +1,4 @@
-"""The port of an admittance display: force times displacement at the sensor, with what is unsure of it.
+"""The port of an admittance display: force times displacement at the sensor, with its uncertainty.
 
 Energy INTO the display is positive: F dq, with F the force of the hand on the mass before the sensor. A `Sample` holds
 -F as its `torque_applied`, the force of the display on the hand, so that eq. 2 of the paper is the same for both kinds.
@@ -58,7 +58,7 @@ class Port:
 
 
 class BookedHold(NamedTuple):
-    """Energies that one SYNC adds to the account."""
+    """Energy increments of one SYNC."""
 
     energy: float  # that came in, at least [J]
     speed: float  # largest, at the time to which the account now reaches [m/s or rad/s]
@@ -79,7 +79,7 @@ def port_settings(properties: DisplayProperties) -> PortSettings:
 
 
 def port_positions(settings: PortSettings, make_buffer: MakeBuffer) -> Buffer:
-    """Returns the positions of the SYNCs whose forces have not come, a ring of shape (latency + 1,) [m or rad]."""
+    """Positions of the SYNCs whose forces have not arrived, a ring of shape (latency + 1,) [m or rad]."""
     return make_buffer(settings.latency + 1)
 
 
@@ -93,19 +93,19 @@ def begin_port(port: Port, positions: Buffer, position: float, force: float) -> 
 
 
 def reopen(port: Port) -> None:
-    """Lets the encoder's error at the last SYNC booked cost in full: the energy there is not the account's any more."""
+    """Charge the encoder's error at the last booked SYNC in full: the energy there no longer comes from the account."""
     port.mean = 0.0
 
 
 def book(settings: PortSettings, port: Port, positions: Buffer, position: float, force: float) -> BookedHold:
-    """Books what the force that came tells of the hold that it belongs to.
+    """Book the hold to which the received force belongs.
 
     Args:
-        settings: Of the run.
-        port: Moved to this SYNC.
-        positions: Of the SYNCs before.
-        position: At this SYNC [m or rad].
-        force: That came at this SYNC [N or N*m].
+        settings: Settings of the port.
+        port: State of the port; advanced to this SYNC.
+        positions: Ring of the positions at the SYNCs before.
+        position: Position at this SYNC [m or rad].
+        force: Force received at this SYNC [N or N*m].
     """
     holds = port.missed + 1
     moved = position - port.position
@@ -132,7 +132,7 @@ def _put(port: Port, positions: Buffer, position: float) -> None:
 
 
 def _energy(settings: PortSettings, port: Port, moved: float, force: float, samples: int) -> tuple[float, float, float]:
-    """Returns (the energy [J] that came in at least, the largest speed at the end [m/s or rad/s], at most [J])."""
+    """Least energy that came in [J], the largest speed at the end [m/s or rad/s], and the most energy [J]."""
     length, way = samples * settings.sample_time * (1.0 + settings.jitter), abs(moved)
     shortest = samples * settings.sample_time * (1.0 - settings.jitter)
     slew, acceleration, change = settings.slew, settings.acceleration, force - port.force

@@ -1,4 +1,4 @@
-"""What is declared of an admittance display: its loop of SYNCs, its force sensor, its limits."""
+"""Declared properties of an admittance display: its loop of SYNCs, its force sensor, its limits."""
 
 from typing import Annotated, Literal
 
@@ -43,5 +43,5 @@ class DisplayProperties(Parameters):
 
     @property
     def longest_hold(self) -> float:
-        """How long a hold lasts at most [s]: what it costs and leaves open grows with it."""
+        """Longest duration of a hold [s]: its cost and its uncertainty grow with it."""
         return self.sample_time * (1.0 + self.jitter)

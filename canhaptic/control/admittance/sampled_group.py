@@ -1,7 +1,7 @@
 """Several admittance displays with one account and without a certificate: `unprotected` and observer.
 
-What sampling, the drives and the doubt of the account create is booked as `gen`, what they lose as `leak`, as on one
-axis (`sampled_mass`). The observer counts the sum of F u T over all axes.
+What sampling, the drives and the uncertainty of the account create is booked as `gen`, what they lose as `leak`, as on
+one axis (`sampled_mass`). The observer counts the sum of F u T over all axes.
 """
 
 from abc import ABC, abstractmethod
@@ -64,7 +64,7 @@ def require_alike(properties: Sequence[DisplayProperties]) -> None:
 
 
 def require_finite(positions: Sequence[float], torques: Sequence[float], axes: int) -> None:
-    """Makes sure that a sample of every axis came.
+    """Require a finite sample of every axis.
 
     Raises:
         ControlError: It did not, or is not finite.
@@ -78,7 +78,7 @@ def require_finite(positions: Sequence[float], torques: Sequence[float], axes: i
 
 
 class GroupAxis:
-    """What one axis of any group of displays knows and remembers."""
+    """Settings and state of one axis of any group of displays."""
 
     port_settings: PortSettings
     motion_settings: DisplayMotionSettings
@@ -99,10 +99,10 @@ _Axis = TypeVar("_Axis", bound=GroupAxis)
 
 
 class DisplayGroup(ABC, Generic[_Axis]):
-    """What every `GroupController` of displays does alike; `_answer` is the algorithm's.
+    """Common part of every `GroupController` of displays; `_answer` is the algorithm's own.
 
     Attributes:
-        axes: How many.
+        axes: Number of axes.
     """
 
     axes: int
@@ -112,7 +112,7 @@ class DisplayGroup(ABC, Generic[_Axis]):
 
     @property
     def energy_resolution(self) -> float:
-        """Width of what is known of the sum of h_i of all axes [J]; what is booked is its lower end."""
+        """Uncertainty of the sum of h_i of all axes [J]; its lower end is booked."""
         return 2.0 * sum(axis.port.doubt for axis in self._each)
 
     @abstractmethod
@@ -124,7 +124,7 @@ class DisplayGroup(ABC, Generic[_Axis]):
         """Answers a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
 
     def lasted(self, periods: float) -> None:
-        """Counts the SYNCs that were skipped as samples that were lost; the commands acted on."""
+        """Count skipped SYNCs as lost samples; the commands acted on."""
         if self._started:
             for axis in self._each:
                 axis.port.missed += round(periods) - 1
@@ -147,11 +147,11 @@ class DisplayGroup(ABC, Generic[_Axis]):
 
     @abstractmethod
     def _answer(self, positions: Sequence[float], forces: list[float]) -> GroupBalance:
-        """Books the hold that ended, sends the next commands and returns the account of both."""
+        """Book the hold that ended, send the next commands and return the account of both."""
 
 
 class _SampledAxis(GroupAxis):
-    """What one axis remembers."""
+    """State of one axis."""
 
     def __init__(self, environment: GroupMotion, place: int, properties: DisplayProperties) -> None:
         self.port_settings = port_settings(properties)
@@ -172,12 +172,12 @@ class UnprotectedDisplayGroup(DisplayGroup[_SampledAxis]):
 
     Args:
         environment: What is rendered.
-        parameters: Of the algorithm.
-        properties: Of each axis; sample time, delay and latency are the same for all.
+        parameters: Parameters of the algorithm.
+        properties: Declared properties of each axis; sample time, delay and latency are the same for all.
 
     Attributes:
-        axes: How many.
-        energy_resolution: Width of what is known of the energy of all axes; what is booked is its lower end [J].
+        axes: Number of axes.
+        energy_resolution: Uncertainty of the energy of all axes; its lower end is booked [J].
 
     Raises:
         ParameterError: Parts do not fit together.
@@ -201,7 +201,7 @@ class UnprotectedDisplayGroup(DisplayGroup[_SampledAxis]):
         self._last = group_at_rest(self.axes)
 
     def _begin(self) -> float:
-        """Returns the energy of the algorithm's own at first [J]."""
+        """Initial energy of the algorithm's own [J]."""
         return 0.0
 
     def hold(self) -> GroupBalance:
@@ -233,10 +233,10 @@ class UnprotectedDisplayGroup(DisplayGroup[_SampledAxis]):
         return self._closed(holds, h_pas, before)
 
     def _observe(self, energy: float) -> None:
-        """Takes what came in by force and command in the hold that ended [J]."""
+        """Add the energy that came in by force and command in the hold that ended [J]."""
 
     def _protected(self, wish: _Vector, forces: _Vector) -> tuple[_Vector, _Vector]:
-        """Returns (the speeds of the mass, speeds besides that dissipate) [m/s or rad/s]."""
+        """Speeds of the mass, and additional speeds that dissipate [m/s or rad/s]."""
         return wish, [0.0] * self.axes
 
     def _closed(self, holds: list[BookedHold], h_pas: float, before: _Vector) -> GroupBalance:

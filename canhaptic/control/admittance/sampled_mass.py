@@ -1,8 +1,8 @@
 """The environment sampled as it is, and the one step of the algorithms without a certificate.
 
 Each of them is a parameter model and a function `respond`, of which `display_kernel` makes a kernel. What sampling, the
-drive and the doubt of the account create is booked as `gen`, what they lose as `leak`, so that the account closes like
-every other.
+drive and the uncertainty of the account create is booked as `gen`, what they lose as `leak`, so that the account closes
+like every other.
 """
 
 from collections.abc import Callable
@@ -72,7 +72,7 @@ class SampledHold(NamedTuple):
 
 
 class DisplayReply(NamedTuple):
-    """What an algorithm commands after a hold."""
+    """Command of an algorithm after a hold."""
 
     wish: float  # speed of the mass [m/s or rad/s]
     slip: float  # speed in addition, that dissipates [m/s or rad/s]
@@ -97,7 +97,7 @@ def respond(environment: DisplayEnvironment, run: DisplayRun[Any], hold: Sampled
 
 
 def first_energy(environment: Any, given: Any, position: float) -> float:
-    """Returns the energy of an algorithm's own at the first position [J]."""
+    """Initial energy of an algorithm's own, at the first position [J]."""
     return 0.0
 
 

@@ -1,4 +1,4 @@
-"""What several displays render in the task space of a mechanism, seen from its motor axes.
+"""Environment of several displays in the task space of a mechanism, seen from its motor axes.
 
     p' = J u,   force of the hand in task space f with J' f = F,   speeds of the motors u with J u = p' rendered
 
@@ -20,12 +20,12 @@ _Rows = Sequence[Sequence[float]]
 
 
 class TaskEnvironment:
-    """A mass in task space, as a group of displays asks for it; see `GroupMass`.
+    """A mass in task space with the interface of a group of displays; see `GroupMass`.
 
     Args:
-        environment: In task space.
+        environment: Environment in task space.
         kinematics: Between motor axes and task space, of equally many coordinates.
-        time_ahead: Time for which the last command goes on, at most [s].
+        time_ahead: Longest time for which the last command goes on [s].
 
     Raises:
         ParameterError: The mechanism has more or fewer task coordinates than axes.
@@ -84,7 +84,7 @@ class TaskEnvironment:
         return self._environment.stored(_times(self._jacobian, speeds))
 
     def lost(self, speeds: _Vector, time: float) -> float:
-        """Returns what its damper takes in a time [J]."""
+        """Energy that its damper dissipates in a time [J]."""
         return self._environment.lost(_times(self._jacobian, speeds), time)
 
 

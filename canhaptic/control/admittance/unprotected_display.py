@@ -1,4 +1,4 @@
-"""`unprotected` of an admittance display: the virtual mass as it is, and what sampling and the drive make of it."""
+"""`unprotected` of an admittance display: the virtual mass without protection."""
 
 from canhaptic.control.admittance.display_controller import DisplayController
 from canhaptic.control.admittance.display_environment import DisplayEnvironment
@@ -13,7 +13,7 @@ from canhaptic.kernels import new
 
 
 def respond(environment: DisplayEnvironment, run: DisplayRun[NothingToChoose], hold: SampledHold) -> DisplayReply:
-    """Moves the virtual mass on under the last force."""
+    """Advance the virtual mass under the last force."""
     return new(DisplayReply, (hold.wish, 0.0, 0.0))
 
 

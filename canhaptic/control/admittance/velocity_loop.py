@@ -1,4 +1,4 @@
-"""How fast a drive may be commanded: its own velocity loop as a certificate for every hand.
+"""Largest certified speed command: the drive's own velocity loop as a certificate for every hand.
 
 The drive moves the mass before the sensor, M v' = f_m + F - friction, by f_m = c (r - v) + f_I with f_I' = k (r - v).
 r is the command. With r = 0 the hand can take V = M v^2 / 2 + f_I^2 / 2k, and
@@ -49,7 +49,7 @@ class VelocityLoopSettings:
 
 @dataclass(slots=True)
 class LoopState:
-    """Motion of the drive, by encoder and commands."""
+    """Motion of the drive from encoder and commands."""
 
     lead: float = 0.0  # way commanded less way moved: f_I = k lead [m or rad]
     velocity: float = 0.0  # mean of the hold of the last sample that came [m/s or rad/s]
@@ -66,13 +66,13 @@ def reserve(settings: VelocityLoopSettings, lead: float, speed: float) -> float:
 
 
 def may_limit(settings: VelocityLoopSettings, loop: LoopState, command: float, missed: int) -> bool:
-    """Whether the torque may reach its limit while a command acts: what counts on its braking is then not proved.
+    """Whether the torque may reach its limit while a command acts: certificates that count on its braking fail then.
 
     Args:
-        settings: Of the run.
-        loop: Velocity and lead that are known; of the lead, the way moved in samples that were lost is not taken off.
-        command: Computed now [m/s or rad/s].
-        missed: Samples that were lost since the velocity was seen.
+        settings: Declared velocity loop of the drive.
+        loop: Known velocity and lead; the displacement in lost samples is not subtracted from the lead.
+        command: The new command [m/s or rad/s].
+        missed: Number of samples lost since the velocity was measured.
     """
     time, speed = settings.sample_time, abs(loop.velocity)
     span, unseen = (settings.delay + 1 + settings.losses) * time, missed * time
@@ -85,14 +85,14 @@ def may_limit(settings: VelocityLoopSettings, loop: LoopState, command: float, m
 
 
 def gained(settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: DisplayMotion, moved: float) -> float:
-    """Returns by how much W changed over the hold that ended, at least, from encoder and commands [J].
+    """Least change of W over the hold that ended, from encoder and commands [J].
 
     Args:
-        settings: Of the run.
-        lead: At its begin [m or rad].
-        commands: Sent.
-        motion: With the place of the newest.
-        moved: In it [m or rad].
+        settings: Declared velocity loop of the drive.
+        lead: Lead at the beginning of the hold [m or rad].
+        commands: Ring of the commands sent.
+        motion: Motion, with the place of the newest command.
+        moved: Displacement in the hold [m or rad].
     """
     if settings.integral > 0.0:
         return _gained_with_integral(settings, lead, sent(motion, commands, settings.delay), moved)
@@ -103,13 +103,13 @@ def gained(settings: VelocityLoopSettings, lead: float, commands: Buffer, motion
 
 
 def lost_unseen(settings: VelocityLoopSettings, commands: Buffer, motion: DisplayMotion) -> float:
-    """Returns the largest loss of W in the hold that ended, of which no sample came; without an integral [J]."""
+    """Largest loss of W in a hold without a sample; without an integral [J]."""
     square = largest_square(commands, motion, settings.delay, settings.delay + settings.losses)
     return 0.25 * settings.gain * settings.sample_time * square
 
 
 def _by_damping(settings: VelocityLoopSettings, command: float, moved: float) -> float:
-    """Returns the least c D (D / T - r) with D unsure by a count and c by its range [J].
+    """Least c D (D / T - r) for D within one count and c within its range [J].
 
     Where the torque may be at its limit F, it is that of a gain between F / abs(v - r) and c, which may change within
     the hold. The integral of v^2 - r v then counts by the smaller one, and its negative part, r^2 T / 4 at most, by c.
@@ -131,7 +131,7 @@ def _by_damping(settings: VelocityLoopSettings, command: float, moved: float) ->
 
 
 def _gained_with_integral(settings: VelocityLoopSettings, lead: float, command: float, moved: float) -> float:
-    """Returns the same for a drive with an integral, in which no RPDO may be lost.
+    """The same for a drive with an integral, for which no RPDO may be lost.
 
     Minimum over v(t) with int v = D of int [c v^2 - c r v - f_I r], f_I = f_0 + k (r t - x):
     c D (D / T - r) - f_0 r T - k r^2 T^2 / 2 + k r D T / 2 - k^2 r^2 T^3 / 48c.
@@ -146,7 +146,7 @@ def _gained_with_integral(settings: VelocityLoopSettings, lead: float, command: 
 
 
 def _turned(settings: VelocityLoopSettings, lead: float, way: float) -> float:
-    """Returns the largest f_0 R of a way R [J]."""
+    """Largest f_0 R for a displacement R [J]."""
     product = lead * way
     share = settings.integral if product > 0.0 else settings.integral_least
     return share * product + settings.integral * settings.count * abs(way)
@@ -155,7 +155,7 @@ def _turned(settings: VelocityLoopSettings, lead: float, way: float) -> float:
 def sequence_loss(
     settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: DisplayMotion, holds: int, oldest: int
 ) -> float:
-    """Returns the largest loss of W over commands in a row, the first of which has the age `oldest` [J]."""
+    """Largest loss of W over consecutive commands, the first of which has the age `oldest` [J]."""
     time, way, squares, shifts = settings.sample_time, 0.0, 0.0, 0.0
     newest = motion.newest - oldest + holds - 1
     for place in range(newest, newest - holds, -1):  # from the last to the first; below 0 it wraps
@@ -179,14 +179,14 @@ def fastest(
     budget: float,
     sign: float,
 ) -> float:
-    """Returns the largest speed in a direction that may be commanded now [m/s or rad/s].
+    """Largest speed in a direction that may be commanded now [m/s or rad/s].
 
     Args:
-        settings: Of the run.
-        lead: At this SYNC [m or rad].
-        commands: Sent.
-        motion: With the place of the newest.
-        budget: W and what may be given out besides [J].
+        settings: Declared velocity loop of the drive.
+        lead: Lead at this SYNC [m or rad].
+        commands: Ring of the commands sent.
+        motion: Motion, with the place of the newest command.
+        budget: W and the energy allowance [J].
         sign: 1.0 or -1.0.
     """
     if settings.integral == 0.0:
@@ -215,7 +215,7 @@ def fastest(
 def _fastest_by_damping(
     settings: VelocityLoopSettings, commands: Buffer, motion: DisplayMotion, budget: float
 ) -> float:
-    """Returns the same without an integral: c T / 4 times the squares of all that may act.
+    """The same without an integral: c T / 4 times the squares of all commands that may act.
 
     In each hold under way the largest of the commands that may act counts, as up to `losses` RPDOs in a row may be
     lost. The new one may act in 1 + losses holds; in the first of them an older one may, where it is larger.
@@ -243,7 +243,7 @@ def _fastest_by_damping(
 
 
 def _within(commands: Buffer, motion: DisplayMotion, speed: float, own: int, losses: int) -> float:
-    """Returns a speed that is the largest in just so many of its holds; 0 where it is not."""
+    """The speed if it is the largest command in exactly this number of its holds, else 0."""
     square = speed * speed
     if own > 1 or losses > 0:
         first = losses + 1 - own  # the first hold in which it is to be the largest
@@ -290,7 +290,7 @@ def loss_under_way(settings: VelocityLoopSettings, lead: float, commands: Buffer
 def loss_of_skip(
     settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: DisplayMotion, skipped: int
 ) -> float:
-    """Returns the largest loss of W by all that is under way where the oldest acts for longer, SYNCs skipped [J]."""
+    """Largest loss of W by all commands under way where SYNCs are skipped and the oldest acts longer [J]."""
     holds = [settings.delay] * skipped + [*range(settings.delay, -1, -1)]
     acting = [sent(motion, commands, age) for age in holds]
     longer = replace(settings, delay=settings.delay + skipped)

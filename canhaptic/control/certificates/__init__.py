@@ -1,1 +1,1 @@
-"""What may be sent: bounds on the torque of the next hold, each with its proof."""
+"""Upper bounds on the torque of the next hold, each with its proof."""

@@ -1,4 +1,4 @@
-"""The largest torque of the next hold by all certificates, and what the torques under way still need."""
+"""The largest torque of the next hold by all certificates, and the energy reserved for the torques under way."""
 
 from math import inf
 
@@ -9,7 +9,7 @@ from canhaptic.control.certificates.torque_bound import BoundMemory, Declared, T
 
 
 def free_energy(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
-    """Returns how much of `energy` [J] is not needed by the certificates of the torques under way."""
+    """Part of `energy` [J] that the certificates of the torques under way do not need."""
     if declared.losses == 0 and declared.late == 0.0:
         return free_in_sum(declared, bound, memory, energy)
     return free_of_late(declared, bound, memory, energy)
@@ -18,9 +18,9 @@ def free_energy(declared: Declared, bound: TorqueBound, memory: BoundMemory, ene
 def largest_torques(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
 ) -> tuple[float, float, float]:
-    """Returns the largest torque along `sign`: by all certificates, for every hand, without the hand speed [N or N*m].
+    """Largest torque along `sign` [N or N*m]: by all certificates, for any hand, and without the hand speed.
 
-    `energy` [J] is what may be taken out, without what the device dissipated.
+    `energy` [J] is the budget, without what the device dissipated.
     """
     if declared.losses or declared.late > 0.0:
         return largest_of_late(declared, bound, memory, sign, energy)
@@ -33,7 +33,7 @@ def largest_torques(
 def by_hand_force(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float) -> float:
     """Returns the largest torque along `sign` [N or N*m] for a hand within its declared force.
 
-    It is that of `largest_in_sum` where nothing else is declared. `energy` [J] is what may be taken out.
+    It is that of `largest_in_sum` where nothing else is declared. `energy` [J] is the budget.
     """
     response, before, hand = declared.response, sign * bound.torque, hand_along(declared, bound, sign)
     if hand == inf:  # nothing is known of the hand along it

@@ -1,4 +1,4 @@
-"""The hold as it really is: what a period that jitters and a torque that comes late change in every certificate.
+"""Timing of a real hold: the effect of jitter and of a late torque on every certificate.
 
 Declared: every hold lasts T_k with T (1 - j) <= T_k <= T (1 + j); a new torque acts at the latest a time w after its
 SYNC (event RPDO, wire time); and the torque of the motor follows the one held with a first-order lag of at most tau.
@@ -42,7 +42,7 @@ than d |D| theta / T + d^2 theta / 4b; and integral(u^2) <= sum of f_k^2 (T_k + 
 value u_n of it at the SYNC that ends the hold, with an error e (`torque_tolerance`: current sensor, filter, cogging).
 (i) Of the hold that ended, -f D + (f_k - f_(k-1)) X_k needs p(t) inside the hold: two courses of p, one that falls at
 once and one that falls at theta, both allowed by (1), end in the same u_n up to c |f_k - f_(k-1)|, and their energies
-differ by the whole of (f_k - f_(k-1)) X_k. So u_n takes nothing off what is unsure of that hold but where c is near 1,
+differ by the whole of (f_k - f_(k-1)) X_k. So u_n does not reduce the uncertainty of that hold unless c is near 1,
 with a lag as long as the hold. (ii) Of the next hold it would bound the older torques still felt, by |u_n - f_k| + e in
 place of c |f_(k-1) - f_k|: less only where e < c |f_(k-1) - f_k|. With tau = T / 5 and no window, c is 0.7 %: a sensor
 of 1 % of the rated torque is better only for steps beyond 1.5 times that torque; one of 5 % (the default), for steps of
@@ -58,7 +58,7 @@ from canhaptic.errors import ParameterError
 
 @dataclass(frozen=True, slots=True)
 class HoldTiming:
-    """What is declared of the holds of one axis."""
+    """Declared timing of the holds of one axis."""
 
     shortest: float  # hold [s]
     longest: float  # hold [s]
@@ -67,7 +67,7 @@ class HoldTiming:
 
 
 def hold_timing(sample_time: float, jitter: float, window: float, lag: float) -> HoldTiming:
-    """Returns what holds for every hold.
+    """Timing that holds for every hold.
 
     Args:
         sample_time: T [s].

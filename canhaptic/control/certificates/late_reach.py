@@ -1,4 +1,4 @@
-"""How large a torque may be after torques that come late, by the reach of the hand's force; see `late_torque`.
+"""Largest torque after late torques, by the reach of the hand's force; see `late_torque`.
 
 n is the part of a torque above f_c, which friction pays for: f_c is 0 for A, and that of the device for B.
 """
@@ -25,14 +25,14 @@ class LateMotion(NamedTuple):
 
 
 def by_reach_of_late(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Returns the largest part of a torque above `friction` by A, or B where that is not 0 [N or N*m].
+    """Largest part of a torque above `friction` by A, or by B where friction is not 0 [N or N*m].
 
     Args:
-        declared: Of the axis.
+        declared: Declared properties of axis and hand.
         hand: Displacement by the hand [m or rad].
-        motion: Of the last hold under way.
-        friction: That pays for the rest of every torque [N or N*m].
-        energy: That may be taken out [J].
+        motion: Motion in the last hold under way.
+        friction: Friction, which pays for the rest of every torque [N or N*m].
+        energy: Energy budget [J].
     """
     if declared.losses:
         return if_held_on(declared, hand, motion, friction, energy)
@@ -142,15 +142,15 @@ def if_held_on(declared: Declared, hand: float, motion: LateMotion, friction: fl
 def sum_of_displacements(
     response: DisplacementResponse, base: float, gain: float, hand: float, friction: float, holds: int
 ) -> tuple[float, float, float]:
-    """Returns the sum of the displacements in so many holds of one torque.
+    """Sum of the displacements over several holds of one torque.
 
     Args:
-        response: Of the axis.
+        response: Displacement response of the axis.
         base: Displacement in the first hold without the torque [m or rad].
-        gain: In the first hold per torque.
+        gain: Displacement in the first hold per unit torque.
         hand: Displacement by the hand in two holds [m or rad].
         friction: What friction adds to an inward displacement in a hold at most [m or rad].
-        holds: How many.
+        holds: Number of holds.
 
     Returns:
         Without the torque, per torque, and of the first only what is outward [m or rad, m/N or rad/(N*m), m or rad].

@@ -22,8 +22,8 @@ alone, so that no part of them counts twice. The tail of the last torque is char
 **Lost frames.** In each hold under way any of the last torques sent may act: A to D are taken at the largest, an energy
 that comes in at the least of them. A new torque may act in 1, 2, ... holds, and each of A to D is summed over them.
 
-**What is left.** S has what the device dissipated. What is booked is the least that may have come in: by the hand's
-force or speed, or by the damping for a hand of which nothing is known (`for_any`).
+**What is left.** S has what the device dissipated. The least that may have come in is booked: by the hand's force or
+speed, or by the damping for an arbitrary hand (`for_any`).
 
 **In debt** (the budget is below zero) there may be no torque that meets it. Then a torque is sent only as far as it
 takes energy in by itself, its tail included, at any older torques (`takes_in`).
@@ -58,15 +58,15 @@ def motion_along(declared: Declared, bound: TorqueBound, memory: BoundMemory, si
 def pass_hold(
     declared: Declared, hand: float, speed: float, motion: LateMotion, most: float, least: float
 ) -> tuple[LateMotion, float]:
-    """Returns the motion in the next hold, and the most that it takes beyond what the device dissipates [J].
+    """Motion in the next hold, and the largest energy taken beyond what the device dissipates [J].
 
     Args:
-        declared: Of axis and hand.
-        hand: Displacement by it [m or rad]; infinite: not known.
-        speed: Of it; 0: not known [m/s or rad/s].
-        motion: Of the hold before.
-        most: Largest torque along that may be held in the next one, >= 0 [N or N*m].
-        least: Smallest, >= 0 [N or N*m].
+        declared: Declared properties of axis and hand.
+        hand: Displacement by the hand [m or rad]; infinite: unknown.
+        speed: Speed of the hand; 0: unknown [m/s or rad/s].
+        motion: Motion in the hold before.
+        most: Largest torque along `sign` that may be held in the next hold, >= 0 [N or N*m].
+        least: Smallest such torque, >= 0 [N or N*m].
     """
     response = declared.response
     displacement, before, highest, lowest = motion
@@ -164,16 +164,16 @@ def smallest_acting(declared: Declared, bound: TorqueBound, memory: BoundMemory,
 def taken_under_way(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, speed: float, holds: int, which: int
 ) -> tuple[float, float, LateMotion]:
-    """Returns what torques under way along `sign` take together, at worst with the tail [J], and the last motion.
+    """Worst energy that the torques under way along `sign` take together, tail included [J], and the last motion.
 
     Args:
-        declared: Of axis and hand.
-        bound: Of the axis.
-        memory: Of the bound.
+        declared: Declared properties of axis and hand.
+        bound: State of the axis's torque bound.
+        memory: Buffers of the bound.
         sign: 1 or -1.
-        speed: Of the hand; 0: it does not count [m/s or rad/s].
-        holds: In which they act.
-        which: `_ANY` that may act, or of the next hold alone the torque as it was sent, or the one before it held on.
+        speed: Largest speed of the hand; 0: not used [m/s or rad/s].
+        holds: Number of holds in which they act.
+        which: `_ANY` torque that may act, or in the next hold alone the torque as sent, or the one before it held on.
     """
     hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
     motion, total, worst = motion_along(declared, bound, memory, sign, hand), 0.0, 0.0
@@ -190,7 +190,7 @@ def taken_under_way(
 
 
 def for_every_hand(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float, holds: int) -> float:
-    """Returns what is left of an energy after all torques under way, for a hand of which nothing is known [J].
+    """Energy left after all torques under way, for an arbitrary hand [J].
 
     The integral of (u - f_c)+^2 is at most the sum of n_k^2 (T + theta), u being a mean of the torques.
     """
@@ -207,7 +207,7 @@ def for_every_hand(declared: Declared, bound: TorqueBound, memory: BoundMemory, 
 
 
 def free_of_late(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
-    """Returns how much of `energy`, with what the device dissipated, the torques under way do not need [J]."""
+    """Part of `energy`, with what the device dissipated, that the torques under way do not need [J]."""
     holds, known = declared.delay + declared.losses, energy + bound.dissipated
     free = 0.0
     if declared.by_hand_force or declared.hand_speed > 0.0:
@@ -222,9 +222,9 @@ def free_of_late(declared: Declared, bound: TorqueBound, memory: BoundMemory, en
 def largest_of_late(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
 ) -> tuple[float, float, float]:
-    """Returns the largest torque along `sign`: by all certificates, for every hand, without the hand speed [N or N*m].
+    """Largest torque along `sign` [N or N*m]: by all certificates, for any hand, and without the hand speed.
 
-    Args as of `largest_in_sum`.
+    Arguments as for `largest_in_sum`.
     """
     longest = (declared.sample_time + declared.late) * (declared.losses + 1)
     for_all = declared.friction
@@ -244,15 +244,15 @@ def largest_of_late(
 def largest_of_known(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float
 ) -> float:
-    """Returns the largest torque along `sign` for a hand of bounded force, speed, or both [N or N*m].
+    """Largest torque along `sign` for a hand of bounded force, speed, or both [N or N*m].
 
     Args:
-        declared: Of axis and hand.
-        bound: Of the axis.
-        memory: Of the bound.
+        declared: Declared properties of axis and hand.
+        bound: State of the axis's torque bound.
+        memory: Buffers of the bound.
         sign: 1 or -1.
-        energy: That may be taken out, with what the device dissipated [J].
-        speed: Of the hand; 0: it does not count [m/s or rad/s].
+        energy: Energy budget, with what the device dissipated [J].
+        speed: Largest speed of the hand; 0: not used [m/s or rad/s].
     """
     losses, delay = declared.losses, declared.delay
     holds = delay + losses + 1 if losses and declared.late > 0.0 else delay

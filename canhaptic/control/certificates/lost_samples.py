@@ -1,4 +1,4 @@
-"""What may have come in over several holds of which only the whole displacement is known.
+"""Energy that came in over several holds of which only the total displacement is known.
 
 After n - 1 lost samples the displacement D of n holds is known, the torque f_n of the last one, read back, and for each
 hold before it the torques that may have acted. Booked is -f_n D; true is -sum f_j D_j; too much by
@@ -19,14 +19,14 @@ the farthest that torques and hand move the axis beyond the hold before (`Gap.st
 
 **Device damping** alone, for every hand: sum((b/T) D_j^2 - delta_j D_j) over displacements of sum D is least at
 D_j = D/n + (T/2b)(delta_j - mean), where it is (b/T) D^2 / n - mean D - (T/4b) sum((delta_j - mean)^2). The first term
-is dissipated for certain, the others are in doubt.
+is dissipated for certain, the others are uncertain.
 """
 
 from typing import NamedTuple
 
 
 class Gap(NamedTuple):
-    """Several holds of one axis, with what is known of the one before them."""
+    """Several holds of one axis, and the hold before them."""
 
     holds: int
     moved: float  # in all of them [m or rad]
@@ -38,12 +38,12 @@ class Gap(NamedTuple):
 
 
 def farthest(gap: Gap, sign: float, hold: int, along: bool) -> float:
-    """Returns the largest displacement of one hold, counted along `sign` [m or rad].
+    """Largest displacement of one hold, counted along `sign` [m or rad].
 
     Args:
-        gap: Of the axis.
+        gap: The holds of the axis.
         sign: 1 or -1.
-        hold: 1 for the first one; the last is not asked for.
+        hold: Index of the hold, 1 for the first; the last is never asked for.
         along: Whether a torque along the sign acts in it; else one against it acts in the last.
     """
     holds, moved, start, error, blur, step, lost = gap
@@ -66,12 +66,12 @@ def farthest(gap: Gap, sign: float, hold: int, along: bool) -> float:
 
 
 def doubt_of(gap: Gap, hold: int, torque: float, last: float) -> float:
-    """Returns by how much the booked energy of one hold is too high if a torque acted in it [J].
+    """Largest excess of the booked energy of one hold, if a given torque acted in it [J].
 
     Args:
-        gap: Of the axis.
-        hold: 1 for the first one; the last is not asked for.
-        torque: That may have acted [N or N*m].
+        gap: The holds of the axis.
+        hold: Index of the hold, 1 for the first; the last is never asked for.
+        torque: Torque that may have acted [N or N*m].
         last: Torque of the last hold, with which the energy was booked [N or N*m].
     """
     more = torque - last

@@ -1,4 +1,4 @@
-"""How large the torque of the next hold may be: three certificates, each a proof for the users it names.
+"""Bounds on the torque of the next hold: three certificates, each a proof for the users it names.
 
 Only the torque of a hold and the displacement in it exchange energy (eq. 2), so the question of every step is how far
 the axis can move OUT (with the torque) while the torque cannot be changed. All formulas below are written for a torque
@@ -79,7 +79,7 @@ def displacement_response(
         damping_least: Certain viscous damping of the device [N*s/m or N*m*s/rad].
         damping_most: Upper bound of it.
         hand_push: Largest inward force of the hand [N or N*m]; infinite: no bound is known.
-        timing: Of the holds; None: exact.
+        timing: Timing of the holds; None: exact.
     """
     timing = timing or HoldTiming(sample_time, sample_time, 0.0, 0.0)
     longest, shortest, late = timing.longest, timing.shortest, timing.late
@@ -119,7 +119,7 @@ def next_displacement(
         displacement: Largest outward displacement of the hold before [m or rad].
         torque_before: Outward torque held in it [N or N*m]; an inward one counts as 0.
         torque: Outward torque of the hold asked about; 0 gives the base of `hand_force_bound`.
-        response: Of the axis.
+        response: Displacement response of the axis.
         hand: Displacement by the hand in both holds [m or rad]: `response.hand`, or `response.push`.
     """
     if displacement < 0.0:
@@ -153,7 +153,7 @@ def hand_force_bound(budget: float, base: float, gain: float) -> float:
     For a group the torques are l W: base and gain are those of W, in [J], and the result is the share l.
 
     Args:
-        budget: Energy that may be taken out [J].
+        budget: Energy budget [J].
         base: Largest outward displacement in the hold of F without F [m or rad]; negative while moving inward.
         gain: Displacement per torque [m/N or rad/(N*m)], >= 0.
     """

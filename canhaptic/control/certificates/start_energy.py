@@ -1,4 +1,4 @@
-"""The energy that a wall needs before a contact, so that the hand-force certificate holds it from the first hold on.
+"""Energy that a wall needs before a contact, so that the hand-force certificate holds it from the first hold on.
 
 At rest at a force F every hold may give out F D_i, the hand pulling with F_h, while the spring of stiffness k has taken
 in F^2 / 2k. What is lacking is largest at some force on the way in,
@@ -28,9 +28,9 @@ def start_energy(response: DisplacementResponse, delay: int, stiffness: float) -
     """Returns the energy [J] with which a contact of any speed is held; infinite where the stiffness is too large.
 
     Args:
-        response: Of the axis, with the force of the hand.
-        delay: In holds.
-        stiffness: [N/m or N*m/rad].
+        response: Displacement response of the axis, with the force of the hand.
+        delay: Delay in whole holds.
+        stiffness: Stiffness of the wall [N/m or N*m/rad].
     """
     if response.hand == 0.0:
         return 0.0
@@ -57,10 +57,10 @@ def energy_for_any_hand(
 
     Args:
         damping: Certain viscous damping of the device, > 0 [N*s/m or N*m*s/rad].
-        friction: Certain dry friction of it [N or N*m].
+        friction: Certain dry friction of the device [N or N*m].
         sample_time: [s].
-        delay: In holds.
-        stiffness: [N/m or N*m/rad].
+        delay: Delay in whole holds.
+        stiffness: Stiffness of the wall [N/m or N*m/rad].
         push: Largest force at rest [N or N*m].
     """
     net = max(0.0, push - friction)

@@ -1,12 +1,12 @@
-"""All certificates of one axis as one: what is declared of the hand bounds a displacement, the device pays for it.
+"""All certificates of one axis as one: the declared hand bounds the displacement, the device dissipates the energy.
 
-Counted is what came in and what the device dissipates for certain, S = E + sum((b/T) D_i^2 + f_c |D_i|); with neither b
-nor f_c declared that is E. A hold of torque f >= 0 along and displacement D along takes from S
+Counted is the energy received and what the device dissipates for certain, S = E + sum((b/T) D_i^2 + f_c |D_i|); with
+neither b nor f_c declared that is E. A hold of torque f >= 0 along and displacement D along takes from S
 
     g(f, D) = f D - (b/T) D^2 - f_c |D|,
 
 concave in D. Nothing is known of D but D <= R, the least of the reach of the hand force (`next_displacement`, which
-chains over the holds under way), v_max T of the hand speed, and infinity. With n = f - f_c the most that g can be is
+chains over the holds under way), v_max T of the hand speed, and infinity. With n = f - f_c the largest value of g is
 
     R <= 0:                        f R, at most: energy comes in for certain
     n <= 0 < R:                    0: dry friction pays for the whole torque, at any speed of any hand
@@ -52,12 +52,12 @@ from canhaptic.control.certificates.torque_bound import (
 
 
 def taken(declared: Declared, torque: float, reach: float) -> float:
-    """Returns the most that a torque along takes in a hold, beyond what the device dissipates in it: (1) [J].
+    """Largest energy that a torque takes in a hold, beyond what the device dissipates in it: (1) [J].
 
     Args:
-        declared: Of axis and hand.
-        torque: >= 0 [N or N*m].
-        reach: Largest displacement along; infinite: not known [m or rad].
+        declared: Declared properties of axis and hand.
+        torque: Torque along the direction, >= 0 [N or N*m].
+        reach: Largest displacement along it; infinite: unknown [m or rad].
     """
     if reach <= 0.0:
         return torque * reach
@@ -75,7 +75,7 @@ def taken(declared: Declared, torque: float, reach: float) -> float:
 def taken_along(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, speed: float
 ) -> tuple[float, float]:
-    """Returns what the torques under way along `sign` take together [J], and the base of the next one.
+    """Energy that the torques under way along `sign` take together [J], and the base of the next one.
 
     They take less at first while the axis goes inward, and then more: what they take until then is no more than at the
     end, or than nothing. The base is the largest displacement in the next hold without a torque; infinite where the
@@ -104,7 +104,7 @@ def taken_along(
 
 
 def free_in_sum(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
-    """Returns how much of `energy`, with what the device dissipated, the torques under way do not need [J]."""
+    """Part of `energy`, with what the device dissipated, that the torques under way do not need [J]."""
     free = energy + bound.dissipated
     if declared.delay:
         pushes = pulls = False
@@ -121,14 +121,14 @@ def free_in_sum(declared: Declared, bound: TorqueBound, memory: BoundMemory, ene
 def largest_in_sum(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
 ) -> tuple[float, float, float]:
-    """Returns the largest torque along `sign`: by all certificates, for every hand, without the hand speed [N or N*m].
+    """Largest torque along `sign` [N or N*m]: by all certificates, for any hand, and without the hand speed.
 
     Args:
-        declared: Of axis and hand.
-        bound: Of the axis.
-        memory: Of the bound.
+        declared: Declared properties of axis and hand.
+        bound: State of the axis's torque bound.
+        memory: Buffers of the bound.
         sign: 1 or -1.
-        energy: That may be taken out, without what the device dissipated [J].
+        energy: Energy budget, without what the device dissipated [J].
     """
     for_all = for_any_hand(declared, energy + for_any(bound) - taken_by_any(declared, bound, memory))
     energy += bound.dissipated
@@ -150,7 +150,7 @@ def largest_in_sum(
 def left_under_way(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float
 ) -> tuple[float, float]:
-    """Returns what the torques under way leave of an energy [J], and the base of `taken_along` [m or rad]."""
+    """Energy left by the torques under way [J], and the base of `taken_along` [m or rad]."""
     given, base = taken_along(declared, bound, memory, sign, speed)
     energy -= given
     for place in range(bound.first, bound.first + declared.delay):
@@ -161,7 +161,7 @@ def left_under_way(
 
 
 def taken_by_any(declared: Declared, bound: TorqueBound, memory: BoundMemory) -> float:
-    """Returns the most that the torques under way take for a hand of which nothing is known [J]."""
+    """Largest energy that the torques under way take, for an arbitrary hand [J]."""
     total = 0.0
     for place in range(bound.first, bound.first + declared.delay):
         total += taken(declared, abs(memory.under_way[place]), inf)
@@ -169,7 +169,7 @@ def taken_by_any(declared: Declared, bound: TorqueBound, memory: BoundMemory) ->
 
 
 def for_any_hand(declared: Declared, budget: float) -> float:
-    """Returns the largest torque by what the device dissipates, for a hand of which nothing is known [N or N*m]."""
+    """Largest torque by what the device dissipates, for an arbitrary hand [N or N*m]."""
     if budget <= 0.0:
         return declared.friction
     return declared.friction + sqrt(4.0 * declared.damping / declared.sample_time * budget)

@@ -1,4 +1,4 @@
-"""What the certificates of one axis remember: the holds that ended, and what of their energy is not known."""
+"""State of the certificates of one axis: the holds that ended, and the uncertainty of their energy."""
 
 from dataclasses import dataclass
 from math import inf, isnan, nan
@@ -10,7 +10,7 @@ from canhaptic.kernels import Buffer, MakeBuffer
 
 @dataclass(frozen=True, slots=True)
 class Declared:
-    """What a configuration declares of the axis and of the hand."""
+    """Declared properties of axis and hand."""
 
     sample_time: float  # longest hold [s]
     delay: int  # whole holds between computation and action
@@ -29,7 +29,7 @@ class Declared:
 
 @dataclass(slots=True)
 class TorqueBound:
-    """The hold that ended, and the energy that is not known for certain."""
+    """The hold that ended, and the uncertain part of the energy."""
 
     displacement: float = 0.0  # [m or rad]
     torque: float = 0.0  # [N or N*m]
@@ -54,7 +54,7 @@ class TorqueBound:
 
 
 class BoundMemory(NamedTuple):
-    """Where the bound keeps sequences; changed in place."""
+    """Buffers of the bound for sequences; changed in place."""
 
     displacements: Buffer  # of the last holds, a ring of `WINDOW` [m or rad]
     torques: Buffer  # held in them; where torques come late, what counts along + [N or N*m]
@@ -70,10 +70,10 @@ def bound_memory(declared: Declared, under_way: Buffer, make_buffer: MakeBuffer)
 
 
 def turn(declared: Declared, bound: TorqueBound, out: float) -> None:
-    """Takes the direction out of a contact that begins: 1, -1, or 0 where it has none.
+    """Set the direction out of a contact that begins: 1, -1, or 0 where it has none.
 
-    Torques of a contact with another direction may be under way yet: until they have ended the hand may do along either
-    direction what it may do against them.
+    Torques of a contact in another direction may still be under way: until they have ended, the hand is not bounded
+    along either direction more tightly than against it.
     """
     if out != bound.out:
         if bound.out != 0.0:
@@ -82,19 +82,19 @@ def turn(declared: Declared, bound: TorqueBound, out: float) -> None:
 
 
 def open_both_ways(declared: Declared, bound: TorqueBound) -> None:
-    """Lets the hand do along either direction what it may do against a contact, until a torque sent now has ended."""
+    """Bound the hand alike in both directions, as against a contact, until a torque sent now has ended."""
     bound.turning = declared.delay + (2 if declared.late > 0.0 else 1)
 
 
 def hand_along(declared: Declared, bound: TorqueBound, sign: float) -> float:
-    """Returns the displacement by the hand in two holds along `sign` [m or rad]: it pulls out, or it pushes in."""
+    """Displacement by the hand in two holds along `sign` [m or rad]: it pulls out, or it pushes in."""
     if sign * bound.out < 0.0 or bound.turning:
         return declared.response.push
     return declared.response.hand
 
 
 def acted(declared: Declared, bound: TorqueBound, sign: float) -> float:
-    """Returns the torque along `sign` that counts as held in the hold that ended [N or N*m]."""
+    """Torque along `sign` counted as held in the hold that ended [N or N*m]."""
     if declared.late > 0.0:
         return bound.most if sign > 0.0 else -bound.least
     return sign * bound.torque
@@ -104,7 +104,7 @@ def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displa
     """Takes the hold that ended: displacement [m or rad] and the torque held in it [N or N*m].
 
     Returns:
-        How much less than booked may have come in because the torque came late [J].
+        Largest shortfall of the energy that came in against the booked one, because the torque came late [J].
     """
     count, late, doubt = declared.encoder_count, declared.late, 0.0
     if declared.damping:
@@ -146,12 +146,12 @@ def dissipate(bound: TorqueBound, energy: float) -> None:
 
 
 def for_any(bound: TorqueBound) -> float:
-    """Returns what the device dissipated beyond what is in doubt for a hand of which nothing is known [J]."""
+    """Energy that the device dissipated beyond the uncertainty for an arbitrary hand [J]."""
     return min(bound.certain, bound.dissipated)
 
 
 def certain_path(bound: TorqueBound, displacement: float, count: float) -> float:
-    """Returns what the laziest motion within a count of the encoder's positions moves in a hold [m or rad]."""
+    """Displacement per hold of the shortest motion within one count of the encoder's positions [m or rad]."""
     behind = bound.slack + displacement
     moved = abs(behind) - count
     if moved <= 0.0:
@@ -162,13 +162,13 @@ def certain_path(bound: TorqueBound, displacement: float, count: float) -> float
 
 
 def shorten(declared: Declared, bound: TorqueBound, lasted: float) -> None:
-    """Takes the last sample time of a hold that lasted longer, with one torque, for the hold that ended.
+    """Replace the hold that ended, longer than T and of one torque, by its last sample time.
 
-    In it the axis moved as on average over the whole, give or take what torque and hand gain in half of the rest.
+    In it the axis moved as on average over the whole, up to what torque and hand gain in half of the rest.
 
     Args:
-        declared: Of axis and hand.
-        bound: Of the axis, after `end_hold`.
+        declared: Declared properties of axis and hand.
+        bound: State of the axis's torque bound, after `end_hold`.
         lasted: Length of the hold, > 1 [sample times].
     """
     response, torque = declared.response, abs(bound.torque)
@@ -188,7 +188,7 @@ def shorten(declared: Declared, bound: TorqueBound, lasted: float) -> None:
 
 
 def take_late(declared: Declared, bound: TorqueBound, torque: float) -> None:
-    """Takes the torque of the hold that ended, with what acted in it of older ones [N or N*m]."""
+    """Record the torque of the hold that ended, and the range of older torques that acted in it [N or N*m]."""
     above, below = bound.highest - torque, torque - bound.lowest
     counts, left = declared.response.late, declared.left
     bound.most = bound.highest = bound.least = bound.lowest = torque
@@ -201,7 +201,7 @@ def take_late(declared: Declared, bound: TorqueBound, torque: float) -> None:
 
 
 def doubt_of_late(declared: Declared, bound: TorqueBound, displacement: float, torque: float) -> float:
-    """Returns how much less than booked may have come in by a hold in which the torque came late [J].
+    """Largest shortfall of the energy that came in against the booked one, in a hold whose torque came late [J].
 
     See `hold_timing`. The hand's force is used in the direction out of the contact alone. Dry friction alone bounds no
     motion inside a hold, and its promise needs none: it pays for each torque at every instant. There an estimate is
@@ -209,10 +209,10 @@ def doubt_of_late(declared: Declared, bound: TorqueBound, displacement: float, t
     the largest speed leaves open.
 
     Args:
-        declared: Of axis and hand.
-        bound: Of the axis, as it was before the hold; `resolution` and `dissipated` change.
-        displacement: [m or rad].
-        torque: Held [N or N*m].
+        declared: Declared properties of axis and hand.
+        bound: State of the axis's torque bound before the hold; `resolution` and `dissipated` change.
+        displacement: Displacement in the hold [m or rad].
+        torque: Torque held in it [N or N*m].
     """
     change = torque - bound.torque
     rest = max(bound.highest - bound.torque, bound.torque - bound.lowest)
@@ -246,16 +246,16 @@ def doubt_of_late(declared: Declared, bound: TorqueBound, displacement: float, t
 def reach_of_late(
     declared: Declared, bound: TorqueBound, sign: float, displacement: float, torque: float
 ) -> tuple[float, float]:
-    """Returns how far older torques can have been carried along `sign`, and against it, in the hold that ended.
+    """Largest displacement of older torques along `sign`, and against it, in the hold that ended.
 
     In [m or rad].
 
     Args:
-        declared: Of axis and hand.
-        bound: Of the axis, as it was before the hold.
+        declared: Declared properties of axis and hand.
+        bound: State of the axis's torque bound before the hold.
         sign: Direction in which the hand's force is bounded, 1 or -1.
-        displacement: In the hold [m or rad].
-        torque: Held in it [N or N*m].
+        displacement: Displacement in the hold [m or rad].
+        torque: Torque held in it [N or N*m].
     """
     response, count = declared.response, declared.encoder_count
     acting = max(0.0, sign * torque, bound.highest if sign > 0.0 else -bound.lowest)
@@ -272,7 +272,7 @@ def end_gap(
     declared: Declared, bound: TorqueBound, displacement: float, torque: float, holds: int, largest: float,
     apart: float,
 ) -> float:  # fmt: skip
-    """Takes several holds of which only the whole displacement is known; returns the energy in doubt [J].
+    """Book several holds of which only the total displacement is known; return the uncertainty of their energy [J].
 
     In all but the last hold, whose torque was read back, any torque sent may have acted, and the one before them where
     commands may be lost. The energy is wrong by at most the difference of the torques times the excursion in the hold.
@@ -280,13 +280,13 @@ def end_gap(
     or its speed, or what the device dissipates in an excursion.
 
     Args:
-        declared: Of axis and hand.
+        declared: Declared properties of axis and hand.
         bound: Changed.
-        displacement: In all of them [m or rad].
-        torque: Held in the last of them [N or N*m].
-        holds: How many.
-        largest: Size of the torques sent for them [N or N*m].
-        apart: Largest difference of one of those from the last [N or N*m].
+        displacement: Total displacement [m or rad].
+        torque: Torque held in the last hold [N or N*m].
+        holds: Number of holds.
+        largest: Largest size of the torques sent for them [N or N*m].
+        apart: Largest difference of one of those torques from the last [N or N*m].
     """
     count, missed, damped = declared.encoder_count, holds - 1, 0.0
     if declared.losses:
@@ -322,9 +322,9 @@ def end_gap(
 
 
 def excursion_unseen(declared: Declared, bound: TorqueBound, displacement: float, holds: int, largest: float) -> float:
-    """Returns how far the hand can have moved the axis inside several holds [m or rad]; see `end_gap`.
+    """Largest excursion of the axis by the hand within several holds [m or rad]; see `end_gap`.
 
-    What is not known of the last of them is then in `bound.blur`.
+    The uncertainty of the last displacement is then in `bound.blur`.
     """
     response, further = declared.response, 1.0
     hand = response.push if response.push < inf else response.hand
@@ -339,7 +339,7 @@ def excursion_unseen(declared: Declared, bound: TorqueBound, displacement: float
 
 
 class Dissipated(Protocol):
-    """Holds the energy that the device dissipated for certain, less what was forgotten [J]."""
+    """Energy that the device dissipated for certain, less what was forgotten [J]."""
 
     dissipated: float
 
@@ -354,7 +354,7 @@ def keep(bound: Dissipated, energy: float, enough: float) -> None:
 
 
 def outward(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> float:
-    """Returns the largest displacement of the hold that ended, counted along `sign` [m or rad].
+    """Largest displacement of the hold that ended, counted along `sign` [m or rad].
 
     The displacement is known to one count. A mean over j holds is known to count / j, and the hand and the torques
     can have raised the last one above the mean only so far; the smallest of these bounds counts.
@@ -372,7 +372,7 @@ def outward(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: f
 
 
 def outward_by_windows(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> float:
-    """Returns the smallest of the bounds by the mean over the last 1, 2, 3, ... holds [m or rad]."""
+    """Smallest of the bounds from the mean over the last 1, 2, 3, ... holds [m or rad]."""
     response, count = declared.response, declared.encoder_count
     lost, enough, more = 1.0 - response.retained, 2.0 * count, response.growth - 1.0
     torques = memory.against if declared.late > 0.0 and sign < 0.0 else memory.torques

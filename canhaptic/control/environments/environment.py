@@ -1,11 +1,11 @@
-"""What every virtual environment of one axis is: a storage, a damper in parallel, and where it can be touched.
+"""Interface of every virtual environment of one axis: a storage, a damper in parallel, and its zones of contact.
 
 The torque of an environment is always
 
     torque = -effort(state) - damping * velocity
 
 with `state` the displacement of its storage and `velocity` the velocity of that state. A passivity algorithm decides
-what state and what velocity the energy account permits; the environment only says what they are worth.
+which state and velocity the energy account permits; the environment maps them to energy and effort.
 """
 
 from typing import Protocol

@@ -1,4 +1,4 @@
-"""What environments with a linear spring share: its stored energy, its effort, and the damper in parallel."""
+"""Common part of environments with a linear spring: stored energy, effort, and the damper in parallel."""
 
 from math import copysign, sqrt
 from typing import Annotated

@@ -1,8 +1,8 @@
-"""An environment as a kernel asks it: its methods on an object that is nothing else.
+"""Plain form of an environment: its methods on an object without pydantic.
 
-A model of pydantic answers every look at an attribute through a hook of Python's, at ten times the price of a plain
-object, and its methods look at several. The functions here are those of the model's class, not copies of them.
-Properties are asked once: an environment never changes.
+A pydantic model routes every attribute access through a Python hook, at ten times the price of a plain object, and its
+methods read several. The functions here are those of the model's class, not copies of them. Properties are evaluated
+once: an environment never changes.
 """
 
 from collections import namedtuple
@@ -17,7 +17,7 @@ _Environment = TypeVar("_Environment")
 
 
 class _Form(NamedTuple):
-    """What the classes of a model add to `Parameters`."""
+    """Additions of a model's classes to `Parameters`."""
 
     plain: Any  # class with the methods and the values of the class
     derived: Mapping[str, Callable[[Any], Any]]  # properties
@@ -32,7 +32,7 @@ def plain(environment: _Environment) -> _Environment:
 
 
 def plain_with(kind: Any, fields: Mapping[str, Any]) -> Any:
-    """Returns a plain object of a model's class with given fields, which nothing checks."""
+    """Plain object of a model's class with given fields, without validation."""
     form = _form_of(kind)
     if form is None:
         raise TypeError(f"{kind.__name__}: expected a class of parameters")
@@ -45,7 +45,7 @@ def plain_with(kind: Any, fields: Mapping[str, Any]) -> Any:
 
 
 def _numbers_of(twin: Any) -> dict[str, float]:
-    """Returns every number of a plain object by name, those of its class among them; NaN for None."""
+    """Every number of a plain object by name, including those of its class; NaN for None."""
     values = {
         **{name: value for base in type(twin).__mro__[-2::-1] for name, value in vars(base).items()},
         **vars(twin),

@@ -1,4 +1,4 @@
-"""What environments with a surface share: which side of it is solid, and that the storage stays on that side."""
+"""Common part of environments with a surface: its solid side, and a storage that stays on that side."""
 
 from typing import Literal
 

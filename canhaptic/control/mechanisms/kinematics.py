@@ -1,4 +1,4 @@
-"""What every mechanism is: a map from the positions of its motor axes to task space, with its Jacobian.
+"""Interface of every mechanism: a map from the positions of its motor axes to task space, with its Jacobian.
 
 Task forces become motor torques by the transposed Jacobian, tau = J(q)' F. The account stays in motor coordinates,
 where the torque is constant during the hold; -tau . dq and -F . dp differ by at most |F| c |dq|^2 / 2, with c the
@@ -13,7 +13,7 @@ from canhaptic.kernels import Buffer, Matrix
 
 
 class Limit(IntEnum):
-    """Why a group of axes renders nothing although its environment might: torque zero, the account goes on."""
+    """Reason why a group of axes renders nothing: torque zero, the account goes on."""
 
     NONE = 0
     WORKSPACE = 1  # the mechanism is outside its declared workspace
@@ -30,13 +30,13 @@ class Pose(NamedTuple):
 
 
 class KinematicsKernel(Protocol):
-    """A mechanism as the kernels ask it; a NamedTuple of numbers and buffers where it can be compiled."""
+    """Interface of a mechanism to the kernels; a NamedTuple of numbers and buffers where it can be compiled."""
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Writes where the mechanism is, and returns its limit.
+        """Write the pose of the mechanism and return its limit.
 
         Args:
-            positions: Of the motor axes [rad or m], (axes,).
+            positions: Positions of the motor axes [rad or m], (axes,).
             place: Receives the position in task space [m or rad], (dimensions,).
             jacobian: Receives d place / d positions, (dimensions, axes); zeros at first.
         """

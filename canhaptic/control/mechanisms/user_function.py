@@ -10,11 +10,11 @@ _Derivative = Callable[[Sequence[float]], Sequence[Sequence[float]]]
 
 
 class UserFunction(FromPose):
-    """x = forward(q); the Jacobian is compared with differences of it where the mechanism is made.
+    """x = forward(q); the constructor compares the Jacobian with finite differences of it.
 
     Attributes:
         axes: Motor axes.
-        dimensions: Of task space.
+        dimensions: Number of dimensions of task space.
     """
 
     def __init__(
@@ -29,7 +29,7 @@ class UserFunction(FromPose):
         Args:
             forward: Motor positions -> task coordinates.
             jacobian: Motor positions -> rows of task coordinates.
-            at: Motor positions inside the workspace, where the two are compared.
+            at: Motor positions inside the workspace at which Jacobian and map are compared.
             limit: Motor positions -> `Limit.NONE`, WORKSPACE or SINGULAR; asked first. None: no limit is known.
 
         Raises:
@@ -40,7 +40,7 @@ class UserFunction(FromPose):
         self._forward, self._jacobian, self._limit = forward, jacobian, limit
 
     def pose(self, positions: Sequence[float]) -> Pose:
-        """Returns what the functions say; a value that is not finite is a singular pose."""
+        """Pose by the user's functions; a value that is not finite is a singular pose."""
         limit = 0 if self._limit is None else int(self._limit(positions))
         if limit:
             return Pose((), (), limit)

@@ -1,4 +1,4 @@
-"""What mechanisms share: place and Jacobian from the pose, a workspace box, and the test of a Jacobian."""
+"""Common parts of mechanisms: place and Jacobian from the pose, a workspace box, and the test of a Jacobian."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeAlias, cast
@@ -50,7 +50,7 @@ class FromMechanism(FromPose):
     """Pose of a mechanism that is written as a kernel; it has `axes` and `dimensions`, see `Kinematics`."""
 
     def mechanism(self) -> KinematicsKernel:
-        """Returns it as the kernels ask it."""
+        """The mechanism with the interface of the kernels."""
         raise NotImplementedError
 
     def pose(self, positions: Sequence[float]) -> Pose:
@@ -62,7 +62,7 @@ class FromMechanism(FromPose):
 
 
 class PoseAsked(NamedTuple):
-    """A mechanism of which only the pose is known, in Python; see `KinematicsKernel`."""
+    """A mechanism given by a Python function of its pose; see `KinematicsKernel`."""
 
     kinematics: Kinematics
 
@@ -77,7 +77,7 @@ class PoseAsked(NamedTuple):
 
 
 def mechanism_of(kinematics: Kinematics) -> KinematicsKernel:
-    """Returns a mechanism as the kernels ask it."""
+    """A mechanism with the interface of the kernels."""
     return kinematics.mechanism() if isinstance(kinematics, FromMechanism) else PoseAsked(kinematics)
 
 

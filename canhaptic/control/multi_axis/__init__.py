@@ -49,7 +49,7 @@ def build_group_controller(
         kinematics: Between the motor axes and its task space.
         algorithm_name: A name of `GROUP_ALGORITHMS`.
         parameters: The algorithm's own `parameters_type`; None for its defaults.
-        loops: What is known of the loop of each motor axis; sample time and delay are the same for all.
+        loops: Properties of the loop of each motor axis; sample time and delay are the same for all.
 
     Raises:
         ParameterError: Unknown name, parameters of another algorithm, dimensions that do not fit together, loops that

@@ -1,4 +1,4 @@
-"""What the account of a group keeps of its axes."""
+"""Buffers of the account of a group, by axis."""
 
 from typing import NamedTuple
 

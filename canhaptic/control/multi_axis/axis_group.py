@@ -28,16 +28,17 @@ class AxisGroup:
     """Some axes of a rig, what renders on them, and their account.
 
     Args:
-        name: Of the group, unlike that of any axis.
+        name: Name of the group, unlike that of any axis.
         axes: Their places in the rig, in the order of the controller.
-        controller: Of as many axes.
+        controller: Controller of this number of axes.
 
     Attributes:
         ledger: The account of the group.
-        balance: Of the last step.
-        limits: How many holds each `Limit` lasted, NONE left out.
-        supplied: Came in where no motor drives, as by the mover of a wall [J]; part of the ledger's interaction.
-        unsure: Taken off the ledger's interaction because lost samples leave it open [J].
+        balance: Balance of the last step.
+        limits: Number of holds in each `Limit`, without NONE.
+        supplied: Energy that came in other than by motors, as by the mover of a wall [J]; part of the ledger's
+            interaction.
+        unsure: Uncertainty due to lost samples, subtracted from the ledger's interaction [J].
     """
 
     def __init__(self, name: str, axes: Sequence[int], controller: GroupController) -> None:
@@ -54,7 +55,7 @@ class AxisGroup:
         """Returns the balance of the hold that ended; held when the sample of any of its axes is not fresh.
 
         Args:
-            samples: Of the whole rig.
+            samples: Samples of the whole rig.
         """
         positions, torques = [], []
         for axis in self.axes:
@@ -71,11 +72,11 @@ class AxisGroup:
         """Takes the last step into the ledger, and counts its limit.
 
         Args:
-            sync_index: Of its SYNC.
+            sync_index: Index of its SYNC.
             deadline: Sample times to it; None: no SYNC was skipped.
 
         Returns:
-            What to note of a limit that was not there before; empty otherwise.
+            Message about a limit newly reached; empty otherwise.
         """
         self.ledger.add(self.balance.account, sync_index, deadline)
         self.supplied += self.balance.supplied
@@ -88,10 +89,10 @@ class AxisGroup:
         return _LIMIT_TEXTS[limit] if before != limit else ""
 
     def sample(self, samples: Sequence[Sample]) -> Sample:
-        """Returns what the log holds of the group: it has no position, and the norm of its torques.
+        """The group's entry in the log: no position, and the norm of its torques.
 
         Args:
-            samples: Of the whole rig.
+            samples: Samples of the whole rig.
         """
         words, square, fresh = 0, 0.0, True
         for axis in self.axes:
@@ -131,7 +132,7 @@ class GroupedControllers:
         self._balances: list[EnergyBalance] = [_axis_balance(0.0, 0.0, _GROUP, 0)] * self.axes
 
     def lasted(self, periods: int) -> None:
-        """Says that SYNCs were skipped: the hold that ends next lasted so many sample times."""
+        """Record that SYNCs were skipped: the hold that ends next lasted this number of sample times."""
         for controller in (*(single for _, single in self._singles), *(group.controller for group in self.groups)):
             if periods > 1 and hasattr(controller, "lasted"):
                 controller.lasted(float(periods))

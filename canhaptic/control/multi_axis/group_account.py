@@ -15,7 +15,7 @@ from canhaptic.control.multi_axis.per_axis_memory import PerAxisLimits
 
 @dataclass(slots=True)
 class GroupAccount:
-    """Store, surplus and what is not known for certain."""
+    """Store, surplus and the uncertain part of the energy."""
 
     h_s: float = 0.0  # stored energy that the network may still give [J]
     h_dis: float = 0.0  # surplus still to be dissipated [J]
@@ -37,7 +37,7 @@ def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: Acc
     """Takes one hold, its displacements and the torques applied in it.
 
     Returns:
-        How much less than booked may have come in because torques came late [J].
+        Largest shortfall of the energy that came in against the booked one, because torques came late [J].
     """
     axes = settings.axes
     doubt = 0.0
@@ -62,9 +62,9 @@ def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: Acc
 def end_group_gap(
     settings: AccountSettings, account: GroupAccount, memory: AccountMemory, ended: GroupHolds, missed: int
 ) -> tuple[float, float]:
-    """Takes several holds of which only the whole displacement is known; returns how much less may have come in [J].
+    """Take several holds of which only the total displacement is known; return the energy's largest shortfall [J].
 
-    And how much more because torques came late; what else may have come in is left to the meter of the axis.
+    And its largest excess because torques came late; other excess is left to the meter of the axis.
 
     In every hold but the last, whose torque was read back, each axis may have held any torque sent for it until
     then, or the one of the hold before (`lost_samples`).
@@ -112,7 +112,7 @@ def largest_of(memory: AccountMemory, ended: GroupHolds, missed: int, axis: int)
 def doubt_of_axis(
     axes: AxisLimits, memory: AccountMemory, ended: GroupHolds, gap: Gap, missed: int, axis: int
 ) -> float:
-    """Returns how much less than booked may have come in by one axis over several holds [J].
+    """Largest shortfall of the energy that came in by one axis over several holds [J].
 
     Below 0 where more has for certain. By hand speed |D_j| <= v_max T; see `lost_samples` for the others.
     """
@@ -139,12 +139,12 @@ def doubt_of_axis(
 
 
 def doubt_of_mover(memory: AccountMemory, ended: GroupHolds, hold: int) -> float:
-    """Returns how much less than booked a mover may have given in one hold whose sample was lost [J].
+    """Largest shortfall of the energy given by a mover in one hold whose sample was lost [J].
 
     Args:
-        memory: Of the account, before `end_group_gap`; its `passing` is the motion of the mover in the hold.
+        memory: Buffers of the account, before `end_group_gap`; its `passing` is the motion of the mover in the hold.
         ended: The holds.
-        hold: 0 for the first one.
+        hold: Index of the hold, 0 for the first.
     """
     last, moved, total = ended.applied, memory.passing, 0.0
     for i in range(len(last)):
@@ -158,7 +158,7 @@ def doubt_of_mover(memory: AccountMemory, ended: GroupHolds, hold: int) -> float
 def certain_energy(account: GroupAccount, credit: float) -> float:
     """Returns the energy [J] that the next torques may take out.
 
-    What was dissipated or leaked is not available again, but it covers what the encoders leave unsure.
+    What was dissipated or leaked is not available again, but it covers the uncertainty of the encoders.
     """
     energy = account.h_s - account.h_dis + credit
     lacking = account.unsure - account.kept_back
@@ -166,7 +166,7 @@ def certain_energy(account: GroupAccount, credit: float) -> float:
 
 
 def fade(account: GroupAccount, share: float) -> None:
-    """Keeps a share of what the devices dissipated and the account together, out of contact; all that is lacking."""
+    """Keep, out of contact, a share of the devices' dissipation together with the account; a lack is kept in full."""
     if account.dissipated > 0.0:
         energy = account.h_s - account.h_dis
         keep(account, energy, share * max(0.0, energy + account.dissipated))

@@ -66,10 +66,10 @@ class GroupTiming(NamedTuple):
 
 
 def timing_of(loops: tuple[LoopProperties, ...], by_hand: bool, pull: float, speed: float) -> GroupTiming:
-    """Returns what is declared of the holds of a group.
+    """Declared timing of the holds of a group.
 
     Args:
-        loops: Of each axis.
+        loops: Loop of each axis.
         by_hand: Whether the moving mass of every axis is known.
         pull: F_h with friction [N or N*m].
         speed: v_max [m/s or rad/s]; 0: not declared.
@@ -113,10 +113,10 @@ class AxisLimits(NamedTuple):
 
 
 def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_speed: float | None) -> AxisLimits:
-    """Returns what the certificates know of the motor axes.
+    """Properties of the motor axes for the certificates.
 
     Args:
-        loops: Of each axis.
+        loops: Loop of each axis.
         hand_force: F_h of each axis [N or N*m]; None: the certificate is not used. It needs every moving mass.
         hand_speed: v_max [m/s or rad/s]; None: not used.
     """
@@ -170,11 +170,11 @@ def response_to_late(
     """Returns the largest response of W . D [J] to older torques in a hold, beyond that to the torques held in it.
 
     Args:
-        axes: What is known of them.
+        axes: Properties of the motor axes.
         torques: W, (axes,).
-        highest: Of the older torques, (axes,) [N*m or N].
-        lowest: The same.
-        held: In the hold.
+        highest: Largest of the older torques, (axes,) [N*m or N].
+        lowest: Smallest of them, (axes,) [N*m or N].
+        held: Torques held in the hold.
         response: `before` or `during`.
     """
     size = total = 0.0
@@ -190,7 +190,7 @@ def response_to_late(
 
 
 def pass_range(axes: AxisLimits, highest: Buffer, lowest: Buffer, held: Buffer) -> None:
-    """Makes the range of the torques at a SYNC that at the next one, after a hold of these."""
+    """Advance the range of the torques to the next SYNC, after a hold of these."""
     for i in range(len(held)):
         torque, left = held[i], axes.timing.left[i]
         highest[i] = torque + left * max(0.0, highest[i] - torque)
@@ -206,7 +206,7 @@ def _hand_term(axes: AxisLimits, torques: Buffer) -> float:
 
 
 def along_last(axes: AxisLimits, torques: Buffer, displacement: Buffer, blur: Buffer) -> float:
-    """Returns the largest W . D_0 [J], after friction, of a displacement known to its encoder counts and blur."""
+    """Largest W . D_0 [J], after friction, of a displacement known up to encoder counts and its uncertainty."""
     total = 0.0
     for i in range(len(axes.counts)):
         along = torques[i] * displacement[i]
@@ -241,15 +241,16 @@ def base_of(
     their sum says nothing of it. The responses to forces are bounded without friction.
 
     Args:
-        axes: What is known of them.
+        axes: Properties of the motor axes.
         torques: W, (axes,).
-        displacement: Of the hold that ended, (axes,).
+        displacement: Displacement in the hold that ended, (axes,).
         bound: Largest W . D_0 [J].
         last: Torques held in that hold, (axes,).
         sent: Torques by hold, a ring (holds, axes).
         first: Place of the hold that comes next; below 0 it wraps.
         under_way: Number of holds before that of W.
-        range_of: At the SYNC at which the hold that ended began; where torques come late, changed to that of W.
+        range_of: Range of torques at the SYNC at which the hold that ended began; where torques come late, changed to
+            that of W.
     """
     hand, friction = _hand_term(axes, torques), _raised_by_friction(axes, torques, displacement)
     is_ideal, growth = axes.timing.is_ideal, axes.timing.growth

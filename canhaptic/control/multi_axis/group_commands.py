@@ -1,4 +1,4 @@
-"""The torques of a group from their computation to the end of the hold in which they acted, with what was in them."""
+"""The torques of a group, with their components, from computation to the end of the hold in which they acted."""
 
 from collections.abc import Sequence
 from math import sqrt
@@ -48,18 +48,18 @@ def end_holds(
     commands: GroupCommands, ended: GroupHolds, largest: Buffer, oldest: int, missed: int, positions: Buffer,
     applied: Buffer,
 ) -> int:  # fmt: skip
-    """Takes the holds that ended; returns the place of the command that acted in the last of them.
+    """Take the holds that ended; return the place of the command that acted in the last of them.
 
     The efforts at that place are afterwards those inside the torques applied: a torque that was cut had as much less
     of each of them.
 
     Args:
-        commands: Of the group.
+        commands: Commands of the group.
         ended: Receives displacement, torques and energy of each axis.
         largest: Torque of each axis that limiter and drive let act [N*m or N].
         oldest: Place of the command whose hold ended first.
-        missed: Samples that were lost.
-        positions: At the end [rad or m].
+        missed: Number of lost samples.
+        positions: Positions at the end [rad or m].
         applied: Torques in the last hold [N*m or N].
     """
     for lost in range(missed):

@@ -1,4 +1,4 @@
-"""What renders on several motor axes at once, and the one account that all of them share.
+"""Controllers that render on several motor axes at once, with one shared account.
 
 The torque of every motor is constant during a hold, so the energy that came in is -sum(tau_i dq_i) in MOTOR
 coordinates, exactly, for every mechanism between motors and hand (eq. 2). Kinematics only shape the torques.
@@ -50,7 +50,7 @@ class GroupController(Protocol):
         The first call after `reset` only takes the positions: its balance is all zero.
 
         Args:
-            positions: Of the motor axes at this SYNC [rad or m].
+            positions: Positions of the motor axes at this SYNC [rad or m].
             torques_applied: Torques that the drives held during the hold that ended here [N*m or N].
 
         Raises:
@@ -65,13 +65,13 @@ class GroupController(Protocol):
 
 
 class NetworkEnvironment(Protocol):
-    """What a scene names: the parameters of a network, made for a task space of a given dimension."""
+    """An environment as a scene names it: the parameters of a network, built for a task space of a given dimension."""
 
     def build(self, dimensions: int) -> Any:
         """Returns the network with its geometry.
 
         Args:
-            dimensions: Of task space.
+            dimensions: Number of dimensions of task space.
 
         Raises:
             ParameterError: It does not fit that many dimensions, or would not be passive.

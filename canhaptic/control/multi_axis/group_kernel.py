@@ -1,4 +1,4 @@
-"""What the kernels of groups share, of any algorithm."""
+"""Common part of the kernels of groups, for any algorithm."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

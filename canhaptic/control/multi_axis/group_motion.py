@@ -1,4 +1,4 @@
-"""From motor axes to the ports of a network and back: where the group is, and what its network would render there."""
+"""Maps between motor axes and network ports: the group's motion, and the efforts that its network requests."""
 
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
@@ -51,7 +51,7 @@ class MotionSettings(NamedTuple):
 
 @dataclass(slots=True)
 class GroupMotion:
-    """Where a group is."""
+    """Motion of a group."""
 
     located: bool = False  # whether the mechanism is inside its limits
     began: bool = True  # whether the last positions were the first inside the limits
@@ -68,7 +68,7 @@ class GroupMotion:
 
 
 class MotionMemory(NamedTuple):
-    """Buffers of a group that is followed."""
+    """Buffers for the motion of a group."""
 
     place: Buffer  # in task space [m or rad], (dimensions,)
     jacobian: Matrix  # (dimensions, axes)
@@ -88,7 +88,7 @@ class MotionMemory(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """Where the motors will be in the hold in which the next torques act, shapes (axes,)."""
+    """Predicted motor positions in the hold in which the next torques act, shapes (axes,)."""
 
     lead: float  # holds until then
     way: Buffer  # [rad or m]
@@ -123,7 +123,7 @@ def world_of(environment: NetworkEnvironment, kinematics: Kinematics, loops: tup
 
 
 def why_not_world(world: World) -> str:
-    """Returns "" when every part of a world can be compiled, else which cannot."""
+    """Reason why a part of a world cannot be compiled, or ""."""
     parts = (world.mechanism, world.geometry, world.functions)
     names = [type(part).__name__ for part in parts if not hasattr(part, "_fields") or hasattr(part, "kinematics")]
     return f"got {', '.join(names)}, which is Python code of its own" if names else ""
@@ -136,7 +136,7 @@ def motion_settings(world: World, loops: tuple[LoopProperties, ...]) -> MotionSe
 
 
 def motion_memory(world: World, settings: MotionSettings) -> MotionMemory:
-    """Returns the buffers of a group that is followed."""
+    """Buffers for the motion of a group."""
     geometry, axes = world.geometry, len(settings.counts)
     ports, dimensions = geometry.ports, geometry.dimensions
     longest = max(2, round(_LONGEST_WINDOW / settings.sample_time)) if settings.smooth else 0
@@ -194,12 +194,12 @@ def move(
     """Takes positions and the motion since the last ones, over one hold or several; the network stays.
 
     Args:
-        world: What is rendered.
-        settings: Of the run.
+        world: Network and kinematics of the group.
+        settings: Constants of the run.
         motion: Changed.
         memory: Changed.
-        positions: Of the motor axes [rad or m].
-        displacement: Of the motor axes since the last ones [rad or m].
+        positions: Positions of the motor axes [rad or m].
+        displacement: Displacement of the motor axes since the last ones [rad or m].
         holds: Sample times since then.
     """
     motion.sample += holds
@@ -225,7 +225,7 @@ def settle_motion(motion: GroupMotion) -> None:
 def locate(
     world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer
 ) -> None:
-    """Takes pose and coordinates, the mover's motion taken off."""
+    """Compute pose and coordinates, less the mover's motion."""
     motion.limit = world.mechanism.locate(positions, memory.place, memory.jacobian)
     motion.located = motion.limit == _NONE
     if not motion.located:
@@ -274,15 +274,15 @@ def mover_motion(world: World, settings: MotionSettings, first: int, last: int) 
 def write_carried(
     world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, after: int, into: Buffer
 ) -> None:
-    """Writes the mover's motion in one hold as the least motion of the motors that moves the ports so, at this pose.
+    """Write the least motion of the motors that moves the ports as the mover does in one hold, at this pose.
 
     Args:
-        world: What is rendered.
-        settings: Of the run.
-        motion: Of the group.
-        memory: Of the group.
+        world: Network and kinematics of the group.
+        settings: Constants of the run.
+        motion: Motion of the group.
+        memory: Buffers of the motion.
         after: Samples from the last one to the start of the hold; negative for holds that ended.
-        into: Written, (axes,) [rad or m].
+        into: Receives the motion, (axes,) [rad or m].
     """
     first = motion.sample + after
     distance = mover_motion(world, settings, first, first + 1)
@@ -301,7 +301,7 @@ def write_efforts(
     world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, ahead: Ahead,
     wish: RequestedEfforts,
 ) -> float:  # fmt: skip
-    """Writes what the network would have the motors do, with its springs where the motors will be.
+    """Write the efforts that the network requests of the motors, its springs at the predicted positions.
 
     Returns:
         Speed at which the storages at the ports move by themselves [m/s or rad/s].
@@ -326,9 +326,9 @@ def write_springs(
     """Writes the efforts of the springs now, and their change until the motors are at the predicted positions.
 
     Args:
-        world: What is rendered.
-        motion: Of the group.
-        memory: Of the group.
+        world: Network and kinematics of the group.
+        motion: Motion of the group.
+        memory: Buffers of the motion.
         lead: Time of the prediction [holds].
         way: Motion of the motors in that time, (axes,) [rad or m].
         wish: Receives the efforts.
@@ -343,7 +343,7 @@ def write_springs(
 
 
 def to_ports(memory: MotionMemory, moved: Buffer, carried: float, into: Buffer) -> None:
-    """Writes the motion of the ports [m or rad] by one of the motors, less what a mover moves them."""
+    """Write the motion of the ports [m or rad] for one of the motors, less the mover's."""
     for j in range(len(into)):
         row, total = memory.at_motors[j], 0.0
         for axis in range(len(row)):
@@ -377,7 +377,7 @@ def to_motors(memory: MotionMemory, efforts: Buffer, into: Buffer) -> None:
 
 
 def _check_loops(kinematics: Kinematics, loops: tuple[LoopProperties, ...]) -> None:
-    """Checks that there is one loop for each motor axis, and that all have one sample time and delay.
+    """Require one loop for each motor axis, all with one sample time and delay.
 
     Raises:
         ParameterError: Otherwise.

@@ -73,7 +73,7 @@ def write_wish(
     memory: GuardedGroupMemory,
     under_way: UnderWay,
 ) -> float:
-    """Writes what the network would have the motors do where they will be; returns as `write_efforts`.
+    """Write the requested efforts at the predicted motor positions; return as `write_efforts`.
 
     What moves inside a network is not predicted: it goes on as in the last hold, and the motors with it.
     """
@@ -111,7 +111,7 @@ def split(
     energy: float,
     certificate: int,
 ) -> int:
-    """Makes the command at a place the one that brings more of the torques asked for: a share, or first what comes in.
+    """Set a command to the larger part of the requested torques: one share of all, or inward torques first.
 
     Returns:
         Its certificate.
@@ -129,7 +129,7 @@ def split(
 
 
 def within_limits(settings: GuardedGroupSettings, state: GuardedGroupState, memory: GuardedGroupMemory) -> float:
-    """Returns the largest share of the torques asked for, up to 1, that no limiter cuts: see `drive.profile.limiter`.
+    """Largest share of the requested torques, up to 1, that no limiter cuts: see `drive.profile.limiter`.
 
     What is cut of one axis after all were certified together turns the torque of the group.
     """
@@ -246,7 +246,7 @@ def shares_of_wish(
     internal_speed: float,
     energy: float,
 ) -> tuple[float, float, float, bool]:
-    """Returns the shares of spring, lead and damper to render, and whether the account covers all of them."""
+    """Shares of spring, lead and damper to render, and whether the account covers all of them."""
     wish, caps = memory.wish, settings.loop.caps
     size, lead_size = capped_norm(wish.spring, caps), capped_norm(wish.lead, caps)
     damper_size = capped_norm(wish.damper, caps)

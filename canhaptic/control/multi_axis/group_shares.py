@@ -1,4 +1,4 @@
-"""The certificates of a group: what torques under way still need, and how much of the next ones may act."""
+"""The certificates of a group: the energy reserved for torques under way, and the certified share of the next ones."""
 
 from math import sqrt
 from typing import NamedTuple
@@ -63,7 +63,7 @@ def extraction_of(settings: AccountSettings, memory: AccountMemory, under_way: U
 
 
 def moved_at_most(settings: AccountSettings, memory: AccountMemory, under_way: UnderWay) -> float:
-    """Returns what a mover takes [J] in the holds of torques under way in which it takes anything."""
+    """Energy that a mover takes [J] in the holds of torques under way, where that is positive."""
     total = 0.0
     if settings.moves:
         for hold in range(under_way.holds):
@@ -87,14 +87,14 @@ def needed_under_way(settings: AccountSettings, memory: AccountMemory, under_way
 def late_of(
     settings: AccountSettings, memory: AccountMemory, under_way: UnderWay, torques: Buffer, size: float
 ) -> LateShare:
-    """Returns what older torques give out besides those held, by the share of a part of new ones."""
+    """Energy that older torques give out besides those held, by the share of a part of new ones."""
     return share_of_late(settings.axes, memory, under_way.torques, under_way.first, under_way.holds, torques, size)
 
 
 def free_energy(
     settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: UnderWay, energy: float
 ) -> float:
-    """Returns how much of `energy` [J] is not needed by the certificates of the torques under way."""
+    """Part of `energy` [J] that the certificates of the torques under way do not need."""
     axes = settings.axes
     if settings.apart.is_apart:
         return free_if_apart(settings, account, memory, under_way, energy)
@@ -119,15 +119,15 @@ def shares(
     settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: UnderWay, torques: Buffer,
     energy: float,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Returns how much of the torques each certificate admits: hand force, device damping, hand speed; may be > 1.
+    """Share of the torques that each certificate admits: hand force, device damping, hand speed; may be > 1.
 
     Args:
-        settings: Of the run.
-        account: Of the group.
-        memory: Of the account.
+        settings: Constants of the account.
+        account: Account of the group.
+        memory: Buffers of the account.
         under_way: Torques that act before these.
         torques: W, for the next free hold [N*m or N].
-        energy: That may be taken out [J].
+        energy: Energy budget [J].
     """
     axes = settings.axes
     if settings.apart.is_apart:
@@ -219,7 +219,7 @@ def size_of(values: Buffer) -> float:
 
 
 def take_all_sent(settings: AccountSettings, memory: AccountMemory, under_way: UnderWay) -> None:
-    """Takes the hold that ended and what may still act, for axes that may act apart."""
+    """Take the hold that ended and the torques that may still act, for per-axis certificates."""
     copy_range(settings.axes, memory, True)
     take_sent(
         settings.axes, settings.apart, memory.apart, memory.displacement, memory.blur, memory.torques,
@@ -230,7 +230,7 @@ def take_all_sent(settings: AccountSettings, memory: AccountMemory, under_way: U
 def free_if_apart(
     settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: UnderWay, energy: float
 ) -> float:
-    """Returns `free_energy` for axes that may act apart."""
+    """`free_energy` for per-axis certificates."""
     axes, limits, apart, free = settings.axes, settings.apart, memory.apart, 0.0
     take_all_sent(settings, memory, under_way)
     older_damped, older_paths = older_needs(axes, memory)
@@ -250,7 +250,7 @@ def shares_if_apart(
     settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: UnderWay, torques: Buffer,
     energy: float,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Returns `shares` for axes that may act apart; none is above 1 by hand force."""
+    """`shares` for per-axis certificates; none is above 1 by hand force."""
     axes, limits, apart = settings.axes, settings.apart, memory.apart
     take_all_sent(settings, memory, under_way)
     older_damped, older_paths = older_needs(axes, memory)

@@ -94,7 +94,7 @@ def begin(
 
 
 def observe_all(settings: GuardedGroupSettings, memory: GuardedGroupMemory, missed: int) -> None:
-    """Takes what moved every axis in the hold that ended, or how far it came in several."""
+    """Give each axis's predictor the hold that ended, or the mean displacement of several."""
     ended = memory.group.ended
     for i in range(len(ended.displacement)):
         if missed == 0:
@@ -110,12 +110,12 @@ def end(
     memory: GuardedGroupMemory,
     missed: int,
 ) -> tuple[float, float, float]:
-    """Takes the holds that ended into the account; returns what a mover supplied, and what is unsure [J].
+    """Take the holds that ended into the account; return the energy that a mover supplied, and its uncertainty [J].
 
-    That is how much less may have come in, which is not booked, and how much more than the rest.
+    The uncertainty is the largest shortfall, which is not booked, and the largest excess.
 
-    The mover's motion is that of the motors at the pose at which it was first asked for: with another pose of the same
-    hold less might be booked than was certified.
+    The mover's motion is that of the motors at the pose at which it was first computed: another pose of the same hold
+    could book less than was certified.
     """
     ended, account, limits = memory.group.ended, memory.account, settings.account.apart
     supplied = doubt = moved = 0.0
@@ -148,7 +148,7 @@ def write_passed(
     hold: int,
     holds: int,
 ) -> None:
-    """Writes the mover's motion in one of the holds that ended as one of the motors [rad or m]."""
+    """Write the mover's motion in one of the holds that ended, as motor motion [rad or m]."""
     motion, account = memory.group.motion, memory.account
     if hold < settings.account.apart.holds:
         for i in range(len(account.passing)):
@@ -169,13 +169,13 @@ def book(
     """Books one hold into store and surplus; returns (h_r, deficit, leak, paid) [J].
 
     Args:
-        settings: Of the run.
+        settings: Constants of the run.
         state: Changed.
-        memory: Of the group.
+        memory: Buffers of the group.
         under_way: Torques that act before the next command.
         h_i: Interaction energy of the hold, supplied energy included [J].
         h_pas: Part of it taken by the modulated damper [J].
-        lost: What the dissipators of the network took [J]; below 0 counts as 0.
+        lost: Energy that the dissipators of the network took [J]; below 0 counts as 0.
     """
     account, ceiling = state.account, state.group.motion.energy
     h_s, surplus = account.h_s + h_i - h_pas, account.h_dis - h_pas
@@ -189,7 +189,7 @@ def book(
 
 
 def branch_of(state: GuardedGroupState, h_i: float, leak: float, deficit: float) -> int:
-    """Returns which rule booked the hold."""
+    """Rule that booked the hold."""
     if deficit > 0.0:
         return _DEPLETED
     if state.group.motion.engaged:

@@ -1,4 +1,4 @@
-"""What `guarded` of a group is given, remembers and works on."""
+"""Parameters, state and buffers of `guarded` of a group."""
 
 from dataclasses import dataclass, field
 from typing import Annotated, NamedTuple
@@ -19,7 +19,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class GuardedGroupParameters(Parameters):
-    """What the certificates rest on. Mass and damping of the devices are properties of each axis's loop."""
+    """Assumptions behind the certificates. Mass and damping of the devices are properties of each axis's loop."""
 
     hand_force: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = 0.0
     """Largest force with which the hand pulls each motor axis, Coriolis forces included (`bound`); None: not used."""
@@ -88,7 +88,7 @@ def settings_of(
     """Returns what is fixed for a run.
 
     Raises:
-        ParameterError: Nothing is known that a torque could be certified by.
+        ParameterError: No declared property certifies any torque.
     """
     sample_time, delay = loops[0].sample_time, loops[0].delay
     late = max([loop.timing.late for loop in loops]) / sample_time

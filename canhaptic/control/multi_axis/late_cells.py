@@ -1,4 +1,4 @@
-"""What torques that come late give out where axes may act apart; see `per_axis_certificates`."""
+"""Energy given out by late torques under per-axis certificates; see `per_axis_certificates`."""
 
 from canhaptic.control.multi_axis.group_certificates import AxisLimits
 from canhaptic.control.multi_axis.per_axis_memory import PerAxisLimits, PerAxisMemory
@@ -6,7 +6,7 @@ from canhaptic.kernels import Buffer
 
 
 def write_parabolas(memory: PerAxisMemory, place: int, old: float, new: float, base: float, slope: float) -> int:
-    """Writes what an axis gives out that moves by base + slope l, with an old torque, and with l times a new one."""
+    """Write the energy of an axis that moves by base + slope l, with an old torque, and with l times a new one."""
     if old > 0.0:
         memory.constant[place], memory.linear[place], memory.square[place] = old * base, old * slope, 0.0
         place += 1
@@ -20,17 +20,17 @@ def write_late_cells(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, torques: Buffer, fixed: Buffer, norm: float,
     more: float, place: int,
 ) -> None:  # fmt: skip
-    """Writes what older torques give out beyond those of each hold, and what all give out in the hold after the last.
+    """Write the energy of older torques beyond those of each hold, and of all torques in the hold after the last.
 
     Args:
-        axes: What the certificates know of the motor axes.
-        limits: Of the group.
+        axes: Properties of the motor axes.
+        limits: Per-axis limits of the group.
         memory: After `take_sent`.
         torques: W, (axes,).
         fixed: Torques sent for every l, (axes,).
         norm: N_0 + h.
         more: N_1.
-        place: Of the next parabola.
+        place: Index of the next parabola.
     """
     cell = limits.holds * len(torques)
     for i in range(len(torques)):
@@ -60,7 +60,7 @@ def write_tail(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, axis: int, side: int, index: int, norm: float,
     more: float, older: float, new: float, place: int,
 ) -> int:  # fmt: skip
-    """Writes what torques give out in the beginning of a hold as parabolas; returns the next place.
+    """Write the energy of torques at the beginning of a hold as parabolas; return the index of the next.
 
     X = integral(p v) over v > 0 is convex in the displacement D before: s D + s (1/2 + s) a T^2 for D >= 0 and none
     where the axis still goes inward at the end of the hold, D <= -3/2 a T^2.

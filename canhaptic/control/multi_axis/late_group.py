@@ -1,4 +1,4 @@
-"""What torques that come late give out in a group, where `group_certificates` bounds what those held do.
+"""Energy given out by late torques in a group; `group_certificates` bounds that of the torques held.
 
 Let W be the torques of the next free hold, l W those sent, and g_i in [lowest_i, highest_i] the older torques that
 axis i still has at its SYNC. With p_i as in (1) of `hold_timing`, different for every axis, the motors give out in
@@ -57,7 +57,7 @@ class Norms(NamedTuple):
 
 
 def copy_range(axes: AxisLimits, memory: AccountMemory, ended: bool) -> None:
-    """Takes the range of torques at the SYNC at which the hold that ended began, or at which it ended."""
+    """Copy the range of torques from the SYNC at the beginning of the hold that ended, or from the SYNC at its end."""
     now, before = memory.now, memory.before
     for i in range(len(memory.torques)):
         now.highest[i], now.lowest[i] = before.highest[i], before.lowest[i]
@@ -97,16 +97,16 @@ def reach_of(axes: AxisLimits, memory: AccountMemory, i: int, sign: float, hold:
 def given_early(
     axes: AxisLimits, memory: AccountMemory, held: Buffer, fixed: float, size: float, hold: int, norms: Norms
 ) -> LateShare:
-    """Returns what older torques give out in a hold, beyond what those held in it do; see (1).
+    """Energy that older torques give out in a hold, beyond that of the torques held in it; see (1).
 
     Args:
-        axes: What is known of the motor axes.
+        axes: Properties of the motor axes.
         memory: Its `now` is the range at the SYNC at which the hold begins.
         held: Torques of the hold, (axes,) [N*m or N], of which fixed + l size are held.
         fixed: 1 where they are sent for every l, else 0.
         size: 0 then, else the share that l = 1 replaces.
         hold: From now, the next being 1.
-        norms: Of what acts.
+        norms: Norms of the acting torques and of the hand.
     """
     constant = linear = square = 0.0
     for i in range(len(held)):
@@ -129,7 +129,7 @@ def given_early(
 def given_after(
     axes: AxisLimits, memory: AccountMemory, held: Buffer, size: float, hold: int, norms: Norms
 ) -> LateShare:
-    """Returns what all torques give out in the hold after one, if none follows; arguments as of `given_early`."""
+    """Energy that all torques give out in the hold after one, if none follows; arguments as for `given_early`."""
     constant = linear = square = 0.0
     for i in range(len(held)):
         share, left = axes.timing.share[i], axes.timing.left[i]
@@ -150,14 +150,14 @@ def given_after(
 def share_of_late(
     axes: AxisLimits, memory: AccountMemory, under_way: Matrix, first: int, holds: int, torques: Buffer, size: float
 ) -> LateShare:
-    """Returns what older torques give out from now on, by the share of W that is sent.
+    """Energy that older torques give out from now on, by the share of W that is sent.
 
     Args:
-        axes: What is known of the motor axes.
-        memory: Of the account; `now` is changed.
+        axes: Properties of the motor axes.
+        memory: Buffers of the account; `now` is changed.
         under_way: Torques that act before W, a ring (delay + 1, axes) [N*m or N].
         first: Place of the ones that act next; below 0 it wraps.
-        holds: How many.
+        holds: Number of holds.
         torques: W, (axes,).
         size: Part of W that l = 1 replaces.
     """
@@ -184,7 +184,7 @@ def share_of_late(
 def given_in_debt(
     axes: AxisLimits, memory: AccountMemory, under_way: Matrix, first: int, holds: int, torques: Buffer
 ) -> LateShare:
-    """Returns what l W makes all torques give out more than without it, beyond l W . D of `base_of` and its gain."""
+    """Increase by l W of the energy that all torques give out, beyond l W . D of `base_of` and its gain."""
     norms, full, cross = norms_of(axes, memory, under_way, first, holds, torques, 1.0), 0.0, 0.0
     highest, lowest = memory.now.highest, memory.now.lowest
     none = response_to_late(axes, torques, highest, lowest, memory.nothing, axes.during)
@@ -214,16 +214,16 @@ def older_size(axes: AxisLimits, memory: AccountMemory, torques: Buffer) -> floa
 
 
 def doubt_of_late_group(axes: AxisLimits, memory: AccountMemory, moved: Buffer, held: Buffer) -> tuple[float, float]:
-    """Returns how much less than booked may have come in by a hold in which torques came late [J].
+    """Largest shortfall of the energy that came in in a hold whose torques came late [J].
 
     Args:
-        axes: What is known of the motor axes.
-        memory: As it was before the hold; `before` becomes the range at its beginning.
+        axes: Properties of the motor axes.
+        memory: Buffers of the account before the hold; `before` becomes the range at its beginning.
         moved: Displacement in it, (axes,) [rad or m].
         held: Torques held in it [N*m or N].
 
     Returns:
-        By what is declared of the hand, and by the damping of the devices.
+        The shortfall by the declared hand, and by the damping of the devices.
     """
     timing, push, total, damped = axes.timing, 0.0, 0.0, 0.0
     for i in range(len(held)):
@@ -250,18 +250,18 @@ def doubt_of_late_group(axes: AxisLimits, memory: AccountMemory, moved: Buffer, 
 def doubt_of_late_gap(
     axes: AxisLimits, memory: AccountMemory, ended: GroupHolds, missed: int, axis: int, excursion: float
 ) -> float:
-    """Returns how much less came in by an axis over several holds, beyond `lost_samples`, as torques came late [J].
+    """Largest excess of an axis's energy over several holds, beyond `lost_samples`, as torques came late [J].
 
     Any two torques that may have acted differ by `apart` at most, in each hold for as long as in one. The range of
     torques at the SYNC at which the last hold began is taken.
 
     Args:
-        axes: What is known of the motor axes.
-        memory: As it was before the holds.
+        axes: Properties of the motor axes.
+        memory: Buffers of the account before the holds.
         ended: The holds.
-        missed: How many samples were lost.
-        axis: Which one.
-        excursion: Beyond which it cannot have moved in any hold, nor been carried further [rad or m].
+        missed: Number of lost samples.
+        axis: Index of the axis.
+        excursion: Largest displacement of the axis in any hold [m or rad].
     """
     timing, before, last = axes.timing, memory.before, ended.applied[axis]
     highest, lowest = max(before.highest[axis], memory.torques[axis]), min(before.lowest[axis], memory.torques[axis])
@@ -278,7 +278,7 @@ def doubt_of_late_gap(
 
 
 def older_needs(axes: AxisLimits, memory: AccountMemory) -> tuple[float, float]:
-    """Returns what the torques at the last SYNC need of the damping of the devices, and by the hand's speed [J]."""
+    """Need of the torques at the last SYNC by the damping of the devices, and by the hand's speed [J]."""
     damped = paths = 0.0
     if axes.timing.is_ideal:
         return damped, paths

@@ -60,13 +60,13 @@ def take_sent(
     """Takes the hold that ended and the torques that may still act.
 
     Args:
-        axes: What the certificates know of the motor axes.
-        limits: Of the group.
+        axes: Properties of the motor axes.
+        limits: Per-axis limits of the group.
         memory: Written.
-        displacement: In the hold that ended, (axes,) [rad or m].
-        blur: How much further each axis may have moved in it (axes,).
-        torques: Held in it, (axes,) [N*m or N].
-        under_way: Sent, a ring (delay + 1, axes).
+        displacement: Displacement in the hold that ended, (axes,) [rad or m].
+        blur: Uncertainty of each displacement (axes,).
+        torques: Torques held in it, (axes,) [N*m or N].
+        under_way: Torques sent, a ring (delay + 1, axes).
         first: Place of the torques that act next; below 0 it wraps.
         older: Range of all torques at the last SYNC, where torques come late.
     """
@@ -121,13 +121,13 @@ def end_of(limits: PerAxisLimits, hold: int) -> int:
 def write_cells(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torques: Buffer, fixed: Buffer
 ) -> None:
-    """Writes what each axis may give out in each hold: the largest of some parabolas; axis by axis, hold by hold.
+    """Write the energy that each axis may give out in each hold, as parabolas of which the largest counts.
 
     Args:
-        axes: What the certificates know of the motor axes.
-        limits: Of the group.
+        axes: Properties of the motor axes.
+        limits: Per-axis limits of the group.
         memory: Written.
-        coming: Motion of a mover in the holds to come, (holds, axes) [m or rad].
+        coming: Motion of a mover in future holds, (holds, axes) [m or rad].
         torques: W, (axes,), of which the share l is to be found.
         fixed: Torques sent at every l, on axes without W, (axes,).
     """
@@ -151,7 +151,7 @@ def write_options(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torque: float, fixed: float,
     norm: float, more: float, axis: int, place: int,
 ) -> int:  # fmt: skip
-    """Writes what an axis gives out with each torque that may be held in each hold; returns the next place."""
+    """Write the energy of an axis for each torque that may be held in each hold; return the next index."""
     root, kept = limits.roots[axis], 1.0 - axes.lost[axis]
     along, against = memory.starts[axis][0], memory.starts[axis][1]
     for index in range(limits.holds):
@@ -178,7 +178,7 @@ def write_courses(
     limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torque: float, fixed: float, norm: float, more: float,
     axis: int, place: int,
 ) -> int:  # fmt: skip
-    """Writes what an axis gives out with any course between 0 and the torques of each hold; returns the next place."""
+    """Write the energy of an axis for any course between 0 and the torques of each hold; return the next index."""
     root = limits.roots[axis]
     for index in range(limits.holds):
         mine, sign, moved = index - limits.delay, 1.0, coming[index][axis]
@@ -198,9 +198,9 @@ def write_courses(
 
 
 def worst_of(memory: PerAxisMemory, first: int, end: int, share: float, least: float) -> tuple[int, float]:
-    """Returns which of some parabolas is the largest at a share, and its value [J].
+    """Index and value [J] of the largest parabola at a share.
 
-    Where none is above `least`, that is the last of all, which is 0.
+    If none exceeds `least`, that is the last of all, which is 0.
     """
     active, largest = -1, least
     for place in range(first, end):
@@ -261,12 +261,12 @@ def share_by_hand(
     """Returns the largest share l <= 1 of new torques within a budget [J]; 0 where none is.
 
     Args:
-        axes: What the certificates know of the motor axes.
-        limits: Of the group.
+        axes: Properties of the motor axes.
+        limits: Per-axis limits of the group.
         memory: After `take_sent`.
-        coming: Motion of a mover in the holds to come, (holds, axes) [m or rad].
+        coming: Motion of a mover in future holds, (holds, axes) [m or rad].
         torques: W, (axes,) [N*m or N].
-        budget: [J].
+        budget: Energy budget [J].
     """
     write_cells(axes, limits, memory, coming, torques, memory.nothing)
     return largest_share(limits, memory, budget)
@@ -276,21 +276,21 @@ def inward_first(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torques: Buffer, quanta: Buffer,
     budget: float, found: Buffer,
 ) -> None:  # fmt: skip
-    """Writes torques: of axes that move against theirs as much as they can have, of the others a share of the rest.
+    """Write torques: as large as certified on axes that move against theirs, a common share on the others.
 
     Such an axis takes energy in, independent of the others; without it no group would begin from an empty account, as
-    the first torque of an axis at rest gives out F^2 T^2 / 2m. The force of a group turns by it while the account
-    is short. What costs nothing at all is sent in debt as well.
+    the first torque of an axis at rest gives out F^2 T^2 / 2m. It turns the force of a group while the account is
+    short. Torques without any cost are sent in debt as well.
 
     Args:
-        axes: What the certificates know of the motor axes.
-        limits: Of the group.
+        axes: Properties of the motor axes.
+        limits: Per-axis limits of the group.
         memory: After `take_sent`.
-        coming: Motion of a mover in the holds to come, (holds, axes) [m or rad].
+        coming: Motion of a mover in future holds, (holds, axes) [m or rad].
         torques: W, (axes,) [N*m or N].
-        quanta: Of the drives, to which torques are rounded towards 0, (axes,).
-        budget: [J].
-        found: Written, (axes,); certified as rounded.
+        quanta: Torque quanta of the drives; torques are rounded towards 0, (axes,).
+        budget: Energy budget [J].
+        found: Receives the torques, (axes,); certified as rounded.
     """
     count = len(torques)
     for i in range(count):
@@ -319,10 +319,10 @@ def inward_first(
 
 
 def write_needs(limits: PerAxisLimits, memory: PerAxisMemory, torques: Buffer, squared: bool) -> None:
-    """Writes sums over all holds of |f_i| or f_i^2 by the torques under way, and what l or l^2 of new ones adds.
+    """Write sums over all holds of |f_i| or f_i^2 of the torques under way, and their increase by l or l^2 of new ones.
 
     Args:
-        limits: Of the group.
+        limits: Per-axis limits of the group.
         memory: Its `old` and `new` are written.
         torques: W, (axes,); zeros for those under way alone.
         squared: Whether the squares are summed.
@@ -340,12 +340,12 @@ def write_needs(limits: PerAxisLimits, memory: PerAxisMemory, torques: Buffer, s
 
 
 def taken_at_most(limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torques: Buffer) -> tuple[float, float]:
-    """Returns what a mover takes at most [J] of the torques under way, and how much more of new ones.
+    """Upper bound on the mover's energy from queued torques [J], and the increase from new ones.
 
     Args:
-        limits: Of the group.
+        limits: Per-axis limits of the group.
         memory: After `take_sent`.
-        coming: Motion of a mover in the holds to come, (holds, axes) [m or rad].
+        coming: Motion of a mover in future holds, (holds, axes) [m or rad].
         torques: W, (axes,); zeros for those under way alone.
     """
     old = new = 0.0

@@ -1,4 +1,4 @@
-"""What the certificates of axes that may act apart work on; see `per_axis_certificates`."""
+"""Buffers of the per-axis certificates; see `per_axis_certificates`."""
 
 from math import sqrt
 from typing import NamedTuple
@@ -23,7 +23,7 @@ class PerAxisLimits(NamedTuple):
 
 
 class PerAxisMemory(NamedTuple):
-    """The torques that may still act and what each axis may give out with them; [J] but for torques and starts."""
+    """Torques that may still act, and the energy of each axis with them; [J] but for torques and starts."""
 
     sent: Matrix  # torques held in the hold that ended, and those under way, (delay + 1, axes) [N*m or N]
     largest: Buffer  # size of any of them on each axis, (axes,)

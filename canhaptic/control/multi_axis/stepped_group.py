@@ -1,4 +1,4 @@
-"""An algorithm of a group in the cycle: keeps what the kernel remembers, and refuses what is no finite number."""
+"""An algorithm of a group in the cycle: keeps the state of the kernel, and refuses values that are not finite."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -36,8 +36,7 @@ class SteppedGroup:
     """A kernel with the state of one group; see `GroupController`.
 
     Attributes:
-        energy_resolution: How much more than was not taken off as unsure may have come in: torques that came late,
-            samples that were lost [J].
+        energy_resolution: Largest excess of the energy that came in, due to late torques and lost samples [J].
     """
 
     parameters_type: ClassVar[type[Parameters]]
@@ -70,7 +69,7 @@ class SteppedGroup:
         self._started = False
 
     def lasted(self, periods: float) -> None:
-        """Counts SYNCs that were skipped as samples that were lost: of all holds only the whole displacement is known.
+        """Count skipped SYNCs as lost samples: only the total displacement of all holds is known.
 
         Args:
             periods: Length of the hold that the next `step` ends [sample times].
@@ -78,7 +77,7 @@ class SteppedGroup:
         self._missed += (round(periods) - 1) * self._started
 
     def hold(self) -> GroupBalance:
-        """Repeats the last commands for want of a sample; see `GroupController`."""
+        """Repeat the last commands at a SYNC without a sample; see `GroupController`."""
         self._missed += self._started
         torques, last = self._last.torques, self._last.account
         account = AT_REST._replace(
@@ -87,7 +86,7 @@ class SteppedGroup:
         return GroupBalance(torques, account, (0.0,) * self.axes)
 
     def withhold(self) -> None:
-        """Says that the torques of the last `step` are not sent: in a dry run the drives hold none."""
+        """Record that the torques of the last `step` are not sent: in a dry run the drives hold none."""
         self._withhold(self._newest)
 
     def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:

@@ -43,7 +43,7 @@ def build_controller(
         environment: What is rendered.
         algorithm_name: A name of `ALGORITHMS`.
         parameters: The algorithm's own `parameters_type`; None for its defaults.
-        loop: Sample time, delay and what else is known of the loop.
+        loop: Sample time, delay and other properties of the loop.
 
     Raises:
         ParameterError: Unknown name, parameters of another algorithm, or a value that the algorithm cannot do without.

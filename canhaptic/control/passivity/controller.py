@@ -1,4 +1,4 @@
-"""What every passivity algorithm of one axis is: an environment and the loop's properties, stepped once per SYNC."""
+"""Interface of every passivity algorithm of one axis: an environment and the loop, stepped once per SYNC."""
 
 from typing import Annotated, Protocol
 
@@ -8,7 +8,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class LoopProperties(Parameters):
-    """What is known of the loop around the controller; optional values are None when unknown, never assumed."""
+    """Properties of the loop around the controller; optional values are None when unknown, never assumed."""
 
     sample_time: Annotated[float, quantity("s", ge=1e-6, le=1.0)]
     """Time T from SYNC to SYNC."""
@@ -44,7 +44,7 @@ class LoopProperties(Parameters):
 
     @property
     def brakes(self) -> bool:
-        """Whether anything is declared that the device dissipates for certain."""
+        """Whether any certain dissipation of the device is declared."""
         return self.device_damping is not None or self.device_friction is not None
 
     @property
@@ -63,10 +63,10 @@ class Controller(Protocol):
     """A passivity algorithm with its environment. Not shared between axes."""
 
     def reset(self) -> None:
-        """Forgets everything: zero stored energy, no torque in flight, no last position."""
+        """Clear the state: zero stored energy, no torque in flight, no last position."""
 
     def hold(self) -> EnergyBalance:
-        """Returns the balance of a SYNC whose position was lost: the last command once more, and nothing booked.
+        """Balance of a SYNC whose position was lost: the last command is repeated, and nothing booked.
 
         The next `step` then books one displacement over several holds. Where their torques differed the energy is known
         only to the difference times the excursion, and it is booked at its worst.

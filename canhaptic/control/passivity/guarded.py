@@ -113,12 +113,12 @@ def motion_inside(
     """Returns the motion of storage and damper in a hold [m or rad], the smooth one where an encoder is coarse.
 
     Args:
-        environment: Rendered.
-        settings: Of the run.
-        axis: That moved.
+        environment: Environment rendered.
+        settings: Constants of the run.
+        axis: The axis, after its motion.
         travel: Motion of the storage in a hold, where the contact was there before [m or rad].
-        displacement: Since the last position [m or rad].
-        holds: Since then.
+        displacement: Displacement since the last position [m or rad].
+        holds: Number of holds since then.
         true: State of the storage [m or rad].
         same: Whether the contact was there before.
     """
@@ -145,16 +145,16 @@ class Guarded(SteppedController):
 
     @property
     def energy_resolution(self) -> float:
-        """Width of what is known of the sum of h_i where torques came late or samples were lost [J].
+        """Uncertainty of the sum of h_i where torques came late or samples were lost [J].
 
-        What is booked is its lower end.
+        Its lower end is booked.
         """
         resolution: float = self._state.bound.resolution
         return resolution
 
     def hold(self) -> EnergyBalance:
-        """Repeats the last command for want of a position; see `Controller.hold`.
+        """Repeat the last command at a SYNC without a position; see `Controller.hold`.
 
-        The next `step` books the displacement over all holds with the torque read back, less what that leaves open.
+        The next `step` books the displacement over all holds with the torque read back, less the uncertainty.
         """
         return super().hold()._replace(damping_rendered=0.0, certificate=_UNBOUNDED)

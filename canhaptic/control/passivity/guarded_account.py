@@ -1,4 +1,4 @@
-"""The account of `guarded`: what is remembered between two SYNCs, and how a hold that ended is booked."""
+"""The account of `guarded`: its state between two SYNCs, and the booking of a hold that ended."""
 
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
@@ -55,7 +55,7 @@ def memory_of(settings: GuardedSettings, make_buffer: MakeBuffer) -> Memory:
 def end(
     settings: GuardedSettings, state: GuardedState, memory: Memory, position: float, torque_applied: float
 ) -> tuple[float, float, float, float]:
-    """Ends a hold; returns (displacement, damper effort, modulated effort, energy unsure)."""
+    """End a hold; return (displacement, damper effort, modulated effort, uncertain energy)."""
     declared, bound, axis, commands = settings.declared, state.bound, state.axis, memory.axis.commands
     displacement, count, oldest = position - axis.position, declared.encoder_count, axis.oldest
     axis.position = position
@@ -83,7 +83,7 @@ def end(
 def end_several(
     settings: GuardedSettings, state: GuardedState, memory: Memory, displacement: float, torque_applied: float
 ) -> float:
-    """Ends several holds whose samples were lost but for the last; returns the energy unsure [J]."""
+    """End several holds of which only the last sample came; return the uncertain energy [J]."""
     axis, commands, holds = state.axis, memory.axis.commands, state.axis.missed + 1
     largest, apart = abs(torque_applied), 0.0
     for _ in range(axis.missed):
@@ -98,7 +98,7 @@ def end_several(
 
 
 def restart_at_mean(settings: GuardedSettings, axis: Axis, memory: AxisMemory, moved: float) -> None:
-    """Begins the velocity's window anew where holds ended in which the axis moved so far on average [m or rad]."""
+    """Restart the velocity's window after holds with this mean displacement [m or rad]."""
     if settings.longest_window:
         restart(axis.window, memory.samples, axis.position)
         axis.window.velocity = moved / settings.sample_time
@@ -116,13 +116,14 @@ def book(
     """Books one hold into store and surplus; returns (h_r, deficit, leak, paid) [J].
 
     Args:
-        settings: Of the run.
+        settings: Constants of the run.
         state: Changed.
-        memory: Of the axis.
+        memory: Buffers of the axis.
         h_i: Interaction energy of the hold [J].
         h_pas: Part of it taken by the modulated damper [J].
         damped: Damper effort inside the applied torque times the displacement [J].
-        ceiling: What the environment stores at its true state [J]; no more is kept than `earned_energy` beyond it.
+        ceiling: Energy that the environment stores at its true state [J]; no more is kept than `earned_energy` beyond
+            it.
     """
     axis = state.axis
     h_s, surplus = state.h_s + h_i - h_pas, axis.h_dis - h_pas
@@ -153,7 +154,7 @@ def relax(
 
 
 def fade(settings: GuardedSettings, state: GuardedState) -> None:
-    """Lets past dissipation of the device fade, out of contact, down to what is kept for contacts to come."""
+    """Reduce the device's past dissipation, out of contact, to what is kept for later contacts."""
     bound, energy = state.bound, state.h_s - state.axis.h_dis
     have = max(0.0, energy + bound.dissipated)
     keep(bound, energy, max(_FADE * have, settings.earned))

@@ -1,4 +1,4 @@
-"""What `guarded` rests on: its parameters, and the numbers that follow from them and from the loop."""
+"""Parameters of `guarded`, and the constants derived from them and from the loop."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -30,7 +30,7 @@ _LARGEST: Final = 1e9  # [N or N*m]
 
 
 class GuardedParameters(Parameters):
-    """What the certificates rest on. Mass and damping of the device are properties of the loop."""
+    """Assumptions behind the certificates. Mass and damping of the device are properties of the loop."""
 
     hand_force: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = 0.0
     """Largest force with which the hand pulls out of the contact, or along the torque where a contact has no outside.
@@ -88,7 +88,7 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
     """Returns what is fixed for a run.
 
     Raises:
-        ParameterError: Nothing is known that a torque could be certified by, or not enough; a drag that earns nothing.
+        ParameterError: No declared property certifies any torque, or too few do; a drag that earns nothing.
     """
     of_loop = _settings_of_loop(parameters, loop)
     return replace(
@@ -101,10 +101,10 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
 
 @lru_cache(maxsize=4)
 def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> GuardedSettings:
-    """Returns what does not follow from the environment; kept, for a sweep asks it for every scene.
+    """Settings that do not depend on the environment; cached, for a sweep needs them for every scene.
 
     Raises:
-        ParameterError: Nothing is known that a torque could be certified by, or not enough.
+        ParameterError: No declared property certifies any torque, or too few do.
     """
     sample_time, mass, damping = loop.sample_time, loop.moving_mass, loop.device_damping or 0.0
     timing, response, speed = loop.timing, hand_response(parameters, loop), parameters.hand_speed or 0.0
@@ -142,7 +142,7 @@ def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> Gu
 def kept_for_contacts(
     environment: Environment, parameters: GuardedParameters, loop: LoopProperties, response: DisplacementResponse
 ) -> float:
-    """Returns the energy that is kept for contacts to come [J]; see `start_energy`.
+    """Energy that is kept for later contacts [J]; see `start_energy`.
 
     If the environment is no spring, or is stiffer than half of what the certificate holds at the largest force, it is
     the energy for this half, which holds any contact up to a push of half of the hand's pull.
@@ -173,7 +173,7 @@ def _require_certifiable(parameters: GuardedParameters, loop: LoopProperties, *,
 
 
 def declared_of(parameters: GuardedParameters, loop: LoopProperties, response: DisplacementResponse) -> Declared:
-    """Returns what the certificates rest on."""
+    """Declared properties behind the certificates."""
     timing, by_hand_force = loop.timing, response is not NO_RESPONSE
     damping, friction, speed = loop.device_damping or 0.0, loop.device_friction or 0.0, parameters.hand_speed or 0.0
     return Declared(
@@ -194,7 +194,7 @@ def declared_of(parameters: GuardedParameters, loop: LoopProperties, response: D
 
 
 def calm_stiffness_of(loop: LoopProperties) -> float:
-    """Returns the stiffness of the largest spring that the rate renders calmly [N/m or N*m/rad]."""
+    """Largest stiffness rendered without oscillation at this rate [N/m or N*m/rad]."""
     if loop.moving_mass is None:
         return _NO_CAP
     ideal = displacement_response(loop.sample_time, loop.moving_mass, 0.0, 0.0, 0.0, 0.0, loop.timing)

@@ -1,4 +1,4 @@
-"""The torque that `guarded` renders in the next free hold: what is asked, as far as account and certificates allow."""
+"""The torque of `guarded` for the next free hold: the requested one, within account and certificates."""
 
 from math import copysign, inf, sqrt
 from typing import Final
@@ -27,10 +27,10 @@ def render(
     """Returns (torque for the next free hold, damper and modulated effort in it, damping rendered, certificate).
 
     Args:
-        environment: Rendered.
-        settings: Of the run.
-        state: Of the axis.
-        memory: Of the axis.
+        environment: Environment rendered.
+        settings: Constants of the run.
+        state: State of the axis.
+        memory: Buffers of the axis.
         true: State of the storage [m or rad].
         spring: Effort there [N or N*m].
         ceiling: Energy stored there [J].
@@ -78,17 +78,17 @@ def render(
 def permitted_size(
     settings: GuardedSettings, state: GuardedState, memory: Memory, torque: float, energy: float, moved: float
 ) -> tuple[float, int]:
-    """Returns the largest size of a torque, up to its own, that limits and certificates let pass [N or N*m].
+    """Largest permitted size of a torque, up to its own [N or N*m], and its certificate.
 
-    And the certificate that holds for it.
+    Limits and certificates bound it.
 
     Args:
-        settings: Of the run.
-        state: Of the axis.
-        memory: Of the axis.
-        torque: Asked, not 0 [N or N*m].
-        energy: That may be taken out [J].
-        moved: In a hold [m or rad].
+        settings: Constants of the run.
+        state: State of the axis.
+        memory: Buffers of the axis.
+        torque: Requested torque, not 0 [N or N*m].
+        energy: Energy budget [J].
+        moved: Displacement in a hold [m or rad].
     """
     sign, size = (1.0, torque) if torque > 0.0 else (-1.0, -torque)
     if size > settings.least_limit:
@@ -104,7 +104,7 @@ def permitted_size(
 
 
 def certain_energy(state: GuardedState, energy: float) -> float:
-    """Returns how much of an energy the next torques may give out with an encoder of finite resolution [J].
+    """Part of an energy that the next torques may give out with an encoder of finite resolution [J].
 
     Energy that was dissipated or leaked cannot be given out again, but it covers the uncertainty of the encoder: (4)
     holds for the energy of the account, (3) for the true one.
@@ -119,10 +119,10 @@ def within_limits(settings: GuardedSettings, newest: float, sign: float, moved: 
     What it cuts after a torque was certified would take energy in no more on which the next one counts.
 
     Args:
-        settings: Of the run.
+        settings: Constants of the run.
         newest: Torque sent last [N or N*m].
         sign: 1 or -1.
-        moved: In the last sample time [m or rad].
+        moved: Displacement in the last sample time [m or rad].
     """
     most = settings.torque_limit
     if settings.torque_step < inf:
@@ -177,10 +177,10 @@ def energy_permitted(
     """Returns the square of the largest effort of a spring that the account covers [N^2 or N^2*m^2].
 
     Args:
-        settings: Of the run.
-        bound: What the device dissipated beyond what the efforts need is forgotten.
+        settings: Constants of the run.
+        bound: State of the torque bound; device dissipation beyond what the efforts need is forgotten.
         whole: All efforts together [N or N*m].
-        energy: That may be taken out [J].
+        energy: Energy budget [J].
         ceiling: Energy stored at the true state [J].
     """
     enough = settings.earned
@@ -200,10 +200,10 @@ def drag(settings: GuardedSettings, state: GuardedState, memory: Memory, moved: 
     """Returns the torque out of contact and its certificate: a drag, until enough is earned [N or N*m].
 
     Args:
-        settings: Of the run.
-        state: Of the axis; it goes on earning while what it has is below `earned_energy`.
-        memory: Of the axis.
-        moved: In a hold [m or rad].
+        settings: Constants of the run.
+        state: State of the axis; it goes on earning while its energy is below `earned_energy`.
+        memory: Buffers of the axis.
+        moved: Displacement in a hold [m or rad].
     """
     bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
     if bound.dissipated > 0.0:

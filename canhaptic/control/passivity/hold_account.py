@@ -1,4 +1,4 @@
-"""Opening and closing the account of one hold: what came in, and what the next command is made of."""
+"""Opening and closing the account of one hold: the energy that came in, and the next command."""
 
 from dataclasses import dataclass, field
 from math import inf
@@ -45,7 +45,7 @@ class AxisMemory(NamedTuple):
 
 
 class Hold(NamedTuple):
-    """One hold that ended; efforts are those inside the torque applied in it."""
+    """One completed hold; the efforts are parts of the applied torque."""
 
     displacement: float  # [m or rad]
     damper: float  # effort of the model's damper [N or N*m]
@@ -84,7 +84,7 @@ def axis_memory(delay: int, longest_window: int, make_buffer: MakeBuffer) -> Axi
 
     Args:
         delay: Whole holds between computation and action.
-        longest_window: Of the velocity, in samples; 0 without one.
+        longest_window: Longest window of the velocity, in samples; 0 without one.
         make_buffer: List or array.
     """
     return AxisMemory(make_buffer(longest_window + 1 if longest_window else 0), no_commands(delay, make_buffer))
@@ -116,8 +116,8 @@ def open_hold(settings: HoldSettings, axis: Axis, memory: AxisMemory, position: 
         settings: Constants of the run.
         axis: Moved to the position.
         memory: Buffers of the axis.
-        position: At the end of the hold [m or rad].
-        torque_applied: In the hold [N or N*m].
+        position: Position at the end of the hold [m or rad].
+        torque_applied: Torque applied in the hold [N or N*m].
     """
     displacement, missed = position - axis.position, axis.missed
     holds = missed + axis.lasted
@@ -139,16 +139,16 @@ def open_hold(settings: HoldSettings, axis: Axis, memory: AxisMemory, position: 
 def let_samples_pass(
     axis: Axis, commands: Commands, displacement: float, torque_applied: float, torque_limit: float
 ) -> float:
-    """Lets the samples pass that were lost; returns the largest error of torque applied times displacement [J].
+    """Account for lost samples; return the largest error of torque applied times displacement [J].
 
     Inside the holds the axis may have gone out and back, so that the excursion is not the displacement; it is taken as
     that and the motion before, for every hold lost. Any torque of the gap may have acted while SYNCs were skipped.
 
     Args:
-        axis: Of which no sample is missing afterwards.
+        axis: The axis; afterwards no sample of it is missing.
         commands: Commands of the axis.
-        displacement: In all of the holds [m or rad].
-        torque_applied: In the last of them [N or N*m].
+        displacement: Total displacement of the holds [m or rad].
+        torque_applied: Torque applied in the last of them [N or N*m].
         torque_limit: Largest torque that limiter and drive let act [N or N*m].
     """
     differences = largest = 0.0
@@ -179,9 +179,9 @@ def close_hold(
         settings: Constants of the run.
         axis: Its surplus and commands change.
         memory: Buffers of the axis.
-        hold: As it was opened.
-        account: What the algorithm did with it.
-        efforts: Inside the command [N or N*m].
+        hold: The hold as it was opened.
+        account: Account of the hold by the algorithm.
+        efforts: Parts of the command [N or N*m].
         rendered: Total damping inside the command [N*s/m or N*m*s/rad].
         state: Displacement of the storage [m or rad].
         h_s: Energy stored there [J].
@@ -200,7 +200,7 @@ def close_hold(
 
 
 def surplus_after(axis: Axis, hold: Hold, account: HoldAccount) -> tuple[float, float]:
-    """Returns (surplus, part of the leak that paid for it) after a hold [J]."""
+    """Surplus, and the part of the leak that paid for it, after a hold [J]."""
     _, _, gen, deficit, leak = account
     surplus = axis.h_dis + gen + deficit - hold.h_pas
     paid = min(leak, surplus) if leak > 0.0 and surplus > 0.0 else 0.0

@@ -1,9 +1,9 @@
-"""The commands between their computation and the end of the hold in which they acted.
+"""Commands between their computation and the end of the hold in which they acted.
 
 With a delay of n samples, n + 1 commands are under way when a new one is computed (a synchronous RPDO delays by one).
-What was inside a command - damper effort, modulated damper - is kept with it, so that the hold is booked with the
-efforts that were inside the torque applied in that very hold. Booked with the newest efforts instead, the velocity of
-the paper's algorithm has a pole at -1.618 for a delay of one sample.
+The damper and modulated efforts of a command are kept with it, so that the hold is booked with the efforts that were
+parts of the torque applied in that very hold. Booked with the newest efforts instead, the velocity of the paper's
+algorithm has a pole at -1.618 for a delay of one sample.
 """
 
 from typing import Final, NamedTuple
@@ -15,7 +15,7 @@ _WHOLE: Final = 2.0**53
 
 
 class Commands(NamedTuple):
-    """Torques of the holds that have not ended and the efforts inside them, rings of shape (delay + 1,) [N or N*m].
+    """Torques of the holds that have not ended and their component efforts, rings of shape (delay + 1,) [N or N*m].
 
     torque = -(spring + damper + modulated). With n = delay + 1 and `oldest` the place of the command whose hold ends
     next, those that act after it are at oldest + 1 - n, oldest + 2 - n, ... and the newest is at oldest - 1.
@@ -41,13 +41,13 @@ def send(commands: Commands, oldest: int, torque: float, damper: float, modulate
 
 
 def repeat(commands: Commands, oldest: int) -> int:
-    """Lets a hold pass in which no command was computed, so that the drive repeats the newest; returns as `send`."""
+    """Account for a hold without a new command, in which the drive repeats the newest; return as `send`."""
     newest = oldest - 1
     return send(commands, oldest, commands.torques[newest], commands.dampers[newest], commands.modulated[newest])
 
 
 def as_far_as_limit(torque: float, torque_limit: float) -> float:
-    """Returns a torque that was sent as far as limiter and drive let it act [N or N*m]."""
+    """Clip a torque that was sent to the limits of limiter and drive [N or N*m]."""
     return min(max(torque, -torque_limit), torque_limit)
 
 

@@ -51,7 +51,7 @@ _EXACT, _STICKY = Branch.EXACT.value, Branch.STICKY.value
 
 
 class InternalDissipationParameters(StoredModelParameters):
-    """Parameters that the paper leaves open."""
+    """Parameters that the paper does not fix."""
 
 
 @dataclass(slots=True)

@@ -33,7 +33,7 @@ from canhaptic.units import quantity
 
 
 class PassivityObserverParameters(DamperVelocity):
-    """How hard the passivity controller may brake."""
+    """Limit of the passivity controller's braking."""
 
     damping_limit: Annotated[float, quantity("N*s/m", "N*m*s/rad", gt=0.0)] | None = None
     """Damping limit of the passivity controller. Without it the cap from moving mass, delay and sample time holds, so
@@ -68,7 +68,7 @@ def observer_settings(
 
 
 def respond(run: SampledRun[PassivityObserverParameters, ObserverState], hold: Hold, asked: Asked) -> Reply:
-    """Adds a damper while more was drawn than ever put in."""
+    """Add a damper while more energy was drawn than was put in."""
     observed = add(run.state.observed, hold.h_i)
     extra = controlling_damping(run.settings.limit, observed, hold) if asked.touches else 0.0
     effort = extra * hold.displacement / hold.elapsed

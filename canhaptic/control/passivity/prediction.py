@@ -1,4 +1,4 @@
-"""Where the axis will be in the hold in which the next torque acts: a model of the moving mass, corrected every hold.
+"""Prediction of the axis to the hold in which the next torque acts: a model of the moving mass, corrected every hold.
 
 With v the velocity at the last SYNC, f_1 ... f_n the torques under way and w the rest of the force on the mass,
 
@@ -55,12 +55,12 @@ def prediction_settings(
     """Returns what is fixed for a run.
 
     Args:
-        mass: Moved [kg or kg*m^2]; None: not known.
+        mass: Moving mass [kg or kg*m^2]; None: unknown.
         damping: Certain damping of the device [N*s/m or N*m*s/rad].
         sample_time: [s].
         delay: Whole holds between computation and action.
-        beyond: Holds aimed at beyond those under way.
-        count: Of the encoder [m or rad]; 0: ideal.
+        beyond: Additional holds of prediction beyond those under way.
+        count: Encoder count [m or rad]; 0: ideal.
     """
     if mass is None:
         return PredictionSettings(0.0, 0.0, delay, beyond, _COUNTS * count)
@@ -81,21 +81,21 @@ def observe(settings: PredictionSettings, motion: PredictedMotion, displacement:
 
 
 def observe_mean(motion: PredictedMotion, displacement: float) -> None:
-    """Takes the mean displacement per hold [m or rad] of several holds, of which no more is known."""
+    """Take the mean displacement per hold [m or rad] of several holds with unknown separate displacements."""
     motion.step = displacement
 
 
 def predicted(
     settings: PredictionSettings, motion: PredictedMotion, torques: Buffer, first: int, travel: float
 ) -> tuple[float, float]:
-    """Returns how far the axis will have moved where the next torque acts, and its motion in a hold there [m or rad].
+    """Predicted displacement of the axis where the next torque acts, and its motion in a hold there [m or rad].
 
     Args:
-        settings: Of the run.
-        motion: At the last SYNC.
-        torques: Among them those under way [N or N*m].
+        settings: Constants of the run.
+        motion: Motion at the last SYNC.
+        torques: Ring of torques, including those under way [N or N*m].
         first: Place of the one that acts first; below 0 it wraps.
-        travel: Motion in a hold of now [m or rad]; a slow one of a coarse encoder tells no more.
+        travel: Present motion per hold [m or rad]; all that a coarse encoder resolves of a slow motion.
     """
     way, step, gain, lost, rest = 0.0, motion.step, settings.gain, settings.lost, motion.push
     for place in range(first, first + settings.delay):

@@ -96,7 +96,7 @@ def solve_balance_nonlinear(
     bracket or do not halve; never more than 80 of them.
 
     Args:
-        environment: That stores.
+        environment: Environment with a nonlinear storage.
         old: The state before.
         energy: H, what the model received [J].
         limit: Largest state change to look at [m or rad]; its sign decides where nothing opposes motion at first.

@@ -49,7 +49,7 @@ class SampledModel:
 
 
 class Asked(NamedTuple):
-    """What the sampled environment did in one hold, and asks for in the next."""
+    """What the sampled environment did in one hold, and its request for the next."""
 
     branch: int
     h_r: float  # [J]
@@ -74,7 +74,7 @@ def follow(environment: Environment, model: SampledModel, position: float, hold:
         environment: The environment sampled.
         model: Its true state moves.
         position: At the end of the hold [m or rad].
-        hold: As it was opened.
+        hold: The hold as it was opened.
     """
     before, displacement, damper = model.true, hold.displacement, hold.damper
     zone, zone_before = environment.contact(position), model.zone
@@ -146,7 +146,7 @@ SampledRun: TypeAlias = Run[SampledSettings[GivenT], StateT, SampledMemory]
 
 
 class Reply(NamedTuple):
-    """What an algorithm makes of the model's efforts in the next command."""
+    """An algorithm's changes to the model's efforts in the next command."""
 
     stored: float  # share of the model's state whose energy counts as stored, 0..1
     spring: float  # [N or N*m]
@@ -202,10 +202,10 @@ def sampled_kernel(
     """Returns the kernel of an algorithm that samples its environment.
 
     Args:
-        respond_as: The algorithm, in the place of `respond`.
+        respond_as: Step function of the algorithm, in the place of `respond`.
         state: Makes the state at rest.
         settings: (environment, parameters, loop) -> what is fixed for a run.
-        kept: Length of the buffer that the algorithm keeps.
+        kept: Length of the algorithm's own buffer.
     """
 
     def memory_of(made: SampledSettings[Any], make_buffer: MakeBuffer) -> SampledMemory:

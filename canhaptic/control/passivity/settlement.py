@@ -1,4 +1,4 @@
-"""One hold settled between store and surplus, as `guarded` does it for one axis and for a group."""
+"""Division of one hold's energy between store and surplus, as `guarded` does it for one axis and for a group."""
 
 
 def settle(
@@ -7,11 +7,11 @@ def settle(
     """Returns (h_s, surplus, h_r, deficit, leak, paid) after a hold [J].
 
     Args:
-        h_s: Stored energy with what the hold brought; below 0 is a deficit.
-        surplus: Still to be dissipated.
-        lost: What the dissipators of the model took; below 0 counts as 0.
-        ceiling: What the model stores at its true state; more is not kept.
-        slack: What of `h_s` the certificates of the torques under way do not need; the rest may not be given up.
+        h_s: Stored energy including the hold's; below 0 is a deficit.
+        surplus: Energy still to be dissipated.
+        lost: Energy that the dissipators of the model took; below 0 counts as 0.
+        ceiling: Energy that the model stores at its true state; more is not kept.
+        slack: Part of `h_s` that the certificates of the torques under way do not need; the rest may not be given up.
     """
     h_r = deficit = leak = paid = 0.0
     if lost > 0.0 and slack > 0.0:

@@ -1,4 +1,4 @@
-"""A passivity algorithm in the cycle: the class that keeps what the kernel remembers, and refuses what is no number."""
+"""A passivity algorithm in the cycle: keeps the state of the kernel, and refuses values that are not finite."""
 
 from math import isfinite
 from typing import ClassVar, NamedTuple
@@ -52,7 +52,7 @@ class SteppedController:
         """Prepares a run; `parameters` is of `parameters_type`.
 
         Raises:
-            ParameterError: The algorithm cannot do without something that is not known.
+            ParameterError: A property that the algorithm needs is unknown.
         """
         self._environment = environment
         self._settings = self.kernel.settings(environment, parameters, loop)
@@ -60,7 +60,7 @@ class SteppedController:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets everything: zero stored energy, no torque in flight, no last position."""
+        """Clear the state: zero stored energy, no torque in flight, no last position."""
         self._state = self.kernel.state()
         self._axis = self._state.axis
         self._memory = with_quick_fields(self.kernel.memory(self._settings, list_of_zeros))
@@ -80,11 +80,11 @@ class SteppedController:
         return self._last.torque
 
     def lasted(self, periods: float) -> None:
-        """Says that a hold that the next `step` ends lasted so many sample times, SYNCs having been skipped."""
+        """Record that the hold that the next `step` ends lasted this number of sample times, as SYNCs were skipped."""
         self._axis.lasted += periods - 1.0
 
     def withhold(self) -> None:
-        """Says that the command of the last `step` is not sent: in a dry run the drive holds no torque."""
+        """Record that the command of the last `step` is not sent: in a dry run the drive holds no torque."""
         commands = getattr(getattr(self._memory, "axis", self._memory), "commands", None)
         if commands is not None:  # own code may keep none
             send(commands, self._axis.oldest - 1, 0.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""The storage of `a_priori_dissipation` and `internal_dissipation`: a state whose energy is paid for.
+"""The storage of `a_priori_dissipation` and `internal_dissipation`: its state never holds energy that was not received.
 
 What the two share is here: following the contact, the first-order start (eq. 14), the approximate step (eqs. 6, 7, 18)
 and the exit. Each rule moves the storage and returns its account of the hold.
@@ -65,7 +65,7 @@ def pushed_inward(environment: Environment, storage: Storage, displacement: floa
 
 
 def entered_by(environment: Environment, storage: Storage, displacement: float) -> float:
-    """Returns the part of a motion [m or rad] that was inside the contact."""
+    """Part of a motion [m or rad] inside the contact."""
     return storage.true - environment.admissible(storage.true - displacement, storage.true)
 
 
@@ -146,7 +146,7 @@ def relax(environment: Environment, storage: Storage, state: float, h_s: float, 
 
 
 def rest_of(available: float, used: float) -> float:
-    """Returns what is left over of an energy [J]; rounding is not left over."""
+    """Remainder of an energy [J]; rounding errors count as 0."""
     rest = available - used
     return rest if rest > _ROUNDING * available else 0.0
 

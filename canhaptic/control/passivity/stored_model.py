@@ -1,4 +1,4 @@
-"""The environment at a state whose energy is paid for: for `a_priori_dissipation` and `internal_dissipation`.
+"""The common step of `a_priori_dissipation` and `internal_dissipation`, which render a stored state.
 
 They differ in how a hold changes the state, `touch` and `exchange`. The rest of the step is here: how a hold is opened,
 and which command follows from the state.
@@ -148,8 +148,8 @@ def close(
         axis: Its surplus and commands change.
         memory: Buffers of the axis.
         storage: After the hold.
-        hold: As it was opened.
-        account: What the algorithm did with it.
+        hold: The hold as it was opened.
+        account: Account of the hold by the algorithm.
     """
     state, h_s = storage.state, storage.h_s
     if not storage.zone:

@@ -1,4 +1,4 @@
-"""What a network dissipates in: each element acts on one flow f = a . e + b . u with an effort phi(f), phi(f) f >= 0.
+"""Dissipators of a network: each element acts on one flow f = a . e + b . u with an effort phi(f), phi(f) f >= 0.
 
 e are the efforts of the states (a mass has its velocity), u the velocities of the ports. The effort acts back on the
 same states and ports, so that it takes out phi(f) f and nothing else, wherever it sits.

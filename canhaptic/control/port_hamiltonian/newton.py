@@ -118,7 +118,7 @@ def _descend(
     functions: Functions,
     before: float,
 ) -> tuple[float, int]:
-    """Goes along the Newton step as far as the residual falls; returns (residual, evaluations)."""
+    """Step along Newton's direction as far as the residual falls; return (residual, evaluations)."""
     share, taken = 1.0, 0.0
     worst = 1.0
     for tried in range(1, _HALVINGS + 1):
@@ -141,7 +141,7 @@ def by_power(
     functions: Functions,
     spent: int,
 ) -> int:
-    """Goes on where the residual falls no more; returns all evaluations, negative where they were not enough.
+    """Continue where the residual falls no more; return all evaluations, negative if they were not enough.
 
     The first step is a whole one: after it the equations without forces hold, and the power is that of the forces.
     """
@@ -195,17 +195,17 @@ def _go_down(
     tables: NetworkTables, state: Buffer, displacement: Buffer, sample_time: float, room: Workspace,
     functions: Functions, power: float, left: int,
 ) -> tuple[float, int]:  # fmt: skip
-    """Goes along the direction towards level ground; returns (residual, evaluations).
+    """Step along the direction towards a level point of the power; return (residual, evaluations).
 
     Args:
         tables: The network.
         state: x, (n,).
-        displacement: Of the ports, (r,).
+        displacement: Motion of the ports, (r,).
         sample_time: T [s].
-        room: `direction` and `weights` say where to.
+        room: Workspace; `direction` and `weights` give the direction.
         functions: Energies and structure given as functions.
-        power: Where the way begins; > 0 where `left` is more than one.
-        left: Evaluations; with one the whole step is taken.
+        power: Power at the start of the step; > 0 where `left` is more than one.
+        left: Evaluations left; with one the whole step is taken.
     """
     for i in range(len(room.step)):
         room.before[i] = room.step[i]
@@ -238,7 +238,7 @@ def rest_on_ports(
     room: Workspace,
     functions: Functions,
 ) -> None:
-    """Takes s = g dc where no solution was found: nothing moves by itself in this sample, and nothing is created."""
+    """Take s = g dc where no solution was found: internal states rest in this sample, and nothing is created."""
     for i in range(len(room.step)):
         room.step[i] = room.driven[i]
     discrete_gradient(tables, state, room.step, room.efforts, room.slopes)

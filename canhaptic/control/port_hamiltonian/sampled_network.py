@@ -19,7 +19,7 @@ from canhaptic.kernels import Buffer, list_of_zeros
 
 @dataclass(slots=True)
 class NetworkState:
-    """What the last step left."""
+    """Result of the last step."""
 
     energy: float = 0.0  # H(x) [J]
     internal: float = 0.0  # dissipated on the states in the last step, without what was taken at the ports [J]
@@ -28,7 +28,7 @@ class NetworkState:
 
 
 class NetworkMemory(NamedTuple):
-    """Buffers of a network that is followed."""
+    """Buffers of a sampled network."""
 
     state: Buffer  # x, (states,)
     begun: Buffer  # x at the first sample
@@ -71,15 +71,15 @@ def advance_network(
     displacement: Buffer,
     elapsed: float,
 ) -> bool:
-    """Follows one motion of the ports; returns False where no solution was found: the state then moved by it alone.
+    """Follow one motion of the ports; return False if no solution was found: only the ports then moved the state.
 
     Args:
         tables: The network.
         functions: Energies and structure given as functions.
         network: Changed.
         memory: Changed.
-        coordinates: Of the ports at its end [m or rad].
-        displacement: Of the ports, relative to what is moved by itself [m or rad].
+        coordinates: Coordinates of the ports at its end [m or rad].
+        displacement: Motion of the ports, less the mover's [m or rad].
         elapsed: One sample time, or several [s].
     """
     solved = propose(tables, functions, network, memory, displacement, elapsed)
@@ -132,7 +132,7 @@ def place_state(tables: NetworkTables, memory: NetworkMemory, coordinates: Buffe
 
 
 def settle_network(tables: NetworkTables, functions: Functions, network: NetworkState, memory: NetworkMemory) -> None:
-    """Takes energy and engagement of the state."""
+    """Update energy and engagement of the state."""
     energy, engaged = stored_energy(tables, memory.state), tables.always
     if tables.by_functions:
         energy += functions.energy(memory.state)
@@ -154,19 +154,19 @@ def springs(
     spring: Buffer,
     added: Buffer,
 ) -> None:
-    """Writes the efforts of the storages at the ports now, and what a motion ahead would add.
+    """Write the present efforts of the storages at the ports, and their change by a predicted motion.
 
-    A wall that is not engaged is not led into.
+    No effort is predicted for a wall that is not engaged.
 
     Args:
         tables: The network.
         functions: Energies and structure given as functions.
-        memory: Of the network.
-        lead: Holds ahead, in which what the network does by itself goes on as in the last step.
-        holds: That the last step spanned.
-        way: Of the ports ahead [m or rad].
+        memory: Buffers of the network.
+        lead: Holds of prediction, in which the network's own motion goes on as in the last step.
+        holds: Number of holds that the last step spanned.
+        way: Predicted motion of the ports [m or rad].
         spring: Receives the efforts, (ports,).
-        added: Receives what is added, (ports,).
+        added: Receives their change, (ports,).
     """
     room, state = memory.room, memory.state
     now, ahead, moved, gain = room.efforts, memory.ahead, memory.moved, tables.gain
@@ -200,11 +200,11 @@ def dampers(
 
     Args:
         tables: The network.
-        memory: Of the network.
-        displacement: Of the ports [m or rad].
+        memory: Buffers of the network.
+        displacement: Motion of the ports [m or rad].
         elapsed: Time of it [s].
-        state: Says which storages are engaged, (states,).
-        efforts: Written, (ports,).
+        state: State that determines the engaged storages, (states,).
+        efforts: Receives the efforts, (ports,).
     """
     room = memory.room
     for i in range(len(efforts)):

@@ -1,4 +1,4 @@
-"""What a network can store energy in. Each storage has one state or several and an energy that is never negative."""
+"""Storages of a network. Each has one state or several and an energy that is never negative."""
 
 import math
 from collections.abc import Callable, Sequence

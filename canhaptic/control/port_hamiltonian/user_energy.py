@@ -1,4 +1,4 @@
-"""Energies and structures that a user gives as functions: their discrete gradient, and what Newton's method asks."""
+"""Energies and structures that a user gives as functions: discrete gradient, and derivatives for Newton's method."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -37,7 +37,7 @@ class NoFunctions(NamedTuple):
         """Adds nothing."""
 
     def fill_structure(self, state: Buffer, structure: Matrix) -> None:
-        """Leaves it."""
+        """No-op: the structure is constant."""
 
 
 class _Placed(NamedTuple):

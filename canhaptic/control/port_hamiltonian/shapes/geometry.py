@@ -1,8 +1,8 @@
 """From task space to the ports of a network: coordinates whose increments move the ports, and their gradients.
 
 A contact with a curved surface has one coordinate, the distance from it. Its increment is exact for any curvature;
-the force acts along its gradient at the start of the hold, and what curvature adds is seen by the account, which is
-kept from the torques.
+the force acts along its gradient at the start of the hold, and the account, which is computed from the torques,
+includes the effect of curvature.
 """
 
 from collections.abc import Sequence
@@ -18,8 +18,8 @@ class Geometry(Protocol):
     """Where the ports of a network are in task space. Immutable; a NamedTuple of numbers and buffers is compiled.
 
     Attributes:
-        dimensions: Of task space.
-        ports: Of the network.
+        dimensions: Number of dimensions of task space.
+        ports: Number of ports of the network.
     """
 
     @property
@@ -34,7 +34,7 @@ class Geometry(Protocol):
         """Writes the coordinates of the ports at a position.
 
         Args:
-            position: In task space [m or rad], (dimensions,).
+            position: Position in task space [m or rad], (dimensions,).
             values: Receives the coordinates [m or rad], (ports,).
             rows: Receives d values / d position, (ports, dimensions).
         """

@@ -1,4 +1,4 @@
-"""What touchable surfaces share: one coordinate, the distance from the surface, negative inside the material."""
+"""Common part of touchable surfaces: one coordinate, the distance from the surface, negative inside the material."""
 
 import math
 from collections.abc import Sequence
