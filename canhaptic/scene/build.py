@@ -1,4 +1,4 @@
-"""A scene to a rig that can run: one small function per part, and one object that holds and closes them.
+"""A scene to a rig ready to run: one small function per part, and one object that holds and closes them.
 
     with build(load_scene("configs/demo.yaml")) as experiment:
         run(experiment.cycle, cycles=10_000)
@@ -50,16 +50,16 @@ _CHOICES: Final = {"auto": "canhaptic.lab.studies.accuracy.accuracy_choice:with_
 
 
 class Experiment:
-    """A scene that has been built: everything that a run needs, and that must be closed after it.
+    """A built scene: everything that a run needs, to be closed after it.
 
     Attributes:
-        scene: What it was built from.
+        scene: The scene it was built from.
         pace: "free" (lock-step with simulated drives, as fast as the machine allows) or "real".
-        far_side: The simulated drives inside this process; None with real ones.
+        far_side: Simulated drives inside this process; None with real ones.
         faulty_buses: The master's connections to the buses on which the scene names effects, by name of the bus.
         cycle: Rig, controllers and accounts, ready for `canhaptic.cycle.run`.
-        energy_log: Where every cycle is written; None for nowhere.
-        bus_log: Where every frame is written; None for nowhere.
+        energy_log: Energy log, with every cycle; None without one.
+        bus_log: Bus log, with every frame; None without one.
     """
 
     def __init__(
@@ -95,12 +95,12 @@ class Experiment:
             self.cycle = Cycle(
                 self.rig, controllers, self.energy_log, truths, groups_of_axes, meters, losses, _jitters(scene, pace)
             )
-            if self._log_failure:  # before there was a cycle to stop
+            if self._log_failure:  # before the cycle existed
                 self.cycle.fail_log(self._log_failure)
             self._stack = stack.pop_all()
 
     def _lose_log(self, reason: str) -> None:
-        """Takes, from another thread, that a log broke off; `close` reports it in any case."""
+        """Record, from another thread, that a log failed; `close` reports it in any case."""
         if self.scene.log.on_failure == "stop":
             self._log_failure = reason
             if hasattr(self, "cycle"):
@@ -152,10 +152,11 @@ def build(
     Args:
         scene: From `load_scene`.
         pace: "real" or "free"; by default free where the drives are simulated in this process, else real.
-        energy_log: Energy log (HDF5) to write, over an earlier one; by default none: what a scene names under `log` is
+        energy_log: Energy log (HDF5) to write, over an earlier one; by default none: the paths under `log` of a scene
+            are
             of the command `run` alone.
         bus_log: Bus log (candump text) to write; the same.
-        no_torque: Whether the torque that is sent is 0 always: a dry run.
+        no_torque: Whether the torque sent is always 0: a dry run.
 
     Raises:
         InputError: Free pace without simulated drives, a bus that python-can cannot use, own code left unread, or a dry
@@ -180,7 +181,7 @@ def build(
 
 
 def require_buildable(scene: Scene) -> None:
-    """Builds what a run of a simulated scene builds and lets it go; nothing is sent and no log is opened.
+    """Build and discard what a run of a simulated scene builds; nothing is sent and no log is opened.
 
     Raises:
         InputError: A run would refuse the scene, for example a simulated drive without a rated torque.
@@ -195,7 +196,7 @@ def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) ->
     Args:
         scene: Has a `simulation`.
         bus: The connection.
-        name: Of that bus; None for the only one.
+        name: Name of that bus; None for the only one.
 
     Raises:
         InputError: The scene has no `simulation`.
@@ -219,7 +220,7 @@ def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) ->
 
 
 def _with_accuracy(scene: Scene) -> Scene:
-    """Returns the scene with its automatic accuracy chosen; where there is none, nothing is imported."""
+    """Scene with its automatic accuracy chosen; without one, nothing is imported."""
     if scene.accuracy_tolerance is None:
         return scene
     chosen: Scene = load(_CHOICES, "auto", "choice of accuracy")(scene)
@@ -227,9 +228,9 @@ def _with_accuracy(scene: Scene) -> Scene:
 
 
 def _jitters(scene: Scene, pace: str) -> list[float] | None:
-    """Returns by how much a hold of each axis may differ from the sample time, as a part of it.
+    """Jitter of each axis's hold, as a part of the sample time.
 
-    None in a simulation in real time: what it declares is that of the simulated bus, and this computer is not even.
+    None in a simulation in real time: the declared jitter is that of the simulated bus, and this computer adds its own.
     """
     if scene.simulated and pace != "free":
         return None
@@ -264,7 +265,7 @@ def _far_side(scene: Scene, groups: Sequence[DriveGroup]) -> Drives | None:
 
 
 def _suffering(scene: Scene) -> list[int]:
-    """Returns which buses have effects of their own, by their place."""
+    """Places of the buses that have effects of their own."""
     return [n for n, bus in enumerate(scene.buses) if scene.simulated and suffers(scene, bus.name)]
 
 

@@ -1,4 +1,4 @@
-"""Opens the CAN buses of a scene through python-can, and lays the effects over them that it names."""
+"""Opens the CAN buses of a scene through python-can, and wraps them in the effects that it names."""
 
 import itertools
 import os
@@ -54,8 +54,8 @@ def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"]
     Args:
         bus: The connection as it was opened.
         scene: Has `bus_effects`.
-        side: Whose connection it is.
-        index: Of the bus among those of the scene.
+        side: The side whose connection it is.
+        index: Place of the bus among those of the scene.
     """
     from canhaptic.sim.bus.faulty_bus import FaultyBus
 
@@ -66,6 +66,6 @@ def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"]
 
 
 def suffers(scene: Scene, name: str) -> bool:
-    """Returns whether a scene names effects on the bus of this name."""
+    """Whether a scene names effects on the bus of this name."""
     effects = scene.bus_effects
     return effects is not None and (effects.buses is None or name in effects.buses)

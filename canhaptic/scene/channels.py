@@ -1,4 +1,4 @@
-"""Which bus of a scene a recorded frame was on: by the second word of its line, or the number of a binary log."""
+"""Mapping of recorded frames to the buses of a scene: by the second word of a line, or a binary log's bus number."""
 
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.bus_reader import Frame
@@ -6,7 +6,7 @@ from canhaptic.scene.models import Scene
 
 
 class Channels:
-    """The buses of a scene by what a bus log calls them.
+    """Buses of a scene by their names in a bus log.
 
     A frame belongs to the bus whose name or channel (`can0`) its line has, or to the bus with that number, counted from
     0. Where the scene has one bus every frame belongs to it.

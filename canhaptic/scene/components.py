@@ -23,7 +23,7 @@ READY: Final = "ready"
 
 
 class SceneReading(Protocol):
-    """What the models of a scene know of it while they are validated."""
+    """Context of the models of a scene while they are validated."""
 
     simulated: bool
     """Whether the drives are simulated inside this process."""
@@ -40,14 +40,14 @@ class SceneReading(Protocol):
 
     @property
     def is_display(self) -> bool:
-        """Whether the axis that is read, or the last one, is one."""
+        """Whether the axis being read, or the last one, is an admittance display."""
 
     def moving(self, motion: Motion | None) -> AbstractContextManager[object]:
         """Reads quantities in the units of this motion until the context ends."""
 
 
 class ComponentSpec(NamedTuple):
-    """Parameters of a thing chosen by name from a table."""
+    """Parameters of a component chosen by name from a table."""
 
     name: str
     parameters: Parameters
@@ -72,9 +72,9 @@ class ComponentOf:
 
     Args:
         table: Name -> "module:Class", of parameter models or of classes with a `parameters_type`.
-        kind: What the table lists, for messages.
+        kind: Kind of entries in the table, for messages.
         selector: Key of the section that has the name.
-        apart: Further keys of the section, which another field reads; a model that has one of the same name reads it
+        apart: Further keys of the section, read by another field; a model that has one of the same name reads it
             too.
     """
 
@@ -85,7 +85,7 @@ class ComponentOf:
 
     @property
     def expected(self) -> str:
-        """What the section has, in words."""
+        """Expected contents of the section, in words."""
         return f"{self.selector} (one of {', '.join(sorted(self.table))}) and more"
 
     def model_of(self, section: object) -> type[Parameters] | None:
@@ -134,7 +134,7 @@ class ComponentOf:
     def _switched(
         self, name: str, model: type[Parameters], section: MarkedMapping, reading: SceneReading
     ) -> MarkedMapping:
-        """Returns a section without the keys that only the type has that an override replaced; real drives keep all."""
+        """Section without the keys of a type that an override replaced; sections of real drives are kept whole."""
         was, fields = section.was, model.model_fields
         if was in (None, name) or was not in self.table:
             return section
@@ -163,7 +163,7 @@ class ComponentOf:
         return {"oneOf": [self._choice(name, handler) for name in self.table]}
 
     def _choice(self, name: str, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """Returns the schema of one entry of the table, which names itself."""
+        """Schema of one entry of the table, including its name."""
         model = handler.resolve_ref_schema(handler(self._model(name).__pydantic_core_schema__))
         own = {key: value for key, value in model.get("properties", {}).items() if key != self.selector}
         required = [key for key in model.get("required", []) if key != self.selector]
@@ -175,7 +175,7 @@ class OwnModel:
     """Annotation of a field with a model of its own: a section with `type` is read by a subclass of the user's own.
 
     Args:
-        kind: What the model is, for messages and plug-ins.
+        kind: Kind of model, for messages and plug-ins.
     """
 
     def __init__(self, kind: str) -> None:
@@ -211,7 +211,7 @@ class OwnModel:
 
 
 def _with_type(value: Parameters | None) -> dict[str, object] | None:
-    """Returns the values of a model, headed by the name of a class of the user's own."""
+    """Values of a model, headed by the name of a user's own class."""
     if value is None:
         return None
     own = type(value).__module__.startswith(OWN_MODULE)
@@ -222,8 +222,8 @@ class ComponentByDisplay(ComponentOf):
     """Annotation of a `ComponentSpec` whose table depends on the kind of display that the axis, or the group, is.
 
     Args:
-        impedance: Of an axis that takes motion and gives torque.
-        admittance: Of one that takes force and gives velocity: its parameters have `admittance`.
+        impedance: Table for an axis that takes motion and gives torque.
+        admittance: Table for an axis that takes force and gives velocity; its parameters have `admittance`.
     """
 
     def __init__(self, impedance: ComponentOf, admittance: ComponentOf) -> None:
@@ -231,7 +231,7 @@ class ComponentByDisplay(ComponentOf):
         self._admittance = admittance
 
     def table_for(self, section: object) -> ComponentOf:
-        """Returns the table whose model has more of the keys of a section: a fault is said in its words."""
+        """Table whose model has more of the section's keys: errors refer to that model."""
         keys = section.keys() if isinstance(section, MarkedMapping) else set()
 
         def known(table: ComponentOf) -> int:
@@ -299,6 +299,6 @@ def _own_parameters(own: object, name: str) -> type[Parameters]:
 
 
 def validated(model: type[Parameters], section: MarkedMapping, context: SceneReading) -> Parameters:
-    """Returns the parameters of a section, in the units of its axis or of what the model itself moves in."""
+    """Parameters of a section, in the units of its axis or of the model itself."""
     with context.moving(section.motion or getattr(model, "motion", None)):
         return model.model_validate(section, context=context)

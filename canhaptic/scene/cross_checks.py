@@ -28,9 +28,9 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
 
     Args:
         scene: As read.
-        sections: It was read from.
+        sections: The sections it was read from.
         faults: Where they are noted.
-        beyond_bus: Whether a rate is let be that its bus cannot carry.
+        beyond_bus: Whether a rate beyond its bus is accepted.
     """
     _check_unique(scene, sections["axes"], faults)
     if len(faults):  # what follows takes its time for each axis, and a name or node ID may be that of thousands
@@ -90,9 +90,9 @@ def _check_loss_limits(scene: Scene, entries: list[MarkedMapping], faults: Diagn
 
 
 def _check_demand_reported(scene: Scene, entries: list[MarkedMapping], faults: Diagnostics) -> None:
-    """Notes axes whose TPDO shows a torque that no RPDO has carried yet: with `event` the RPDO follows the SYNC.
+    """Note axes whose TPDO shows a torque that no RPDO has carried yet: with `event` the RPDO follows the SYNC.
 
-    And those of which nothing is read back behind a lost TPDO, where a certificate is to survive lost RPDOs.
+    Also axes without read-back of a lost command, where a certificate is to survive lost RPDOs.
     """
     for axis, entry in zip(scene.axes, entries, strict=True):
         if axis.parameters.demand_reported == "after" and scene.bus_of(axis).rpdo == "event":
@@ -154,7 +154,7 @@ def _check_effects(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -
 
 
 def _check_loop(axis: AxisScene, passivity: MarkedMapping, scene: Scene, faults: Diagnostics) -> None:
-    """Compares what a scene claims of the loop with what its bus makes of it."""
+    """Compare a scene's declarations about the loop with the properties of its bus."""
     if axis.loop.delay < scene.bus.delay:
         faults.add(
             passivity.value_at("delay"),
@@ -180,7 +180,7 @@ def _check_loop(axis: AxisScene, passivity: MarkedMapping, scene: Scene, faults:
 def _check_window(
     axis: AxisScene, axis_map: AxisMap, passivity: MarkedMapping, scene: Scene, faults: Diagnostics
 ) -> None:
-    """Notes a window that no bus keeps: it is true of a simulation in lock-step, and was carried over from there."""
+    """Note a torque window shorter than its bus allows, as carried over from a simulation in lock-step."""
     bus, window = scene.bus_of(axis), axis.loop.torque_window
     least = shortest_answer(bus.bitrate, axis_map)
     if bus.rpdo == "event" and window is not None and window < least:
@@ -201,7 +201,7 @@ def _check_budget(bus: BusParameters, maps: list[AxisMap], section: MarkedMappin
 def _check_parts(
     axis: AxisScene, entry: MarkedMapping, sections: MarkedMapping, scene: Scene, faults: Diagnostics
 ) -> AxisMap | None:
-    """Makes the parts once and lets them say what they cannot do; returns the PDO map that the dictionary permits."""
+    """Build the parts once so that each reports its objections; return the PDO map that the dictionary permits."""
     try:
         if not axis.group and axis.is_read:
             build_axis_controller(axis)
@@ -216,7 +216,7 @@ def _check_parts(
 
 
 def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) -> SourceLocation:
-    """Returns where the scene names what a plant refuses: an effect of this type, or the plant."""
+    """Place in the scene of what a plant refuses: an effect of this type, or the plant."""
     axes = simulation.get("axes")
     own = axes.get(axis.parameters.name) if isinstance(axes, MarkedMapping) else None
     for owner in (own, simulation):
@@ -246,7 +246,7 @@ def _check_dictionary(axis: AxisScene, entry: MarkedMapping, scene: Scene, fault
 
 
 def _check_groups(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
-    """Notes what network, kinematics and passivity of a group cannot do together."""
+    """Note incompatible network, kinematics and passivity of a group."""
     for group, section in zip(scene.groups, sections.get("groups") or (), strict=True):
         try:
             build_group(scene, group)
@@ -255,7 +255,7 @@ def _check_groups(scene: Scene, sections: MarkedMapping, faults: Diagnostics) ->
 
 
 def _check_mechanisms(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
-    """Notes axes that cannot move a mechanism, and what it refuses itself, such as a singular pose to begin with."""
+    """Note axes that cannot move a mechanism, and its own objections, such as a singular initial pose."""
     for of, section in zip(
         scene.mechanisms, sections["simulation"]["mechanisms"] if scene.mechanisms else (), strict=True
     ):

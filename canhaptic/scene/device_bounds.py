@@ -1,4 +1,4 @@
-"""Upper bounds of the damping and dry friction of a simulated device, as far as its scene declares none: its plant's.
+"""Upper bounds of a simulated device's damping and dry friction, from its plant where the scene declares none.
 
 The hand-force certificate counts on them. With real drives nothing is derived: there they are measured
 (`canhaptic commission`) and declared, and without them no real drive runs (`guesses`, and the algorithm itself).
@@ -28,7 +28,7 @@ def with_device_bounds(scene: Scene) -> Scene:
 
 
 def _bounds(scene: Scene, axis: AxisScene) -> dict[str, float]:
-    """Returns what the simulated device of an axis has at most; nothing where it is real, or of another process."""
+    """Upper bounds of an axis's simulated device; none for a real one, or one in another process."""
     if axis.simulation is not None:
         effects = [effect.parameters for effect in axis.simulation.effects]
         damping = axis.simulation.plant.damping + sum(_damping(effect) for effect in effects)
@@ -58,7 +58,7 @@ def _friction(effect: Any) -> float:
 
 
 def _bounds_of_mechanism(of: MechanismScene, place: int) -> dict[str, float]:
-    """Returns the same of one motor of a mechanism: its bearing, or its guide."""
+    """The same for one motor of a mechanism: its bearing, or its guide."""
     given: Any = of.mechanism.parameters
     guide = f"_{'xy'[place]}" if of.mechanism.name == "xy_stage" else ""
     friction = getattr(given, f"friction{guide}", None)

@@ -9,7 +9,7 @@ from canhaptic.scene.models import AxisScene, Scene
 
 
 def check_display(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: Diagnostics) -> None:
-    """Notes what an admittance display lacks; nothing for another axis, unless it is simulated as one."""
+    """Note what an admittance display lacks, and an impedance display simulated as an admittance display."""
     display, simulation = axis.parameters.admittance, axis.simulation
     if display is None:
         if simulation is not None and simulation.admittance is not None:
@@ -32,7 +32,7 @@ def check_display(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: D
 
 
 def _missing(given: AxisParameters, display: DisplayParameters) -> list[str]:
-    """Returns what real hardware needs and the axis does not have."""
+    """Keys that real hardware needs and the axis lacks."""
     needed = {
         "admittance.position_low": display.position_low,
         "admittance.position_high": display.position_high,
@@ -45,7 +45,7 @@ def _missing(given: AxisParameters, display: DisplayParameters) -> list[str]:
 
 
 def refuse_displays(scene: Scene, command: str) -> None:
-    """Refuses a scene with admittance displays where a command is made for impedance displays.
+    """Refuse a scene with admittance displays for a command that serves impedance displays only.
 
     Raises:
         InputError: It has one.

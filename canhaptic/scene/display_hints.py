@@ -1,4 +1,4 @@
-"""What a user of an admittance display wants to know before the first touch; see `canhaptic.control.admittance`."""
+"""Figures of an admittance display to know before the first touch; see `canhaptic.control.admittance`."""
 
 from math import pi, sqrt
 
@@ -14,7 +14,7 @@ from canhaptic.scene.parts import display_properties
 
 
 def display_hints(scene: Scene) -> list[Hint]:
-    """Returns the figures of every admittance display of a scene; none of them is enforced here."""
+    """Figures of every admittance display of a scene; none of them is enforced here."""
     return [hint for axis in scene.axes if axis.parameters.admittance is not None for hint in _of_axis(axis, scene)]
 
 
@@ -78,7 +78,7 @@ def _of_guard(axis: AxisScene, known: GuardedDisplayParameters, speed_unit: str,
 
 
 def _of_faults(axis: AxisScene, known: GuardedDisplayParameters, scene: Scene) -> list[Hint]:
-    """Returns what a master that stalls and a sensor that freezes give out, until they are noticed."""
+    """Energy given out by a stalled master and by a frozen sensor, until each is detected."""
     properties, name = display_properties(axis), axis.parameters.name
     display, speed = axis.parameters.admittance, properties.speed_limit
     power = min(0.25 * known.loop_gain * speed * speed, axis.parameters.torque_limit * speed)
@@ -97,7 +97,7 @@ def _of_faults(axis: AxisScene, known: GuardedDisplayParameters, scene: Scene) -
 
 
 def _of_offset(axis: AxisScene, known: GuardedDisplayParameters, properties: DisplayProperties) -> Hint:
-    """Returns what a sensor that is off by one newton gives out at most: the work of a constant force."""
+    """Largest energy given out for a sensor offset of one newton: the work of a constant force."""
     low, high = (getattr(axis.parameters.admittance, key, None) for key in ("position_low", "position_high"))
     room = None if low is None or high is None else high - low
     unit = "J/N" if axis.parameters.unit == "m" else "J/(N*m)"

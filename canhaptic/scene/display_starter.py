@@ -1,4 +1,4 @@
-"""What the configuration to start from says of an admittance display: limits, sensor, mass, certificate, simulation.
+"""Starter configuration of an admittance display: limits, sensor, mass, certificate, simulation.
 
 All values scale with the torque limit, so that they fit together: a mass that the torque accelerates at 200 rad/s^2, a
 velocity loop of 50 Hz, and a virtual mass that is passive without a guard.
@@ -72,11 +72,11 @@ def display_axis(display: DisplayParameters, counts: float, limit: float, unlimi
     """Returns the keys of an axis that make it an admittance display.
 
     Args:
-        display: As the dictionary was judged.
-        counts: Of the position [count/rad].
-        limit: Of the torque [N*m].
-        unlimited: Why the start writes no limit to 0x6072; "" where it does.
-        steepest: What the ramps of the drive take at most [counts/s^2].
+        display: Findings of the dictionary for a display.
+        counts: Position counts [count/rad].
+        limit: Torque limit [N*m].
+        unlimited: Reason why the start writes no limit to 0x6072; "" where it does.
+        steepest: Largest value that the ramps of the drive accept [counts/s^2].
     """
     named = display.force.object
     node = f"        node: {{node_id: 9}}  # {TO_SET}: the drive has no analog input that is known\n"

@@ -35,8 +35,8 @@ class MarkedMapping(dict[str, Any]):
         keys_at: Places of its keys.
         values_at: Places of its values.
         elsewhere: Keys that it may have and that were taken out of it, because something else reads them.
-        motion: In what the axis moves that its values belong to; None: as around it.
-        was: Type that it named before an override named one, "" for none; None: no override named one.
+        motion: Linear or rotary axis whose units apply; None: inherited.
+        was: Type before an override named another one, "" for none; None: no override named one.
     """
 
     def __init__(self, mark: SourceLocation, motion: Motion | None = None) -> None:

@@ -28,7 +28,7 @@ def edited_scene(scene: Scene, changes: Sequence[Change], place: str, *, allow_c
 
     Args:
         scene: As loaded.
-        changes: In their order.
+        changes: Changes, applied in their order.
         place: File that the text is for; relative paths start from it.
         allow_code: As for `load_scene`.
 
@@ -78,7 +78,7 @@ def _quoted(path: Iterable[str]) -> list[str]:
 
 
 def _child(node: yaml.Node | None, part: str) -> yaml.Node | None:
-    """Returns an entry of a mapping by its key, or of a list by its index or its `name`; None where there is none."""
+    """Entry of a mapping by its key, or of a list by its index or its `name`; None without one."""
     if isinstance(node, yaml.MappingNode):
         return next((value for key, value in node.value if key.value == part), None)
     if isinstance(node, yaml.SequenceNode):
@@ -89,7 +89,7 @@ def _child(node: yaml.Node | None, part: str) -> yaml.Node | None:
 
 
 def _replaced(text: str, node: yaml.Node | None, change: Change) -> str:
-    """Returns the text with another value, and with another comment behind it where it ends its line."""
+    """The text with another value, and with another comment behind it where it ends its line."""
     if not isinstance(node, yaml.ScalarNode):
         raise InputError(f"{'.'.join(change.path)}: is a whole section; put it into the scene's file first")
     begin, end = node.start_mark.index, node.end_mark.index

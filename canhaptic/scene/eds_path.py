@@ -1,4 +1,4 @@
-"""Where the object dictionary of an axis is: next to the scene, or among those of the package."""
+"""Path of an axis's object dictionary: next to the scene, or among those of the package."""
 
 import os
 from pathlib import Path

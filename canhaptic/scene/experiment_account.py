@@ -1,4 +1,4 @@
-"""The account of an experiment that has run: the energies of each port, and how and how fast the run was computed."""
+"""Account of a completed experiment: the energies of each port, and method and cost of the computation."""
 
 from canhaptic.result import RunResult, run_result
 from canhaptic.scene.build import Experiment
@@ -11,9 +11,9 @@ def experiment_account(experiment: Experiment, status: str, elapsed: float) -> R
     """Returns what `canhaptic run --json` prints; energies in [J], times in [s].
 
     Args:
-        experiment: After its run, whether that reached its end or not.
+        experiment: The experiment after its run, completed or not.
         status: "completed", "stopped" or the reason of a stop.
-        elapsed: Time that the run took [s].
+        elapsed: Duration of the run [s].
     """
     scene, cycle = experiment.scene, experiment.cycle
     prices = plant_prices(scene, experiment.plants, cycle.cycles)

@@ -1,4 +1,4 @@
-"""What pydantic finds wrong with a scene, as faults with line, value seen, unit and range."""
+"""Errors of pydantic as diagnostics of a scene, with line, value seen, unit and range."""
 
 import dataclasses
 import typing
@@ -57,7 +57,7 @@ def note_errors(model: type, section: MarkedMapping, error: ValidationError, fau
     Args:
         model: Class that was validated: a parameter model, or a dataclass of such.
         section: What it was validated from.
-        error: What pydantic found.
+        error: Error of pydantic.
         faults: Receives one line per error.
     """
     noted: dict[tuple[SourceLocation, str], tuple[tuple[int | str, ...], list[str]]] = {}
@@ -75,13 +75,13 @@ def note_errors(model: type, section: MarkedMapping, error: ValidationError, fau
 
 
 def _either(texts: Iterable[str]) -> str:
-    """Returns what is wrong with a value, and what each of its types expects."""
+    """Error text of a value, and what each of its types expects."""
     first, *others = dict.fromkeys(texts)
     return " or ".join([first, *(text.partition("expected ")[2] or text for text in others)])
 
 
 class _KeyLocation(NamedTuple):
-    """What a location of pydantic means in the scene."""
+    """Place in the scene of a location of pydantic."""
 
     name: str  # of the key, as written
     value: object  # as written
@@ -184,7 +184,7 @@ def _model_in(annotation: object, section: MarkedMapping, owner: type | None) ->
 
 
 def _in_words(found: _KeyLocation, fault: ErrorDetails) -> tuple[SourceLocation, str]:
-    """Returns where a fault is, and what it is."""
+    """Place of an error, and its text."""
     kind, value = fault["type"], found.value
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         return found.key_at, unknown_key(found.name, found.names)
@@ -205,7 +205,7 @@ def _in_words(found: _KeyLocation, fault: ErrorDetails) -> tuple[SourceLocation,
 
 
 def _tag_fault(annotation: object, seen: object) -> str:
-    """Returns what is wrong with the `type` that chooses a model of a union."""
+    """Error text of the `type` that chooses a model of a union."""
     fields = (_fields(part).get("type") for part in parts_of(annotation) if isinstance(part, type))
     known = [str(name) for field in fields for name in parts_of(field) if isinstance(name, str)]
     return f"{'missing' if seen is None else 'got ' + shown(seen)}, expected one of: {', '.join(known)}"

@@ -1,4 +1,4 @@
-"""What the source says of a parameter model and of each of its fields."""
+"""Descriptions of a parameter model and of each of its fields, from the source."""
 
 import ast
 import inspect
@@ -8,7 +8,7 @@ from canhaptic.units import Parameters
 
 
 def words_of(model: type[Parameters]) -> dict[str, str]:
-    """Returns what is said of each field: the string below it, or its entry under `Attributes:`."""
+    """Description of each field: the string below it, or its entry under `Attributes:`."""
     found: dict[str, str] = {}
     for owner in reversed(model.__mro__):
         if not issubclass(owner, Parameters) or owner is Parameters:

@@ -1,8 +1,8 @@
-"""Whether a wall is there: the scene's own algorithm against a handle that comes in at a constant speed.
+"""Check of whether a wall is rendered: the scene's own algorithm against a handle that approaches at constant speed.
 
-A hand that moves the handle at a constant speed brings in all that a contact can bring in, so that the algorithm is as
-free as it ever is at that speed. Positions are those that the encoder shows, and torques act in the hold that is
-declared; no plant and no bus take part.
+A hand that moves the handle at constant speed brings in the most energy that a contact can, so that the algorithm is as
+free as it ever is at that speed. Positions are encoder readings, and torques act in the declared hold; no plant and no
+bus take part.
 """
 
 from collections.abc import Iterator, Mapping
@@ -37,7 +37,7 @@ ALLOWANCES: Final = tuple(10.0**power for power in range(-9, -2))
 
 
 class Remedy(NamedTuple):
-    """A declaration that keeps the wall away."""
+    """A declaration that keeps the wall from being rendered."""
 
     key: str
     value: float  # as declared
@@ -46,7 +46,7 @@ class Remedy(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The declaration and what would help, in words."""
+        """The declaration and the remedy, in words."""
         return f"{self.key} {self.value:.3g} {self.unit} keeps it away, {self.enough:.2g} {self.unit} would not"
 
 
@@ -83,7 +83,7 @@ def rendered_share(axis: AxisScene, speed: float) -> float:
 
     Args:
         axis: One that can be tried.
-        speed: Of the handle into the wall, constant, > 0 [m/s or rad/s].
+        speed: Speed of the handle into the wall, constant, > 0 [m/s or rad/s].
     """
     asked = sent = 0.0
     try:
@@ -105,7 +105,7 @@ def with_declared(axis: AxisScene, declared: Mapping[str, float]) -> AxisScene:
 
 
 def remedies(axis: AxisScene, speed: float) -> list[Remedy]:
-    """Returns the declarations of which less lets the wall be felt at a speed [m/s or rad/s], the nearest first."""
+    """Declarations whose reduction lets the wall be felt at a speed [m/s or rad/s], the nearest first."""
     units = {"current_lag": "s", "torque_window": "s", "device_damping_bound": f"N*s/{axis.parameters.unit}"}
     found = []
     for key in _TO_BLAME:
@@ -121,7 +121,7 @@ def remedies(axis: AxisScene, speed: float) -> list[Remedy]:
 
 
 def enough_allowance(axis: AxisScene, speed: float) -> float | None:
-    """Returns the least energy of `ALLOWANCES` with which the wall is felt at a speed [J]; None: none is enough."""
+    """Least energy of `ALLOWANCES` with which the wall is felt at a speed [J]; None if none suffices."""
     if not hasattr(axis.passivity.parameters, "energy_allowance"):
         return None
     tried = ((each, with_declared(axis, {"energy_allowance": each})) for each in ALLOWANCES)
@@ -129,7 +129,7 @@ def enough_allowance(axis: AxisScene, speed: float) -> float | None:
 
 
 def advice(axis: AxisScene) -> str:
-    """Returns what keeps the torque of a wall away that is not felt, and the value that would help."""
+    """Declaration that keeps a wall from being felt, and a value that helps."""
     slowest, unit = slowest_felt(axis), f"{axis.parameters.unit}/s"
     begins = "no approach" if slowest == inf else f"an approach slower than {slowest:.3g} {unit}"
     aim = 0.01 * axis.parameters.largest_speed if slowest == inf else slowest / 3.0

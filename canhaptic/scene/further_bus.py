@@ -1,4 +1,4 @@
-"""The buses of a rig that has several: what one may have of its own, and each with everything that holds for it."""
+"""Several buses of a rig: the keys that each may have of its own, and the parameters in effect on each."""
 
 from typing import Annotated, Any, NamedTuple
 
@@ -11,7 +11,7 @@ BusName = Annotated[Name, Field(pattern=r"^\S+$")]
 
 
 class FurtherBus(Parameters):
-    """What a bus of several may have of its own; rate, link policy and the rest are those of the first."""
+    """Keys that each of several buses may have; rate, link policy and the rest are those of the first."""
 
     name: BusName
     """Name used in an axis's `bus`."""
@@ -31,7 +31,7 @@ class FurtherBus(Parameters):
 
 
 class NamedBus(NamedTuple):
-    """One bus with everything that holds for it."""
+    """One bus with the parameters in effect on it."""
 
     name: str  # empty where the scene has one bus without a name
     parameters: BusParameters

@@ -10,7 +10,7 @@
       mechanisms:
         - {type: five_bar, axes: [left, right], base: 0.1 m, hand: {stiffness: 300 N/m, rest: [0 m, 0.25 m]}}
 
-What a scene says of the loop of all axes is in `passivity` of the group; an axis may have its own.
+Keys of `passivity` about the loop of all axes are in `passivity` of the group; an axis may have its own.
 """
 
 from collections.abc import Iterable, Sequence
@@ -59,7 +59,7 @@ def check_group_axes(
     Args:
         groups: From `members_of`.
         mechanisms: From `members_of`.
-        names: Of all axes.
+        names: Names of all axes.
         faults: Receives one line per fault.
     """
     for members, what in ((groups, "group"), (mechanisms, "mechanism")):

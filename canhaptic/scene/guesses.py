@@ -1,4 +1,4 @@
-"""Values of a scene that are marked as guesses: what they are, and that no real drive runs on them."""
+"""Values of a scene that are marked as guesses; no real drive runs on them."""
 
 import re
 from typing import Final, NamedTuple

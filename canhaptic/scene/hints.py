@@ -1,4 +1,4 @@
-"""Stability hints: what the rate, the delay and the device allow, compared with what the scene asks for."""
+"""Stability hints: limits from the rate, the delay and the device, compared with the scene."""
 
 import math
 from collections.abc import Sequence
@@ -60,7 +60,7 @@ def stability_hints(axis: AxisScene) -> list[Hint]:
 def group_hints(scene: Scene) -> list[Hint]:
     """Returns what the certificates of each group hold on each of its axes, alone, in motor coordinates.
 
-    What the network asks for is in task space; the two are the same where the kinematics are `identity`.
+    The network's stiffness is in task space; the two are the same where the kinematics are `identity`.
     """
     hints = []
     for group in scene.groups:
@@ -84,7 +84,7 @@ def _losses(axis: AxisScene) -> int:
 
 
 def _apart_hint(axis: AxisScene, axes: int) -> list[Hint]:
-    """Returns what certifying each axis by itself costs while several move together.
+    """Cost of certifying each axis by itself while several move together.
 
     Of torques f and -f on axes that both move by D = v T in a hold, the one that gives f D out counts for all H holds
     and the other not: H f D <= f^2 / 2k leaves the extension f / k >= 2 H T v.
@@ -148,7 +148,7 @@ def _stiffness_hints(axis: AxisScene) -> list[Hint]:
 
 
 def _quantisation_hint(axis: AxisScene) -> Hint:
-    """Returns the bound 2 f_c / count: the Coulomb friction f_c must cover what half a count feigns, k count / 2.
+    """Bound 2 f_c / count: the Coulomb friction f_c must cover the force error of half a count, k count / 2.
 
     Abbott and Okamura, "Effects of position quantization and sampling rate on virtual-wall passivity", IEEE Trans.
     Robotics 21, 2005: a plain spring wall is passive for every user up to the lesser of this and Colgate's bound.
@@ -192,7 +192,7 @@ def _damping_hints(axis: AxisScene) -> list[Hint]:
 
 
 def _colgate_damping(axis: AxisScene, asked: float | None) -> list[Hint]:
-    """Returns b - k T / 2, what Colgate's condition b > k T / 2 + |d| leaves for the damper at the asked stiffness."""
+    """b - k T / 2: what Colgate's condition b > k T / 2 + |d| leaves for the damper at the requested stiffness."""
     device, source = _known(axis, "device_damping", "damping")
     stiffness = _asked(axis, "stiffness")
     if device is None or stiffness is None:
@@ -202,7 +202,7 @@ def _colgate_damping(axis: AxisScene, asked: float | None) -> list[Hint]:
 
 
 def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list[Hint]:
-    """Returns what each declared certificate of `guarded` can hold at the torque limit, and what of the asked wall.
+    """Stiffness that each declared certificate of `guarded` holds at the torque limit, as part of the requested wall.
 
     A torque must be covered for the hold in which it acts, those of the delay, and those of the frames that may be lost
     (`max_consecutive_losses`). In a group the hand pulls on every axis at once, with the same force.
@@ -230,7 +230,7 @@ def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list
 
 
 def _felt_hints(axis: AxisScene, response: DisplacementResponse, lag: int, text: str) -> list[Hint]:
-    """Returns what a hand that leans on a wall, or comes slowly, feels of it by the hand-force certificate."""
+    """Part of a wall felt by a hand that leans on it, or approaches slowly, by the hand-force certificate."""
     push, stiffness = LEAN * axis.parameters.torque_limit, _asked(axis, "stiffness")
     limit = renderable_by_hand_force(response, lag, push)
     what = f"stiffness felt at a push of {push:.3g} {effort_unit(axis.parameters.unit)}"
@@ -249,7 +249,7 @@ def _felt_hints(axis: AxisScene, response: DisplacementResponse, lag: int, text:
 
 
 def _energy_hint(axis: AxisScene, response: DisplacementResponse, lag: int, stiffness: float) -> list[Hint]:
-    """Returns the energy with which a contact of any speed is felt; nothing where it needs none."""
+    """Energy with which a contact of any speed is felt; no hint where none is needed."""
     energy, unit, parameters = start_energy(response, lag, stiffness), axis.parameters.unit, axis.passivity.parameters
     if energy in {0.0, math.inf}:
         return []
@@ -265,7 +265,7 @@ def _energy_hint(axis: AxisScene, response: DisplacementResponse, lag: int, stif
 
 
 def _on_all(axis: AxisScene, group: Sequence[AxisScene]) -> float:
-    """Returns how much more a hand on all axes moves this one than a hand on it alone: sqrt(sum(1 / m_j) m_i)."""
+    """Ratio of this axis's motion under a hand on all axes to that under a hand on it alone: sqrt(sum(1 / m_j) m_i)."""
     masses = [each.loop.moving_mass for each in group]
     if axis.loop.moving_mass is None or None in masses or len(masses) < 2:
         return 1.0
@@ -273,7 +273,7 @@ def _on_all(axis: AxisScene, group: Sequence[AxisScene]) -> float:
 
 
 def _held_stiffness(axis: AxisScene, held: dict[str, tuple[float, str]]) -> list[Hint]:
-    """Returns one hint per certificate, and what the largest of them, which is the one that counts, leaves."""
+    """One hint per certificate, and the part left by the largest of them, which is the one that counts."""
     stiffness = _asked(axis, "stiffness")
     hints = [
         _hint(

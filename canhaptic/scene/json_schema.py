@@ -60,7 +60,7 @@ _TAKEN: Final = {"sample_time": "from `bus.rate`", "delay": "from `bus.rpdo`"}
 
 
 class _WithWords(GenerateJsonSchema):
-    """Describes every field by what its model says of it."""
+    """Adds to every field the description in its model."""
 
     def model_schema(self, schema: Any) -> Schema:
         found = super().model_schema(schema)
@@ -121,7 +121,7 @@ def _described(properties: Schema, words: dict[str, str]) -> Schema:
 
 
 def _or_null(schema: Schema) -> Schema:
-    """Returns the schema of what may be left empty."""
+    """Schema of a section that may be left empty."""
     return {"anyOf": [schema, {"type": "null"}]}
 
 
@@ -132,7 +132,7 @@ def _optional(schema: Schema, *keys: str) -> Schema:
 
 
 def _laid_under(choices: Schema, properties: Schema, *required: str) -> Schema:
-    """Returns the schema of a component that has further keys."""
+    """Schema of a component that has further keys."""
     [(kind, each)] = [(key, choices[key]) for key in ("oneOf", "anyOf") if key in choices]
     return {
         kind: [
@@ -143,7 +143,7 @@ def _laid_under(choices: Schema, properties: Schema, *required: str) -> Schema:
 
 
 def _with_loop(choices: Schema, defined: Schema) -> Schema:
-    """Returns the schema of algorithms, each with what describes the loop as well."""
+    """Schema of algorithms, each with the keys of the loop."""
     loop = defined["LoopProperties"]["properties"]
     known = {key: loop[key] | ({"taken": _TAKEN[key]} if key in _TAKEN else {}) for key in LOOP_KEYS}
     return _laid_under(choices, known)

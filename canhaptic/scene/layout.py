@@ -1,4 +1,4 @@
-"""How a scene file is laid out over the fields of `Scene`: what is shared, what an axis has of its own, and profiles.
+"""Layout of a scene file over the fields of `Scene`: shared sections, sections of an axis, and profiles.
 
     written                                   `Scene`
     bus: {...}, or a list                     bus, bus_name, further_buses
@@ -84,7 +84,7 @@ def _or_noted(section: MarkedMapping | None) -> Any:
 
 
 def _put_accuracy(scene: MarkedMapping, faults: Diagnostics) -> None:
-    """Tells accuracy that is given from accuracy that the build chooses."""
+    """Distinguish given accuracy from accuracy that the build chooses."""
     accuracy = scene.get("accuracy")
     if accuracy == "auto":
         faults.add(scene.value_at("accuracy"), "got 'auto' without a tolerance; write it as {auto: 1 um}")
@@ -174,7 +174,7 @@ def _axes(
     *,
     is_known: bool,
 ) -> list[Any]:
-    """Returns the axes; `is_known` is whether groups and mechanisms are right, so that it is known who is in one."""
+    """The axes; `is_known` is whether groups and mechanisms are right, so that their members are known."""
     at, buses = written.value_at("axes"), _bus_names(written)
     entries = read_list(written.get("axes"), at, faults, "axes, each with name, node_id, eds, ...")
     if entries is not None and not entries:
@@ -247,7 +247,7 @@ def _own_over_shared(
 
 
 def _loop_in_group(section: MarkedMapping, group: Members, faults: Diagnostics) -> MarkedMapping | None:
-    """Returns what a scene says of the loop of an axis in a group: its own `passivity` over that of the group."""
+    """Loop of an axis in a group: its own `passivity` over that of the group."""
     renders = f"group {group.section.get('name')!r} renders on this axis;"
     if section.get("environment") is not None:
         faults.add(section.keys_at["environment"], f"{renders} leave it out")
@@ -269,7 +269,7 @@ def _loop_in_group(section: MarkedMapping, group: Members, faults: Diagnostics) 
 def _put_far_side(
     axis: MarkedMapping, name: str, simulation: MarkedMapping, moves_mechanism: bool, faults: Diagnostics
 ) -> None:
-    """Sets what is simulated behind the drive of an axis, or its drive alone where that moves a mechanism."""
+    """Set the simulation behind the drive of an axis, or its drive alone where that moves a mechanism."""
     parts, own = simulation.only(SIMULATION_PARTS), _own_parts(name, simulation, faults)
     for key, value in own.items():
         below = parts.get(key)

@@ -43,7 +43,7 @@ def load_scene(
         allow_code: Whether program files that the scene names (`type: my_wall.py:MyWall`) may run.
         leave_code: Whether such files, and plug-ins, are left unread instead: for a look at the rest of a scene, from
             which nothing is built.
-        beyond_bus: Whether a rate is taken that its bus cannot carry; for a study, no run could keep it.
+        beyond_bus: Whether a rate beyond its bus is accepted; for a study, no run could keep it.
 
     Raises:
         SceneError: The file cannot be read, or anything in it is wrong; lists every fault with its line.
@@ -56,11 +56,11 @@ def load_scene(
 def scene_from_text(
     text: str, source: str, overrides: Sequence[str] = (), *, allow_code: bool = False, beyond_bus: bool = False
 ) -> Scene:
-    """Returns the validated scene of YAML text, such as the one that an energy log keeps.
+    """Validated scene of YAML text, such as the copy in an energy log.
 
     Args:
         text: The scene.
-        source: The file it came from: named in faults, and the place that relative paths start from.
+        source: File it came from: named in faults, and the base of relative paths.
         overrides: As for `load_scene`.
         allow_code: As for `load_scene`.
         beyond_bus: As for `load_scene`.
@@ -154,7 +154,7 @@ def _validated(sections: MarkedMapping, laid: MarkedMapping, faults: Diagnostics
 
 
 def _completed(scene: Scene) -> Scene:
-    """Returns a scene whose simulated plants know what holds for all of them: seed and accuracy."""
+    """Scene whose simulated plants have the common seed and accuracy."""
     whole = scene.simulation
     if whole is None:
         return scene

@@ -1,4 +1,4 @@
-"""Where a scene asks for logs: in its own folder or the one worked in; elsewhere it is named, and replaces nothing."""
+"""Log paths of a scene: those outside its own folder and the current one are reported and overwrite nothing."""
 
 from pathlib import Path
 
@@ -7,14 +7,14 @@ from canhaptic.scene.models import Scene
 
 
 def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
-    """Returns notes on logs that a scene itself puts outside its folder and the current one, one line each.
+    """Notes on logs that a scene itself puts outside its folder and the current one, one line each.
 
-    A scene may come from somebody else: what it names there must not take the place of a file.
+    A scene may come from somebody else: its log paths must not overwrite a file elsewhere.
 
     Args:
         scene: The scene.
-        energy: Whether its energy log is used, and none that the user named.
-        bus: Whether its bus log is.
+        energy: Whether the scene's energy log is used, the user having named none.
+        bus: Whether the scene's bus log is used.
 
     Raises:
         InputError: The file already exists.

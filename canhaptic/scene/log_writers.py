@@ -1,4 +1,4 @@
-"""The logs of a scene, with everything about the run that a reader needs later."""
+"""The logs of a scene, with the attributes of the run that a reader needs later."""
 
 import json
 from collections.abc import Callable
@@ -24,7 +24,7 @@ _PRIVATE_NAME: Final = "vcan0"  # of a private virtual channel: the same in ever
 def open_energy_log(
     scene: Scene, path: Path, pace: Literal["real", "free"], on_failure: Callable[[str], None], *, dry_run: bool = False
 ) -> "EnergyLogWriter":
-    """Returns the energy log, made and ready; `on_failure` is called, from another thread, when it breaks off.
+    """Energy log, created and ready; `on_failure` is called, from another thread, when it fails.
 
     Raises:
         LogWriteError: The file cannot be made.
@@ -53,7 +53,7 @@ def open_energy_log(
 def open_bus_log(
     scene: Scene, path: Path, pace: Literal["real", "free"], on_failure: Callable[[str], None]
 ) -> BusLogWriter:
-    """Returns the bus log, made and ready; `on_failure` is called, from another thread, when it breaks off.
+    """Bus log, created and ready; `on_failure` is called, from another thread, when it fails.
 
     Raises:
         LogWriteError: The file cannot be made.
@@ -111,7 +111,7 @@ def _run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, At
 
 
 def _active_attributes(scene: Scene) -> dict[str, Attribute]:
-    """Returns what the column `active` of each port with an account of its own follows from."""
+    """Attributes from which the column `active` of each port with an account of its own follows."""
     meters = {axis.parameters.name: meter for axis, meter in zip(scene.axes, build_axis_meters(scene), strict=True)}
     ports = {axis.parameters.name: ([axis.parameters.name], axis.passivity) for axis in scene.axes if not axis.group}
     ports |= {group.name: (list(group.axes), group.passivity) for group in scene.groups}
@@ -151,5 +151,5 @@ def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
 
 
 def _promise_attributes(name: str, parameters: object) -> dict[str, Attribute]:
-    """Returns what certificates rest on in addition to hand and device."""
+    """Assumptions behind the certificates in addition to hand and device."""
     return {f"{name}.{key}": value for key, value in promise_of(parameters)._asdict().items()}

@@ -1,4 +1,4 @@
-"""How much energy each port of a scene may give out beyond what was declared, before the rig stops."""
+"""Limit of the energy that each port of a scene may give out beyond the declared energy, before the rig stops."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""One line on how a scene is computed, and how exact that is."""
+"""One line on the method and accuracy of a simulated run."""
 
 from collections.abc import Sequence
 
@@ -12,9 +12,9 @@ def method_line(scene: Scene, plants: Sequence[Plant] = (), periods: int = 0, pr
 
     Args:
         scene: What is run.
-        plants: The plants of its axes after the run, for what they spent.
-        periods: Sample times that they were moved by.
-        prices: Time and estimated error of each.
+        plants: Plants of its axes after the run, with their counts of events and products.
+        periods: Number of sample times they were moved for.
+        prices: Time and estimated error of each plant.
     """
     if not scene.simulated:
         return ""
@@ -54,6 +54,6 @@ def _priced(prices: Sequence[PlantPrice]) -> str:
 
 
 def _spent(plants: Sequence[Plant], periods: int) -> str:
-    """Returns events and products of all plants together; products are those of one plant on average."""
+    """Events and products of all plants together; products are those of one plant on average."""
     events, products = sum(plant.events for plant in plants), sum(plant.products for plant in plants)
     return f"{events} event{'' if events == 1 else 's'}, {products / len(plants) / periods:.2g} products per period"

@@ -1,4 +1,4 @@
-"""What a simulated drive needs besides its dictionary: values that a real drive has and the dictionary leaves out.
+"""Values that a simulated drive needs besides its dictionary: a real drive has them and the dictionary leaves them out.
 
 Some dictionaries state the settings of another rig, such as a communication cycle of 1 us; on a real drive the vendor's
 tool has set them. A simulated drive gets those of this scene.
@@ -32,7 +32,7 @@ def missing_values(found: Survey, sample_time: float) -> dict[str, str]:
 
 
 def _holds(dictionary: ObjectDictionary, place: _Place, value: int) -> bool:
-    """Whether the drive has an object, of a type that can hold a value."""
+    """Whether the drive has an object of a type that can hold a value."""
     if objection(dictionary, ObjectUse(*place)) is not None:
         return False
     variable = dictionary.get_variable(*place)
@@ -71,7 +71,7 @@ def _indices(dictionary: ObjectDictionary, first: int) -> Iterator[int]:
 
 
 def _misleading(dictionary: ObjectDictionary, sample_time: float) -> dict[_Place, int]:
-    """Returns values in place of those that are stated and belong to another rig."""
+    """Replacements for stated values that belong to another rig."""
     period = round(sample_time * 1e6)
     wanted: dict[_Place, int] = {(od.SYNC_COB_ID, 0): od.SYNC_FRAME_COB_ID, (od.COMMUNICATION_CYCLE_PERIOD, 0): period}
     wanted |= {(index, _EVENT_TIMER): 0 for index in _indices(dictionary, od.RPDO_COMMUNICATION)}

@@ -102,7 +102,7 @@ GroupNetwork = Annotated[
 
 
 def task_unit(kinematics: str, motor_unit: UnitT) -> UnitT | Literal["m"]:
-    """Returns in what task space is measured, by the name of the kinematics and the unit of the motor axes."""
+    """Unit of task space, by the name of the kinematics and the unit of the motor axes."""
     return "m" if kinematics in _MOVES_IN_METRES else motor_unit
 
 
@@ -118,7 +118,7 @@ class SceneContext(UnitContext):
 
 
 class RunParameters(Parameters):
-    """Values at the top level of a scene that belong to no part."""
+    """Top-level values of a scene that belong to no section."""
 
     duration: Annotated[float, quantity("s", gt=0.0, le=1e6)] | None = None
     """How long a run lasts; None: until it is stopped."""
@@ -145,7 +145,7 @@ class GroupMembership(Parameters):
 
 
 def _axis(value: object, read: Callable[[object], object], info: Info[SceneContext]) -> object:
-    """Reads an axis in its unit, knowing which kind of display is asked for, right or wrong."""
+    """Read an axis in its unit, with the kind of display it asks for, right or wrong."""
     written = value.get("parameters") if isinstance(value, MarkedMapping) else None
     info.context.is_display = False
     if isinstance(written, MarkedMapping) and written.get("admittance") is not None:
@@ -161,7 +161,7 @@ def _in_its_unit(value: object, read: Callable[[object], object], info: Info[Sce
 
 @dataclass(frozen=True, slots=True)
 class AxisSimulation:
-    """The far side of one axis: the simulated drive, the motor, the user's hand and the effects that are named."""
+    """Simulation of one axis: the simulated drive, the motor, the user's hand and the named effects."""
 
     drive: SimulatedDriveParameters
     plant: PlantParameters
@@ -173,7 +173,7 @@ class AxisSimulation:
 
 
 def _loop_of(section: object, info: Info[SceneContext]) -> object:
-    """Returns what a scene says of the loop of an axis, and what follows from bus and drive; the rest stays unknown."""
+    """Loop of an axis as declared, completed from bus and drive; the rest stays unknown."""
     if not isinstance(section, MarkedMapping):
         return section
     axis: AxisParameters | None = info.data.get("parameters")
@@ -205,7 +205,7 @@ class AxisScene:
 
     @property
     def is_read(self) -> bool:
-        """Whether environment, algorithm and effects are known: False where one is own code that was left unread."""
+        """Whether environment, algorithm and effects are known: False where own code was left unread."""
         parts = (self.environment, self.passivity, *(self.simulation.effects if self.simulation else ()))
         return not any(isinstance(part.parameters, UnreadParameters) for part in parts)
 
@@ -348,7 +348,7 @@ class Scene:
 
         Comments, the order of keys, log paths and the folder of the dictionaries do not change it, nor does it matter
         whether an automatic accuracy was chosen yet: it follows from the rest. Nor do keys of an axis that came after
-        the first release, where they are left out.
+        the first release, where they are absent.
         """
         resolved = self.resolved()
         del resolved["log"]
@@ -369,7 +369,7 @@ class Scene:
 
 
 def _drop_later(axis: dict[str, Any]) -> None:
-    """Drops from an axis what came after the first release, where it changes nothing."""
+    """Drop keys of an axis that came after the first release, where they change nothing."""
     for key in LATER_LOOP_KEYS:
         if not axis["loop"][key]:
             del axis["loop"][key]
@@ -398,5 +398,5 @@ def _resolved_axis(axis: dict[str, Any]) -> dict[str, Any]:
 
 @cache
 def scene_adapter() -> TypeAdapter[Scene]:
-    """Returns what validates, writes and describes a `Scene`."""
+    """Adapter that validates, serialises and describes a `Scene`."""
     return TypeAdapter(Scene)

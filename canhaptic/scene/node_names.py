@@ -7,7 +7,7 @@ from canhaptic.scene.models import Scene
 
 
 def describe_nodes(scene: Scene) -> list[NodeDescription]:
-    """Returns name, dictionary, units and bus of every axis."""
+    """Name, dictionary, units and bus of every axis."""
     places = {bus.name: place for place, bus in enumerate(scene.buses)}
     return [
         NodeDescription(

@@ -1,4 +1,4 @@
-"""Names of the first release, read as what they are called now, with a warning; forms of earlier configurations.
+"""Names of the first release, replaced by the present ones with a warning; forms of earlier configurations.
 
 Scenes, overrides, keys of a sweep and the scenes that logs keep may still have them, for one release.
 """
@@ -29,11 +29,11 @@ _SELECTOR: Final = "algorithm"
 
 
 def algorithm_now(name: str, where: str) -> str:
-    """Returns what an algorithm is called now; warns where that is another name.
+    """Present name of an algorithm; warns about an old one.
 
     Args:
-        name: As given.
-        where: It was given, for the warning.
+        name: Name as given.
+        where: Place where it was given, for the warning.
     """
     if name in OLD_ALGORITHMS:
         _warn(where, f"algorithm {name!r}", OLD_ALGORITHMS[name])
@@ -41,7 +41,7 @@ def algorithm_now(name: str, where: str) -> str:
 
 
 def path_now(path: tuple[str, ...], where: str) -> tuple[str, ...]:
-    """Returns the path of a key by the names of now; warns where that is another one."""
+    """Path of a key in present names; warns about an old one."""
     if _SECTION not in path[:-1] or path[-1] not in OLD_KEYS:
         return path
     _warn(where, repr(path[-1]), OLD_KEYS[path[-1]])
@@ -49,7 +49,7 @@ def path_now(path: tuple[str, ...], where: str) -> tuple[str, ...]:
 
 
 def rename_old(scene: MarkedMapping, faults: Diagnostics) -> None:
-    """Gives keys and algorithms of a scene the names of now, in place; an old key with its new one is a fault."""
+    """Replace old keys and algorithms of a scene in place; an old key with its new one is a fault."""
     for section, is_of_axis in _sections(scene):
         outdated = OLD_KEYS.keys() & section.keys()
         taken = ""
@@ -70,7 +70,7 @@ def rename_old(scene: MarkedMapping, faults: Diagnostics) -> None:
 
 
 def _declared_as_then(section: MarkedMapping, is_of_axis: bool) -> str:
-    """Declares what the first release took for granted where it is not declared; returns that in words."""
+    """Declare the implicit assumptions of the first release where they are undeclared; return them in words."""
     then = {"device_damping_bound": 0.0, **({"hand_push": section.get("hand_force", 0.0)} if is_of_axis else {})}
     missing = {key: value for key, value in then.items() if key not in section and value is not None}
     for key, value in missing.items():

@@ -21,7 +21,7 @@ _PART: Final = re.compile(r'"([^"]*)"|([^".=]+)')
 
 
 def apply_overrides(scene: MarkedMapping, overrides: Sequence[str], faults: Diagnostics) -> None:
-    """Lays each override over the scene in place, later ones over earlier ones; faults name the override."""
+    """Apply each override to the scene in place, in order; faults name the override."""
     for text in overrides:
         source = f"--set {text if len(text) <= _LONGEST else text[: _LONGEST - 3] + '...'}"
         top = SourceLocation(source, 0, 0, ())

@@ -50,16 +50,16 @@ def installed(kind: str) -> dict[str, EntryPoint]:
 
 
 class OwnCode:
-    """The code of its user that a scene names, and whether it may run.
+    """User code that a scene names, and whether it may run.
 
     Args:
-        folder: Of the scene.
+        folder: Folder of the scene.
         use: "run" where the user permitted the scene's files, by `--allow-code` or `allow_code=True`; "left" where
             nothing is built from the scene, files and plug-ins alike.
 
     Attributes:
         hashes: File as the scene names it, or plug-in -> SHA-256 of what ran.
-        left: What was named and left unread.
+        left: Names of the code left unread.
     """
 
     def __init__(self, folder: Path, use: CodeUse = "refused") -> None:
@@ -69,7 +69,7 @@ class OwnCode:
         self.left: list[str] = []
 
     def is_left(self, reference: str, kind: str) -> bool:
-        """Returns whether a name is of own code that this scene leaves unread; it is then noted in `left`."""
+        """Whether a name is own code that this scene leaves unread; it is then noted in `left`."""
         if self._use != "left" or not (_names_own_code(reference) or reference in installed(kind)):
             return False
         self.left.append(reference)
@@ -125,7 +125,7 @@ class OwnCode:
         return getattr(module, attribute)
 
     def _checked(self, name: str) -> Path:
-        """Returns the path of a file that lies in the scene's folder itself, and is nothing but a file."""
+        """Path of a regular file that lies in the scene's folder itself."""
         folder = self._folder.resolve()
         try:
             path = (folder / name).resolve(strict=True)
@@ -142,12 +142,12 @@ class OwnCode:
 
 
 def require_same_code(ran: Mapping[str, str], recorded: Mapping[str, str], where: str) -> None:
-    """Refuses code that is not what was recorded.
+    """Refuse code that differs from the recorded code.
 
     Args:
-        ran: `OwnCode.hashes` of what would run now.
-        recorded: The same of the run that is looked at.
-        where: What recorded it, for the message.
+        ran: `OwnCode.hashes` of the code that would run now.
+        recorded: Hashes of the recorded run.
+        where: The record they come from, for the message.
 
     Raises:
         InputError: A file or a plug-in is another, or is missing.

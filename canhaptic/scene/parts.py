@@ -55,7 +55,7 @@ def build_plant(simulation: AxisSimulation, sample_time_ns: int, *, compiled: bo
 
 
 def effect_of(effect: ComponentSpec) -> Effect:
-    """Returns an effect as what it is."""
+    """Object of an effect's parameters."""
     return cast(Effect, effect.parameters)  # every class of EFFECTS is one
 
 
@@ -81,7 +81,7 @@ def build_axis_controller(axis: AxisScene) -> Controller:
 
 
 def display_properties(axis: AxisScene) -> DisplayProperties:
-    """Returns what a scene declares of an admittance display.
+    """Declared properties of an admittance display.
 
     Raises:
         ParameterError: A limit without which nothing may move is missing, or the axis is no admittance display.
@@ -208,7 +208,7 @@ def build_servo_drive(axis: AxisScene, link: Link, bus: BusParameters, *, dry_ru
 
 
 def require_torque_axis(axis: AxisScene) -> None:
-    """Refuses a dry run of an axis whose torque is not the master's to withhold.
+    """Refuse a dry run of an axis that takes no torque from the master.
 
     Raises:
         InputError: It is an admittance display.

@@ -1,4 +1,4 @@
-"""What the simulated plant of a run costs and errs by, found in a moment after the run: for the line that it prints.
+"""Cost and error of the simulated plant of a run, estimated after it for the line that it prints.
 
 The scene's own controller drives a fresh plant without a bus, over the first periods of the run. The plant is timed
 there, and run again with halved steps (sample time and substeps alike) and with coarser event bits; the declared order,
@@ -56,9 +56,9 @@ def plant_prices(scene: Scene, plants: Sequence[Plant], periods: int) -> list[Pl
     """Returns price and estimated error of each simulated plant; none where nothing ran.
 
     Args:
-        scene: What was run.
+        scene: The scene that ran.
         plants: The plants of its axes after the run.
-        periods: Sample times that they were moved by.
+        periods: Number of sample times they were moved for.
     """
     own = all(axis.simulation is not None and not axis.group for axis in scene.axes)
     if not periods or not scene.simulated or not own or len(plants) != len(scene.axes):
@@ -138,7 +138,7 @@ class _Runs:
 
 
 def _bracket_error(runs: _Runs, accuracy: AccuracyParameters) -> float:
-    """Returns what the width of the bracket of events leaves, which halves with every bit [m or rad]."""
+    """Position error due to the bracket of events, which halves with every bit [m or rad]."""
     less = max(1, accuracy.event_bits - _BITS_COARSER)
     more = accuracy.event_bits + _BITS_COARSER if accuracy.event_bits == less else less
     factor = 2.0 ** abs(accuracy.event_bits - more)

@@ -1,4 +1,4 @@
-"""Drive profiles: what is known of a make of drive, laid under the axis that names it by `drive: NAME`.
+"""Drive profiles: defaults for a make of drive, for an axis that names it by `drive: NAME`.
 
 A profile is a YAML file with keys of an axis, in `configs/drives/` or, given as a path that ends in .yaml, next to the
 scene. The axis's own keys win, key by key. What belongs to the rig and not to the make (name, node ID, dictionary,
@@ -35,7 +35,7 @@ def _profile_names() -> list[str]:
 
 
 def with_profile(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
-    """Returns an axis's section with its profile laid under it, and without the key that names the profile."""
+    """Section of an axis completed from its profile, and without the key that names the profile."""
     name, at = section.get(_PROFILE_KEY), section.value_at(_PROFILE_KEY)
     own = section.without(_PROFILE_KEY)
     if name is None:
@@ -78,7 +78,7 @@ def _path(name: str, at: SourceLocation) -> Path | None:
 
 
 def _read(path: Path, faults: Diagnostics) -> MarkedMapping:
-    """Returns the keys of a profile; what is wrong with it is noted, and left out."""
+    """Keys of a profile; a wrong one is noted, and left out."""
     try:
         text = read_regular(path, _LARGEST).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -1,4 +1,4 @@
-"""How far position and torque of a simulated axis may be from what is reported: what its effects make of them.
+"""Errors of reported position and torque of a simulated axis, from its effects.
 
 An encoder may be noisy or coarser than its counts, and a motor may give another torque than its demand.
 """
@@ -18,9 +18,9 @@ _SIGMAS: Final = 6.0
 
 
 def loop_as_known(axis: AxisScene) -> LoopProperties:
-    """Returns the loop of an axis, its count as wide as the errors of its encoder, and torques that its motor reaches.
+    """Loop of an axis, its count as wide as the errors of its encoder, and torques that its motor reaches.
 
-    Certificates and account then count on no more than the encoder tells; a torque beyond what the motor gives is cut
+    Certificates and account then rely on no better encoder than this one; a torque beyond the motor's reach is cut
     before it is certified.
     """
     effects, loop = _effects(axis), axis.loop
@@ -34,11 +34,11 @@ def loop_as_known(axis: AxisScene) -> LoopProperties:
 
 
 def accuracy_of(axis: AxisScene, algorithm: str) -> Accuracy:
-    """Returns what is known of the sensors and of the device of an axis.
+    """Accuracy of the sensors and the device of an axis.
 
     Args:
-        axis: Of the scene.
-        algorithm: Name of the one that renders on it, or on its group.
+        axis: Axis of the scene.
+        algorithm: Name of the algorithm that renders on it, or on its group.
     """
     effects, loop = _effects(axis), loop_as_known(axis)
     late = (loop.torque_window or 0.0) + (loop.current_lag or 0.0)  # beyond a hold too, where nothing is certified
@@ -63,13 +63,13 @@ def accuracy_of(axis: AxisScene, algorithm: str) -> Accuracy:
 
 
 def _bounds_motion(axis: AxisScene, loop: LoopProperties) -> bool:
-    """Whether certificates of one axis bound its motion inside a hold: all of them but dry friction do."""
+    """Whether certificates of one axis bound its motion inside a hold: all but dry friction do."""
     force, speed = (getattr(axis.passivity.parameters, key, None) for key in ("hand_force", "hand_speed"))
     return bool(loop.device_damping or speed or (force is not None and loop.moving_mass is not None))
 
 
 def friction_declared(axis: AxisScene) -> FrictionDeclared | None:
-    """Returns the declared friction and hand that an axis is checked against; None where one is not declared."""
+    """Declared friction and hand for the check of an axis; None where one is undeclared."""
     loop, parameters = loop_as_known(axis), axis.passivity.parameters
     force, push = (getattr(parameters, key, None) for key in ("hand_force", "hand_push"))
     if axis.group or not loop.device_friction or loop.moving_mass is None or force is None:
@@ -106,7 +106,7 @@ def _largest_torque(effects: Mapping[str, Parameters]) -> float:
 
 
 def _share(effects: Mapping[str, Parameters]) -> float:
-    """Returns the part of a torque that may be lacking or added; a hot winding may give none of it."""
+    """Largest relative error of a torque; a hot winding may give none of it."""
     if "thermal_derating" in effects:
         return 1.0
     return _value(effects, "torque_ripple", "amplitude", 0.0)

@@ -1,4 +1,4 @@
-"""What the simulated drive does where the scene says that the real one deviates, by the name of the quirk.
+"""Deviations of a simulated drive that follow from the quirks of its axis.
 
 A simulated drive takes its axis's quirks over, so that a scene for a real drive shows on the virtual bus what that
 drive will do; any key of `simulation.drive` wins.
@@ -33,7 +33,7 @@ _TWINS: Final[Mapping[str, Mapping[str, Any]]] = {
 
 
 def _twin_of(axis: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the keys of the simulated drive that follow from an axis, as far as that is right.
+    """Keys of the simulated drive that follow from an axis, as far as that is right.
 
     Args:
         axis: Its keys as the scene has them, with those of its profile.
@@ -61,7 +61,7 @@ def _ratio(written: object) -> float | None:
 
 
 def mirror_quirks(drive: MarkedMapping, axis: MarkedMapping) -> None:
-    """Adds to the section of a simulated drive what follows from its axis; its own keys win."""
+    """Add to the section of a simulated drive the keys that follow from its axis; its own keys win."""
     for key, value in _twin_of(axis).items():
         if key not in drive:
             at = axis.value_at("quirks")

@@ -1,6 +1,6 @@
 """The text of a configuration to start from, made from the dictionary of a drive.
 
-It is a whole scene: every key that a dictionary can give is given, every other has a cautious value and says so.
+It is a whole scene: every key that a dictionary can supply is given, every other has a cautious value and says so.
 """
 
 import json
@@ -100,7 +100,7 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
         found: The survey of its dictionary.
         simulate: Adds a simulated drive, motor and hand on a virtual bus, so that it runs at once.
         drive: Name of the drive profile to use; None for none.
-        out: The file that the text is for; None where that is not known, and the dictionary needs its whole path.
+        out: Path of the file for the text; None where that is unknown, and the dictionary needs its whole path.
 
     Raises:
         DictionaryError: The drive cannot serve; lists every reason.
@@ -165,7 +165,7 @@ def _axis_values(found: Survey, drive: str | None, limit: float) -> dict[str, st
 
 
 def _aligned(text: str) -> str:
-    """Returns the text with the comments behind values one below the other."""
+    """The text with its value comments aligned."""
     return _TRAILING_COMMENT.sub(lambda found: f"{found.group(1):<{_COMMENT_COLUMN - 2}}  # ", text)
 
 

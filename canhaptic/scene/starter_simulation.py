@@ -1,4 +1,4 @@
-"""What starter scenes of both kinds of displays say alike: the guesses of timing, and the machine that is simulated."""
+"""Common parts of the starter scenes of both kinds of displays: guesses of timing, and the simulated machine."""
 
 from string import Template
 from typing import Final
@@ -34,13 +34,13 @@ def simulated_machine(
     """Returns the section `simulation`.
 
     Args:
-        rated: Torque [N*m].
+        rated: Rated torque [N*m].
         objects: Lines of `simulation.drive`.
-        mass: Moved [kg*m^2].
-        bearings: Their damping [N*m*s/rad].
-        limit: Of the torque, to which the hand is scaled [N*m].
-        hand: What the hand does.
-        between: Further lines, ahead of the hand.
+        mass: Moved inertia [kg*m^2].
+        bearings: Damping of the bearings [N*m*s/rad].
+        limit: Torque limit, to which the hand is scaled [N*m].
+        hand: Comment on the motion of the hand.
+        between: Further lines, before the hand.
         motion: Amplitude [rad] and frequency [Hz] of the hand.
     """
     return _TEXT.substitute(

@@ -1,8 +1,8 @@
-"""Timing of the holds of a simulated scene, as far as the scene does not declare it: what bus and motor make of it.
+"""Timing of the holds of a simulated scene, from bus and motor where the scene does not declare it.
 
-What is derived is what the simulation can do, and never better than the bus allows: an event RPDO acts when it has
-come, which the bit rate of the bus bounds, whether the simulated bus takes its time or not. With real drives nothing
-is derived: there it is measured (`canhaptic commission`) and declared, and until then no real drive runs.
+Derived values are what the simulation can do, and never better than the bus allows: an event RPDO acts when it has
+arrived, which the bit rate of the bus bounds, whether the simulated bus models transmission time or not. With real
+drives nothing is derived: timing is measured (`canhaptic commission`) and declared, and until then no real drive runs.
 """
 
 from collections.abc import Mapping, Set
@@ -26,7 +26,7 @@ _MOST_JITTER: Final = 0.5
 
 
 def undeclared(loop: LoopProperties) -> list[str]:
-    """Returns the names of what is not declared of the holds of an axis."""
+    """Undeclared timing keys of an axis."""
     return [key for key in GUESSES if getattr(loop, key) is None]
 
 
@@ -47,7 +47,7 @@ def with_timing(scene: Scene) -> Scene:
 
 
 def _with_guesses(scene: Scene) -> Scene:
-    """Returns the scene with guesses where the timing of real holds is not declared, and with the names of the axes.
+    """Scene with guesses where the timing of real holds is undeclared, and the names of the axes.
 
     Axes whose dry friction has no bound are named with them: nothing can be guessed of it.
     """
@@ -70,7 +70,7 @@ def _with_guesses(scene: Scene) -> Scene:
 
 
 def _rests_on(scene: Scene, axis: AxisScene) -> Set[str]:
-    """Returns which of these the promise of an axis rests on; empty where its algorithm makes none."""
+    """Timing keys on which the promise of an axis rests; empty where its algorithm makes none."""
     known = scene.passivity_of(axis).parameters
     if hasattr(known, "hand_force"):
         return GUESSES.keys()
@@ -78,7 +78,7 @@ def _rests_on(scene: Scene, axis: AxisScene) -> Set[str]:
 
 
 def _effects(scene: Scene, bus: NamedBus) -> Mapping[str, float]:
-    """Returns what a scene names of the bus; empty where it is ideal."""
+    """Bus effects that a scene names; empty where the bus is ideal."""
     effects = scene.bus_effects
     if effects is None or (effects.buses is not None and bus.name not in effects.buses):
         return {}
@@ -86,7 +86,7 @@ def _effects(scene: Scene, bus: NamedBus) -> Mapping[str, float]:
 
 
 def _late(scene: Scene, effects: Mapping[str, float], cob_id: int | None) -> float:
-    """Returns how much later than another a frame to the drive may come [s]; `cob_id` None: any of them."""
+    """Largest delay of a frame to the drive relative to another [s]; `cob_id` None: any of them."""
     whole = scene.bus_effects
     if whole is None or not whole.suffers("to_drive") or (cob_id and whole.ids is not None and cob_id not in whole.ids):
         return 0.0
@@ -95,7 +95,7 @@ def _late(scene: Scene, effects: Mapping[str, float], cob_id: int | None) -> flo
 
 
 def _jitter(scene: Scene, bus: NamedBus) -> float:
-    """Returns by how much a hold may differ from the sample time, as a part of it: the SYNC comes late, or not."""
+    """Largest deviation of a hold from the sample time, as a part of it: the SYNC comes late, or not."""
     effects = _effects(scene, bus)
     late = _late(scene, effects, SYNC_FRAME_COB_ID)
     if "wire_time" in effects:
@@ -104,7 +104,7 @@ def _jitter(scene: Scene, bus: NamedBus) -> float:
 
 
 def _window(scene: Scene, bus: NamedBus) -> float:
-    """Returns how long after its SYNC a torque acts at the latest [s]."""
+    """Latest time after its SYNC at which a torque acts [s]."""
     if bus.parameters.rpdo == "synchronous":
         return 0.0
     effects, whole = _effects(scene, bus), scene.bus_effects
@@ -122,7 +122,7 @@ def _window(scene: Scene, bus: NamedBus) -> float:
 
 
 def _lag(axis: AxisScene) -> float:
-    """Returns the largest time constant between the torque held and that of the motor [s]."""
+    """Largest time constant from the commanded torque to the motor's [s]."""
     effects = axis.simulation.effects if axis.simulation is not None else ()
     lags = [getattr(effect.parameters, "time_constant", 0.0) for effect in effects if effect.name == "current_loop"]
     return max(lags, default=0.0)

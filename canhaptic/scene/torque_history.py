@@ -1,4 +1,4 @@
-"""Torques of the scene's own controller on a simulated plant, without a bus: what a plant is judged under."""
+"""Torques of the scene's own controller on a simulated plant, without a bus: the input for judging a plant."""
 
 from dataclasses import replace
 from typing import Final
