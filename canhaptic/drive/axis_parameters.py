@@ -1,4 +1,4 @@
-"""What a scene says about the bus and about each axis: every value in SI, with its unit and range."""
+"""Parameters of the bus and of each axis in a scene: every value in SI, with its unit and range."""
 
 from typing import Annotated, Any, Final, Literal
 
@@ -17,7 +17,7 @@ _PdoNumber = Annotated[int, quantity("1", ge=1, le=PDO_COUNT)]
 
 
 def _number_of(key: object) -> object:
-    """Returns the number that a key of a scene means, which is a text: `0x1404`."""
+    """Number of a key of a scene, written as text: `0x1404`."""
     try:
         return int(key, 0) if isinstance(key, str) else key
     except ValueError:
@@ -28,7 +28,7 @@ _Index = Annotated[int, BeforeValidator(_number_of)]
 
 
 class BusParameters(Parameters):
-    """One CAN bus, its rate of SYNC, and what happens when frames go missing on it."""
+    """One CAN bus, its rate of SYNC, and its reaction to missing frames."""
 
     interface: PrintableText = "virtual"
     """python-can interface (`virtual`, `socketcan`, `udp_multicast`, ...)."""

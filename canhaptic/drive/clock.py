@@ -48,7 +48,7 @@ class WallClock:
         return time.monotonic_ns()
 
     def wait_until(self, deadline: int) -> None:
-        """Sleeps, then spins, until `deadline` [ns]; far sides run meanwhile."""
+        """Sleep, then spin, until `deadline` [ns]; simulated drives run meanwhile."""
         now = time.monotonic_ns()
         while now < deadline:
             if idle := self._process(deadline, now):
@@ -62,7 +62,7 @@ class WallClock:
             idle = self._process(deadline, now)
             if deadline - now <= _POLL_STOP:
                 break
-            message = bus.recv(idle)  # far sides in this process have answered; what others send ends the wait at once
+            message = bus.recv(idle)  # simulated drives have answered; frames of others end the wait at once
             if message is not None:
                 return message
             now = time.monotonic_ns()
@@ -71,7 +71,7 @@ class WallClock:
         return bus.recv(0.0)
 
     def _process(self, deadline: int, now: int) -> float:
-        """Lets the far sides act and returns the time [s] until then or `deadline` in which nothing of ours is due."""
+        """Run the simulated drives; return the time [s] until their next event or `deadline`."""
         wake = deadline
         for far_side in self._far_sides:
             far_side.process(now)
@@ -83,7 +83,7 @@ class WallClock:
 
 
 class _FarSides:
-    """Several far sides, or none, as one (a `SimulatedPeer`)."""
+    """Several simulated peers, or none, as one (a `SimulatedPeer`)."""
 
     def __init__(self, far_sides: Sequence[SimulatedPeer]) -> None:
         self._far_sides = far_sides
@@ -104,7 +104,7 @@ class _FarSides:
 
 
 class VirtualClock:
-    """Time that advances only when its owner waits, and then jumps to the next event of the far sides.
+    """Time that advances only when its owner waits, and then jumps to the next event of the simulated drives.
 
     Args:
         far_sides: Simulated drives that share a virtual bus with the master, in this thread.
@@ -114,7 +114,7 @@ class VirtualClock:
     def __init__(self, far_sides: Sequence[SimulatedPeer] = (), start: int = 0) -> None:
         self._far_sides = tuple(far_sides)
         self._now = start
-        # One far side, the usual case, is called without a loop: this runs for every frame.
+        # One simulated peer, the usual case, is called without a loop: this runs for every frame.
         only = self._far_sides[0] if len(self._far_sides) == 1 else _FarSides(self._far_sides)
         self._process, self._next_due = only.process, only.next_due
 
@@ -123,7 +123,7 @@ class VirtualClock:
         return self._now
 
     def wait_until(self, deadline: int) -> None:
-        """Lets the far sides live until `deadline` [ns]."""
+        """Run the simulated drives until `deadline` [ns]."""
         while self._now < deadline:
             self._process(self._now)
             self._now = min(deadline, self._next_event(self._now))
@@ -143,7 +143,7 @@ class VirtualClock:
             self._now = event
 
     def _next_event(self, now: int) -> int:
-        """Returns when something happens next [ns]; a timer that is overdue cannot hold time up."""
+        """Time of the next event [ns]; an overdue timer cannot stop time."""
         due = self._next_due()
         return due if now < due else self._next_after(now)
 

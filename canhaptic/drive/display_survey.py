@@ -1,4 +1,4 @@
-"""What a dictionary says of a drive that is to be an admittance display: where its force comes from, what limits it."""
+"""Judgement of a dictionary for an admittance display: source of its force, and its limits."""
 
 from typing import Final
 
@@ -28,7 +28,7 @@ _SENSOR_NODE: Final = 9  # node ID of a sensor that is a node of its own, where 
 
 
 def _analog_input(dictionary: ObjectDictionary) -> str | None:
-    """Returns the first known analog input that a TPDO of the drive can carry, as `0x3160.1`; None where there is none.
+    """First known analog input that a TPDO of the drive can carry, as `0x3160.1`; None without one.
 
     The object of another make at one of these places may be another thing: it is a proposal.
     """
@@ -41,10 +41,10 @@ def _analog_input(dictionary: ObjectDictionary) -> str | None:
 
 
 def display_of(dictionary: ObjectDictionary, mode: Mode, force_object: str | None = None) -> DisplayParameters:
-    """Returns an admittance display with a dictionary; its force has scale 1, and its figures mean nothing.
+    """Admittance display with a dictionary; its force has scale 1, and its figures are placeholders.
 
     Args:
-        dictionary: Of the drive.
+        dictionary: Dictionary of the drive.
         mode: `velocity` or `position`.
         force_object: Object that shows the force; by default a known analog input of the drive, else a
             sensor with a node of its own.
@@ -59,7 +59,7 @@ def display_of(dictionary: ObjectDictionary, mode: Mode, force_object: str | Non
 
 
 def force_finding(dictionary: ObjectDictionary, display: DisplayParameters) -> Finding:
-    """Returns what the dictionary says of the force of a display."""
+    """Finding of the dictionary about the force of a display."""
     place = display.force.place
     if place is None:
         text = "no analog input is known of this drive; name one (--force-object), or give the sensor a node of its own"
@@ -75,7 +75,7 @@ def force_finding(dictionary: ObjectDictionary, display: DisplayParameters) -> F
 
 
 def limit_findings(dictionary: ObjectDictionary) -> list[Finding]:
-    """Returns what in the drive limits a display whose sensor or master is wrong, and what may bend its command."""
+    """Limits in the drive for a display whose sensor or master is wrong, and objects that may alter its command."""
     found = []
     ramps = [index for index in (od.PROFILE_ACCELERATION, od.MAX_ACCELERATION) if listed(dictionary, index) is not None]
     stuck = [index for index in ramps if not is_writable(dictionary, index, 0)]

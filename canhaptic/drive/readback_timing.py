@@ -19,7 +19,7 @@ Reported = Literal["before", "after"]
 
 _CLEAR: Final = 0.25  # of the changes of torque: the right alignment must explain all but this part of them
 _LEAST_CHANGES: Final = 8
-_LEAST_COUNTS: Final = 3  # amplitude of the probe in counts of 0x6071, so that rounding does not blur it
+_LEAST_COUNTS: Final = 3  # amplitude of the probe in counts of 0x6071, so that rounding does not hide it
 _REGISTER_SEED: Final = 0b1011
 _REGISTER_TAPS: Final = 0b110000  # of x^6 + x^5 + 1: 63 steps until it repeats
 
@@ -107,7 +107,7 @@ def measure_read_back(rig: Rig, amplitude: float, cycles: int = 64) -> list[Read
 
     Args:
         rig: Started; no controller may write torques meanwhile.
-        amplitude: Of the probe [N*m or N]; the limits of each axis hold all the same.
+        amplitude: Amplitude of the probe [N*m or N]; the limits of each axis still apply.
         cycles: SYNCs to probe for.
 
     Raises:

@@ -55,15 +55,15 @@ class Rig:
             link policy counts SYNCs without the whole set, however the losses are spread over the axes.
 
     Attributes:
-        budgets: The worst cycle of each bus.
+        budgets: Worst cycle of each bus.
         sync_index: Index of the last SYNC; 0 is the first that found every drive enabled, -1 before it.
         deadline_index: Sample times since SYNC 0: ahead of `sync_index` where SYNCs were skipped.
         periods: Sample times between the last two SYNCs; more than 1 where some were skipped.
         uneven: By how much the hold that ended was longer or shorter than its sample times [ns].
-        stop_reason: Why the rig stopped; NONE while it runs.
+        stop_reason: Reason why the rig stopped; NONE while it runs.
         records: The last cycles, newest last.
-        realtime: What the operating system granted to the thread that called `start`.
-        timing: Where the time of the last cycle with torques written went [ns].
+        realtime: Real-time settings that the operating system granted to the thread that called `start`.
+        timing: Durations within the last cycle with torques written [ns].
 
     Raises:
         InputError: A node ID is used twice on one bus.
@@ -91,7 +91,7 @@ class Rig:
             SdoLine(link, has_room=has_room_for_sdo(budget, bus))
             for link, budget in zip(self.links, self.budgets, strict=True)
         )
-        # At free pace the thread never sleeps: with real-time priority it would take its processor from everybody.
+        # At free pace the thread never sleeps: with real-time priority it would starve all others of its processor.
         self.realtime = Realtime(RealtimeParameters() if isinstance(self.clock, VirtualClock) else bus.realtime)
         self._reset()
 
@@ -108,7 +108,7 @@ class Rig:
         self.timing = CycleTiming(0, 0, 0, 0)
 
     def start(self) -> None:
-        """Brings every drive from wherever it is to OPERATION ENABLED with zero torque, each step confirmed.
+        """Bring every drive from any state to OPERATION ENABLED with zero torque, each step confirmed.
 
         Raises:
             StartError: A step was not confirmed; all drives are left disabled.
@@ -175,7 +175,7 @@ class Rig:
             reason = drive.fault(exchange.heard)
             if reason:
                 raise self._stopped(reason, self._describe(drive, reason), drive.axis.name)
-        if periods > 1 or self._behind:  # last: what a drive says of its watchdog says more
+        if periods > 1 or self._behind:  # last: the drive's own report of its watchdog is more specific
             self._count_skips(periods)
         return samples
 
@@ -266,7 +266,7 @@ class Rig:
 
         Args:
             ramp: True for an operator's stop; False when something is wrong.
-            reason: What is wrong.
+            reason: Cause of the stop.
 
         Raises:
             RigError: A drive did not confirm that it is disabled.
@@ -294,8 +294,8 @@ class Rig:
         """Sends zero torque and stops at once for a reason that the caller has found; returns the exception.
 
         Args:
-            reason: Of the stop.
-            what: Where it was found, and with which values.
+            reason: Reason of the stop.
+            what: Place where it was found, with the values.
         """
         rule = STOP_TABLE[reason]
         text = f"{what}: {rule.meaning} at SYNC {self.sync_index}; torque is zero; {rule.remedy}"
@@ -341,7 +341,7 @@ class Rig:
         return f"{drive.policy.missed} SYNCs in a row{together}, limit {self.bus.stop_cycles}"
 
     def _emergency_remedy(self, drive: ServoDrive) -> str:
-        """Returns what to do about the drive's EMCY; "" where its code belongs to the drive's own manual."""
+        """Remedy for the drive's EMCY; "" where its code belongs to the drive's own manual."""
         code = 0 if drive.emergency is None else drive.emergency.code
         return emcy_remedy(code, self.bus.master_silence_ns * 1e-9, self.skipped_syncs)
 
@@ -366,7 +366,7 @@ class Rig:
 
     @property
     def dry_run(self) -> bool:
-        """Whether a drive is sent no torque, so that nothing can be claimed of the run."""
+        """Whether the drives are sent no torque, so that the run proves nothing."""
         return any(drive.dry_run for drive in self.drives)
 
     @property

@@ -79,7 +79,7 @@ class LoadRow(NamedTuple):
 
 
 class Survey(NamedTuple):
-    """All that one dictionary says."""
+    """Findings of one dictionary."""
 
     dictionary: ObjectDictionary
     axis: AxisParameters  # for which it was judged
@@ -118,10 +118,10 @@ class Survey(NamedTuple):
 
 
 def survey(dictionary: ObjectDictionary, axis: AxisParameters) -> Survey:
-    """Returns what a dictionary says.
+    """Findings of a dictionary.
 
     Args:
-        dictionary: As read from its EDS or DCF.
+        dictionary: Dictionary as read from its EDS or DCF.
         axis: From `unconfigured_axis`, perhaps with the keys of a drive profile.
     """
     device = dictionary.device_information
@@ -159,7 +159,7 @@ def survey(dictionary: ObjectDictionary, axis: AxisParameters) -> Survey:
 
 
 def unconfigured_axis(eds: str | Path, **values: Any) -> AxisParameters:
-    """Returns an axis with a dictionary and perhaps a profile; its node ID, scale and limit are 1 and mean nothing."""
+    """Axis with a dictionary and perhaps a profile; node ID, scale and limit are placeholders of 1."""
     return AxisParameters(name="drive", node_id=1, eds=Path(eds), counts_per_unit=1.0, torque_limit=1.0, **values)
 
 

@@ -192,7 +192,7 @@ def _damping_hints(axis: AxisScene) -> list[Hint]:
 
 
 def _colgate_damping(axis: AxisScene, asked: float | None) -> list[Hint]:
-    """b - k T / 2: what Colgate's condition b > k T / 2 + |d| leaves for the damper at the requested stiffness."""
+    """Damping left by Colgate's condition b > k T / 2 + |d| at the requested stiffness: b - k T / 2."""
     device, source = _known(axis, "device_damping", "damping")
     stiffness = _asked(axis, "stiffness")
     if device is None or stiffness is None:

@@ -246,7 +246,7 @@ class SdoLine:
         self._advance(request, None)
 
     def _take(self, data: bytearray) -> None:
-        """Puts an answer aside: all that happens to it between SYNC and RPDO."""
+        """Store an answer: its only handling between SYNC and RPDO."""
         self._answers.append(bytes(data))
 
     def _look(self, request: _Request) -> None:

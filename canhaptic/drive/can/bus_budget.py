@@ -94,7 +94,7 @@ def bus_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
 
 
 def torque_latency(bus: BusParameters, maps: Sequence[AxisMap]) -> float:
-    """Returns the longest time [s] from a SYNC until the torques that answer it have come.
+    """Longest time [s] from a SYNC until the torques that answer it have arrived.
 
     Every TPDO and RPDO, the host between them, and before either one frame that had just begun.
     """
@@ -141,7 +141,7 @@ def require_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
 
 
 def _ways_out(bus: BusParameters, maps: Sequence[AxisMap]) -> list[str]:
-    """Returns what to change, nearest first."""
+    """Remedies, nearest first."""
     budget = bus_budget(bus, maps)
     most = 1.0 / budget.worst_cycle
     ways = [f"rate: {round_rate(most):g} (at most {most:.0f} Hz)"]
@@ -160,7 +160,7 @@ def _ways_out(bus: BusParameters, maps: Sequence[AxisMap]) -> list[str]:
 
 
 def _without_read_back(budget: BusBudget, maps: Sequence[AxisMap]) -> float | None:
-    """Returns the worst cycle [s] with the torque left out of every TPDO; None if no map of ours carries it."""
+    """Worst cycle [s] without a torque in any TPDO; None if none of our maps carries it."""
     saved = 0
     for axis in maps:
         if axis.read_back != "none" and len(axis.tpdos) == 1 and axis.tpdos[0].is_written:

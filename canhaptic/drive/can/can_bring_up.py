@@ -1,4 +1,4 @@
-"""What CANopen adds to the start of a drive: NMT, heartbeats, the watchdog of the master, the PDO map."""
+"""CANopen part of the start of a drive: NMT, heartbeats, the watchdog of the master, the PDO map."""
 
 from functools import partial
 from typing import Final
@@ -35,7 +35,7 @@ class CanBringUp(BringUp):
         self._drive.leave_operational()
 
     def _monitor(self) -> None:
-        """Asks for heartbeats."""
+        """Request heartbeats."""
         self._drive.nmt_state = None
         self._write_confirmed("heartbeat", od.PRODUCER_HEARTBEAT_TIME, 0, self._drive.bus.heartbeat_ms)
 
@@ -56,7 +56,7 @@ class CanBringUp(BringUp):
         self._write_confirmed("watchdog", od.CONSUMER_HEARTBEAT_TIME, 1, bus.consumer_heartbeat)
 
     def _sync_period(self) -> None:
-        """Compares 0x1006 with the sample time: with a period that another master left the drive misses our SYNCs."""
+        """Compare 0x1006 with the sample time: a drive set to another period misses our SYNCs."""
         drive, index = self._drive, od.COMMUNICATION_CYCLE_PERIOD
         listed = drive.dictionary.get_variable(index)
         if listed is None or not listed.readable or index in drive.left_out:
@@ -96,7 +96,7 @@ class CanBringUp(BringUp):
             self._drive.command_nmt(NmtCommand.START)
 
     def operational(self) -> Confirmation:
-        """Returns the heartbeat with OPERATIONAL."""
+        """Confirmation by a heartbeat with OPERATIONAL."""
         drive = self._drive
         return Confirmation(
             "NMT operational",
@@ -107,7 +107,7 @@ class CanBringUp(BringUp):
         )
 
     def process_data(self) -> Confirmation:
-        """Returns every TPDO after a SYNC."""
+        """Confirmation by every TPDO after a SYNC."""
         drive = self._drive
         cob_ids = ", ".join(f"{tpdo.cob_id:#05x}" for tpdo in drive.map.tpdos)
         return Confirmation(
@@ -120,7 +120,7 @@ class CanBringUp(BringUp):
 
 
 def _nmt_name(state: int | None) -> str:
-    """Returns the name of an NMT state as a heartbeat gave it."""
+    """Name of an NMT state in a heartbeat."""
     if state is None:
         return "no heartbeat"
     return NmtState(state).name if state in NmtState.__members__.values() else f"NMT state {state:#04x}"

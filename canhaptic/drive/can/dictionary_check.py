@@ -18,12 +18,12 @@ from canhaptic.errors import DictionaryError
 def check_dictionary(
     dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None = None
 ) -> list[Finding]:
-    """Returns what a dictionary says about its fitness for cyclic torque, refusals included.
+    """Findings of a dictionary about cyclic torque, refusals included.
 
     Args:
-        dictionary: Of the drive.
+        dictionary: Dictionary of the drive.
         axis: Its parameters.
-        bus: Of the axis; None while it is not known, and then no value that depends on it is judged.
+        bus: Bus of the axis; None if unknown, and values that depend on it are not judged.
     """
     return [
         *profile_findings(dictionary, axis, None if bus is None else bus.sample_time_ns),
@@ -69,7 +69,7 @@ def _watchdog(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParame
 
 
 def _sync_period(dictionary: ObjectDictionary) -> Iterator[Finding]:
-    """Yields a refusal where 0x1006 is listed and cannot be compared with the sample time; it may be missing."""
+    """Yield a refusal where 0x1006 is listed and cannot be compared with the sample time; it may be missing."""
     variable = listed(dictionary, od.COMMUNICATION_CYCLE_PERIOD)
     if variable is None or not variable.readable:
         return
@@ -103,7 +103,7 @@ def _map(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters 
 
 
 def _plan_objections(dictionary: ObjectDictionary, plan: PdoPlan, transmission_type: int | None) -> Iterator[str]:
-    """Yields why a PDO cannot be configured and read back as it is planned."""
+    """Yield a planned PDO's obstacles to being configured and read back."""
     place, types = plan.communication_index, () if transmission_type is None else (transmission_type,)
     cob_ids = (plan.cob_id | od.COB_ID_INVALID, plan.cob_id) if plan.cob_id_is_written else ()
     uses = [ObjectUse(place, 1, reads=True, values=cob_ids)]

@@ -1,4 +1,4 @@
-"""What the start of an admittance display adds: no ramps, no offsets, a quick stop that stops."""
+"""Additions to the start of an admittance display: no ramps, no offsets, a quick stop that stops."""
 
 from typing import Final
 
@@ -34,7 +34,7 @@ class DisplayBringUp(CanBringUp):
         }
 
     def _zero_torque(self) -> None:
-        """Writes a target at rest; the ramps of the drive as steep as they go; no offsets; the quick stop."""
+        """Write a target at rest, the steepest ramps of the drive, zero offsets, and the quick stop."""
         target = od.TARGET_VELOCITY
         if self._drive.display.mode == "position":
             with self.step("zero torque"):
@@ -43,7 +43,7 @@ class DisplayBringUp(CanBringUp):
         else:
             self._write_confirmed("zero torque", target, 0, 0)
         dictionary = self._drive.dictionary
-        for index in RAMPS:  # a ramp inside the drive is a command that the certificate does not know
+        for index in RAMPS:  # a ramp inside the drive changes the command behind the certificate's back
             if is_writable(dictionary, index, 0):
                 self._write_confirmed("ramps", index, 0, largest_value(dictionary, index))
         self._zero_offsets()
@@ -62,7 +62,7 @@ class DisplayBringUp(CanBringUp):
             self._drive.command_sensor(od.NmtCommand.START)
 
     def check_rest(self) -> None:
-        """Refuses a sensor that shows a force where no hand may push: an offset would move the handle by itself."""
+        """Refuse a sensor that shows a force while nothing pushes: an offset would move the handle by itself."""
         drive = self._drive
         if not drive.checks_rest:
             return
@@ -75,7 +75,7 @@ class DisplayBringUp(CanBringUp):
             )  # fmt: skip
 
     def process_data(self) -> Confirmation:
-        """Returns every TPDO after a SYNC, and the frame of the sensor."""
+        """Confirmation by every TPDO after a SYNC, and the frame of the sensor."""
         wanted, node = super().process_data(), self._drive.display.force.node
         if node is None:
             return wanted

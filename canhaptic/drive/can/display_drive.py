@@ -54,7 +54,7 @@ class DisplayDrive(ServoDrive):
             raise ParameterError(f"{axis.name}: has no `admittance`; expected an admittance display")
         self.display: DisplayParameters = display
         self.force = ForceChannel(display.force, bus.sample_time)
-        self.checks_rest = display.force.sampling != "impulse"  # a sum says nothing of the force of now
+        self.checks_rest = display.force.sampling != "impulse"  # a sum does not show the present force
         self._is_position = display.mode == "position"
         self.command_quantum = speed_quantum(axis, bus)
         super().__init__(link, axis, dictionary, bus)
@@ -73,7 +73,7 @@ class DisplayDrive(ServoDrive):
             self.rest_text = "the position of the axis"
 
     def _force_handler(self, node: ForceNode) -> Callable[[bytearray], None]:
-        """Returns what takes the frames of a sensor that is a node of its own: one more part of the sample."""
+        """Handler of the frames of a sensor with a node of its own: one more part of the sample."""
         bit = self._all_tpdos + 1
         self._all_tpdos |= bit
         begin, end, length = node.first_byte, node.end, node.frame_length
@@ -100,7 +100,7 @@ class DisplayDrive(ServoDrive):
             self.link.send(od.NMT_COB_ID, bytes([command, self._sensor.node_id]))
 
     def tare(self) -> None:
-        """Lets a CiA 404 transducer take the force of now for zero, where that is asked for.
+        """Tare a CiA 404 transducer to its present force, where requested.
 
         Raises:
             SdoError: It did not answer, or refused.
@@ -125,7 +125,7 @@ class DisplayDrive(ServoDrive):
         self._target = 0
 
     def sample(self, sync_index: int, periods: int = 1, *, is_whole: bool = True) -> Sample:
-        """Returns what the drive reported for the SYNC that was just answered, or not; see `ServoDrive.sample`."""
+        """Report of the drive for the SYNC just answered, or of the last one; see `ServoDrive.sample`."""
         if not (self.is_complete and is_whole):
             return super().sample(sync_index, periods, is_whole=is_whole)
         self._periods += periods
@@ -143,15 +143,15 @@ class DisplayDrive(ServoDrive):
         return sample
 
     def fault(self, now: int) -> StopReason:
-        """Returns why the rig must stop because of this drive; NONE while all is well."""
+        """Reason why the rig must stop because of this drive; NONE while all is well."""
         if self.force.is_wrong:
             return StopReason.FORCE_RANGE if self.force.is_beyond_range else StopReason.FORCE_FROZEN
         return super().fault(now)
 
     def command_per_mille(self, torque: float) -> int:
-        """Returns the command in counts for the velocity that a controller asks [m/s or rad/s]; limited as a torque is.
+        """Command in counts for a requested velocity [m/s or rad/s]; limited as a torque is.
 
-        Towards a limit of the position that is reached there is no velocity.
+        At a position limit no velocity leads further towards it.
 
         Raises:
             ControlError: The velocity is not finite.

@@ -1,4 +1,4 @@
-"""What the drives of one bus need: COB-IDs that no other master sends, node IDs that differ, time on the wire."""
+"""Requirements of the drives of one bus: COB-IDs that no other master sends, distinct node IDs, time on the wire."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ def own_frames(link: Link, drives: Sequence[ServoDrive], bus: BusParameters) -> 
 
     Args:
         link: The bus.
-        drives: Of the rig; those on other buses are left out.
+        drives: Drives of the rig; those on other buses are left out.
         bus: With the node ID of the master.
     """
     names = {
@@ -37,7 +37,7 @@ def budget_of(drives: Sequence[ServoDrive], bus: BusParameters) -> BusBudget:
     """Returns the budget of one bus, which has a bit rate of its own.
 
     Args:
-        drives: On this bus.
+        drives: Drives on this bus.
         bus: With the node ID of the master; the rates of the bus where it has no drive.
 
     Raises:

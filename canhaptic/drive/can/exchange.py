@@ -16,7 +16,7 @@ _HEARTBEAT = bytes([NmtState.OPERATIONAL])
 
 
 class Exchange:
-    """The pace of a rig and what goes over its buses in one cycle.
+    """The pace of a rig and the traffic on its buses in one cycle.
 
     Args:
         links: The buses; the first sets the clock.
@@ -24,15 +24,15 @@ class Exchange:
         bus: Rate, windows, heartbeat.
 
     Attributes:
-        sample_time_ns: Of the cycle [ns].
-        silence: Of the master that a drive tolerates [ns].
+        sample_time_ns: Sample time of the cycle [ns].
+        silence: Longest silence of the master that a drive tolerates [ns].
         beat_cycles: Sample times from one heartbeat of the master to the next.
         periods: Sample times between the last two SYNCs; more than 1 after a skip.
-        uneven: By how much the last hold was longer or shorter than its sample times [ns].
+        uneven: Deviation of the last hold from its sample times [ns].
         skipped: Deadlines missed and left out since `begin`.
-        deadline: Of the last SYNC [ns].
-        woken: When the wait for it ended [ns].
-        heard: When the last TPDO had come, or the window had closed [ns].
+        deadline: Deadline of the last SYNC [ns].
+        woken: Time at which the wait for it ended [ns].
+        heard: Time at which the last TPDO arrived, or the window closed [ns].
     """
 
     def __init__(self, links: Sequence[Link], drives: Sequence[ServoDrive], bus: BusParameters) -> None:
@@ -43,7 +43,7 @@ class Exchange:
         self.now, self.wait_until = self.clock.now, self.clock.wait_until
         self.sample_time_ns, self.silence = bus.sample_time_ns, bus.master_silence_ns
         self._period = bus.sample_time_ns
-        self._latest = self._period // 2  # a deadline overslept by more is skipped
+        self._latest = self._period // 2  # a deadline missed by more is skipped
         self._window_ns = round(bus.tpdo_timeout * self._period)
         self._heartbeat_cob_id = HEARTBEAT_BASE + bus.master_id
         self.beat_cycles = bus.heartbeat_cycles
@@ -64,10 +64,10 @@ class Exchange:
         self._next = self.deadline = self.woken = self.heard = self._synced = self._logged = self.clock.now()
 
     def sync(self) -> None:
-        """Waits for the deadline, sends SYNC on every bus and takes the TPDOs until all came or their time is over.
+        """Wait for the deadline, send SYNC on every bus and take the TPDOs until all arrived or their time is over.
 
         Raises:
-            LinkError: A bus failed; the others had their SYNC all the same.
+            LinkError: A bus failed; SYNC still went out on the others.
         """
         failure: LinkError | None = None
         synced = self.woken = self._wait()
@@ -99,12 +99,12 @@ class Exchange:
             raise failure
 
     def _skip_after(self, late: int) -> None:
-        """Skips the deadlines that were missed between the wait and the SYNC, which was late by so much [ns]."""
+        """Skip the deadlines missed between the wait and the SYNC, given the SYNC's lateness [ns]."""
         self._skip(late)
         self.deadline += late // self._period * self._period
 
     def _wait(self) -> int:
-        """Handles frames until the next deadline; one that is overslept by half a period is skipped for the next.
+        """Handle frames until the next deadline; one missed by half a period is skipped for the next.
 
         Returns:
             The time at its end [ns].
@@ -139,7 +139,7 @@ class Exchange:
         self.beat()
 
     def beat(self, *, at_once: bool = False) -> None:
-        """Sends the master's heartbeat when its number of periods has gone by, or at once.
+        """Send the master's heartbeat when its number of periods has passed, or at once.
 
         Skipped SYNCs count: a master that runs late must not seem dead to drives that time its heartbeat.
 

@@ -47,12 +47,11 @@ class Link:
     Args:
         bus: The bus; it stays the caller's to shut down.
         clock: Where waiting is done.
-        recorder: Sees every frame, for the bus log.
-        echoes: Whether the interface gives back what it was sent (`udp_multicast` does).
+        recorder: Called with every frame, for the bus log.
+        echoes: Whether the interface returns the frames it was sent (`udp_multicast` does).
 
     Attributes:
-        intruder: Name of the first frame that came from elsewhere although this master alone may send it; empty while
-            there was none.
+        intruder: Name of the first frame from elsewhere that this master alone may send; empty without one.
     """
 
     def __init__(
@@ -180,7 +179,7 @@ class Link:
         return True
 
     def _put_aside(self, message: can.Message) -> None:
-        """Counts a frame without a handler; the bus log still shows it."""
+        """Count a frame without a handler; the bus log still shows it."""
         if message.is_error_frame:
             self.statistics.error_frames += 1
             return

@@ -43,7 +43,7 @@ _FORCE_BITS: Final[dict[int, int]] = {od.DataType.INTEGER16: 16, od.DataType.INT
 
 @dataclass(frozen=True, slots=True)
 class PdoPlan:
-    """One PDO as it shall be: where it is configured, its COB-ID, what it carries."""
+    """A planned PDO: where it is configured, its COB-ID, its contents."""
 
     kind: Literal["RPDO", "TPDO"]
     number: int
@@ -153,7 +153,7 @@ def _read_back(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Read
 
 
 def _force(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[ReadBack, MappedObject | None]:
-    """Returns the force of an admittance display in the place of the torque; none is read back."""
+    """Force of an admittance display in the place of the torque; none is read back."""
     if axis.admittance is None or (place := axis.admittance.force.place) is None:
         return "none", None
     index, subindex = place
@@ -261,7 +261,7 @@ def _choose_tpdos(
 
 
 def _unmappable(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"], wanted: Sequence[MappedObject]) -> str:
-    """Returns which of the objects cannot be part of a map that is written, and why; empty where all can."""
+    """Objects that cannot be part of a written map, and why; empty where all can."""
     texts = (
         (entry, mapping_objection(dictionary, kind, entry.index, entry.data_type, entry.subindex)) for entry in wanted
     )

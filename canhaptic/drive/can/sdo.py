@@ -59,7 +59,7 @@ class _Client:
         """Returns the value of a transfer.
 
         Raises:
-            SdoAbortedError: By the server.
+            SdoAbortedError: The server aborted the transfer.
             ProtocolError: The answer does not belong to the request; the transfer was aborted.
             _NoAnswerError: The server did not answer in time; the transfer was aborted.
             LinkError: The bus failed.
@@ -109,11 +109,11 @@ class SdoChannel:
 
     Args:
         link: The bus.
-        node_id: The drive's.
+        node_id: Node ID of the drive.
         dictionary: Gives names, sizes and signs; objects it lacks can be read all the same, as unsigned.
         name: Name of the axis, for messages.
-        timeout: For one answer [ns].
-        attempts: How often an unanswered request is sent.
+        timeout: Time limit of one answer [ns].
+        attempts: Number of attempts of an unanswered request.
     """
 
     def __init__(
@@ -162,10 +162,10 @@ class SdoChannel:
         """Writes an integer object.
 
         Args:
-            index: Of the object.
-            subindex: Of the object.
-            value: Signed or unsigned, as its type is.
-            size: Bytes; None takes it from the dictionary.
+            index: Index of the object.
+            subindex: Subindex of the object.
+            value: Value, signed or unsigned as its type.
+            size: Length in bytes; None takes it from the dictionary.
 
         Raises:
             SdoError: Aborted by the drive, not answered, or the value does not fit the object.

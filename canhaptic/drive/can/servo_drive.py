@@ -23,7 +23,7 @@ _DISABLE_BY_SDO: Final = next(download(od.CONTROLWORD, 0, od.Controlword.DISABLE
 
 
 class SyncWindow:
-    """How many drives of one bus have not answered the last SYNC yet; open from SYNC to the TPDO timeout."""
+    """Number of drives of one bus that have not answered the last SYNC yet; open from SYNC to the TPDO timeout."""
 
     __slots__ = ("is_open", "pending")
 
@@ -43,9 +43,9 @@ class ServoDrive(TorqueAxis):
         dry_run: Whether every RPDO carries a target torque of 0.
 
     Attributes:
-        map: Its PDOs.
-        nmt_state: As its last heartbeat said; None before the first.
-        window: Of the SYNC under way, shared by the drives of a bus; the exchange sets it.
+        map: PDOs of the drive.
+        nmt_state: NMT state in its last heartbeat; None before the first.
+        window: Window of the present SYNC, shared by the drives of a bus; the exchange sets it.
 
     Raises:
         DictionaryError: The dictionary is not fit for cyclic torque.
@@ -82,7 +82,7 @@ class ServoDrive(TorqueAxis):
 
     @property
     def nmt_state(self) -> int | None:
-        """As the last heartbeat said; None before the first."""
+        """NMT state in the last heartbeat; None before the first."""
         return self._nmt_state
 
     @nmt_state.setter
@@ -98,7 +98,7 @@ class ServoDrive(TorqueAxis):
         self.is_complete = False
 
     def refuse_tpdos(self) -> None:
-        """Closes the window: what comes now is too late for its SYNC and must not pass for the next."""
+        """Close the window: a later TPDO must not count for the next SYNC."""
         self._pending = 0
 
     # --- out --------------------------------------------------------------------------------------------------------
@@ -198,7 +198,7 @@ class ServoDrive(TorqueAxis):
         return take
 
     def _take_part(self, bit: int) -> None:
-        """Notes the frame of a bit, whose values are staged; the last of a sample makes it whole."""
+        """Record one frame of a sample, whose values are staged; the last one completes it."""
         if self._pending != bit:
             self._pending ^= bit
             return
@@ -206,7 +206,7 @@ class ServoDrive(TorqueAxis):
         self._complete()
 
     def _complete(self) -> None:
-        """Notes that every frame of a sample has come."""
+        """Record that every frame of a sample has arrived."""
         self._pending = 0
         self.is_complete = True
         self.statusword = self._values[0]

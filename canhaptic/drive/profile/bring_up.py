@@ -45,7 +45,7 @@ _POLL_PERIOD: Final = 2_000_000  # [ns] between two of them
 
 
 class Confirmation(NamedTuple):
-    """What a drive must show while the cycle runs with zero torque."""
+    """Confirmation that a drive must give while the cycle runs with zero torque."""
 
     step: str
     expected: str
@@ -58,8 +58,8 @@ class BringUp(ABC):
     """Configures one drive, step by step.
 
     Args:
-        drive: To be configured.
-        remedies: What to do where a step of the fieldbus is refused.
+        drive: Drive to be configured.
+        remedies: Remedies for refused steps of the fieldbus.
     """
 
     def __init__(self, drive: TorqueAxis, remedies: Mapping[str, str]) -> None:
@@ -68,7 +68,7 @@ class BringUp(ABC):
         self._remedies = {**_REMEDIES, **remedies}
 
     def call(self) -> None:
-        """Takes the drive from any state to pre-operational and lets it report its state; `configure` follows.
+        """Take the drive from any state to pre-operational and request its state reports; `configure` follows.
 
         Raises:
             StartError: The drive does not answer, or a step was refused.
@@ -77,7 +77,7 @@ class BringUp(ABC):
         self._monitor()
 
     def configure(self) -> None:
-        """Takes the drive, once called, to identified, limited, mapped, in mode 10, disabled.
+        """Take the drive, after `call`, to identified, limited, mapped, in mode 10, disabled.
 
         Raises:
             StartError: A step was refused or not confirmed.
@@ -102,7 +102,7 @@ class BringUp(ABC):
 
     @abstractmethod
     def _monitor(self) -> None:
-        """Lets the drive report its communication state by itself."""
+        """Request reports of the drive's communication state."""
 
     @abstractmethod
     def _await_pre_operational(self) -> None:
@@ -122,21 +122,21 @@ class BringUp(ABC):
 
     @abstractmethod
     def operational(self) -> Confirmation:
-        """Returns how the drive confirms that state."""
+        """Confirmation of that state by the drive."""
 
     @abstractmethod
     def process_data(self) -> Confirmation:
-        """Returns how the drive shows that it sends its process data."""
+        """Confirmation that the drive sends its process data."""
 
     def check_rest(self) -> None:
-        """Looks at what the drive reports before it is enabled; raises StartError where it must not be."""
+        """Check the drive's report before it is enabled; raise StartError where it must not be."""
         return
 
     # --- the tools ------------------------------------------------------------------------------------------------
 
     @contextmanager
     def step(self, name: str, expected: str = "the drive to accept it") -> Iterator[None]:
-        """Turns what goes wrong inside into a StartError of this step."""
+        """Turn an error inside into a StartError of this step."""
         try:
             yield
         except SdoError as error:
@@ -188,7 +188,7 @@ class BringUp(ABC):
             raise self.refusal("device type", seen, f"low word {od.CIA402_PROFILE:#06x}")
 
     def _disable_if_powered(self) -> None:
-        """Disables a drive that another run left enabled: leaving OPERATIONAL with power on would be a fault to it.
+        """Disable a drive that another run left enabled: leaving OPERATIONAL with power on would be a fault to it.
 
         A drive that does not answer yet may be in NMT STOPPED, so this step confirms nothing; later ones do.
         """
@@ -263,7 +263,7 @@ class BringUp(ABC):
         self._zero_offsets()
 
     def _zero_offsets(self) -> None:
-        """Takes away what the drive adds to its target: the account knows nothing of a torque set elsewhere."""
+        """Zero the drive's offsets to its target: the account does not include a torque set elsewhere."""
         drive = self._drive
         for index in drive.axis.offsets:
             variable = drive.dictionary.get_variable(index)
@@ -306,7 +306,7 @@ class BringUp(ABC):
             self._write_confirmed("torque limit", od.MAX_TORQUE, 0, per_mille)
 
     def _watchdog(self) -> None:
-        """Lets the drive notice a dead master: 0x6007 says what it then does, the fieldbus arms it."""
+        """Make the drive detect a dead master: 0x6007 selects its reaction, the fieldbus arms it."""
         drive = self._drive
         if not drive.axis.watchdog:
             return

@@ -1,4 +1,4 @@
-"""The cycle as the start and the stop of a rig use it, whichever fieldbus runs it."""
+"""Interface of the cycle for the start and the stop of a rig, on any fieldbus."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -39,10 +39,10 @@ class CyclicExchange(Protocol):
         """Lets the next SYNC go out at once and counts from there."""
 
     def sync(self) -> None:
-        """Waits for the next deadline, sends SYNC and takes what answers it; raises LinkError."""
+        """Wait for the next deadline, send SYNC and take its answers; raise LinkError."""
 
     def write_zero(self) -> None:
         """Sends every drive its controlword with zero torque; raises LinkError."""
 
     def beat(self, *, at_once: bool = False) -> None:
-        """Shows the drives that the master is alive, when it is time or at once; raises LinkError."""
+        """Send the master's sign of life, when due or at once; raise LinkError."""

@@ -63,9 +63,9 @@ def profile_findings(
     """Returns what the objects of CiA 402 in a dictionary say about its fitness for cyclic torque.
 
     Args:
-        dictionary: Of the drive.
+        dictionary: Dictionary of the drive.
         axis: Its parameters.
-        sample_time_ns: Of the cycle [ns]; None while it is not known.
+        sample_time_ns: Sample time of the cycle [ns]; None if unknown.
     """
     findings = [
         _device_type(dictionary),
@@ -118,7 +118,7 @@ def _stated(dictionary: Dictionary, index: int, subindex: int = 0) -> int | None
 
 
 def _used(dictionary: Dictionary, use: ObjectUse, name: str) -> Finding:
-    """Returns the finding of an object that every start and cycle uses."""
+    """Finding of an object that every start and cycle uses."""
     item = f"{use.index:#06x} {name}"
     if (text := objection(dictionary, use)) is not None:
         hint = "this drive cannot serve without" if text == "missing" else _CORRECT
@@ -226,7 +226,7 @@ def steepest_ramp(dictionary: Dictionary) -> float:
 
 
 def _ramps(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[Finding]:
-    """Returns a refusal where ramps in the drive bend the velocities that a display may command."""
+    """Refusal where ramps in the drive alter the velocities that a display may command."""
     display = axis.admittance
     if display is None or display.mode != "velocity" or display.acceleration_limit is None:
         return []
@@ -250,7 +250,7 @@ def max_torque_unwritten(dictionary: Dictionary, axis: TorqueAxisParameters) -> 
 
 
 def limit_objection(dictionary: Dictionary, axis: TorqueAxisParameters) -> str:
-    """Returns why nothing in the drive limits the torque of an admittance display, and the remedy; "" otherwise."""
+    """Reason why nothing in the drive limits the torque of an admittance display, and the remedy; "" otherwise."""
     state = max_torque_unwritten(dictionary, axis)
     is_needed = axis.admittance is not None and not axis.admittance.limit_in_drive
     return f"{state}; {_LIMIT_NEEDED}" if state and is_needed else ""
@@ -285,7 +285,7 @@ def _abort_option(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding
 
 
 def _offsets(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[Finding]:
-    """Returns the refusals of what the drive adds to its target: optional, and set to 0 at the start."""
+    """Refusals of the drive's offsets to its target: optional, and set to 0 at the start."""
     uses = [
         ObjectUse(index, reads=True, writes=is_writable(dictionary, index, 0), values=(0,))
         for index in axis.offsets

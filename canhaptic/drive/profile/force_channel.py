@@ -1,4 +1,4 @@
-"""The force sensor as its drive reports it: counts to a force, and the reasons not to believe it."""
+"""The force sensor as its drive reports it: counts to a force, and the checks that reject it."""
 
 from math import inf
 
@@ -14,7 +14,7 @@ class ForceChannel:
 
     Attributes:
         force: Last force [N or N*m].
-        same: SYNCs in a row with one count, beyond the error of the sensor.
+        same: SYNCs in a row with one count, within the error of the sensor.
         is_wrong: Whether it is beyond the range, or the sensor has shown one count for too long.
     """
 
@@ -27,19 +27,19 @@ class ForceChannel:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets what was received."""
+        """Clear the received values."""
         self.force, self.same, self.is_wrong = 0.0, 0, False
         self._counts: int | None = None
 
     def of(self, counts: int) -> float:
-        """Returns the force of so many counts [N or N*m]; not of a running impulse."""
+        """Force for a number of counts [N or N*m]; not for a running impulse."""
         return (counts - self._offset) * self._per_count
 
     def take(self, counts: int, periods: int = 1) -> float:
         """Returns the force of the hand towards +q [N or N*m]; of a running impulse its mean over the holds between.
 
         Args:
-            counts: Shown.
+            counts: Counts in the process data.
             periods: Sample times since the last value.
         """
         if self._time:
@@ -61,5 +61,5 @@ class ForceChannel:
 
     @property
     def is_beyond_range(self) -> bool:
-        """Whether the force is more than the sensor can show."""
+        """Whether the force exceeds the range of the sensor."""
         return not -self._range <= self.force <= self._range

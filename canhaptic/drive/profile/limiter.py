@@ -30,7 +30,7 @@ class TorqueLimiter:
 
     Args:
         torque_limit: Largest magnitude [N*m or N].
-        sample_time: [s]
+        sample_time: Sample time [s].
         rate_limit: Largest rise per second, on either side of zero [N*m/s or N/s]; None: any.
         power_limit: Largest power into the user's side [W]; None: any.
 
@@ -38,8 +38,8 @@ class TorqueLimiter:
         last: Torque of the last cycle after the limits [N*m or N].
         low: Least torque that the last cycle allowed, 0 or below [N*m or N]; what rounds `last` must stay inside.
         high: Largest torque that the last cycle allowed, 0 or above [N*m or N].
-        saturation: Which limits cut it.
-        saturated_cycles: How many cycles were cut so far.
+        saturation: Limits that cut it.
+        saturated_cycles: Number of cycles with a cut so far.
 
     Raises:
         ParameterError: A limit is not positive, and so would limit nothing or allow nothing.
@@ -77,8 +77,8 @@ class TorqueLimiter:
         """Returns the torque [N*m or N] that may go to the drive: the nearest that all limits allow.
 
         Args:
-            torque: What the controller asks for [N*m or N].
-            velocity: Of the axis over the last hold [m/s or rad/s].
+            torque: Torque requested by the controller [N*m or N].
+            velocity: Velocity of the axis over the last hold [m/s or rad/s].
 
         Raises:
             ControlError: The torque or the velocity is not finite. No torque could replace it.
@@ -132,7 +132,7 @@ class DryRunLimiter(TorqueLimiter):
         self.withheld = 0.0
 
     def limit(self, torque: float, velocity: float) -> float:
-        """Returns 0, and keeps what `TorqueLimiter.limit` would have returned.
+        """Return 0, and record the result of `TorqueLimiter.limit`.
 
         Raises:
             ControlError: The torque or the velocity is not finite, as in a run.

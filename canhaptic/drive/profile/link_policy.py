@@ -169,7 +169,7 @@ _REASONS: Final[dict[type[Exception], StopReason]] = {rule.error: reason for rea
 
 
 def reason_of(error: Exception) -> StopReason:
-    """Returns the reason of a stop that an error, raised in the cycle, is."""
+    """Stop reason of an error raised in the cycle."""
     return _REASONS.get(type(error), StopReason.EXCEPTION)
 
 
@@ -197,7 +197,7 @@ READ_BACK_TABLE: Final[dict[str, tuple[str, str, str]]] = {
 
 
 class LinkPolicy:
-    """Counts the missed cycles of one axis and decides what happens to its torque.
+    """Counts the missed cycles of one axis and selects the action on its torque.
 
     Args:
         hold_cycles: Missed cycles for which the last torque is held.

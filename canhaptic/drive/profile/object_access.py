@@ -1,4 +1,4 @@
-"""What the start of a drive asks of its fieldbus: objects read and written, one at a time."""
+"""Access of the start of a drive to its objects: read and written, one at a time."""
 
 from typing import Protocol
 

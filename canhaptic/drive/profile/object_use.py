@@ -1,4 +1,4 @@
-"""Whether a dictionary lets an object be used as the start and the cycle use it: type, access, limits, mapping."""
+"""Check of a dictionary for the use of an object by start and cycle: type, access, limits, mapping."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -16,7 +16,7 @@ _MAPPABLE_ACCESS: Final = {"RPDO": ("rw", "rww", "wo"), "TPDO": ("ro", "rw", "rw
 
 @dataclass(frozen=True, slots=True)
 class ObjectUse:
-    """How one object is used."""
+    """One use of an object."""
 
     index: int
     subindex: int = 0
@@ -33,7 +33,7 @@ def listed(dictionary: Dictionary, index: int, subindex: int = 0) -> Variable | 
 
 
 def objection(dictionary: Dictionary, use: ObjectUse) -> str | None:
-    """Returns why the dictionary does not allow a use, with what is expected; None where it allows it."""
+    """Reason why the dictionary does not allow a use, with the expected value; None where it allows it."""
     variable = listed(dictionary, use.index, use.subindex)
     if variable is None:
         return "missing"

@@ -93,7 +93,7 @@ def _exchange_zero_torque(exchange: CyclicExchange, bring_ups: Sequence[BringUp]
 
 
 def _read(exchange: CyclicExchange, drive: TorqueAxis, index: int) -> int:
-    """Reads an object while the drives' watchdogs of the master run: nothing beats while an answer is awaited."""
+    """Read an object while the drives' watchdogs of the master run: no heartbeat goes out until the answer."""
     exchange.beat(at_once=True)
     value = drive.sdo.read_within(exchange.silence // 2, index)
     exchange.beat(at_once=True)

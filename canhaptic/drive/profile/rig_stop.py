@@ -34,7 +34,7 @@ def ramp_down(exchange: CyclicExchange, duration: float) -> None:
 
     Args:
         exchange: The cycle.
-        duration: Of the line [s]; 0.05 s at most are taken.
+        duration: Duration of the ramp [s], at most 0.05 s.
 
     Raises:
         LinkError: The bus failed on the way.
@@ -77,7 +77,7 @@ def disable(exchange: CyclicExchange, trust: Trust) -> list[str]:
     if operational:
         _cycle_until_disabled(exchange, operational, insists=trust is not Trust.FULL)
     confirmed = [drive for drive in reachable if _is_disabled(drive)]
-    _leave_operational(confirmed)  # before anybody waits for the others: nothing beats meanwhile
+    _leave_operational(confirmed)  # before any waiting: no heartbeat goes out meanwhile
     others = [drive for drive in reachable if drive not in confirmed]
     problems = {drive: _confirm_disabled(drive) for drive in others}
     _leave_operational([drive for drive in others if not problems[drive]])
@@ -100,7 +100,7 @@ def _cycle_until_disabled(exchange: CyclicExchange, drives: Sequence[TorqueAxis]
     """Repeats zero torque and disable until every drive confirms; a bus that is off may come back meanwhile.
 
     After the silence of the master that they tolerate the drives have stopped by their own watchdogs. Where none of
-    those that are left says that it is without torque, the last word is SDO's.
+    those that are left shows that it is without torque, disable follows by SDO.
     """
     period, now = exchange.sample_time_ns, exchange.now
     stopping = max([drive.stop_time for drive in drives])  # until then a drive that brakes is left to brake
@@ -131,12 +131,12 @@ def _is_disabled(drive: TorqueAxis) -> bool:
 
 
 def _demands_no_torque(drive: TorqueAxis) -> bool:
-    """Whether the drive's last TPDO says that it gives no torque, as one that slowly leaves its state does."""
+    """Whether the drive's last TPDO shows no torque, as from a drive that leaves its state slowly."""
     return drive.is_complete and drive.read_back == "demand" and drive.reported_per_mille == 0
 
 
 def _confirm_disabled(drive: TorqueAxis) -> str:
-    """Returns what is wrong with a drive that should be disabled; asks by SDO, for its TPDO did not tell."""
+    """Error of a drive that should be disabled; asks by SDO, for its TPDO did not show it."""
     try:
         drive.sdo.write(CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
         state = drive_state(drive.sdo.read(STATUSWORD))

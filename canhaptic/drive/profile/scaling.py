@@ -21,7 +21,7 @@ class AxisScaling:
 
     Args:
         counts_per_unit: Position counts per metre or radian.
-        rated_torque: Of the axis at 1000 per mille [N*m or N].
+        rated_torque: Rated torque of the axis at 1000 per mille [N*m or N].
         direction: 1 or -1, for position and torque together.
 
     Raises:
@@ -40,7 +40,7 @@ class AxisScaling:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets the last position: the next one is taken as it comes, as every INTEGER32 is when seen from 0."""
+        """Forget the last position: the next one is taken as an INTEGER32 seen from 0."""
         self._counts = 0
 
     def position(self, position_counts: int) -> float:
@@ -85,7 +85,7 @@ def axis_scaling(axis: TorqueAxisParameters, rated_torque: float) -> AxisScaling
 
     Args:
         axis: Its parameters; its quirks may change the unit of torque.
-        rated_torque: Of the axis [N*m or N], as drive and configuration agree.
+        rated_torque: Rated torque of the axis [N*m or N], as drive and configuration agree.
 
     Raises:
         ParameterError: A factor is not positive and finite.

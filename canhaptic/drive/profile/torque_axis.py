@@ -54,20 +54,21 @@ class TorqueAxis(ABC):
         axis: Its parameters.
         dictionary: Its object dictionary.
         sdo: Access to its objects.
-        rules: Of the cycle.
-        read_back: Torque that its process data carry.
-        dry_run: Whether the torque that is sent is 0 always.
+        rules: Properties of the cycle.
+        read_back: Torque in its process data.
+        dry_run: Whether the torque sent is always 0.
 
     Attributes:
-        statusword: Of the last complete process data.
+        statusword: Statusword of the last complete process data.
         is_complete: Whether all process data of the last SYNC came in their window.
-        is_operational: Whether the drive, as it last said, exchanges process data.
-        alive_at: When the drive last showed that it is alive [ns].
+        is_operational: Whether the drive exchanges process data, by its last report.
+        alive_at: Time of the drive's last sign of life [ns].
         answers: Whether the drive answered an SDO since the last start.
-        left_out: Objects that the start leaves out: those that an older master, whose run is replayed, left out.
+        left_out: Objects that the start leaves out, as an older master did whose run is replayed.
         controlword: Sent with the next torque.
         unheard: SYNCs since the last `reset` whose process data did not come in their window.
-        read_back_bound: Of a torque that is measured (0x6077): sum over the holds of its largest difference from
+        read_back_bound: Error bound of a torque that is measured (0x6077): sum over the holds of its largest difference
+            from
             that of the hold before and from the one sent, and half a per mille of rounding, times the displacement
             [J]. The true torque of a hold lies between them unless the current loop overshoots, so that the
             computed energy is not farther from the true one. Of one that is not read back: the same with its
@@ -136,7 +137,7 @@ class TorqueAxis(ABC):
         self.limiter.reset()
         self.policy.reset()
         self._commanded = 0  # per mille: sent last
-        self._acting = 0  # per mille: believed to act now, with a synchronous RPDO
+        self._acting = 0  # per mille: assumed to act now, with a synchronous RPDO
         self._reported = 0  # per mille: of the process data before
         self._held_before = 0  # per mille: read back for the hold before
         self._followed = 0  # per mille: the last command that a measured torque has shown
@@ -188,7 +189,7 @@ class TorqueAxis(ABC):
 
     @property
     def dry_run(self) -> bool:
-        """Whether the torque that is sent is 0 always."""
+        """Whether the torque sent is always 0."""
         return isinstance(self.limiter, DryRunLimiter)
 
     @property
@@ -212,12 +213,13 @@ class TorqueAxis(ABC):
         return drive_state(self.statusword)
 
     def sample(self, sync_index: int, periods: int = 1, *, is_whole: bool = True) -> Sample:
-        """Returns what the drive reported for the SYNC that was just answered, or not.
+        """Report of the drive for the SYNC just answered, or of the last one.
 
         Args:
-            sync_index: Of that SYNC.
+            sync_index: Index of that SYNC.
             periods: Sample times since the SYNC before; more than 1 when SYNCs were skipped.
-            is_whole: False where a drive was not heard whose position is needed together with this one: no torque can
+            is_whole: False where another drive, whose position is needed together with this one, was not heard: no
+                torque can
                 be computed from it, and the link policy counts the SYNC as missed.
         """
         self._periods += periods
@@ -269,7 +271,7 @@ class TorqueAxis(ABC):
         return self._last
 
     def _applied_per_mille(self, reported: int) -> int:
-        """Returns the torque of the hold that ended: read back, or believed where nothing is read back."""
+        """Torque of the hold that ended: read back, or assumed as commanded where nothing is read back."""
         believed = self._acting if self._is_synchronous else self._commanded
         self._acting = self._commanded
         if self._shows_next:
@@ -299,9 +301,9 @@ class TorqueAxis(ABC):
         return reported
 
     def _leave_open(self, applied: int, believed: int) -> int:
-        """Keeps how far torques of lost holds may have been from `applied`; returns for how many sample times.
+        """Record how far torques of lost holds may have been from `applied`; return for how many sample times.
 
-        Those are the commands since, or the one before where commands were lost, cut by a limit that is shown now.
+        The candidates are the commands since, or the one before where commands were lost, cut by a limit now shown.
         """
         is_known = self._reads_demand and not self._shows_next  # in the hold that ended
         others = (self._held_before, applied if is_known else believed, *self._passed)
@@ -311,7 +313,7 @@ class TorqueAxis(ABC):
         return self._periods - is_known
 
     def _judge_other(self, applied: int, commanded: int, tolerance: float) -> None:
-        """Counts a torque that is not its command: smaller ones and older commands are no harm that is not covered."""
+        """Count a torque that is not its command; smaller torques and older commands are covered, not counted."""
         is_smaller = min(commanded, 0) - tolerance <= applied <= max(commanded, 0) + tolerance
         if not is_smaller and applied not in self._passed and self._last.sync_index >= 0:
             self.uncommanded += 1
@@ -319,7 +321,7 @@ class TorqueAxis(ABC):
     def _judge_measured(self, measured: int, believed: int) -> None:
         """Counts holds in which a measured torque stayed near an old command although another, far from it, was sent.
 
-        Where the two commands are close, nothing can be said and the count stays.
+        Where the two commands are close, the comparison is inconclusive and the count stays.
         """
         tolerance = self._tolerance
         low, high = min(believed, self._held_before, *self._passed), max(believed, self._held_before, *self._passed)
@@ -335,14 +337,14 @@ class TorqueAxis(ABC):
     def _is_reduced(self, applied: int, commanded: int, tolerance: float) -> bool:
         """Whether a limit that the drive shows (bit 11) explains a torque: it makes one smaller and never turns it.
 
-        Whether the command is followed is unknown then.
+        Whether the drive follows its command is then unknown.
         """
         if not self._values[0] & _LIMITED:
             return False
         return min(commanded, 0) - tolerance <= applied <= max(commanded, 0) + tolerance
 
     def watch_statusword(self) -> None:
-        """Watches more than the state from now on, the rig being enabled.
+        """Watch more than the state from now on, the rig being enabled.
 
         A drive that shows that it follows its target (bit 12) must go on to do so. One whose torque is not read back
         must not begin to limit it (bit 11).
@@ -352,7 +354,7 @@ class TorqueAxis(ABC):
         self._watched, self._expected = ENABLED_MASK | follows | limits, ENABLED_VALUE | follows
 
     def fault(self, now: int) -> StopReason:
-        """Returns why the rig must stop because of this drive; NONE while all is well."""
+        """Reason why the rig must stop because of this drive; NONE while all is well."""
         if (
             self.emergency is not None or self.statusword & self._watched != self._expected or not self.is_operational
         ) and (reason := self._state_fault()):
@@ -396,7 +398,7 @@ class TorqueAxis(ABC):
         return target == 0
 
     def command_per_mille(self, torque: float) -> int:
-        """Returns the target torque (0x6071) for what the controller asks [N*m or N], after policy and limiter.
+        """Target torque (0x6071) for a requested torque [N*m or N], after policy and limiter.
 
         While TPDOs are missing, the torque held when the first went missing, reduced by its ramp, is an upper bound;
         the operator's stop may ask for less. After a skipped SYNC the last torque is the bound: a controller takes the

@@ -1,4 +1,4 @@
-"""What a configuration says about one axis, for any fieldbus: every value in SI, with unit and range."""
+"""Parameters of one axis, for any fieldbus: every value in SI, with unit and range."""
 
 from typing import Annotated, Final, Literal
 
@@ -16,7 +16,7 @@ ReadBack = Literal["demand", "actual", "none"]
 
 
 class TorqueAxisParameters(Parameters):
-    """What the profile needs to know of an axis. Torques are those of the axis: N*m (rotary) or N (linear)."""
+    """Properties of an axis that the profile needs. Torques are those of the axis: N*m (rotary) or N (linear)."""
 
     name: Name
     """Name of the axis in messages, tables and logs; no other axis has it."""
@@ -93,6 +93,6 @@ class TorqueAxisParameters(Parameters):
 
     @property
     def offsets(self) -> tuple[int, ...]:
-        """Indices of what the drive adds to its target, or to what follows from it: 0 while a rig runs."""
+        """Indices of offsets added to the drive's target, or to a setpoint derived from it: 0 while a rig runs."""
         offsets = (od.POSITION_OFFSET, od.VELOCITY_OFFSET, od.TORQUE_OFFSET)
         return offsets[2:] if self.admittance is None else offsets
