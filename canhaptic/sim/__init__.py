@@ -1,1 +1,1 @@
-"""The far side of the bus: drive, motor and user, simulated."""
+"""The simulated side of the bus: drive, motor and user."""

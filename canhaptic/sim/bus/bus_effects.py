@@ -1,4 +1,4 @@
-"""What a simulated bus does to its frames, as a scene says it under `simulation.bus`. Absent: the bus is ideal."""
+"""Effects of a simulated bus on its frames, as a scene names them under `simulation.bus`. Absent: the bus is ideal."""
 
 from collections.abc import Sequence
 from typing import Annotated, Final, Literal
@@ -19,7 +19,7 @@ _EFFECTS: Final = (
 
 
 class Window(Parameters):
-    """A stretch of time, once or again and again."""
+    """A time window, once or periodic."""
 
     begin: Annotated[float, quantity("s", ge=0.0, le=1e6)] = 0.0
     """Counted from the first SYNC; from the first frame when `bring_up` is set."""
@@ -36,9 +36,9 @@ class Window(Parameters):
 
 
 class BusEffects(Parameters):
-    """What happens to frames between master and drives. Probabilities are per frame and direction.
+    """Faults of frames between master and drives. Probabilities are per frame and direction.
 
-    `direction`, `ids` and `during` say which frames suffer from the effects on single frames: drop, duplicate, reorder,
+    `direction`, `ids` and `during` select the frames for the effects on single frames: drop, duplicate, reorder,
     truncate, corrupt, refuse, delay, jitter. The others act on the bus as a whole; frames of other devices keep to
     `during` too.
     """
@@ -103,11 +103,11 @@ class BusEffects(Parameters):
 
     @property
     def named(self) -> tuple[str, ...]:
-        """The effects that do something, in the order in which they are listed."""
+        """Effects other than their defaults, in the order in which they are listed."""
         return tuple(name for name in _EFFECTS if getattr(self, name))
 
     def suffers(self, direction: Direction) -> bool:
-        """Returns whether frames of a direction suffer from the effects on single frames."""
+        """Whether the effects on single frames act on a direction."""
         return self.direction in ("both", direction)
 
 
@@ -115,7 +115,7 @@ class Schedule:
     """Windows on integer nanoseconds.
 
     Args:
-        windows: As the scene has them.
+        windows: Windows of the scene.
     """
 
     def __init__(self, windows: Sequence[Window]) -> None:
@@ -124,7 +124,7 @@ class Schedule:
         )
 
     def end(self, time: int) -> int:
-        """Returns when the window that `time` [ns] lies in ends [ns], with those that follow it at once; 0 in none."""
+        """End of the window around `time` [ns], joined with those that follow it at once; 0 in none."""
         latest = time
         for begin, duration, every in self._windows * len(self._windows):  # any of them may follow any other
             since = latest - begin

@@ -1,4 +1,4 @@
-"""One direction of a simulated bus, and the wire that both share: frames go in at one time and come out at another."""
+"""One direction of a simulated bus, and the wire that both directions share."""
 
 import heapq
 import itertools
@@ -21,7 +21,7 @@ _SECOND: Final = 1_000_000_000  # [ns]
 
 
 def _worst_case_bits(length: int) -> int:
-    """Returns the most bits of a classic frame with `length` data bytes, interframe space included.
+    """Most bits of a classic frame with `length` data bytes, interframe space included.
 
     47 bits around the data and one stuff bit in every four of the 34 + 8 n that are stuffed (Davis et al. 2007, eq. 1).
     """
@@ -43,7 +43,7 @@ class Wire:
         self._end = NEVER
 
     def request(self, message: can.Message, deliver: _Delivery) -> None:
-        """Lets a frame wait for the wire."""
+        """Queue a frame for the wire."""
         self._number += 1
         heapq.heappush(self._waiting, (message.arbitration_id, self._number, message, deliver))
 
@@ -66,7 +66,7 @@ class Wire:
             self._end = now + -(-_worst_case_bits(len(message.data)) * _SECOND // self._bitrate)
 
     def next_due(self) -> int:
-        """Returns when the frame on the wire, or a freeze, ends [ns]."""
+        """Time when the frame on the wire, or a freeze, ends [ns]."""
         return self._end
 
 
@@ -90,7 +90,7 @@ class Foreign:
         self._schedule()
 
     def take(self) -> can.Message:
-        """Returns the frame that is due; the next one becomes due later."""
+        """Frame that is due; the next one becomes due later."""
         self._schedule()
         data = self._random.randbytes(self._random.randrange(9))
         return can.Message(arbitration_id=next(self._ids), is_extended_id=False, data=data)
@@ -101,14 +101,14 @@ class Foreign:
 
 
 class BusSegment:
-    """Frames of one direction on their way, struck by the effects that the scene names.
+    """Frames of one direction in transit, with the effects that the scene names.
 
     Args:
-        effects: All of the bus.
-        direction: Which way.
-        seed: Of everything random.
-        counts: Takes note of every frame struck.
-        wire: Where frames wait for their turn after their delays; None: they arrive at once.
+        effects: Effects of the bus.
+        direction: Direction of the frames.
+        seed: Seed of everything random.
+        counts: Counts every frame affected.
+        wire: Wire on which frames are arbitrated after their delays; None: they arrive at once.
         deliver: Takes the frames that arrive.
     """
 
@@ -134,7 +134,7 @@ class BusSegment:
         self._last_due = -NEVER
 
     def suffers(self, cob_id: int, time: int) -> bool:
-        """Returns whether a frame suffers from the effects on single frames, `time` [ns] after the first SYNC."""
+        """Whether the effects on single frames act on a frame, `time` [ns] after the first SYNC."""
         return cob_id in self._ids and (self._during is None or bool(self._during.end(time)))
 
     def push(self, message: can.Message, now: int, epoch: int) -> None:
@@ -148,7 +148,7 @@ class BusSegment:
             self._enter(flight.message, due, keeps_order=flight.keeps_order)
 
     def pass_through(self, message: can.Message, now: int) -> None:
-        """Takes a frame that nothing happens to; it still waits for those before it."""
+        """Take a frame without effects; it still waits for those before it."""
         self._enter(message, now, keeps_order=True)
 
     def _enter(self, message: can.Message, due: int, *, keeps_order: bool) -> None:

@@ -2,8 +2,8 @@
 
 It wraps one connection, the master's or the drives', and disturbs both directions. The same frames and the same seed
 give the same faults. In lock-step a delayed frame arrives at its own virtual instant, because the bus takes part in the
-far side's `process` and `next_due`; in real time it does so whenever its owner receives. A scene that names no effect
-on its bus never imports this module.
+simulated drives' `process` and `next_due`; in real time it does so whenever its owner receives. A scene that names no
+effect on its bus never imports this module.
 """
 
 import copy
@@ -22,7 +22,7 @@ from canhaptic.sim.drive.timers import NEVER
 
 
 class _BusClock(Protocol):
-    """Time as the owner of the connection sees it."""
+    """Clock of the owner of the connection."""
 
     def now(self) -> int:
         """Returns the time [ns]."""
@@ -35,14 +35,14 @@ class FaultyBus(can.BusABC):
     """One connection to a bus with faults; `use` a clock before the first frame.
 
     Args:
-        bus: The connection; shut down together with this one.
-        effects: What happens.
-        bitrate: Of the wire [bit/s].
-        seed: Of everything random.
-        side: Whose connection it is. Stalls, and frames refused, happen to the master alone.
+        bus: Wrapped connection; shut down together with this one.
+        effects: Effects of the bus.
+        bitrate: Bit rate of the wire [bit/s].
+        seed: Seed of everything random.
+        side: Owner of the connection. Stalls, and refused frames, occur on the master's side only.
 
     Attributes:
-        counts: Frames struck, by (effect, direction, COB-ID).
+        counts: Affected frames, by (effect, direction, COB-ID).
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class FaultyBus(can.BusABC):
         self._foreign = Foreign(effects, seed) if effects.foreign_rate else None
         self._foreign_times = Schedule(effects.during) if effects.during else None
         self._begins_at_once = effects.bring_up
-        self._is_pumped = False  # by a far side, which collects what the connection receives
+        self._is_pumped = False  # by the simulated drives, which collect what the connection receives
         self._epoch: int | None = None
 
     def use(self, clock: _BusClock) -> None:
@@ -76,7 +76,7 @@ class FaultyBus(can.BusABC):
     # --- a bus of python-can ------------------------------------------------------------------------------------------
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Sends a frame, or what becomes of it.
+        """Send a frame, subject to the faults.
 
         Raises:
             can.CanOperationError: The bus is off, or the interface's queue is full (ENOBUFS).
@@ -117,7 +117,7 @@ class FaultyBus(can.BusABC):
         self._bus.shutdown()
 
     def totals(self) -> dict[str, dict[str, int]]:
-        """Returns how many frames each effect struck, by effect and direction."""
+        """Number of frames affected, by effect and direction."""
         totals: dict[str, dict[str, int]] = {}
         for (effect, direction, _), count in sorted(self.counts.items()):
             of_effect = totals.setdefault(effect, {})
@@ -127,7 +127,7 @@ class FaultyBus(can.BusABC):
     # --- time ---------------------------------------------------------------------------------------------------------
 
     def around(self, far_side: SimulatedPeer) -> SimulatedPeer:
-        """Returns a far side whose frames come and go through the faults, for the master's clock to drive."""
+        """Simulated drives whose frames pass through the faults, for the master's clock to drive."""
         self._is_pumped = True
         return _FaultyFarSide(self, far_side)
 
@@ -150,7 +150,7 @@ class FaultyBus(can.BusABC):
         self.advance(now)
 
     def next_due(self) -> int:
-        """Returns when something happens next [ns]; `NEVER` when nothing is on its way."""
+        """Time of the next event [ns]; `NEVER` when nothing is in transit."""
         due = min(self._outgoing.next_due(), self._incoming.next_due())
         if self._wire is not None:
             due = min(due, self._wire.next_due())
@@ -184,7 +184,7 @@ class FaultyBus(can.BusABC):
         return self._epoch
 
     def _require_working(self, cob_id: int, time: int) -> None:
-        """Raises what a real interface raises when it cannot send at `time` [ns] after the begin."""
+        """Raise the error of a real interface that cannot send at `time` [ns] after the begin."""
         if self._bus_off.end(time):
             self.counts["bus_off", self._out, cob_id] += 1
             raise can.CanOperationError("bus-off: the controller takes no part in the bus")
@@ -208,7 +208,7 @@ class FaultyBus(can.BusABC):
         self._ready.append(message)
 
     def _let_in(self, message: can.Message, now: int) -> None:
-        """Lets a frame of another device reach the far side, and this one unless its bus is off."""
+        """Pass a frame of another device to the drives, and to this side unless its bus is off."""
         epoch = self._epoch or 0
 
         def deliver(frame: can.Message, now: int) -> None:
@@ -232,7 +232,7 @@ class _FaultyFarSide:
 
     Args:
         bus: The master's connection.
-        far_side: The drives.
+        far_side: Simulated drives.
     """
 
     def __init__(self, bus: FaultyBus, far_side: SimulatedPeer) -> None:
@@ -240,7 +240,7 @@ class _FaultyFarSide:
         self._far_side = far_side
 
     def process(self, now: int) -> None:
-        """Lets frames arrive, the drives live, and their answers set out, up to `now` [ns]."""
+        """Deliver frames, run the drives, and send their answers, up to `now` [ns]."""
         self._bus.advance(now)
         self._far_side.process(now)
         self._bus.collect(now)

@@ -1,7 +1,6 @@
 """Effects on single frames, one class each; a line of a bus runs only those that its scene names.
 
-Each draws from a stream of random numbers of its own, once per frame, so that naming one more effect leaves what the
-others do as it was.
+Each draws from a random stream of its own, once per frame, so that naming one more effect does not change the others.
 """
 
 import copy
@@ -27,10 +26,10 @@ _Count = Callable[[str, int], None]
 
 
 class _FrameEffect(Protocol):
-    """What happens to one frame: nothing, another due time, another content, no frame, or two."""
+    """Effect on one frame: none, another due time, another content, no frame, or two."""
 
     def apply(self, flight: Flight) -> list[Flight]:
-        """Returns what becomes of the frame."""
+        """Apply delay, loss or corruption to one frame; return the resulting frames."""
 
 
 def _with_data(message: can.Message, data: bytearray) -> can.Message:
@@ -76,7 +75,7 @@ class _Truncate:
 
 
 class _Corrupt:
-    """Turns one bit of the data."""
+    """Flips one bit of the data."""
 
     def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
         self._share, self._random, self._count = effects.corrupt, random, count
@@ -94,7 +93,7 @@ class _Corrupt:
 
 
 class _Delay:
-    """Lets every frame arrive later, by a fixed time and a random one."""
+    """Delays every frame by a fixed time and a random one."""
 
     def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
         self._delay, self._jitter = round(effects.delay * 1e9), round(effects.jitter * 1e9)
@@ -107,7 +106,7 @@ class _Delay:
 
 
 class _Duplicate:
-    """Lets a frame arrive twice, one right behind the other."""
+    """Duplicates a frame, one right behind the other."""
 
     def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
         self._share, self._random, self._count = effects.duplicate, random, count
@@ -121,14 +120,14 @@ class _Duplicate:
 
 
 class _Reorder:
-    """Holds a frame back while others overtake it."""
+    """Delays a frame while others overtake it."""
 
     def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
         self._share, self._hold = effects.reorder, round(effects.reorder_delay * 1e9)
         self._random, self._count = random, count
 
     def apply(self, flight: Flight) -> list[Flight]:
-        """Returns the frame, perhaps held back."""
+        """The frame, perhaps delayed."""
         if self._random.random() >= self._share:
             return [flight]
         self._count("reorder", flight.message.arbitration_id)
@@ -136,7 +135,7 @@ class _Reorder:
 
 
 class Refuse:
-    """Says which frames the interface refuses to take (ENOBUFS)."""
+    """Selects the frames that the interface refuses to take (ENOBUFS)."""
 
     def __init__(self, effects: BusEffects, seed: int) -> None:
         self._share, self._random = effects.refuse, stream(seed, "to_drive", "refuse")
@@ -158,12 +157,12 @@ _CLASSES: dict[str, Callable[[BusEffects, Random, _Count], _FrameEffect]] = {
 
 
 def stream(seed: int, direction: str, effect: str) -> Random:
-    """Returns the random numbers of one effect on one direction; the same on every machine."""
+    """Random numbers of one effect on one direction; the same on every machine."""
     return Random(f"canhaptic bus {seed} {direction} {effect}")
 
 
 def frame_effects(effects: BusEffects, direction: Direction, seed: int, count: _Count) -> list[_FrameEffect]:
-    """Returns the effects on single frames that a scene names for one direction, in the order in which they act."""
+    """Effects on single frames that a scene names for one direction, in the order in which they act."""
     if not effects.suffers(direction):
         return []
     chosen = {kind: name for name, kind in _CLASSES.items() if name in effects.named}

@@ -1,6 +1,6 @@
-"""python-can's virtual bus without what a classic frame between two ends of one process does not need.
+"""A lean form of python-can's virtual bus for classic frames within one process.
 
-The same channels, and any other `virtual` connection of the process may take part. What differs is the price: a frame
+The same channels, and any other `virtual` connection of the process may take part. The difference is speed: a frame
 is copied field by field instead of by `copy.deepcopy`, it waits in a deque instead of behind a condition variable, and
 asking an empty bus costs next to nothing: one frame for 0.6 us instead of 6 to 10.
 """
@@ -64,7 +64,7 @@ class LeanVirtualBus(VirtualBus):
     """One connection. Frames keep the time stamp of their sender, and the queue of received frames has no limit.
 
     Args:
-        channel: Who shares it shares the bus.
+        channel: Name of the bus that connections share.
 
     Attributes:
         waiting: Frames received and not taken yet. Looking here costs less than asking an empty

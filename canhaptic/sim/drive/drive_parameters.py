@@ -1,4 +1,4 @@
-"""What the simulated drive needs to know beyond its dictionary. Nothing that a dictionary lacks is assumed."""
+"""Parameters of the simulated drive beyond its dictionary. Nothing that a dictionary lacks is assumed."""
 
 import re
 from typing import Annotated, Any, Final, Literal
@@ -33,7 +33,7 @@ def parse_place(key: str | int) -> tuple[int, int]:
 
 
 class DisplayScaling(Parameters):
-    """What a simulated drive needs to know to serve an admittance display."""
+    """Scales of a simulated drive that serves an admittance display."""
 
     force_object: str | None = None
     """Object that shows the force; None: a node of its own does."""

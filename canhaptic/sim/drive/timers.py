@@ -9,8 +9,8 @@ NEVER: Final = 1 << 62  # [ns], later than any clock
 class Timers:
     """Due times with an action each.
 
-    Restarting a timer costs a comparison or two: a deadline that every cycle pushes on is only looked at when the
-    oldest that it had would have come.
+    Restarting a timer costs a comparison or two: a deadline that every cycle postpones is only checked when its
+    earliest value would have come.
 
     Attributes:
         earliest: No timer is due before this [ns].
@@ -23,13 +23,13 @@ class Timers:
         self._is_exact = True  # a timer is due at `earliest`, or none is set
 
     def add(self, action: Callable[[int], None]) -> int:
-        """Returns the number of a new, stopped timer; the action is called with the time it was due [ns]."""
+        """Number of a new, stopped timer; the action is called with the time it was due [ns]."""
         self._due.append(NEVER)
         self._actions.append(action)
         return len(self._due) - 1
 
     def start(self, timer: int, due: int) -> None:
-        """Sets a timer to `due` [ns], in place of what it was set to."""
+        """Set a timer to `due` [ns], in place of its former time."""
         if due <= self.earliest:
             self.earliest, self._is_exact = due, True
         elif self._due[timer] == self.earliest:

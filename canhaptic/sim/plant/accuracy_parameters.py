@@ -1,4 +1,4 @@
-"""What a simulated plant spends on events and on effects that are not exact."""
+"""Accuracy of a simulated plant: its limits for events and for effects that are not exact."""
 
 from typing import Annotated
 
@@ -9,7 +9,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class AccuracyParameters(Parameters):
-    """What the plant spends on events and on effects that are not exact."""
+    """Limits of the plant for events and for effects that are not exact."""
 
     event_bits: Annotated[int, quantity("bit", ge=1, le=LEVELS)] = LEVELS
     """Events are bracketed to T / 2^event_bits."""

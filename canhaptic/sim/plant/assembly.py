@@ -1,4 +1,4 @@
-"""What a scene is made of before it is compiled: states, bodies, parts, and the rows they write for one mode.
+"""A plant before it is compiled: states, bodies, parts, and the rows they write for one mode.
 
 The state is one vector z = [states..., torque, one]: the held torque and the constant 1 are components of it, so that
 every force, rate and guard is a row (force = row . z) and every power a quadratic form z'Sz. A scene holds only what
@@ -54,25 +54,25 @@ class Part(Protocol):
         """False when it has one mode, or changes it by the clock only."""
 
     def assemble(self, rows: "Rows", mode: str) -> None:
-        """Adds rates, forces, powers and stored energy of this mode."""
+        """Add rates, forces, powers and stored energy of this mode."""
 
     def constrain(self, rows: "Rows", mode: str) -> None:
-        """Called when all forces are known: may hold a body still."""
+        """Called when all forces are known: may stop a body."""
 
     def guards(self, rows: "Rows", mode: str) -> Sequence[Guard]:
-        """Returns the ways out of this mode; called last."""
+        """Guards of this mode; called last."""
 
 
 class PlainPart:
-    """What most parts share: they hold no body still, and nothing leaves their modes but the clock."""
+    """Defaults of most parts: no constraint on a body, and mode changes by the clock only."""
 
     has_guards: bool = False
 
     def constrain(self, rows: "Rows", mode: str) -> None:
-        """Holds nothing."""
+        """No-op: no body is constrained."""
 
     def guards(self, rows: "Rows", mode: str) -> Sequence[Guard]:
-        """Returns none."""
+        """No guards."""
         return ()
 
 
@@ -85,36 +85,36 @@ class LinearPart(PlainPart):
     modes: tuple[str, ...] = ("linear",)
 
     def assemble(self, rows: "Rows", mode: str) -> None:
-        """Adds what the part is, in its only mode."""
+        """Add the part's forces in its only mode."""
         self.write(rows)
 
 
 class _HandPart(Protocol):
-    """What effects may ask of the hand."""
+    """Interface of the hand to effects."""
 
     name: str
 
     def follow(self, scene: "PlantModel", name: str, amplitude: float, omega: float, phase: float) -> None:
-        """Adds a sinusoid to what the hand follows."""
+        """Add a sinusoid to the voluntary motion of the hand."""
 
     def add_grasp(self, stiffness: float, damping: float) -> str:
         """Returns the mode of a further grasp."""
 
 
 class TorqueCommand(Protocol):
-    """Changes the torque of a hold before it reaches the motor; one without states inherits what it need not say.
+    """Changes the torque of a hold before it reaches the motor; one without states inherits the defaults.
 
     Attributes:
-        state_names: States it keeps.
-        passes: Largest torque that it lets through as it is, in both directions [N or N*m]; -1 when it changes any, or
-            keeps something of each.
+        state_names: States of its own.
+        passes: Largest torque that it lets through as it is, in both directions [N or N*m]; -1 when it changes or
+            remembers any.
     """
 
     state_names: tuple[str, ...] = ()
     passes: float = -1.0
 
     def reset(self) -> None:
-        """Returns to the start; here nothing is kept."""
+        """Return to the start; stateless by default."""
         return
 
     def apply(self, torque: float, duration: float) -> float:
@@ -131,35 +131,35 @@ class _Encoder(Protocol):
 class NonlinearForce(Protocol):
     """A force on the motor's body that is not piecewise affine: held over a substep, solved together with its motion.
 
-    One that keeps and stores nothing inherits the rest and gives `account` and `force` alone.
+    One without state or stored energy inherits the rest and defines `account` and `force` alone.
 
     Attributes:
-        state_names: States it keeps itself.
-        account: Where its work is booked; None when it is stored.
+        state_names: States of its own.
+        account: Account of its work; None when it is stored.
     """
 
     state_names: tuple[str, ...] = ()
     account: Account | None
 
     def reset(self) -> None:
-        """Returns to the start; here nothing is kept."""
+        """Return to the start; stateless by default."""
         return
 
     def force(self, position: float, travel: float, duration: float, torque: float) -> float:
         """Returns the mean force [N or N*m] over a substep that starts at `position` and moves by `travel`."""
 
     def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
-        """Takes the substep as done; here nothing is kept."""
+        """Accept the substep; stateless by default."""
         return
 
     def stored(self, position: float) -> float:
-        """Returns the energy stored in it [J]; here 0."""
+        """Energy stored in it [J]; 0 by default."""
         return 0.0
 
 
 @dataclass
 class PlantModel:
-    """Everything a plant consists of, collected from the plant, the user and the effects."""
+    """Collected parts of a plant, from its parameters, the user and the effects."""
 
     sample_time: float  # [s]
     states: dict[str, float] = field(default_factory=dict)  # name -> initial value
@@ -200,10 +200,10 @@ class PlantModel:
 
 
 class _PlantPart(Protocol):
-    """What a scene names: the moving mass, the user, an effect."""
+    """Anything that a scene names: the moving mass, the user, an effect."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds what it consists of."""
+        """Add its components."""
 
 
 class _Effect(_PlantPart, Protocol):
@@ -217,7 +217,7 @@ class _Effect(_PlantPart, Protocol):
 
 
 def collect(axis: _PlantPart, user: _PlantPart | None, effects: Sequence[_Effect], sample_time: float) -> PlantModel:
-    """Returns the scene of a plant: body, shaft and motor first, then the hand, then the other effects.
+    """The model of a plant: body, shaft and motor first, then the hand, then the other effects.
 
     Raises:
         ParameterError: An effect needs another that is not there, or two exclude each other.
@@ -243,11 +243,11 @@ def _add(effect: _Effect, scene: PlantModel) -> None:
 
 
 class Rows:
-    """The equations of one mode, while its parts write them.
+    """The equations of one mode, written by its parts.
 
     Attributes:
         rates: F of dz/dt = F z, shape (n, n).
-        powers: One S per work, shape (works, n, n) [W].
+        powers: One S per kind of work, shape (works, n, n) [W].
         storage: P with z'Pz the stored energy, shape (n, n) [J].
         forces: Sum of the forces on each body, one row each.
     """
@@ -297,5 +297,5 @@ class Rows:
             self.add_storage(body.mass, self.row(**{body.velocity: 1.0}))
 
     def hold_still(self, body: int) -> None:
-        """Stops a body: no acceleration. Its velocity must have been reset to zero."""
+        """Stop a body: no acceleration. Its velocity must have been reset to zero."""
         self.set_rate(self.scene.bodies[body].velocity, np.zeros(self.size))

@@ -19,7 +19,7 @@ from canhaptic.sim.plant.propagator import Array
 
 
 class _HasTorque(Protocol):
-    """What a controller returns: anything with the torque for the next free hold."""
+    """Result of a controller step: any object with the torque for the next free hold."""
 
     @property
     def torque(self) -> float:
@@ -40,7 +40,7 @@ class DirectRig:
     """Plant and controller in one loop of floats.
 
     Args:
-        plant: Before `begin`; its epoch becomes SYNC 0.
+        plant: Plant before `begin`; its epoch becomes SYNC 0.
         controller_step: (position, torque applied in the hold that ended) -> object with `.torque`.
         sample_time_ns: Time between two SYNCs [ns].
         delay: Whole holds between computing a torque and its hold, 0 or 1.

@@ -29,12 +29,12 @@ class DryFriction(Parameters):
 
 
 class StickSlip:
-    """The part: dry friction on a body, the motor's by default, with a level for sliding and one for breaking away.
+    """Dry friction on a body, the motor's by default, as a part: one level for sliding and one for breaking away.
 
     Args:
-        name: Of the part and of the work it books.
-        friction: Its levels.
-        velocity: At the start, for the first mode.
+        name: Name of the part and of its work.
+        friction: Levels of the friction.
+        velocity: Velocity at the start, for the first mode.
         body: Index of the body.
     """
 
@@ -55,12 +55,12 @@ class StickSlip:
             rows.add_power(self.name, friction, rows.velocity(self._body))
 
     def constrain(self, rows: Rows, mode: str) -> None:
-        """Holds the body when it is stuck."""
+        """Hold the body while it is stuck."""
         if mode == "stuck":
             rows.hold_still(self._body)
 
     def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
-        """Returns breakaway when stuck, sticking when the velocity reverses."""
+        """Guards: breakaway when stuck, sticking when the velocity reverses."""
         velocity = rows.velocity(self._body)
         if mode == "stuck":
             force, static = rows.forces[self._body], rows.row(one=self._static)

@@ -1,6 +1,6 @@
 """Forces that are not piecewise affine, each a mean over a substep: kernels, for one plant and for loops of a batch.
 
-What they are is said in the files of the effects.
+Their equations are in the files of the effects.
 """
 
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class Effort:
 
 @dataclass(slots=True)
 class Bristle:
-    """What is remembered of a force."""
+    """State of a force."""
 
     deflection: float = 0.0  # [m or rad]
 
@@ -44,11 +44,11 @@ def mean_force(
 
     Args:
         effort: The force.
-        bristle: At the start of the substep.
-        position: There [m or rad].
-        travel: Way in the substep [m or rad].
-        duration: Of the substep [s].
-        torque: Mean of the motor's over the substep [N or N*m].
+        bristle: State at the start of the substep.
+        position: Position at the start [m or rad].
+        travel: Displacement in the substep [m or rad].
+        duration: Duration of the substep [s].
+        torque: Mean torque of the motor over the substep [N or N*m].
     """
     if effort.kind == DETENT:
         return -effort.amplitude * mean_sine(_TURN / effort.pitch, effort.phase, position, travel)
@@ -84,7 +84,7 @@ def bristle_force(effort: Effort, bristle: Bristle, travel: float, duration: flo
 
 
 def bend(effort: Effort, bristle: Bristle, travel: float, duration: float) -> None:
-    """Takes a substep as done."""
+    """Accept a substep."""
     if effort.kind == BRISTLE:
         bristle.deflection = bent(effort, bristle, travel, duration)[0]
 
@@ -104,7 +104,7 @@ def bent(effort: Effort, bristle: Bristle, travel: float, duration: float) -> tu
 
 
 def held_energy(effort: Effort, bristle: Bristle, position: float) -> float:
-    """Returns the energy stored in a force [J]; a detent has none in its middle, a bristle none when straight."""
+    """Energy stored in a force [J]; 0 at the middle of a detent and for a straight bristle."""
     if effort.kind == DETENT:
         wave_number = _TURN / effort.pitch
         half = sin(0.5 * (wave_number * position + effort.phase))
@@ -117,7 +117,7 @@ class EffortForce(NonlinearForce):
 
     Args:
         effort: The force.
-        account: Where its work is booked; None when it is stored.
+        account: Account of its work; None when it is stored.
     """
 
     def __init__(self, effort: Effort, account: Account | None) -> None:
@@ -134,7 +134,7 @@ class EffortForce(NonlinearForce):
         return mean_force(self.effort, self._bristle, position, travel, duration, torque)
 
     def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
-        """Takes the substep as done."""
+        """Accept the substep."""
         bend(self.effort, self._bristle, travel, duration)
 
     def stored(self, position: float) -> float:

@@ -1,4 +1,4 @@
-"""A simulated force sensor: what one value of it says of the true force, and its errors.
+"""A simulated force sensor: the quantity that one value measures, and its errors.
 
 true force -> first-order filter -> sample at the SYNC, or mean since the last -> gain, offset, drift, noise
            -> whole quanta -> late by whole samples -> frozen from some time on
@@ -44,8 +44,8 @@ class ForceReading:
     """The values of one sensor, taken once at every SYNC.
 
     Args:
-        sensor: Its errors.
-        seed: Of the noise.
+        sensor: Errors of the sensor.
+        seed: Seed of the noise.
     """
 
     def __init__(self, sensor: SimulatedForceSensor, seed: int) -> None:
@@ -61,11 +61,11 @@ class ForceReading:
         self.value = 0.0
 
     def take(self, elapsed: int, force: float, impulse: float) -> float:
-        """Returns what the sensor shows at a SYNC [N or N*m; an impulse: N*s or N*m*s].
+        """Reading at a SYNC [N or N*m; an impulse: N*s or N*m*s].
 
         Args:
-            elapsed: Time since the start of the plant [ns]; the value stays the same however often one time is asked.
-            force: At this time, behind the filter [N or N*m].
+            elapsed: Time since the start of the plant [ns]; repeated calls for one time give the same value.
+            force: Force at this time, behind the filter [N or N*m].
             impulse: Integral of the force since the start [N*s or N*m*s].
         """
         if elapsed == self._taken_at:

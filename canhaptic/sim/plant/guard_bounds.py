@@ -51,7 +51,7 @@ def guard_bounds(guards: Array, rates: Array, sample_time: float, base: int) -> 
     """Returns the bounds of the guards of one mode.
 
     Args:
-        guards: Their rows, shape (c, n).
+        guards: Rows of the guards, shape (c, n).
         rates: F of dz/dt = F z, shape (n, n).
         sample_time: T [s].
         base: Level of the largest step that is taken; the rates are scaled to weigh alike there.

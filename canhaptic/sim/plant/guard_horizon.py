@@ -1,7 +1,7 @@
-"""For how many whole sample times no guard of a mode can be reached by torques within a limit.
+"""Number of whole sample times in which torques within a limit cannot reach any guard of a mode.
 
 With z = [x, u, 1] at the start of a hold, w = z without the torque, Phi the flow over T with the torque taken out and b
-what a unit of torque does to x over T, the starts of the holds are
+the change of x over T per unit torque, the starts of the holds are
 
     w(k) = Phi^k w(0) + sum over j < k of Phi^(k-1-j) b u(j),   |u| <= U.
 
@@ -51,7 +51,7 @@ class GuardHorizon:
         self._speed = np.linalg.norm(all_reach[:-1, count:], axis=1)
 
     def holds(self, state: Array, largest: float) -> int:
-        """Returns how many whole sample times from `state` on have no event under torques within +-`largest`."""
+        """Number of whole sample times from `state` on without an event under torques within +-`largest`."""
         values = self._values.dot(state).reshape(HOLDS + 1, self._count)
         rates = self._rates.dot(state).reshape(HOLDS, -1)
         pace = np.sqrt((rates * rates).sum(axis=1)) + largest * self._speed

@@ -94,7 +94,7 @@ class HybridAutomaton:
 
     @property
     def mode(self) -> Mode:
-        """The mode it is in."""
+        """Present mode."""
         return self._modes[int(self._counts[MODE])]
 
     @property
@@ -151,7 +151,7 @@ class HybridAutomaton:
         return [works[a] + works[b], works[c] + works[d], works[e] + works[f]]
 
     def tidy(self) -> None:
-        """Keeps rounding from growing with the length of a run; called at fixed times, never by who reads.
+        """Bound the growth of rounding errors over a run; called at fixed times, never by a reader.
 
         Folds the totals into compensated sums and brings the hand's oscillators back to unit amplitude.
         """
@@ -172,18 +172,18 @@ class HybridAutomaton:
         return stored(self.state)
 
     def set_part_mode(self, part: str, mode: str) -> None:
-        """Puts one part into another mode, at a time that the scene fixed beforehand."""
+        """Put one part into another mode, at a time that the plant fixed beforehand."""
         self._counts[MODE] = self.number_with(int(self._counts[MODE]), part, mode)
 
     @staticmethod
     def _whole_of(mode: Mode) -> Any:
-        """Returns the product that gives the state after T and the rows of the works."""
+        """Matrix product that gives the state after T and the rows of the works."""
         return np.concatenate([matrix_of(mode.flows[0]), matrix_of(mode.works[0])]).dot
 
     def holds_without_events(self, largest: float) -> int:
-        """Returns how many whole sample times from now on have no event under torques within +-`largest`.
+        """Number of whole sample times from now on without an event under torques within +-`largest`.
 
-        They may be taken by `period`, until anything else moves the machine.
+        They may be taken by `period`, until anything else moves the plant.
         """
         place = int(self._counts[MODE])
         if place not in self._horizons:
@@ -195,7 +195,7 @@ class HybridAutomaton:
         return horizon.holds(self.state, largest)
 
     def period(self, torque: float) -> float:
-        """Takes one whole sample time in one step, where no event can be; returns the position after it.
+        """Take one whole sample time in one step, known to be free of events; return the position after it.
 
         The same as `run_free`, written flat and with motion and work in one product: this is the whole plant of most
         scenes, at every SYNC.
@@ -221,7 +221,7 @@ class HybridAutomaton:
         )
 
     def allow_events(self, begin: int, end: int) -> None:
-        """Allows `max_events` for each sample time that begins in [begin, end), in ticks; else what is left of them."""
+        """Allow `max_events` for each sample time that begins in [begin, end), in ticks; else the remainder of them."""
         begun = -(-end // TICKS) - -(-begin // TICKS)
         if begun:
             self._most = int(self._counts[EVENTS]) + self._settings.max_events * begun
@@ -230,7 +230,7 @@ class HybridAutomaton:
         """Moves by `ticks` under constant inputs, through every event on the way; returns the ticks left, 0.
 
         Raises:
-            EventLimitError: There are more events than `allow_events` allowed.
+            EventLimitError: More events than `allow_events` allowed.
         """
         self._counts[LIMIT] = self._most + 1
         self.check_limit(self._run_on(ticks))
@@ -251,7 +251,7 @@ class HybridAutomaton:
             raise EventLimitError(self._settings.max_events, self.described(self._counts[MODE], self.state.tolist()))
 
     def described(self, mode: int, state: Sequence[float]) -> str:
-        """Returns parts with their modes, and the states.
+        """Parts with their modes, and the states, as text.
 
         Args:
             mode: Number of the mode.
@@ -275,7 +275,7 @@ class HybridAutomaton:
         )
 
     def _enter_missing(self) -> None:
-        """Compiles the mode behind the guard at which the stepper is; the stepper then goes through by itself."""
+        """Compile the mode behind the guard at which the stepper waits; the stepper then passes it by itself."""
         mode, guard = int(self._counts[MODE]), int(self._counts[MISSING])
         self._counts[MISSING] = NONE
         self.connect(mode, guard)
@@ -327,9 +327,9 @@ class HybridAutomaton:
 
 
 def _stored_by(storage: Array) -> Callable[[Array], float]:
-    """Returns what gives the kinetic and elastic energy [J] of a state.
+    """Product that gives the kinetic and elastic energy [J] of a state.
 
-    A single body stores in one number, its speed; the product says the same bit for bit, at twenty times the price.
+    A single body stores in one number, its speed; the general product gives the same bits, at twenty times the price.
 
     Args:
         storage: P with z'Pz the stored energy, shape (n, n).
@@ -354,7 +354,7 @@ def matrix_of(product: Any) -> Array:
 
 
 def reset_matrix(leaving: Exit, size: int) -> Array:
-    """Returns the matrix of the jump that belongs to a way out of a mode."""
+    """Matrix of the jump at a guard of a mode."""
     matrix = np.eye(size)
     for state, row in leaving.resets:
         matrix[state] = row

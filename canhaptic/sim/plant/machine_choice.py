@@ -1,4 +1,4 @@
-"""Which machine moves a plant: interpreted, or compiled by numba, which is imported only then."""
+"""Choice of the stepper: interpreted, or compiled by numba, which is imported only then."""
 
 from canhaptic.errors import ParameterError
 from canhaptic.extras import install_hint

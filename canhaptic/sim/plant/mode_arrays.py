@@ -87,7 +87,7 @@ def flat_tables(modes: Sequence[Mode], targets: Sequence[Sequence[int]], works: 
     """Returns the tables of the modes as arrays; guards that a mode does not have are zero.
 
     Args:
-        modes: As compiled.
+        modes: Compiled modes.
         targets: By mode and guard, the mode it leads to.
         works: Number of works.
     """

@@ -15,7 +15,7 @@ _LARGEST_PHASE: Final = 0.8  # [rad] of the fastest oscillation in one guarded s
 
 
 class Exit(NamedTuple):
-    """Where a guard leads."""
+    """Mode behind a guard."""
 
     part: int
     mode: str

@@ -1,6 +1,6 @@
 """The functions of `stepper.py` compiled by numba, and the machine that runs them; needs the extra `fast`.
 
-The logic is the same source: each function of the stepper is compiled unchanged. Only the six that touch numbers in
+The logic is the same source: each function of the stepper is compiled unchanged. Only the six that process numbers in
 bulk are others, loops over arrays (`mode_arrays`): for a dozen states a call into BLAS costs more than the product.
 """
 
@@ -25,7 +25,7 @@ _BULK: Final = (move, evaluate, pace, largest_term, stored, book)
 
 @cache
 def _unrolled_holds(size: int, works: int) -> Callable[..., None]:
-    """Returns what takes sample times in a mode without guards; sizes of state and works are constants of its code.
+    """Function that takes sample times in a mode without guards; sizes of state and works are constants of its code.
 
     So LLVM unrolls every loop over them, and the state stays in registers: a sixth of the time. A symmetric form takes
     its lower triangle, and of the shifted state only the position differs (it holds the hand's deflection).
@@ -108,7 +108,7 @@ class CompiledMachine(HybridAutomaton):
             positions: Written, shape (n_holds,) [m or rad].
 
         Raises:
-            EventLimitError: One of them has more events than are allowed.
+            EventLimitError: One of them has more events than allowed.
         """
         if not self.mode.exits:
             size, works = len(self.state), len(self.scene.works)

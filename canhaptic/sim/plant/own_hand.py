@@ -4,7 +4,7 @@
         def force(self, time: float, position: float, velocity: float) -> float:
             return -5.0 if 1.0 < time < 1.2 else 0.0
 
-Stiffness, damping, push and motion of the grip are those of every hand; the force comes on top of them. It is held over
+Stiffness, damping, push and motion of the grip are those of every hand; the force adds to them. It is held over
 each substep at the middle of the substep and solved together with the motion (`splitting.py`): second order in the
 substep where it is smooth.
 """
@@ -21,9 +21,9 @@ class OwnHand(UserParameters):
         """Returns the force on the handle, towards +q [N or N*m].
 
         Args:
-            time: Since the start of the plant [s].
-            position: Of the handle [m or rad].
-            velocity: Of the handle [m/s or rad/s].
+            time: Time since the start of the plant [s].
+            position: Position of the handle [m or rad].
+            velocity: Velocity of the handle [m/s or rad/s].
         """
         raise NotImplementedError(f"{type(self).__name__}: write force(time, position, velocity)")
 
@@ -58,5 +58,5 @@ class _OwnForce(NonlinearForce):
         return self._hand.force(self._time + 0.5 * duration, position + 0.5 * travel, velocity)
 
     def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
-        """Takes the substep as done."""
+        """Accept the substep."""
         self._time += duration

@@ -1,8 +1,8 @@
-"""Motor and user behind one drive: exact between two torques, with the energies each part truly took or gave.
+"""Motor and user behind one drive: exact between two torques, with the true energies of each part.
 
 Between two SYNCs the torque is constant and the plant piecewise affine, so a hold is a few matrix-vector products and
 every energy a quadratic form of the state (`hybrid_automaton.py`); what is not piecewise affine is held over substeps
-around that core (`splitting.py`). A hold that no guard can end costs what one without guards does
+around that core (`splitting.py`). A hold that no guard can end costs as little as one without guards
 (`guard_horizon.py`). A plant contains only what its parameters name. Time is an integer number of ticks of T / 2^24
 since the plant's epoch, so that k whole sample times are exactly k steps.
 """
@@ -53,7 +53,7 @@ class PlantParameters(Parameters):
         scene.parts.append(LinearPart("motor", self._write))
 
     def add_body(self, scene: PlantModel, work: str) -> None:
-        """Adds the body, and the works of what drives it and of its bearings."""
+        """Add the body, and the works of its motor and its bearings."""
         scene.add_state("position", self.initial_position)
         scene.add_state("velocity", self.initial_velocity)
         scene.bodies.append(Body("motor", self.mass, "velocity", (("position", 1.0),)))
@@ -89,7 +89,7 @@ class Plant:
         user: The hand; None for a free handle.
         effects: Effects of `canhaptic.sim.plant.effects`, in the order of the scene.
         sample_time_ns: T [ns]; a whole sample time is cheapest.
-        seed: Of every random effect.
+        seed: Seed of every random effect.
         accuracy: Events and substeps; the defaults when None.
         compiled: Whether holds run compiled by numba (the extra `fast`). Worth its seconds of compiling for whole runs
             (`run`) and for stiff scenes; a light hold called from Python costs more than interpreted.
@@ -139,7 +139,7 @@ class Plant:
         self.reset()
 
     def _chosen_hold(self) -> Callable[[int, float], None]:
-        """Returns what moves this scene by a hold; what the scene does not name has no place in it."""
+        """Function that moves this model by a hold; specialised to the effects present."""
         scene, machine = self.scene, self._machine
         has_guards = any(part.has_guards for part in scene.parts)
         if not (has_guards or scene.efforts or scene.schedule or scene.commands):
@@ -178,7 +178,7 @@ class Plant:
 
     @property
     def motor_torque(self) -> float | None:
-        """Torque of the motor behind its current loop [N*m or N]; None without one, when it is the torque held."""
+        """Torque of the motor behind its current loop [N*m or N]; None without one, when it equals the torque held."""
         names = self.scene.names
         return self._machine.state.item(names.index("motor_torque")) if "motor_torque" in names else None
 
@@ -282,7 +282,7 @@ class Plant:
                     self._look()
 
     def _look(self) -> None:
-        """Tidies when that is due, and looks ahead for holds that no guard can end."""
+        """Tidy when due, and look ahead for holds that no guard can end."""
         if self._tick >= self._next_tidy:
             self._machine.tidy()
             self._next_tidy = self._tick - self._tick % _TIDY + _TIDY
@@ -331,7 +331,7 @@ class Plant:
         return positions
 
     def _after_commands(self, torques: Array) -> Array:
-        """Returns what reaches the motor of a run of torques."""
+        """Torques that reach the motor for a run of commanded torques."""
         held = torques.astype(float)
         for command in self.scene.commands:
             held = np.array([command.apply(torque, self.scene.sample_time) for torque in held.tolist()])
@@ -386,14 +386,14 @@ class Plant:
         self.position = machine.state.item(0)
 
     def _expect(self, ticks: int, torque: float) -> None:
-        """Takes note of a torque, and ends what is known ahead of it: more torque came, or it changed inside a hold."""
+        """Check a torque against the look-ahead, and end the look-ahead when it is larger or changes inside a hold."""
         self._largest = max(self._largest, abs(torque))
         if self._free_torque >= 0.0:
             self._free_torque = -1.0
             self._pause = 0 if ticks == TICKS else min(self._next_tidy, self._tick + HOLDS * TICKS)
 
     def _ticks_until(self, now: int, epoch: int) -> int:
-        """Returns the ticks from the last call to `now`, and takes the time as passed."""
+        """Ticks from the last call to `now`; advances the clock."""
         period = self.sample_time_ns
         tick = ((now - epoch) * TICKS + period // 2) // period
         ticks = tick - self._tick

@@ -1,6 +1,6 @@
 """A hand whose position is set from outside while the plant runs: by the pointer of `canhaptic touch`.
 
-The position is a state that nothing else moves, so that the plant stays as exact as with any other hand.
+The position is a state that no force moves, so that the plant stays as exact as with any other hand.
 `Plant.move_hand` sets it between two holds; until it is set again the hand stays where it is.
 """
 
@@ -15,7 +15,7 @@ PLACE: Final = "hand_place"
 
 
 class PointerHand(UserParameters):
-    """A grip on the handle at a place that is given from outside."""
+    """A grip on the handle at a position that is set from outside."""
 
     place: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
     """Where the hand is at the start."""

@@ -1,8 +1,8 @@
 """Exact flows of a linear system over T / 2^j, j = 0..24, and the energies spent on the way.
 
 The matrix exponential is our own: a Taylor series at the smallest step, then doubling. What is doubled is the
-exponential MINUS the identity, E(2h) = 2 E(h) + E(h)^2; doubling exp(F h) itself would blow the rounding of its ones
-up by 2^24. Energies are integrals of a quadratic power z'Sz along the flow (Van Loan, IEEE Trans. Automatic Control
+exponential MINUS the identity, E(2h) = 2 E(h) + E(h)^2; doubling exp(F h) itself would amplify the rounding of its ones
+by 2^24. Energies are integrals of a quadratic power z'Sz along the flow (Van Loan, IEEE Trans. Automatic Control
 23(3), 1978); they are doubled by Q(2h) = Q(h) + Phi(h)' Q(h) Phi(h).
 """
 
@@ -63,7 +63,7 @@ def _taylor_work(rates: Array, power: Array, step: float) -> Array:
 
 
 def halvings_of(rates: Array, sample_time: float, levels: int) -> int:
-    """Returns how often T is halved: `levels`, and more where the fastest mode needs it for the series."""
+    """Number of halvings of T: `levels`, and more where the fastest mode needs it for the series."""
     needed = levels
     while float(np.abs(rates).sum(axis=0).max()) * sample_time * 0.5**needed > _LARGEST_STEP:
         needed += 1

@@ -1,8 +1,8 @@
-"""What is not piecewise affine, around the exact core: one force held over each substep and solved with its motion.
+"""Forces that are not piecewise affine: one force held over each substep of the exact core, solved with its motion.
 
 All such forces act on the motor's body. Over a substep their sum F is constant for the core, which stays exact; F is
 the mean of each force along the travel that it causes itself (a discrete gradient where the force has a potential),
-found by a bracketed secant. A substep ends at its first event, and what is left of it is solved anew: a force that
+found by a bracketed secant. A substep ends at its first event, and its remainder is solved anew: a force that
 belongs to sliding never acts while the body sticks, and the order in the substep is 2 with events too. The work booked
 is F times travel, so that the balance of energies closes at every step (Gonzalez, J. Nonlinear Science 6, 1996).
 """
@@ -91,8 +91,8 @@ class Splitting:
     def _solve(self, ticks: int) -> float:
         """Returns F with F = sum of forces(travel(F)); the machine is left at the end of the piece with that F.
 
-        Where none is consistent with the first event (the mean of a force that is yet to grow stops the body at once
-        that it lets go), the piece goes through its events with one F; it is then of order 1.
+        Where none is consistent with the first event (the mean of a force that is yet to grow stops the body as soon as
+        it breaks away), the piece goes through its events with one F; it is then of order 1.
         """
         self._saved, self._begin, self._ticks = self._machine.save(), self._held, ticks
         self._move: Callable[[int], int] = self._machine.run_to_event
@@ -103,7 +103,7 @@ class Splitting:
         return force
 
     def residual(self, force: float) -> float:
-        """Returns the sum of the forces along the way that a force makes the piece take, less that force."""
+        """Sum of the forces along the displacement that a force causes, less that force."""
         self._machine.restore(self._saved)
         state = self._machine.state
         state[self._effort], state[self._travel] = force, 0.0
@@ -118,7 +118,7 @@ class Splitting:
 
 
 def mean_torque(begin: float, end: float, held: float) -> float:
-    """Returns the mean of a torque that goes from `begin` to `end` as a first-order lag behind `held` does."""
+    """Mean of a torque that goes from `begin` to `end` as a first-order lag behind `held`."""
     gap, left = begin - held, end - held
     if gap in (0.0, left) or not left / gap > _SETTLED:
         return end
@@ -137,9 +137,9 @@ def fixed_point(piece: Any, start: float, slope: float) -> tuple[float, float, b
     A bracketed secant. Where the residual jumps over zero, the side of the jump that errs less, and False.
 
     Args:
-        piece: What `residual` looks at.
+        piece: Argument of `residual`.
         start: First guess.
-        slope: Slope of the residual near the root, below zero; -1 when nothing is known.
+        slope: Slope of the residual near the root, below zero; -1 if unknown.
     """
     force, error = start, residual(piece, start)
     best, least = force, abs(error)

@@ -4,7 +4,7 @@ A hold is taken in the largest steps that the mode allows. When a guard is below
 strict bound of `guard_bounds.py` does not exclude that it was inside, the step is halved, down to one tick; there the
 mode changes. No root finder and no adaptive step. It stops at a number of events that the caller sets.
 
-The first six functions are all that touches numbers in bulk. Interpreted, a table holds bound products of NumPy
+The first six functions are all that process numbers in bulk. Interpreted, a table holds bound products of NumPy
 (`flow.dot`: half the cost of `numpy.dot`); compiled, it holds arrays, and these six are replaced.
 """
 
@@ -51,7 +51,7 @@ class ModeTables(NamedTuple):
 
 
 class StepperSettings(NamedTuple):
-    """What a stepper spends."""
+    """Settings of a stepper."""
 
     max_events: int  # in one hold
     event_level: int
@@ -181,7 +181,7 @@ def leave(
 def settle(
     tables: ModeTables, state: Array, moved: Array, books: Any, counts: Indices, values: Any
 ) -> tuple[Array, Array, Any]:
-    """Leaves every mode whose guards do not hold at this very state; returns state, spare and the guards' values."""
+    """Leave every mode whose guards do not hold at this state; return state, spare and the guards' values."""
     for _ in range(_CHAIN):
         mode = counts[MODE]
         guards = tables.guards[mode]
@@ -200,7 +200,7 @@ def settle(
 def judge(
     tables: ModeTables, mode: int, level: int, before: Any, after: Any, state: Array, moved: Array, step: float
 ) -> int:
-    """Returns the guard that a step broke, NONE, or _DOUBTFUL; a step of 0 is one that is not halved any more."""
+    """Guard that a step broke, NONE, or _DOUBTFUL; a step of 0 is not halved any more."""
     count, guards = tables.guard_counts[mode], tables.guards[mode]
     broken = first_broken(guards, count, after, moved)
     if broken == NONE and step > 0.0:

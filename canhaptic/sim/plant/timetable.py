@@ -1,4 +1,4 @@
-"""Mode changes that come by the clock and not by a guard: at fixed ticks, between two steps."""
+"""Mode changes at fixed ticks, between two steps, and not by a guard."""
 
 from collections.abc import Callable
 
@@ -9,7 +9,7 @@ class Timetable:
     """The scheduled mode changes of a scene, around the solver that moves it.
 
     Args:
-        machine: Whose parts change mode.
+        machine: Automaton whose parts change mode.
         run: Moves the machine by some ticks without scheduled changes.
     """
 

@@ -93,7 +93,7 @@ class Hand(PlainPart):
             self.follow(scene, "motion", user.motion.amplitude, omega, user.motion.phase)
 
     def follow(self, scene: PlantModel, name: str, amplitude: float, omega: float, phase: float) -> None:
-        """Adds a sinusoid to what the hand follows, as two states of an oscillator."""
+        """Add a sinusoid to the voluntary motion of the hand, as two states of an oscillator."""
         scene.add_state(f"{name}_sine", math.sin(phase))
         scene.add_state(f"{name}_cosine", math.cos(phase))
         scene.deflection[f"{name}_sine"] = -amplitude

@@ -1,12 +1,12 @@
 """The plant of an admittance display: a mass that a velocity loop moves, a force sensor, and the hand behind it.
 
     drive          M v' = f + F - friction,   f = c (r - v) + f_I,   f_I' = k (r - v),   r held from SYNC to SYNC
-    sensor         F on the mass, by the grip: a spring and a damper between the mass and what lies behind the sensor
+    sensor         F on the mass, by the grip: a spring and a damper between the mass and the mass behind the sensor
     behind it      the mass behind the sensor, and the hand
 
 The loop is part of the piecewise-affine plant, so that a hold stays exact. With a torque limit its torque has three
-modes and its integral, which is kept within the limit, three of its own. `energy` is what flows through the sensor:
-what the display gives out (`motor`), what the hand brings, and what lies behind the sensor dissipates and stores.
+modes and its integral, which is kept within the limit, three of its own. `energy` is the flow through the sensor: the
+energy given out by the display (`motor`), brought by the hand, and dissipated and stored behind the sensor.
 """
 
 import math
@@ -46,7 +46,7 @@ class VelocityLoopParameters(Parameters):
 
 
 class GripParameters(Parameters):
-    """What lies between the sensor and the hand."""
+    """Grip between the sensor and the hand."""
 
     mass: Annotated[float, quantity("kg", "kg*m^2", ge=LEAST_MASS, le=1e6)]
     """Behind the sensor: handle, and what of the hand moves with it."""
@@ -57,7 +57,7 @@ class GripParameters(Parameters):
 
 
 class AdmittanceSimulation(Parameters):
-    """What is simulated of an admittance display besides mass, hand and effects."""
+    """Simulation of an admittance display besides mass, hand and effects."""
 
     loop: VelocityLoopParameters
     """The drive's own velocity loop."""
@@ -107,7 +107,7 @@ class _Loop(PlainPart):
         rows.add_power(_LOOP, force, velocity)
 
     def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
-        """Returns the ways to and from the limit of the torque."""
+        """Guards to and from the limit of the torque."""
         limit = self._loop.torque_limit
         if limit is None or mode == "off":
             return ()
@@ -134,7 +134,7 @@ class _Integral(PlainPart):
             rows.set_rate(_INTEGRAL, rows.row(torque=gain) - gain * rows.velocity(MOTOR))
 
     def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
-        """Returns the ways to and from the limit."""
+        """Guards to and from the limit."""
         if self._loop.torque_limit is None:
             return ()
         most, value = rows.row(one=self._loop.torque_limit), rows.row(**{_INTEGRAL: 1.0})
@@ -145,7 +145,7 @@ class _Integral(PlainPart):
 
 
 class _Sensor(PlainPart):
-    """The force between mass and grip: its impulse, its filtered value, and the work that passes it."""
+    """Force between mass and grip: its impulse, its filtered value, and the work through it."""
 
     order: ClassVar[int | None] = None
     rank: ClassVar[int] = 9
@@ -186,11 +186,11 @@ class AdmittancePlant(Plant):
         user: The hand; None for a free handle.
         effects: Further effects, on the mass before the sensor.
         sample_time_ns: T [ns].
-        seed: Of everything random.
+        seed: Seed of everything random.
         accuracy: Events and substeps; the defaults when None.
 
     Attributes:
-        reading: What the force sensor shows.
+        reading: Reading of the force sensor.
     """
 
     def __init__(
@@ -243,7 +243,7 @@ class AdmittancePlant(Plant):
         self._pause, self._wait = self._tick, 1
 
     def limit_torque(self, limit: float) -> None:
-        """Lowers the limit of the torque before the plant begins, as 0x6072 does; nothing where there is none.
+        """Lower the limit of the torque before the plant begins, as 0x6072 does; no effect without a limit.
 
         Args:
             limit: Largest torque [N or N*m].
@@ -259,10 +259,10 @@ class AdmittancePlant(Plant):
     def feed_forward(self, torque: float) -> None:
         """Adds a torque to that of the loop from now on, in place of the one before, as 0x60B2 does.
 
-        With an integral it adds to that; without one it is as much more velocity commanded.
+        With an integral it adds to that; without one it is converted to an additional velocity command.
 
         Args:
-            torque: [N or N*m].
+            torque: Additional torque [N or N*m].
         """
         change, self._torque_offset = torque - self._torque_offset, torque
         if self._integral >= 0:
@@ -292,13 +292,13 @@ class AdmittancePlant(Plant):
         return self._machine.state.item(self._places[3])
 
     def read_force(self) -> float:
-        """Returns what the sensor shows now; `ForceReading.take`."""
+        """Present reading of the sensor; see `ForceReading.take`."""
         read, elapsed = self._machine.state.item, self._tick * self.sample_time_ns // TICKS
         force = self.force if self._force_state < 0 else read(self._force_state)
         return self.reading.take(elapsed, force, read(self._places[0]))
 
     def energy(self) -> PlantEnergy:
-        """Returns what went through the sensor since the start [J]; `motor` is what the display gave out."""
+        """Energy through the sensor since the start [J]; `motor` is the display's output."""
         works = self._machine.works()
         user = works[self._user_work] if self._user_work >= 0 else 0.0
         lost = 0.0
@@ -307,6 +307,6 @@ class AdmittancePlant(Plant):
         return _tuple(PlantEnergy, (-works[self._sensor_work], user, lost, self._stored() - self.stored_at_start))
 
     def _stored(self) -> float:
-        """Returns what lies behind the sensor holds [J]."""
+        """Energy stored behind the sensor [J]."""
         speed = self._machine.state.item(1)
         return super()._stored() - self._half_mass * speed * speed

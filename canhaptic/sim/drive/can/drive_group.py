@@ -48,7 +48,7 @@ class DriveGroup:
 
         Args:
             now: Time [ns].
-            message: A frame that was received before; None where none was.
+            message: Frame already received; None if there is none.
         """
         while self._asleep:
             self._asleep.pop(0).wake(now)

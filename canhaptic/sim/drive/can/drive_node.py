@@ -61,20 +61,20 @@ class SimulatedDrive:
     """One CiA 402 servo drive with its motor; a `DriveGroup` hands it frames and time.
 
     Args:
-        bus: Its connection to the bus.
+        bus: Connection of the drive to the bus.
         node_id: 1..127.
         dictionary: Path of its EDS or DCF, or the dictionary read from it.
-        motor: What it moves; at rest until the first SYNC that finds operation enabled.
-        parameters: What the dictionary does not state.
+        motor: Motor that it drives; at rest until the first SYNC that finds operation enabled.
+        parameters: Values that the dictionary does not state.
         sample_time_ns: Time between two SYNCs [ns] until two have come. A fault reaction or quick stop takes one and a
             half of the time between the master's own SYNCs.
 
     Attributes:
-        nmt_state: As its heartbeat reports it.
-        store: Its objects.
-        servo: Its power stage.
-        timers: What it does by itself, and when.
-        on_routes_changed: Called when it may listen to other COB-IDs than before.
+        nmt_state: NMT state in its heartbeat.
+        store: Objects of the drive.
+        servo: Power stage of the drive.
+        timers: Timers of the drive's own actions.
+        on_routes_changed: Called when the set of COB-IDs it listens to may have changed.
         frames_lost: Frames that the bus refused to send.
 
     Raises:
@@ -139,24 +139,24 @@ class SimulatedDrive:
             self.timers.fire(0)
 
     def handler(self, cob_id: int) -> Handler | None:
-        """Returns what takes frames of this COB-ID until the routes change; None where nothing does."""
+        """Handler of frames of this COB-ID until the routes change; None without one."""
         if self._are_routes_stale:
             self._build_routes()
         return self._routes.get(cob_id)
 
     def run_timers(self, now: int) -> None:
-        """Does what is due up to `now` [ns]."""
+        """Run the timers due up to `now` [ns]."""
         self.servo.now = now
         self.timers.fire(now)
         self.follow_up()
 
     def truth(self) -> Truth:
-        """Returns where the motor really is, and its energies, as of the last SYNC or change of torque."""
+        """True position and energies of the motor, as of the last SYNC or change of torque."""
         motor = self.servo.motor
         return _tuple(Truth, (motor.position, motor.energy()))
 
     def inject_fault(self, code: int = 0x5000) -> None:
-        """Lets the drive fault with an error code (0x603F), as if its hardware had failed."""
+        """Inject a fault with an error code (0x603F), as of failed hardware."""
         self._fault(code)
         self.follow_up()
 
@@ -291,7 +291,7 @@ class SimulatedDrive:
     # --- faults -----------------------------------------------------------------------------------------------------
 
     def _lose(self, code: int) -> None:
-        """Reacts to a lost connection: EMCY, then what 0x6007 asks for."""
+        """React to a lost connection: EMCY, then the reaction of 0x6007."""
         self._emergency.announce(code)
         if code == emcy.SYNC_LOST:  # the drive's own interpolation fails, independent of 0x6007
             self.servo.fault()
@@ -322,7 +322,7 @@ class SimulatedDrive:
         self.servo.settle()
 
     def follow_up(self) -> None:
-        """Does what a change of state brings with it: faults announced, reactions timed, event-driven TPDOs."""
+        """Act on a change of state: announce faults, time reactions, send event-driven TPDOs."""
         servo = self.servo
         if servo.fault_code:
             code, servo.fault_code = servo.fault_code, 0

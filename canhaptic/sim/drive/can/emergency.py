@@ -28,11 +28,11 @@ _REGISTER_BITS: Final = {0x2: 1 << 1, 0x3: 1 << 2, 0x4: 1 << 3, 0x8: 1 << 4, 0xF
 
 
 class EmergencyProducer:
-    """Errors that are present: one EMCY when an error comes, and EMCY 0x0000 when errors go.
+    """Present errors: one EMCY when an error comes, and EMCY 0x0000 when errors go.
 
     Args:
-        store: The objects (0x1001, 0x1003, 0x1014, 0x603F are used).
-        node_id: Of the drive.
+        store: Object store (0x1001, 0x1003, 0x1014, 0x603F are used).
+        node_id: Node ID of the drive.
         send: Called with COB-ID and content of a frame.
     """
 
@@ -52,12 +52,12 @@ class EmergencyProducer:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets the errors that were present, silently."""
+        """Clear the present errors, silently."""
         self._present: list[int] = []
         self.show()
 
     def show(self) -> None:
-        """Lets the objects show the errors present; the history starts empty."""
+        """Show the present errors in the objects; the history starts empty."""
         self._error_code.value = self._present[-1] if self._present else 0
         self._update_register()
         self._clear_history()

@@ -30,9 +30,9 @@ class HeartbeatProducer:
     """Sends the NMT state every 0x1017 [ms].
 
     Args:
-        store: The objects.
-        timers: Of the node.
-        send: Sends a heartbeat with the state of now.
+        store: Object store.
+        timers: Timers of the node.
+        send: Sends a heartbeat with the present state.
         now: Returns the time [ns].
     """
 
@@ -43,7 +43,7 @@ class HeartbeatProducer:
         self._time.changed = self.restart
 
     def restart(self) -> None:
-        """Starts over with the period that the object now states; 0 sends none."""
+        """Restart with the period in the object; 0 sends none."""
         self._timers.stop(self._timer)
         if period := self._time.number * _NS_PER_MS:
             self._timers.start(self._timer, self._now() + period)
@@ -62,7 +62,7 @@ class HeartbeatConsumer:
 
     Args:
         store: The objects.
-        timers: Of the node.
+        timers: Timers of the node.
         now: Returns the time [ns].
         on_lost: Called when a heartbeat is overdue.
         on_return: Called when all that were lost are back.
@@ -89,7 +89,7 @@ class HeartbeatConsumer:
         self._lost: set[int] = set()
 
     def restart(self) -> None:
-        """Starts over with what the objects now state."""
+        """Restart with the values in the objects."""
         for _, timer in self._slots:
             self._timers.stop(timer)
         self._lost.clear()
@@ -101,7 +101,7 @@ class HeartbeatConsumer:
         return {HEARTBEAT_BASE + node: slot for node, slot in nodes if node}
 
     def hear(self, slot: int) -> None:
-        """Takes a heartbeat of the node in a slot of 0x1016."""
+        """Record a heartbeat of the node in a slot of 0x1016."""
         entry, timer = self._slots[slot]
         self._timers.start(timer, self._now() + _time(entry))
         if slot in self._lost:

@@ -35,7 +35,7 @@ _NS_PER_INHIBIT_UNIT: Final = 100_000
 
 
 class Pdo:
-    """One PDO: its objects, guarded, and what they compile to.
+    """One PDO: its guarded objects, and its codec.
 
     Args:
         store: The objects.
@@ -44,14 +44,14 @@ class Pdo:
         on_change: Called when a communication or mapping object was written.
 
     Attributes:
-        pack: Returns the frame of a TPDO with the values of now.
-        is_active: Its COB-ID is valid and its map is not empty.
+        pack: Makes the frame of a TPDO with the present values.
+        is_active: Whether its COB-ID is valid and its map is not empty.
         cob_id: CAN identifier.
         transmission_type: 0..240, 254, 255.
         entries: The mapped objects, in order.
-        length: Of its frame [bytes].
-        event_time: Of a TPDO its longest silence, of an RPDO its timeout [ns]; 0 for none.
-        inhibit_time: Of a TPDO its shortest distance [ns].
+        length: Length of its frame [bytes].
+        event_time: Longest silence of a TPDO, or timeout of an RPDO [ns]; 0 for none.
+        inhibit_time: Shortest interval between frames of a TPDO [ns].
     """
 
     def __init__(self, store: ObjectStore, number: int, is_transmit: bool, on_change: Callable[[], None]) -> None:
@@ -77,7 +77,7 @@ class Pdo:
         self.compile()
 
     def compile(self) -> None:
-        """Takes over what the objects now state."""
+        """Rebuild the codec from the objects."""
         cob_id = COB_ID_INVALID if self._cob_id.value is None else self._cob_id.number
         self.entries = self._mapped()
         image = struct.Struct("<" + "".join(entry.code for entry in self.entries))
@@ -100,7 +100,7 @@ class Pdo:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets what was received, sent and announced."""
+        """Clear the record of frames received, sent and announced."""
         self.pending: bytes | bytearray | None = None  # of a synchronous RPDO, until the next SYNC
         self.was_short = False  # of an RPDO: the last frame was refused
         self.is_due = False  # of a TPDO of type 0: something happened since the last SYNC
@@ -108,7 +108,7 @@ class Pdo:
         self._syncs = 0
 
     def load(self, content: bytes | bytearray) -> None:
-        """Takes over the values of an RPDO and lets the drive act on them."""
+        """Take over the values of an RPDO and let the drive act on them."""
         unpack = self._unpack
         values = unpack(content)
         if self._takes_all:
@@ -151,7 +151,7 @@ class Pdo:
     # --- what may be written ----------------------------------------------------------------------------------------
 
     def _exists(self) -> bool:
-        """Whether bit 31 must be set before the PDO is changed; one whose COB-ID is read-only is changed as it is."""
+        """Whether bit 31 must be set before the PDO is changed; a PDO with a read-only COB-ID is changed directly."""
         is_valid = self._cob_id.value is not None and not self._cob_id.number & COB_ID_INVALID
         return is_valid and self._cob_id.writable
 
@@ -216,7 +216,7 @@ def _can_be_beyond(entry: Entry, allowed: tuple[float, float]) -> bool:
 
 
 def _packer(pack: Callable[..., bytes], entries: Sequence[Entry]) -> Callable[[], bytes]:
-    """Returns what makes a frame of the values of now; written out for as many objects as a TPDO has in torque mode."""
+    """Function that makes a frame of the present values; unrolled for the object counts of TPDOs in torque mode."""
     if len(entries) == 3:
         first, second, third = entries
         return lambda: pack(first.value, second.value, third.value)

@@ -1,4 +1,4 @@
-"""The process data of the simulated drive: what it does at a SYNC, on an RPDO, and on events."""
+"""The process data of the simulated drive: its actions at a SYNC, on an RPDO, and on events."""
 
 from collections import deque
 from collections.abc import Callable
@@ -37,16 +37,16 @@ class ProcessData:
 
     Args:
         store: The objects.
-        servo: Measures and obeys.
-        timers: Of the node.
+        servo: Power stage, which measures and follows the objects.
+        timers: Timers of the node.
         emergency: Announces frames of a wrong length.
-        parameters: Of the drive.
+        parameters: Parameters of the drive.
         send: Called with COB-ID and content of a frame.
-        on_loss: Called with an error code when RPDO or SYNC stay away.
-        on_change: Called when an object was written that changes the routes.
+        on_loss: Called with an error code when RPDO or SYNC are overdue.
+        on_change: Called when a write changes the routes.
 
     Attributes:
-        is_operational: The NMT state lets PDOs through.
+        is_operational: Whether the NMT state lets PDOs through.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class ProcessData:
         self.routes()
 
     def routes(self) -> dict[int, Handler]:
-        """Takes over what the objects now state; returns COB-ID -> handler."""
+        """Apply the objects; return COB-ID -> handler."""
         for pdo in (*self._rpdos, *self._tpdos):
             pdo.compile()
         routes: dict[int, Handler] = {}
@@ -101,7 +101,7 @@ class ProcessData:
         return routes
 
     def start(self) -> None:
-        """Lets PDOs through; every event-driven TPDO is sent once."""
+        """Enable PDOs; every event-driven TPDO is sent once."""
         self.is_operational = True
         self._syncs.clear()
         for pdo in (*self._rpdos, *self._tpdos):
@@ -109,12 +109,12 @@ class ProcessData:
         self._servo.has_event = True
 
     def stop(self) -> None:
-        """Lets no PDO through."""
+        """Disable PDOs."""
         self.is_operational = False
         self._stop_timers()
 
     def sync_period(self) -> int | None:
-        """Returns the usual time between the last SYNCs [ns], one lost or late among them or not; None before two."""
+        """Usual time between the last SYNCs [ns], robust to one lost or late; None before two."""
         steps = sorted(later - sooner for sooner, later in pairwise(self._syncs))
         return steps[(len(steps) - 1) // 2] if steps else None
 

@@ -28,7 +28,7 @@ class SdoServer:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets a transfer that was under way."""
+        """Discard a transfer that was under way."""
         self._place = (0, 0)
         self._rest: bytes | None = None  # of an upload
         self._received: bytearray | None = None  # of a download
@@ -36,7 +36,7 @@ class SdoServer:
         self._toggle = 0
 
     def answer(self, request: bytes) -> bytes | None:
-        """Returns the answer to a request of 8 bytes; None when there is none to give (an abort, a stunted frame)."""
+        """Answer to a request of 8 bytes; None when there is none to give (an abort, a short frame)."""
         specifier = request[0] >> 5 if len(request) == 8 else _ABORT
         if specifier == _ABORT:
             self.reset()
@@ -101,7 +101,7 @@ class SdoServer:
         return self._reply(0x60) if abort is None else self._abort(abort)
 
     def _expected_length(self) -> int:
-        """Returns the length of an expedited download that does not tell it: the object's own."""
+        """Length of an expedited download that does not indicate it: the object's own."""
         entry = self._store.find(*self._place)
         return entry.size if entry is not None and 1 <= entry.size <= 4 else 4
 
@@ -128,7 +128,7 @@ class SdoServer:
         return reply
 
     def _receive(self, request: bytes) -> SdoAbort | None:
-        """Adds a segment to the download under way; returns why that cannot be, or None."""
+        """Add a segment to the download under way; return the abort code, or None."""
         if self._received is None:
             return SdoAbort.COMMAND_SPECIFIER
         if request[0] & 0x10 != self._toggle:

@@ -31,10 +31,10 @@ class SensorNode:
     """A transducer on the bus.
 
     Args:
-        node: Its frame.
-        per_count: Of one count [N or N*m; of a running impulse N*s or N*m*s].
+        node: Frame of the sensor.
+        per_count: Value of one count [N or N*m; of a running impulse N*s or N*m*s].
         offset_counts: Counts at zero.
-        read: Returns what the sensor shows now.
+        read: Returns the present reading of the sensor.
         send: Called with COB-ID and content of a frame.
 
     Attributes:
@@ -77,7 +77,7 @@ class SensorNode:
         self._zero = self._read()
 
     def power_on(self) -> None:
-        """Boots; a CANopen node says so."""
+        """Boot; a CANopen node sends its boot-up message."""
         node = self._node
         if node.node_id is None:
             self.state = NmtState.OPERATIONAL
@@ -87,7 +87,7 @@ class SensorNode:
         self._send(HEARTBEAT_BASE + node.node_id, bytes((NmtState.BOOT_UP,)))
 
     def take_nmt(self, content: Content) -> None:
-        """Follows an NMT command that is for it."""
+        """Follow an NMT command addressed to it."""
         if self._node.node_id is None or (command := command_for(bytes(content), self._node.node_id)) is None:
             return
         if command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
@@ -96,7 +96,7 @@ class SensorNode:
             self.state = _STATES.get(command, NmtState.PRE_OPERATIONAL)
 
     def take_sync(self) -> None:
-        """Sends its value, modulo its bits: a running impulse wraps as a counter does, a force is cut before."""
+        """Send its value, modulo its bits: a running impulse wraps as a counter does, a force saturates first."""
         if self.state is not NmtState.OPERATIONAL:
             return
         node = self._node
@@ -110,7 +110,7 @@ class SensorNode:
 
 
 def _transducer() -> ObjectDictionary:
-    """Returns what the transducer has: 0x1000 and 0x6139."""
+    """Dictionary of the transducer: 0x1000 and 0x6139."""
     dictionary = ObjectDictionary()  # type: ignore[no-untyped-call]
     device_type = ODVariable("Device type", DEVICE_TYPE)
     device_type.data_type, device_type.access_type, device_type.default = DataType.UNSIGNED32, "ro", _DEVICE_TYPE

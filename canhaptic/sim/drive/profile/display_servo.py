@@ -42,7 +42,7 @@ class DisplayMotor(Motor, Protocol):
         """Switches the power stage."""
 
     def read_force(self) -> float:
-        """Returns what the force sensor shows now."""
+        """Present reading of the force sensor."""
 
     def limit_torque(self, limit: float) -> None:
         """Lowers the limit of the torque before the motor begins."""
@@ -55,7 +55,7 @@ class DisplayServo(Servo):
     """Power stage, velocity loop and force sensor of an admittance display.
 
     Raises:
-        ParameterError: The parameters say nothing of the display.
+        ParameterError: The parameters lack those of the display.
     """
 
     motor: DisplayMotor
@@ -104,7 +104,7 @@ class DisplayServo(Servo):
         self._power(self.machine.state)
 
     def update(self, before: DriveState | None = None) -> None:
-        """Sets velocity, power and statusword to what state, mode and target ask for."""
+        """Set velocity, power and statusword from state, mode and target."""
         state, command = self.machine.state, 0.0
         word = STATUSWORDS[state]
         if state is DriveState.OPERATION_ENABLED:
@@ -128,7 +128,7 @@ class DisplayServo(Servo):
             self.has_event = True
 
     def _power(self, state: DriveState) -> None:
-        """Switches the power stage, and notes when the drive begins to brake."""
+        """Switch the power stage, and record when the drive begins to brake."""
         is_braking = state in _BRAKING
         if not is_braking:
             self._braking_since = -1
@@ -139,7 +139,7 @@ class DisplayServo(Servo):
             self.motor.power(on=is_braking or state is DriveState.OPERATION_ENABLED)
 
     def _feed_forward(self) -> None:
-        """Lets 0x60B2 act; the limit of the torque, 0x6072, is taken over before the motor begins."""
+        """Apply 0x60B2; the limit of the torque, 0x6072, is taken over before the motor begins."""
         if not self.is_running:
             self.motor.limit_torque(self._stage.largest)
         offset = self._torque_offset.number
@@ -149,12 +149,12 @@ class DisplayServo(Servo):
             self.motor.feed_forward(self._torque_sign * offset * self._stage.quantum)
 
     def _reload_limits(self) -> None:
-        """Takes over new limits and scales; the command of this hold is a velocity, which they do not change."""
+        """Apply new limits and scales; the command of this hold is a velocity, which they do not change."""
         self._stage.reload()
         self.update()
 
     def shown_force(self) -> float:
-        """Returns what the sensor shows now, for a node of its own."""
+        """Present reading of the sensor, for a node of its own."""
         return self.motor.read_force()
 
     def _along_ramp(self, target: int) -> float:
@@ -184,7 +184,7 @@ class DisplayServo(Servo):
         return step * self._per_position_count / self._period
 
     def settle(self) -> None:
-        """Makes the transitions that need no command; a drive that brakes stays until it is still."""
+        """Make the transitions that need no command; a drive that brakes stays until it is at rest."""
         if self._braking_since >= 0 and self.is_running:
             self._move()
             is_late = self.now - self._braking_since >= _LONGEST_BRAKING

@@ -47,7 +47,7 @@ class TorqueStage:
         return self._parameters.rated_torque or 0.0
 
     def reload(self) -> None:
-        """Takes over rated torque and limits as the objects now state them."""
+        """Apply rated torque and limits from the objects."""
         # [N or N*m] per count of 0x6071
         self.quantum = self._rated_torque() / round(1.0 / self._parameters.torque_resolution, 9)
         limit = float("inf")

@@ -1,7 +1,7 @@
 """The object store of the simulated drive: every object of its dictionary, with access, type and range checks.
 
 Built from any EDS or DCF. An object without a value answers "no data" (SDO abort 0x08000024): nothing is made up.
-Objects that the drive needs for itself but its dictionary does not list are kept here too, invisible to SDO and PDO.
+Objects that the drive needs internally but its dictionary does not list are kept here too, invisible to SDO and PDO.
 """
 
 import struct
@@ -122,9 +122,9 @@ class ObjectStore:
     """Every object of one simulated drive.
 
     Args:
-        dictionary: As read from its EDS or DCF.
+        dictionary: Dictionary as read from its EDS or DCF.
         values: (index, subindex) -> value, for objects without value or in place of theirs.
-        absent: (index, subindex or None for all) that the dictionary lists and the drive lacks.
+        absent: (index, subindex or None for all) of objects that the dictionary lists and the drive lacks.
         refused: (index, subindex) -> value that SDO cannot store.
 
     Raises:
@@ -171,7 +171,7 @@ class ObjectStore:
         return self._hidden.setdefault(place, Entry(index, subindex, data_type, access="ro"))
 
     def optional(self, index: int, data_type: int, subindex: int = 0) -> Entry:
-        """Returns an object as `entry` does; where the dictionary has it with another type, one of the drive's own.
+        """Object as from `entry`; where the dictionary has it with another type, one internal to the drive.
 
         The object of the dictionary then is a value without effect, as the master needs none of these to run.
         """
@@ -191,7 +191,7 @@ class ObjectStore:
                 entry.value = entry.initial
 
     def read(self, index: int, subindex: int) -> bytes | SdoAbort:
-        """Returns the bytes that an SDO upload answers, or the code it is aborted with."""
+        """Bytes of an SDO upload, or its abort code."""
         entry = self._entries.get((index, subindex))
         if entry is None:
             return self._absent(index)
@@ -202,14 +202,14 @@ class ObjectStore:
         return SdoAbort.NO_DATA if entry.value is None else entry.encode(entry.value)
 
     def may_write(self, index: int, subindex: int) -> SdoAbort | None:
-        """Returns why an object cannot be written at all, or None."""
+        """Abort code for an object that cannot be written at all, or None."""
         entry = self._entries.get((index, subindex))
         if entry is None:
             return self._absent(index)
         return None if entry.writable else SdoAbort.READ_ONLY
 
     def write(self, index: int, subindex: int, content: bytes) -> SdoAbort | None:
-        """Stores what an SDO download brought; returns the code it is aborted with, or None."""
+        """Store the value of an SDO download; return its abort code, or None."""
         if (abort := self.may_write(index, subindex)) is not None:
             return abort
         entry = self._entries[index, subindex]
@@ -226,7 +226,7 @@ class ObjectStore:
         return None
 
     def guard_storage(self) -> None:
-        """Lets 0x1010 and 0x1011 take their signatures alone (CiA 301, 7.5.2.13-14) and go on to show what they can."""
+        """Restrict 0x1010 and 0x1011 to their signatures (CiA 301, 7.5.2.13-14); they keep their capability values."""
         for index, signature in _SIGNATURES.items():
             for entry in [e for (i, subindex), e in self._entries.items() if i == index and subindex]:
                 entry.check = partial(_check_signature, signature)
@@ -236,7 +236,7 @@ class ObjectStore:
         return SdoAbort.NO_SUBINDEX if index in self._indices else SdoAbort.NO_OBJECT
 
     def _fill_counts(self) -> None:
-        """Gives subindex 0 of arrays and records its meaning (highest subindex) where the dictionary states none."""
+        """Set subindex 0 of arrays and records to its meaning (highest subindex) where the dictionary states none."""
         highest_of: dict[int, int] = {}
         for index, subindex in self._entries:
             highest_of[index] = max(subindex, highest_of.get(index, 0))
@@ -267,7 +267,7 @@ def _restore(entry: Entry) -> None:
 
 
 def _refusal(entry: Entry, value: int | float) -> SdoAbort | None:
-    """Returns why a number cannot be stored, or None."""
+    """Abort code for a number that cannot be stored, or None."""
     if not value <= entry.high:
         return SdoAbort.VALUE_TOO_HIGH
     if value < entry.low:
@@ -294,7 +294,7 @@ def _entry(variable: Variable) -> Entry:
 
 
 def _typed(data_type: int, value: int | float | str | bytes | None) -> _Value | None:
-    """Returns a value of a dictionary or scene as the store keeps it; None when it has another type."""
+    """Value of a dictionary or scene in the type of the store; None when it has another type."""
     if isinstance(value, str):
         value = value.encode("utf-16-le" if data_type == DataType.UNICODE_STRING else "latin-1", errors="replace")
     if data_type in _INTEGERS:

@@ -50,8 +50,8 @@ _POWERED: Final = frozenset(
 class Motor(Protocol):
     """The plant that the drive moves: motor, load and user.
 
-    One that has `encoder_position` or `motor_torque` besides is read there; one that has not, or that says
-    `has_ideal_encoder`, has an encoder, or a current loop, without effects.
+    A motor with `encoder_position` or `motor_torque` is read there; one without, or with `has_ideal_encoder`, has an
+    encoder, or a current loop, without effects.
     """
 
     @property
@@ -81,12 +81,12 @@ class Servo:
         parameters: Scales and limits.
 
     Attributes:
-        now: Time of what is being handled [ns]; set by the owner.
+        now: Present time [ns]; set by the owner.
         demand: Torque demand in force [per mille of rated torque].
         torque: The same at the axis [N*m or N].
         has_event: The statusword changed since the owner last cleared this.
         was_reset: A fault was reset since the owner last cleared this.
-        fault_code: Code of a fault that the stage found itself, for the owner to announce; 0 for none.
+        fault_code: Code of a fault that the stage itself detected, for the owner to announce; 0 for none.
     """
 
     def __init__(self, store: ObjectStore, motor: Motor, parameters: SimulatedDriveParameters) -> None:
@@ -155,7 +155,7 @@ class Servo:
 
     @property
     def is_powered(self) -> bool:
-        """Whether power is about to be on or is on, so that a lost connection concerns the drive."""
+        """Whether power is about to be on or is on, so that a lost connection affects the drive."""
         return self.machine.state in _POWERED
 
     def obey(self) -> None:
@@ -172,7 +172,7 @@ class Servo:
         self.update(before)
 
     def _delayed(self, controlword: int) -> int:
-        """Returns the controlword, without the command to enable until its time has come."""
+        """The controlword, without the command to enable until the enable delay has passed."""
         if not self._enable_delay:
             return controlword
         is_asked = command_of(controlword) is PowerCommand.ENABLE_OPERATION
@@ -191,7 +191,7 @@ class Servo:
         return self.now - self._enabled_since >= self._follow_delay
 
     def update(self, before: DriveState | None = None) -> None:
-        """Sets torque demand and statusword to what state, mode and target ask for.
+        """Set torque demand and statusword from state, mode and target.
 
         Args:
             before: State before a change; None when only the torque may differ.
@@ -252,7 +252,7 @@ class Servo:
         self.show_torque()
 
     def show_torque(self) -> None:
-        """Lets 0x6074 show the demand in force, 0x6077 and 0x6078 what is measured; the current is as the torque."""
+        """Update 0x6074 from the demand in force, 0x6077 and 0x6078 from the measurement; current equals torque."""
         self._torque_demand.value = measured = self.demand
         if not self._meter.is_ideal:
             measured = self._meter.counts(self.now, self.torque, self._torque_sign * self._stage.quantum)
@@ -272,7 +272,7 @@ class Servo:
             self._moved_to = self.now
 
     def _count(self, entry: Entry, value: float) -> None:
-        """Shows a position or velocity in counts; one that is no number is a fault, and the object stays as it is."""
+        """Write a position or velocity in counts; one that is not finite is a fault, and the object keeps its value."""
         try:
             counts = round(value * self._counts_per_unit) if self._rounds else math.floor(value * self._counts_per_unit)
         except (ValueError, OverflowError):
@@ -281,7 +281,7 @@ class Servo:
         entry.value = counts if -_HALF <= counts < _HALF else (counts + _HALF) % _COUNTS - _HALF
 
     def _check_mode(self, mode: int) -> SdoAbort | None:
-        """Refuses what 0x6502 does not list: mode m is its bit m - 1, and 0 is no mode. A drive without it has 10."""
+        """Refuse modes that 0x6502 does not list: mode m is its bit m - 1, 0 is no mode. A drive without it has 10."""
         listed = CYCLIC_SYNC_TORQUE_BIT if self._supported_modes is None else self._supported_modes.number
         if mode == 0 or (mode > 0 and listed >> (mode - 1) & 1):
             return None

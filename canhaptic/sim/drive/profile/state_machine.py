@@ -70,7 +70,7 @@ _QUICK_STOP_STAYS: Final = range(5, 9)  # option codes 0x605A that stay in QUICK
 
 
 def command_of(controlword: int) -> PowerCommand:
-    """Returns the command that a controlword gives, the fault reset bit apart."""
+    """Command of a controlword, apart from the fault reset bit."""
     if not controlword & 0x02:
         return PowerCommand.DISABLE_VOLTAGE
     if not controlword & 0x04:
@@ -117,12 +117,12 @@ class StateMachine:
         return self.state is not state
 
     def quick_stop(self, quick_stop_option: int) -> None:
-        """Makes transition 11, as the abort connection option asks (0x6007 = 3)."""
+        """Make transition 11, as the abort connection option demands (0x6007 = 3)."""
         if self.state is DriveState.OPERATION_ENABLED:
             self.state = DriveState.QUICK_STOP_ACTIVE if quick_stop_option else DriveState.SWITCH_ON_DISABLED
 
     def disable_voltage(self) -> None:
-        """Makes transition 7, 9, 10 or 12, as the abort connection option asks (0x6007 = 2)."""
+        """Make transition 7, 9, 10 or 12, as the abort connection option demands (0x6007 = 2)."""
         self.state = _TRANSITIONS.get((self.state, PowerCommand.DISABLE_VOLTAGE), self.state)
 
     def fault(self) -> None:

@@ -1,4 +1,4 @@
-"""What the simulated drive measures as its torque (0x6077): the motor's, through a filter, with a sensor's error."""
+"""Torque measurement of the simulated drive (0x6077): the motor's torque, through a filter, with a sensor's error."""
 
 import math
 from typing import Final, Protocol
@@ -23,11 +23,11 @@ class TorqueMeter:
     torque that is constant since the last measurement. Without lag, ripple and current loop it is the demand itself.
 
     Args:
-        motor: What is measured.
+        motor: Motor whose torque is measured.
         parameters: Lag and ripple.
 
     Attributes:
-        is_ideal: What it measures is the demand.
+        is_ideal: Whether the measurement equals the demand.
     """
 
     def __init__(self, motor: _TorqueSource, parameters: SimulatedDriveParameters) -> None:
@@ -40,15 +40,15 @@ class TorqueMeter:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets what was measured."""
+        """Clear the measurement."""
         self._filtered, self._measured_at = 0.0, 0
 
     def counts(self, now: int, held: float, quantum: float) -> int:
-        """Returns the torque measured at `now` [ns]; 0 without a rated torque, and where the torque is no number.
+        """Measured torque at `now` [ns] in counts; 0 without a rated torque, and where the torque is not finite.
 
         Args:
             now: Time [ns], never before the last one.
-            held: Torque that the power stage holds [N*m or N].
+            held: Torque held by the power stage [N*m or N].
             quantum: Torque of one count, with its sign [N*m or N].
         """
         torque = float(getattr(self._motor, "motor_torque")) if self._has_own_torque else held  # noqa: B009

@@ -35,7 +35,7 @@ EFFECTS: Final[dict[str, str]] = {
 
 
 class Effect(Protocol):
-    """What every entry of `EFFECTS` is."""
+    """Interface of every entry of `EFFECTS`."""
 
     @property
     def type(self) -> str:
@@ -47,7 +47,7 @@ class Effect(Protocol):
     """Effects are added in this order, then in the order of the scene."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds what the effect consists of.
+        """Add the components of the effect.
 
         Raises:
             ParameterError: It needs another effect that is not there, or excludes one that is.

@@ -19,11 +19,11 @@ class Contact(PlainPart):
     """Contact where a distance, a sum of positions, exceeds a limit.
 
     Args:
-        name: Of the part and of the work it books.
+        name: Name of the part and of its work.
         sides: (body, factor): distance = sum of factor * position of body; the force acts on each body against it.
         limit: Distance at which the faces touch [m or rad].
-        stiffness: Of the faces [N/m or N*m/rad].
-        damping: Of the faces [N*s/m or N*m*s/rad].
+        stiffness: Stiffness of the faces [N/m or N*m/rad].
+        damping: Damping of the faces [N*s/m or N*m*s/rad].
     """
 
     modes: tuple[str, ...] = ("apart", "touching")
@@ -44,7 +44,7 @@ class Contact(PlainPart):
         scene.parts.append(self)
 
     def assemble(self, rows: Rows, mode: str) -> None:
-        """Adds the force when touching, the creeping back when apart."""
+        """Add the force when touching, and the recovery of the face when apart."""
         depth = rows.row(**{self.depth: 1.0})
         rows.add_storage(self._stiffness, depth)
         if mode == "touching":
@@ -58,7 +58,7 @@ class Contact(PlainPart):
             rows.add_power(self.name, self._stiffness**2 / self._damping * depth, depth)
 
     def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
-        """Returns parting when the force would pull, touching when the faces meet."""
+        """Guards: separation at zero force, contact at zero gap."""
         index = rows.index[self.depth]
         beyond = sum((factor * rows.position(body) for body, factor in self._sides), -rows.row(one=self._limit))
         if mode == "touching":

@@ -33,5 +33,5 @@ class _Steps:
         self._count = count
 
     def read(self, position: float, tick: int, seed: int) -> float:
-        """Returns the nearest count [m or rad]; a position that is no number stays none."""
+        """The nearest count [m or rad]; a position that is not finite is returned as it is."""
         return round(position / self._count) * self._count if math.isfinite(position) else position

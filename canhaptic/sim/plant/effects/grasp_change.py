@@ -1,4 +1,4 @@
-"""Grasp change: at `time` the hand's stiffness and damping become others; the voluntary motion goes on.
+"""Grasp change: at `time` the hand's stiffness and damping change; the voluntary motion goes on.
 
 Needs a hand. States added: none (one mode per grasp). Exact; the time is rounded to a tick. Energy: work of the hand.
 Typical: 50..1000 N/m within some tenths of a second. Source: Hajian and Howe, ASME J. Biomech. Eng. 119, 1997.

@@ -65,7 +65,7 @@ class _Winding(TorqueCommand):
         self.temperature = self._derating.ambient
 
     def apply(self, torque: float, duration: float) -> float:
-        """Returns the torque within what the winding allows now [N or N*m], and warms it by the hold."""
+        """Torque within the present limit of the winding [N or N*m]; heats the winding for the hold."""
         p = self._derating
         allowed = p.torque_limit * min(max((p.hot - self.temperature) / (p.hot - p.warm), 0.0), 1.0)
         torque = min(max(torque, -allowed), allowed)

@@ -43,7 +43,7 @@ class Mechanism(Protocol):
         """
 
     def energy(self, axis: int) -> PlantEnergy:
-        """Returns the true energies since the start that went through one motor axis [J].
+        """True energies through one motor axis since the start [J].
 
         The sum over the axes is that of the mechanism. `motor` is the sum of torque times displacement of that motor,
         so that minus it is the true sum of its h_i.
@@ -51,7 +51,7 @@ class Mechanism(Protocol):
 
 
 class MechanismParameters(Protocol):
-    """What every entry of `MECHANISMS` is."""
+    """Interface of every entry of `MECHANISMS`."""
 
     motion: ClassVar[Motion]
     """Position unit of its motor axes."""
@@ -61,12 +61,12 @@ class MechanismParameters(Protocol):
     """Order of the error in the substep; None when it is exact between its events."""
 
     def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> Mechanism:
-        """Returns it at rest where its parameters say, before `begin`.
+        """The mechanism at rest in its initial pose, before `begin`.
 
         Args:
-            hand: What holds the handle; None without a hand.
+            hand: Hand at the handle; None without a hand.
             sample_time_ns: T [ns].
-            substeps: In one sample time, for a mechanism that is not exact.
+            substeps: Number of substeps in one sample time, for a mechanism that is not exact.
 
         Raises:
             ParameterError: It cannot be in that pose.

@@ -91,14 +91,14 @@ class FiveBarMotion:
     """The five-bar in motion.
 
     Args:
-        links: Lengths and masses.
-        hand: At the handle; None without a hand.
+        links: Lengths and masses of the links.
+        hand: Hand at the handle; None without a hand.
         sample_time_ns: T [ns].
-        substeps: In one sample time.
+        substeps: Number of substeps in one sample time.
 
     Attributes:
-        settings: What is fixed for a run.
-        state: What is remembered.
+        settings: Constants of the run.
+        state: State of the motion.
 
     Raises:
         ParameterError: The initial angles are a singular pose.
@@ -165,8 +165,8 @@ class FiveBarMotion:
     def energy(self, axis: int) -> PlantEnergy:
         """Returns the true works done through one motor coordinate since the start [J].
 
-        The kinetic energy of coupled links belongs to no motor alone: `stored` is what this coordinate received on
-        balance. `stored_error` says how far the sum over both is from the energy of the state.
+        The kinetic energy of coupled links belongs to no motor alone: `stored` is the balance of what this coordinate
+        received. `stored_error` is the difference of the sum over both from the energy of the state.
         """
         now = self.state
         works = (now.left_motor, now.left_user, now.left_lost), (now.right_motor, now.right_user, now.right_lost)
@@ -175,11 +175,11 @@ class FiveBarMotion:
 
     @property
     def stored_error(self) -> float:
-        """Energy of the state beyond what the accounts of both motors say [J]: what the integrator leaves open."""
+        """Energy of the state beyond the accounts of both motors [J]: the integrator's error."""
         return self.stored - self._stored_at_start - sum(self.energy(axis).stored for axis in (0, 1))
 
     def _stuck(self, step: float) -> ParameterError:
-        """Returns why no motion was found: a singular pose, or forces beyond any substep."""
+        """Reason why no motion was found: a singular pose, or forces beyond any substep."""
         left, right = self.positions
         if is_near_singular(self.settings, self._place):
             return singular(self.settings.links, left, right, self._place.pose.span)

@@ -60,7 +60,7 @@ class FiveBarSettings:
 
 @dataclass(slots=True)
 class FiveBarState:
-    """What is remembered: momenta, works since the start, and what was found on the way."""
+    """Momenta, works since the start, and solver results."""
 
     left: float = 0.0  # angles [rad]
     right: float = 0.0
@@ -77,7 +77,7 @@ class FiveBarState:
 
 
 class FiveBarStack(NamedTuple):
-    """Substeps that are still to be taken, the next one last."""
+    """Pending substeps, the next one last."""
 
     times: Buffer  # [s]
     steps: Buffer  # [s]
@@ -103,13 +103,13 @@ class Solved(NamedTuple):
 
 
 def five_bar_stack() -> FiveBarStack:
-    """Returns room for the halvings."""
+    """Buffer for the halvings."""
     room = _HALVINGS + 2
     return FiveBarStack(list_of_zeros(room), list_of_zeros(room), [0] * room)
 
 
 def place_at(links: Linkage, left: float, right: float) -> FiveBarPlace:
-    """Returns pose and inertia at two motor angles [rad]; the inertia means nothing where the pose is not regular."""
+    """Pose and inertia at two motor angles [rad]; the inertia is undefined where the pose is singular."""
     pose = pose_at(links, left, right)
     return new(FiveBarPlace, (left, right, pose, inertia_in(links, pose)))
 
@@ -118,16 +118,16 @@ def advance_five_bar(
     settings: FiveBarSettings, state: FiveBarState, stack: FiveBarStack, place: FiveBarPlace, begin: int, ticks: int,
     torques: Pair,
 ) -> FiveBarPlace:  # fmt: skip
-    """Moves under torques [N*m]; returns the place then, or that where it got stuck.
+    """Move under torques [N*m]; return the final place, or the one where it got stuck.
 
     Args:
-        settings: Links and hand.
+        settings: Properties of links and hand.
         state: Changed in place.
-        stack: Room.
-        place: That of the state.
+        stack: Buffer for the halvings.
+        place: Place of the state.
         begin: Tick at which the motion begins.
-        ticks: Its length.
-        torques: Of the left and the right motor.
+        ticks: Length of the motion [ticks].
+        torques: Torques of the left and the right motor.
     """
     count = (ticks * settings.substeps + TICKS - 1) // TICKS
     step = ticks * settings.tick_time / count
@@ -164,7 +164,7 @@ def take_substep(
 def book_substep(
     settings: FiveBarSettings, state: FiveBarState, place: FiveBarPlace, found: Solved, step: float, torques: Pair
 ) -> None:
-    """Takes down the works of a substep, and where it ends."""
+    """Record the works of a substep, and its end."""
     left, right = found.after.left - place.left, found.after.right - place.right
     state.left_motor += torques[0] * left
     state.right_motor += torques[1] * right
@@ -192,7 +192,7 @@ def stored(settings: FiveBarSettings, state: FiveBarState, place: FiveBarPlace) 
 def solve(
     settings: FiveBarSettings, state: FiveBarState, before: FiveBarPlace, time: float, step: float, torques: Pair
 ) -> Solved:
-    """Returns what a substep leads to, by a simplified Newton iteration on the displacement."""
+    """Solution of a substep, by a simplified Newton iteration on the displacement."""
     p_left, p_right = state.left_momentum, state.right_momentum
     v_left, v_right = solved(before.inertia, p_left, p_right)
     d_left, d_right = step * v_left, step * v_right
@@ -229,7 +229,7 @@ def solve(
 def balance(
     settings: FiveBarSettings, torque: float, gradient: float, change: float, hand: float, step: float
 ) -> float:
-    """Returns all that acts on one coordinate [N*m]."""
+    """Total torque on one coordinate [N*m]."""
     return torque - gradient - settings.damping / step * change + hand
 
 
@@ -279,7 +279,7 @@ def hand_torques(
     hand: HandForce, before: LinkagePose, middle: LinkagePose, after: LinkagePose, change: Pair, time: float,
     step: float,
 ) -> Pair:  # fmt: skip
-    """Returns what the hand gives at the motors over a substep [N*m]."""
+    """Torques of the hand at the motors over a substep [N*m]."""
     x, y = mean_pull(hand, before.handle, after.handle, time, step)
     (xl, xr), (yl, yr) = secant_jacobian(before, middle, after, change)
     return xl * x + yl * y, xr * x + yr * y

@@ -71,8 +71,8 @@ def linkage_of(
         proximal: Length of the links on the motors [m].
         distal: Length of the links that carry the handle [m].
         motor_inertia: Rotor and proximal link about each motor [kg*m^2].
-        distal_mass: Of each distal link [kg].
-        handle_mass: [kg]
+        distal_mass: Mass of each distal link [kg].
+        handle_mass: Mass of the handle [kg].
     """
     return Linkage(
         0.5 * base, proximal, distal, motor_inertia + distal_mass * proximal * proximal / 3.0, distal_mass / 6.0,
@@ -104,7 +104,7 @@ def pose_at(links: Linkage, left: float, right: float) -> LinkagePose:
 
 
 def singular(links: Linkage, left: float, right: float, span: float) -> ParameterError:
-    """Returns the error for elbows that meet, or are as far apart as the distal links reach."""
+    """Error for elbows that meet, or are as far apart as the distal links reach."""
     return ParameterError(
         f"five_bar: at {left:.6g} and {right:.6g} rad the elbows are {span:.6g} m apart, which is a singular "
         f"pose (expected between 0, where they meet, and {2.0 * links.distal:g} m, the distal links stretched); "

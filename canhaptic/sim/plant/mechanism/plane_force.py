@@ -41,7 +41,7 @@ def force_of_hand(hand: TaskHand | None) -> HandForce:
 
 
 def hand_target(hand: HandForce, time: float) -> Rows:
-    """Returns where the hand wants the handle to be [m], and how fast it moves there [m/s]."""
+    """Target position of the hand [m], and its velocity [m/s]."""
     x, y, vx, vy = hand.rest_x, hand.rest_y, 0.0, 0.0
     if hand.amplitude_x != 0.0:
         x += hand.amplitude_x * math.sin(hand.omega_x * time + hand.phase_x)
@@ -56,10 +56,10 @@ def hand_pull(hand: HandForce, time: float, place: Pair, speed: Pair) -> Pair:
     """Returns the force on a handle [N].
 
     Args:
-        hand: That holds it.
-        time: Since the start [s].
-        place: Of the handle [m].
-        speed: Of the handle [m/s].
+        hand: Hand that holds the handle.
+        time: Time since the start [s].
+        place: Position of the handle [m].
+        speed: Velocity of the handle [m/s].
     """
     (x, y), (vx, vy) = hand_target(hand, time)
     x, y, vx, vy = x - place[0], y - place[1], vx - speed[0], vy - speed[1]
@@ -73,7 +73,7 @@ def mean_pull(hand: HandForce, before: Pair, after: Pair, time: float, step: flo
     """Returns the mean force on the handle over a substep [N]: second order, and conservative where its spring is.
 
     Args:
-        hand: That holds it.
+        hand: Hand that holds the handle.
         before: Handle at `time` [m].
         after: Handle at `time + step` [m].
         time: Since the start [s].

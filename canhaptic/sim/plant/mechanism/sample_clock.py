@@ -11,8 +11,8 @@ class SampleClock:
         sample_time_ns: T [ns].
 
     Attributes:
-        tick: Now.
-        tick_time: [s]
+        tick: Present tick.
+        tick_time: Duration of a tick [s].
 
     Raises:
         ParameterError: The sample time is below 1 ns.

@@ -1,7 +1,7 @@
 """One mechanism behind several drives: each drive has its motor, and every motor moves with all the others.
 
-A drive moves its motor by (time, its torque); what the other motors push with in that time, they are asked. That is
-right because a drive moves its motor BEFORE it changes its torque.
+A drive moves its motor by (time, its torque); the torques of the other motors in that time are read from their drives.
+That is right because a drive moves its motor BEFORE it changes its torque.
 """
 
 from collections.abc import Callable
@@ -14,8 +14,8 @@ class SharedMechanism:
     """A mechanism and its motors.
 
     Args:
-        mechanism: Before `begin`; it is at rest until the last of its drives is enabled.
-        axes: How many motors it has.
+        mechanism: Mechanism before `begin`; it is at rest until the last of its drives is enabled.
+        axes: Number of its motors.
 
     Attributes:
         mechanism: As given.
@@ -29,7 +29,7 @@ class SharedMechanism:
         self._moved_to: int | None = None
 
     def begin(self, axis: int, now: int) -> None:
-        """Takes that the drive of one axis is enabled; the last one starts the clock."""
+        """Record that the drive of one axis is enabled; the last one starts the clock."""
         self._waiting.discard(axis)
         if not self._waiting and self._moved_to is None:
             self.mechanism.begin(now)
@@ -52,7 +52,7 @@ class MechanismMotor:
         """Tells the torque that the drive holds [N*m or N]; set by `connect`."""
 
     def connect(self, torque: Callable[[], float]) -> None:
-        """Takes where to ask for the torque that the drive of this motor holds."""
+        """Set the source of the torque that the drive of this motor holds."""
         self.torque = torque
 
     @property
@@ -70,9 +70,9 @@ class MechanismMotor:
         self.shared.begin(self.axis, now)
 
     def advance_to(self, now: int, torque: float) -> None:
-        """Moves the whole mechanism to `now` [ns]; the torque of this motor is the one its drive tells."""
+        """Move the whole mechanism to `now` [ns]; the torque of this motor is read from its drive."""
         self.shared.advance_to(now)
 
     def energy(self) -> PlantEnergy:
-        """Returns the true energies that went through this motor since the start [J]."""
+        """True energies through this motor since the start [J]."""
         return self.shared.mechanism.energy(self.axis)

@@ -55,14 +55,14 @@ class XYMotion:
     """The stage in motion.
 
     Args:
-        stage: Masses and guides.
-        hand: At the handle; None without a hand.
+        stage: Masses and guides of the stage.
+        hand: Hand at the handle; None without a hand.
         sample_time_ns: T [ns].
 
     Attributes:
         state_names: Every state, and nothing else.
-        force_places: Of the forces of the motors among them.
-        position_places: Of the positions.
+        force_places: Places of the motors' forces in the state.
+        position_places: Places of the positions in the state.
         is_linear: Whether one flow moves it: there is no dry friction.
     """
 
@@ -99,7 +99,7 @@ class XYMotion:
         return self._machine.state.copy()
 
     def model(self) -> PlantModel:
-        """Returns what it consists of."""
+        """Model of the stage."""
         return _scene(*self._parts)
 
     def whole_flow(self) -> Array:
@@ -113,7 +113,7 @@ class XYMotion:
         return x, y
 
     def move_hand(self, x: float, y: float) -> None:
-        """Puts a `PointerTaskHand` at a place [m] for the holds to come; between two holds only."""
+        """Move a `PointerTaskHand` to a position [m] for the following holds; between two holds only."""
         for name, place in zip(_NAMES, (x, y), strict=True):
             self._machine.state[self._scene.names.index(f"{name}_hand_place")] = place
 
@@ -152,7 +152,7 @@ class XYMotion:
 
 
 def _works_of(name: str, scene: PlantModel) -> tuple[list[int], list[int], list[int]]:
-    """Returns the places of one direction's works on motor, user and dissipated."""
+    """Places of one direction's works: motor, user and dissipated."""
     places: dict[Any, list[int]] = {"motor": [], "user": [], "dissipated": []}
     for i, (work, account) in enumerate(scene.works.items()):
         if work.startswith(f"{name}_"):
