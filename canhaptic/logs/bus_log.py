@@ -1,4 +1,4 @@
-"""The bus log as the link sees it: every frame sent or received goes into a ring, a writer process formats it."""
+"""The control side of the bus log: every frame sent or received goes into a ring, a writer process formats it."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -23,15 +23,15 @@ class BusLogWriter:
             text next to it (PATH.log), which survives a kill, and converted on closing.
         channel: Name of the bus in every line; one for each bus where there are several.
         pace: "real" or "free".
-        file_size: Bytes after which the file is put aside as NAME.00001.log, ...; 0 for one file without limit.
-        files: How many files are kept in all when `file_size` is given.
-        last: Above 0, nothing is written while the run goes well; when it ends badly, the frames of so much of its end
-            are written [s].
+        file_size: Bytes after which the file is renamed to NAME.00001.log, ...; 0 for one file without limit.
+        files: Number of files kept in all when `file_size` is given.
+        last: Above 0, nothing is written while the run goes well; after a bad end, the frames of this last time are
+            written [s].
         on_failure: Called once, from another thread, with the reason when the log can no longer be written; frames are
             then dropped and counted at any pace.
 
     Raises:
-        LogWriteError: The file cannot be made.
+        LogWriteError: The file cannot be created.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class BusLogWriter:
         self._record(timestamp_ns, can_id, data, is_rx)
 
     def on(self, bus: int) -> Recorder:
-        """Returns what takes the frames of one bus, by its place among the channels; the log itself takes the first's.
+        """Recorder of the frames of one bus, by its place among the channels; the log itself takes the first's.
 
         Raises:
             ParameterError: There is no such bus.
@@ -97,7 +97,7 @@ class BusLogWriter:
         return self._frames.recorder(bus, self._insist)
 
     def _insist(self, frame: Record) -> None:
-        """Waits for room at free pace, counts the frame as dropped otherwise."""
+        """Wait for room at free pace, count the frame as dropped otherwise."""
         if not (self._free and self._process.push_patiently(self._frames, frame)):
             self.dropped += 1
 
@@ -105,7 +105,7 @@ class BusLogWriter:
         """Writes everything that is still in the ring and waits for it. A second call does nothing.
 
         Args:
-            status: How the run ended; with `last`, anything but complete, completed or stopped is a bad end.
+            status: Status of the run; with `last`, anything but complete, completed or stopped is a bad end.
 
         Raises:
             LogWriteError: The log is not complete.

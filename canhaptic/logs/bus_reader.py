@@ -26,7 +26,7 @@ SkippedKind = Literal["CAN FD", "error", "remote"]
 
 
 class _Lines(TextIOWrapper):
-    """A text whose lines are bounded: a file without line ends would be read into one."""
+    """A text with lines of bounded length: a file without line ends would be read into one."""
 
     def readline(self, size: int | None = -1) -> str:  # type: ignore[override]
         """Returns the next line; empty at the end.
@@ -62,7 +62,7 @@ def read_bus_log(path: str | Path, skipped: Counter[SkippedKind] | None = None) 
 
     Args:
         path: The log.
-        skipped: Counts the frames that CANopen rigs do not use and that are left out: CAN FD, error, remote.
+        skipped: Counts the frames left out because CANopen rigs do not use them: CAN FD, error, remote.
 
     Raises:
         LogFormatError: Missing, empty, or a line that is no frame; names file and line.
@@ -72,7 +72,7 @@ def read_bus_log(path: str | Path, skipped: Counter[SkippedKind] | None = None) 
 
 
 def describe_skipped(skipped: Mapping[SkippedKind, int]) -> str:
-    """Returns what was left out as `2 CAN FD, 1 error`; empty for nothing."""
+    """Description of the frames left out, as `2 CAN FD, 1 error`; empty if none."""
     return ", ".join(f"{count} {kind}" for kind, count in sorted(skipped.items()))
 
 
@@ -98,7 +98,7 @@ def _read_candump(path: Path, skipped: Counter[SkippedKind]) -> Iterator[Frame]:
 
 
 def _require_time(path: Path, number: int, nanoseconds: int) -> None:
-    """Refuses a time that no clock shows: the timers of a replay take it for never."""
+    """Refuse a time that no clock shows: the timers of a replay would never expire."""
     if nanoseconds > _LATEST:
         raise LogFormatError(
             f"{path}: frame {number} has the time {nanoseconds * 1e-9:.3g} s, expected at most {_LATEST * 1e-9:.3g} s "
@@ -107,7 +107,7 @@ def _require_time(path: Path, number: int, nanoseconds: int) -> None:
 
 
 def _skipped_kind(path: Path, number: int, line: str) -> SkippedKind:
-    """Returns what a line is that is no data frame of classic CAN; raises LogFormatError where it is no frame."""
+    """Kind of a line that is no data frame of classic CAN; raises LogFormatError where it is no frame."""
     if _FD_LINE.fullmatch(line):
         return "CAN FD"
     if _REMOTE_LINE.fullmatch(line):
@@ -133,12 +133,12 @@ def _read_with_python_can(path: Path, skipped: Counter[SkippedKind]) -> Iterator
 
 
 def _channel(path: Path, number: object) -> str:
-    """Returns the number of a bus, from 0 on; python-can hands out that of a TRC file from 1 on, as it is written."""
+    """Number of a bus, from 0 on; python-can numbers the buses of a TRC file from 1 on, as the file does."""
     return str(number - 1 if path.suffix.lower() == ".trc" and isinstance(number, int) and number > 0 else number)
 
 
 def _messages(path: Path) -> Iterator[can.Message]:
-    """Yields what a file of python-can holds; opened here, as python-can leaves a file open that it cannot read."""
+    """Yield the messages of a file of python-can; opened here, as python-can leaves an unreadable file open."""
     suffix = path.suffix.lower()
     if suffix == ".blf":
         with path.open("rb") as binary:

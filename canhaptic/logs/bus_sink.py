@@ -29,7 +29,7 @@ class BusSink:
         path: The file being written.
         channels: Name of each bus in the lines of its frames.
         area: Shared memory with one ring of frames.
-        file_size: Bytes after which the file is put aside as NAME.00001.log, NAME.00002.log, ...; 0 for no limit.
+        file_size: Bytes after which the file is renamed to NAME.00001.log, NAME.00002.log, ...; 0 for no limit.
         files: How many files are kept in all, the one being written included; the oldest is deleted.
         convert_to: A .blf, .trc or .asc file to turn the text into in the end; None to leave it.
     """
@@ -53,7 +53,7 @@ class BusSink:
         self._convert_to = convert_to
 
     def open(self, restart: bool) -> None:
-        """Makes the file; after a restart goes on behind the last whole line of the one that is there."""
+        """Create the file; after a restart continue behind its last whole line."""
         self._next = self._frames.tail
         if restart and self._path.exists():
             self._recover()
@@ -106,7 +106,7 @@ class BusSink:
         self._begin()
 
     def finish(self, status: str) -> None:
-        """Closes the file and converts it if asked to; the status of the run has no place in these formats."""
+        """Close the file and convert it if requested; these formats cannot hold the status of the run."""
         del status
         self.check()
         os.close(self._descriptor)
@@ -130,7 +130,7 @@ def format_frames(frames: bytes, channels: Sequence[str]) -> bytes:
 
 
 def _aside_files(path: Path) -> list[Path]:
-    """Returns the files put aside before `path`, oldest first."""
+    """Completed files of the series before `path`, oldest first."""
     return [file for _, file in sorted(_numbered(path).items())]
 
 

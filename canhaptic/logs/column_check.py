@@ -1,4 +1,4 @@
-"""Whether the columns of an energy log are all there, of their type, and of one length."""
+"""Check of the columns of an energy log: all present, of their type, and of one length."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -18,13 +18,13 @@ FoundColumns = Mapping[str, Dataset]
 
 
 def checked_rows(path: Path, file: Hdf5File, ports: Sequence[str], status: str) -> int:
-    """Returns the rows that every column has.
+    """Number of rows that every column has.
 
     Args:
         path: The log, for messages.
-        file: The same, open.
+        file: The same file, open.
         ports: Names of its ports.
-        status: Of the log: while it is `_RUNNING`, columns may differ by a chunk.
+        status: Status of the log: while it is `_RUNNING`, columns may differ by a chunk.
 
     Raises:
         LogFormatError: A column is missing, of another type, or shorter than the others; names it, with the rows found
@@ -83,6 +83,6 @@ def _require_one_length(path: Path, columns: FoundColumns, grows: bool) -> None:
 
 
 def usual_length(columns: FoundColumns) -> int:
-    """Returns the length that most columns have, the longer of two that are as usual."""
+    """Length that most columns have; of two equally common lengths the longer."""
     counts = Counter(len(dataset) for dataset in columns.values())
     return max(counts, key=lambda length: (counts[length], length))

@@ -1,4 +1,4 @@
-"""What an energy log holds: one list of columns, from which the ring's record, the file and the reader are all made."""
+"""Columns of an energy log: one list, from which the ring's record, the file and the reader are all made."""
 
 import json
 from dataclasses import dataclass
@@ -81,7 +81,7 @@ class _LogColumn(NamedTuple):
 
 
 class Event(NamedTuple):
-    """Something that happened at one SYNC."""
+    """An event at one SYNC."""
 
     sync_index: int
     kind: str  # "emcy", "fault", "link", "stop", ...
@@ -95,7 +95,7 @@ EVENT_RING: Final = RingShape("=q" + "".join(f"{size}s" for size in EVENT_TEXT_S
 
 @dataclass(frozen=True, slots=True)
 class LogSchema:
-    """Everything that the writer process needs to know to make the file."""
+    """Columns of the log and what else the writer process needs to make the file."""
 
     ports: tuple[PortDescription, ...]
     sample_time_ns: int

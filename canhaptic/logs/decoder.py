@@ -1,4 +1,4 @@
-"""Words for every frame of a CANopen bus: NMT, SYNC, EMCY, SDO with object names, PDO fields, heartbeats.
+"""Text for every frame of a CANopen bus: NMT, SYNC, EMCY, SDO with object names, PDO fields, heartbeats.
 
 The PDO maps are learnt from the bring-up in the log itself, so no configuration is needed; with one, objects get the
 names of the drive's dictionary and positions and torques their units. It shares no code with the master's codecs, so
@@ -46,7 +46,7 @@ class NodeDescription:
 
 
 class _Decoded(NamedTuple):
-    """One frame in words."""
+    """One frame as text."""
 
     kind: str  # "NMT", "SYNC", "EMCY", "SDO", "RPDO1", "TPDO1", "heartbeat", "unknown"
     node: str  # name or number; empty for the whole bus
@@ -57,7 +57,7 @@ class BusDecoder:
     """Decodes the frames of one bus in the order in which they were recorded.
 
     Args:
-        nodes: What is known of the nodes.
+        nodes: Descriptions of the nodes.
     """
 
     def __init__(self, nodes: Iterable[NodeDescription] = ()) -> None:
@@ -68,7 +68,7 @@ class BusDecoder:
             self._node(node_id)
 
     def decode(self, can_id: int, data: bytes) -> _Decoded:
-        """Returns one frame in words."""
+        """Decode one frame as text."""
         if can_id == od.NMT_COB_ID:
             return self._nmt(data)
         if can_id in (od.SYNC_FRAME_COB_ID, _TIME_COB_ID):
@@ -146,7 +146,7 @@ class _Node:
         return f"{plain} ({words})" if words else plain
 
     def field(self, field: PdoField) -> str:
-        """Returns one field of a PDO in words."""
+        """One field of a PDO as text."""
         name = (
             _TORQUES.get(field.object_index)
             or _NAMES.get(field.object_index)

@@ -1,4 +1,4 @@
-"""The energy log as the cycle sees it: one packed row per SYNC into a ring, a writer process behind it."""
+"""The control side of the energy log: one packed row per SYNC into a ring, a writer process behind it."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -24,16 +24,16 @@ class EnergyLogWriter:
     Args:
         path: The file; an existing one is replaced.
         ports: The axes, in the order of samples and balances.
-        attributes: What belongs to the run: configuration text and hash, versions, clock base, bit rate, ...
+        attributes: Attributes of the run: configuration text and hash, versions, clock base, bit rate, ...
         sample_time_ns: Sample time [ns].
-        with_truth: Whether a simulation tells what truly happened.
+        with_truth: Whether a simulation supplies true values.
         pace: "real" or "free".
         ring_rows: Capacity of the ring.
         on_failure: Called once, from another thread, with the reason when the log can no longer be written; cycles are
             then dropped and counted at any pace.
 
     Raises:
-        LogWriteError: The file cannot be made.
+        LogWriteError: The file cannot be created.
         ParameterError: Two ports share a name, or a name contains a slash.
     """
 
@@ -68,7 +68,7 @@ class EnergyLogWriter:
 
     @property
     def failure(self) -> str:
-        """Why the log stopped before it was closed; empty while all is well. Cheap enough to ask every cycle."""
+        """Reason why the log stopped before it was closed; empty while all is well. Cheap enough for every cycle."""
         return self._process.failure
 
     @property
@@ -92,10 +92,10 @@ class EnergyLogWriter:
             sync_index: Index k of the SYNC.
             samples: One per port.
             balances: One per port.
-            timing: Of this cycle.
+            timing: Timing of this cycle.
             truths: One per port when the log was made with truth.
             deadline: Sample times since the first SYNC; None: none was skipped.
-            measured: One per port; none where nothing but the balances is known.
+            measured: One per port; none where only the balances are known.
 
         Raises:
             LogWriteError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
@@ -116,22 +116,22 @@ class EnergyLogWriter:
             self.dropped += 1
 
     def event(self, sync_index: int, kind: str, port: str, text: str) -> None:
-        """Notes something that happened: a fault, an EMCY, a lost frame, a stop. Long texts are cut.
+        """Record an event: a fault, an EMCY, a lost frame, a stop. Long texts are cut.
 
         Args:
             sync_index: Index k of the SYNC.
             kind: One word.
             port: Name of the axis, empty for the whole rig.
-            text: What happened.
+            text: Description of the event.
         """
         texts = zip((kind, port, text), EVENT_TEXT_SIZES.values(), strict=True)
         self._events.push((sync_index, *(_cut(words, size) for words, size in texts)))
 
     def close(self, status: str = "complete") -> None:
-        """Writes everything that is still in the ring, packs the file and waits for it. A second call does nothing.
+        """Write everything that is still in the ring, pack the file and wait for it. A second call does nothing.
 
         Args:
-            status: How the run ended.
+            status: Status of the run.
 
         Raises:
             LogWriteError: The log is not complete.

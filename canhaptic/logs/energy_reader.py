@@ -74,14 +74,14 @@ class EnergyLog:
 
     Attributes:
         path: The file.
-        attributes: What was stored with the run (configuration, hashes, versions, ...).
+        attributes: Attributes stored with the run (configuration, hashes, versions, ...).
         ports: Name of the axis -> its quantities; `position`, `torque_command`, `torque_applied`, `h_i`, ...
-        truth: The same for what truly happened in a simulation; empty on a real rig.
+        truth: The same for the true values of a simulation; empty on a real rig.
         groups: Ports that are groups, and the names of their axes; the accounts of these are the group's.
         timing: Times of each cycle and `sync_index`.
         rows: Number of cycles in the log.
-        rows_lost: Cycles at the start that a damaged file took with it.
-        status: How the run ended; "running" while it is written or after a power cut.
+        rows_lost: Cycles missing at the start because the file is damaged.
+        status: Status of the run; "running" while it is written or after a power cut.
         sample_time_ns: Sample time [ns].
     """
 
@@ -194,7 +194,7 @@ class EnergyLog:
         return self.timing.read("deadline_index" if "deadline_index" in self.timing else "sync_index", start, stop)
 
     def time_of(self, sync_index: int) -> float:
-        """Returns the time of a SYNC [s], also of one behind the last row."""
+        """Time of a SYNC [s], also of one after the last row."""
         if not self.rows:
             return sync_index * self.sample_time
         index = self.timing["sync_index"]
@@ -203,12 +203,12 @@ class EnergyLog:
 
     @property
     def dropped(self) -> int:
-        """Cycles that the ring had no room for."""
+        """Cycles for which the ring had no room."""
         return int(self.timing["dropped_before"].sum(dtype=np.int64))
 
     @property
     def events(self) -> list[Event]:
-        """Everything noted during the run, in order."""
+        """Every event recorded during the run, in order."""
         try:
             columns = [self._file[f"events/{name}"].read() for name in EVENT_TEXT_SIZES]
             indices = self._file["events/sync_index"].read()

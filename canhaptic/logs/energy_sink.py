@@ -78,7 +78,7 @@ class EnergySink:
         self._size = os.fstat(self._descriptor).st_size
 
     def _recover(self) -> bool:
-        """Copies what the killed writer left into a clean file and goes on there; False when nothing can be read."""
+        """Copy the killed writer's rows into a clean file and continue there; False when nothing can be read."""
         temporary = unfinished(self._path)
         try:
             with Hdf5File(self._path, "live") as old:

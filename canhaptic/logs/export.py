@@ -37,7 +37,7 @@ def export(log: EnergyLog, path: str | Path) -> None:
 
 
 def require_library(path: Path) -> None:
-    """Imports what a table of this suffix is written with.
+    """Import the library that writes a table of this suffix.
 
     Raises:
         InputError: It is not installed.
@@ -99,9 +99,9 @@ def _write_mat(log: EnergyLog, path: Path) -> None:
 
 
 def _write_mcap(log: EnergyLog, path: Path) -> None:
-    """Writes one JSON message per port and SYNC, with its schema; what Foxglove opens as it is.
+    """Write one JSON message per port and SYNC, with its schema, as Foxglove opens it.
 
-    Topics: /PORT, /true/PORT (the simulated plant), /timing, /events. Time: of the SYNC since the first, from 0.
+    Topics: /PORT, /true/PORT (the simulated plant), /timing, /events. Time: that of the SYNC since the first, from 0.
     """
     writer_module: Any = importlib.import_module("mcap.writer")
     groups = {"/timing": log.timing}

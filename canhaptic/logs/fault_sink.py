@@ -26,7 +26,7 @@ class FaultSink:
         path: The file to write after a bad end.
         channels: Name of each bus in the lines of its frames.
         area: Shared memory with one ring of frames.
-        last_ns: How much of the run to keep [ns].
+        last_ns: Duration of the end of the run to keep [ns].
     """
 
     def __init__(self, path: Path, channels: Sequence[str], area: SharedArea, last_ns: int) -> None:
@@ -37,7 +37,7 @@ class FaultSink:
         self._blocks: deque[bytes] = deque()
 
     def open(self, restart: bool) -> None:
-        """Proves that the file can be made, long before it must be; that of an earlier fault stays as it is."""
+        """Prove early that the file can be created; the file of an earlier fault stays."""
         del restart
         self._next = self._frames.tail
         probe = self._path.with_name(f".{self._path.name}.new")
@@ -49,7 +49,7 @@ class FaultSink:
         """Nothing is written before the end."""
 
     def drain(self, heads: list[int], final: bool) -> None:
-        """Takes all frames up to `heads[0]` and lets go of those that have grown old."""
+        """Take all frames up to `heads[0]` and discard those that have grown old."""
         del final
         while self._next < heads[0]:
             count = min(_BLOCK, heads[0] - self._next)
@@ -63,7 +63,7 @@ class FaultSink:
         return _last_time(self._blocks[-1]) - self._last_ns
 
     def finish(self, status: str) -> None:
-        """Writes what was kept, unless the run ended well."""
+        """Write the frames kept, unless the run ended well."""
         if status in _GOOD_ENDINGS or not self._blocks:
             return
         oldest = self._oldest()

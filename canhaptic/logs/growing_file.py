@@ -25,12 +25,12 @@ def open_regular(path: Path, flags: int) -> int:
 
 
 def require_same_file(path: Path, descriptor: int, size: int) -> None:
-    """Returns while a log is still the file that was opened, and as long as it was written.
+    """Require that a log is still the file that was opened, and as long as it was written.
 
     Args:
         path: The log.
-        descriptor: Of the file that was opened.
-        size: Bytes that were written to it.
+        descriptor: Descriptor of the file that was opened.
+        size: Number of bytes written to it.
 
     Raises:
         LogWriteError: It was deleted, replaced or truncated.

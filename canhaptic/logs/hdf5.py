@@ -1,4 +1,4 @@
-"""The part of h5py that the logs use, with types: the one place where the untyped library is touched."""
+"""Typed interface to the part of h5py that the logs use: the only place that touches the untyped library."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -36,7 +36,7 @@ class Dataset:
 
     @property
     def chunk(self) -> int:
-        """Elements that are written at once; 1 where the column is in one piece."""
+        """Elements that are written at once; 1 where the column is contiguous."""
         return int(self._dataset.chunks[0]) if self._dataset.chunks else 1
 
     def refreshed_length(self) -> int:
@@ -157,7 +157,7 @@ class Hdf5File:
     def read_tables(self) -> None:
         """Reads what the library keeps: the root's attributes, and of every column name, type, attributes and chunks.
 
-        Goes on behind what is damaged: another reader may come there first.
+        Continues after damaged entries: another reader may come there first.
         """
         with suppress(Exception):
             self.attributes  # noqa: B018 - for what the library does to find them
@@ -173,9 +173,9 @@ class Hdf5File:
             other.set_attribute(name, value)
 
     def start_live(self) -> None:
-        """From now on other processes may read while this one writes; no more columns or attributes can be added.
+        """Let other processes read while this one writes; no more columns or attributes can be added.
 
-        The library's cache of its own tables, which grows to megabytes in the first hour of a log, is held where it is.
+        The library's cache of its own tables, which grows to megabytes in the first hour of a log, is bounded.
         """
         cache = self._file.id.get_mdc_config()
         cache.set_initial_size, cache.initial_size = True, _TABLE_CACHE
@@ -190,7 +190,7 @@ class Hdf5File:
 
 @contextmanager
 def _bounded_memory(needed: int = 0) -> Iterator[None]:
-    """Bounds what the library may allocate, on Linux: it believes damaged lengths, and fills gigabytes.
+    """Bound the library's allocations, on Linux: it trusts damaged lengths, and would allocate gigabytes.
 
     Args:
         needed: What an undamaged item takes [B], besides texts and chunks.

@@ -1,4 +1,4 @@
-"""Files that should be logs."""
+"""Validation of the path of a log."""
 
 from pathlib import Path
 from typing import Final
@@ -11,10 +11,10 @@ CONVERTIBLE: Final = frozenset({".blf", ".trc", ".asc"})
 
 
 def log_file(path: str | Path) -> Path:
-    """Returns the path of a file that is there and holds something.
+    """Path of an existing, non-empty file.
 
     Raises:
-        LogFormatError: It is not there, is no regular file, or is empty.
+        LogFormatError: It does not exist, is no regular file, or is empty.
     """
     path = Path(path)
     try:

@@ -44,6 +44,6 @@ class LogLock:
             return False
 
     def release(self) -> None:
-        """Deletes the lock's file and lets go of it."""
+        """Delete the lock's file and release it."""
         self._path.unlink(missing_ok=True)
         os.close(self._descriptor)

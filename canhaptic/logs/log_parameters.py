@@ -1,4 +1,4 @@
-"""Where a run is written to, and what happens when it cannot be."""
+"""Paths of the logs of a run, and its reaction when they cannot be written."""
 
 from typing import Annotated, Literal
 
@@ -8,7 +8,7 @@ from canhaptic.units import Parameters, PrintablePath, quantity
 
 
 class LogParameters(Parameters):
-    """Where a run is written to; paths are relative to the current folder, and options of `run` win over them."""
+    """Paths of the logs; relative to the current folder, and options of `run` win over them."""
 
     energy: PrintablePath | None = None
     """Energy log (HDF5)."""

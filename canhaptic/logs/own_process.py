@@ -22,7 +22,7 @@ _PR_SET_PDEATHSIG: Final = 1  # of Linux's prctl
 
 
 def in_own_process(path: Path, work: Callable[[], _Result]) -> _Result:
-    """Returns what `work` returns, done in a copy of this process where the system makes one (Linux, macOS).
+    """Result of `work`, computed in a copy of this process where the system supports it (Linux, macOS).
 
     Args:
         path: The file that is read, for the error.
@@ -30,7 +30,7 @@ def in_own_process(path: Path, work: Callable[[], _Result]) -> _Result:
 
     Raises:
         LogFormatError: There is no file, or the copy crashed or took more CPU time than any log of this size needs.
-        Exception: What `work` raised.
+        Exception: The exception of `work`.
     """
     if sys.platform == "win32":
         return work()

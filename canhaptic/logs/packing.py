@@ -1,4 +1,4 @@
-"""What is whole of an energy log, and how it is packed: a kill or a full disk can come between two columns."""
+"""Trimming and packing of an energy log: a kill or a full disk can leave its columns at different lengths."""
 
 import os
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ def trim(file: Hdf5File) -> tuple[int, int]:
 
 
 def unfinished(path: Path) -> Path:
-    """Returns the name under which a log is begun, in the folder where it is to be; what a kill left there goes."""
+    """Temporary name of a log, in the folder of its final one; a leftover of a killed run is deleted."""
     temporary = path.with_name(f".{path.name}.new")
     temporary.unlink(missing_ok=True)
     return temporary
@@ -43,10 +43,10 @@ def repack(
     """Writes a compact copy of a log with large chunks; `target` may be `source`.
 
     Args:
-        source: A log, also one that a kill left open.
+        source: Log, also one that a kill left open.
         target: The copy.
         attributes: Attributes of the root to change.
-        lengths: Rows and events to keep; all that are whole by default.
+        lengths: Rows and events to keep; by default all that are complete.
     """
     temporary = unfinished(target)
     with Hdf5File(source, "live") as old, Hdf5File(temporary, "x") as new:

@@ -1,4 +1,4 @@
-"""The PDO maps of a node, learnt from the SDO traffic that writes or reads them, and words for what the PDOs carry."""
+"""The PDO maps of a node, learnt from the SDO traffic that writes or reads them, and the text of its PDOs."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, Final, NamedTuple
@@ -32,11 +32,11 @@ class PdoField(NamedTuple):
 
 
 class PdoMaps:
-    """What is known of the PDOs of one node.
+    """Known PDOs of one node.
 
     Args:
         node_id: 1..127.
-        dictionary: Its object dictionary, whose defaults hold until the log shows other values; None when not known.
+        dictionary: Its object dictionary, whose defaults hold until the log shows other values; None if unknown.
     """
 
     def __init__(self, node_id: int, dictionary: Mapping[int, Any] | None) -> None:
@@ -83,7 +83,7 @@ class PdoMaps:
         return {cob_id: mapping for cob_id, _, mapping in self.cob_ids() if mapping >= od.TPDO_MAPPING}
 
     def fields(self, mapping_index: int, data: bytes) -> list[PdoField] | str:
-        """Returns the fields of a frame, or words for why it cannot be taken apart."""
+        """Fields of a frame, or a text why it cannot be decoded."""
         entries = self._entries.get(mapping_index, {})
         count = entries.get(0, 0)
         mapped = [entries.get(number, 0) for number in range(1, min(count, len(entries)) + 1)]
@@ -102,7 +102,7 @@ class PdoMaps:
 
 
 def with_sign(index: int, raw: int, bits: int) -> int:
-    """Returns the value of an object of so many bits: negative where its type has a sign and it is set."""
+    """Value of an object of `length` bits: negative where its type has a sign and it is set."""
     return raw - (1 << bits) if index in _SIGNED and raw >> (bits - 1) else raw
 
 

@@ -1,4 +1,4 @@
-"""Saves what can be read of an energy log that a kill, a full disk or a bad sector left behind."""
+"""Recovery of an energy log after a kill, a full disk or a bad sector."""
 
 from contextlib import suppress
 from functools import partial
@@ -44,7 +44,7 @@ def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
 
 
 def require_readable(source: Path) -> None:
-    """Returns if HDF5 survives everything in a file; what it calls damaged is for who reads that.
+    """Require that HDF5 survives everything in a file; damage that it reports is left to the reader.
 
     Raises:
         LogFormatError: It crashes, or does not come to an end; or there is no file.

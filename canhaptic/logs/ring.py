@@ -35,7 +35,7 @@ class RingShape(NamedTuple):
 
 
 class AreaState(IntEnum):
-    """Whether the producer goes on, or asks the writer to finish."""
+    """State of the producer: running, or asking the writer to finish."""
 
     RUNNING = 0
     CLOSING = 1
@@ -61,7 +61,7 @@ class SharedArea:
 
     @property
     def state(self) -> AreaState:
-        """Whether the producer goes on, or asks the writer to finish."""
+        """State of the producer: running, or asking the writer to finish."""
         return AreaState(self._cells[_STATE_CELL])
 
     @state.setter
@@ -124,11 +124,11 @@ class Ring:
         return True
 
     def recorder(self, bus: int, when_full: Callable[[Record], None]) -> Recorder:
-        """Returns what writes one frame of a bus: `push` written out, for this runs for every frame of every cycle.
+        """Function that writes one frame of a bus: `push` inlined, as this runs for every frame of every cycle.
 
         Args:
-            bus: Its place among the channels.
-            when_full: Called with the record that has no room.
+            bus: Place of the bus among the channels.
+            when_full: Called with the record that finds no room.
         """
         memory, cells, pack_into, size = self._memory, self._cells, self._pack_into, self._size
         first, capacity, head = self._start, self.capacity, self._head_cell
@@ -153,7 +153,7 @@ class Ring:
 
     @property
     def tail(self) -> int:
-        """Number of records that the consumer has put in a safe place."""
+        """Number of records that the consumer has stored safely."""
         return self._cells[self._tail_cell]
 
     def read(self, first: int, count: int) -> bytes:
@@ -171,7 +171,7 @@ class Ring:
         self._cells[self._tail_cell] = tail
 
     def detach(self) -> None:
-        """Lets go of the memory so that it can be unmapped."""
+        """Release the memory so that it can be unmapped."""
         self._cells = memoryview(b"")
 
 

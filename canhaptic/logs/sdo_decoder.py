@@ -1,4 +1,4 @@
-"""Words for SDO frames, and the objects that they carry; follows one transfer per node (CiA 301, 7.2.4)."""
+"""Text for SDO frames, and the objects that they carry; follows one transfer per node (CiA 301, 7.2.4)."""
 
 from collections.abc import Callable
 from typing import Final, NamedTuple
@@ -21,8 +21,8 @@ class SdoDecoder:
     """The SDO traffic of one node.
 
     Args:
-        name_of: Returns words for (index, subindex).
-        value_of: Returns words for the value of (index, subindex, bytes).
+        name_of: Gives the text for (index, subindex).
+        value_of: Gives the text for the value of (index, subindex, bytes).
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class SdoDecoder:
         self._written = b""
 
     def request(self, data: bytes) -> str:
-        """Returns words for a frame from client to server (0x600 + node)."""
+        """Text for a frame from client to server (0x600 + node)."""
         if len(data) != _FRAME:
             return f"malformed: {len(data)} bytes instead of {_FRAME}"
         if data[0] == _ABORT:
@@ -54,7 +54,7 @@ class SdoDecoder:
         return segment_texts.get(specifier, f"unknown command 0x{data[0]:02X}")
 
     def response(self, data: bytes) -> tuple[str, Access | None]:
-        """Returns words for a frame from server to client (0x580 + node), and the object it confirms, if any."""
+        """Text for a frame from server to client (0x580 + node), and the object it confirms, if any."""
         if len(data) != _FRAME:
             return f"malformed: {len(data)} bytes instead of {_FRAME}", None
         if data[0] == _ABORT:

@@ -1,4 +1,4 @@
-"""The power state that a statusword (0x6041) shows, read bit by bit as IEC 61800-7-201, 6.3, words it.
+"""The power state in a statusword (0x6041), decoded bit by bit in the words of IEC 61800-7-201, 6.3.
 
 Independent of the table of the master (`canhaptic.drive.profile.power_states`): the reader of a log must not share a
 mistake with the writer of its frames.

@@ -27,7 +27,7 @@ class _Sink(Protocol):
     """Destination of the records of an area."""
 
     def open(self, restart: bool) -> None:
-        """Makes the file ready; after a restart, continues the one that a killed writer left."""
+        """Prepare the file; after a restart, continue the one that a killed writer left."""
 
     def drain(self, heads: list[int], final: bool) -> None:
         """Writes records up to `heads`; may keep an incomplete block for later unless `final`."""
@@ -40,7 +40,7 @@ class _Sink(Protocol):
 
 
 def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, _Sink]:
-    """Returns the shared area and the sink that a job describes; imports only what it needs."""
+    """Shared area and sink of a job; imports only what it needs."""
     area = SharedArea(descriptor, [RingShape(*shape) for shape in job["shapes"]])
     if job["kind"] == "energy":
         from canhaptic.logs.columns import LogSchema
@@ -62,8 +62,8 @@ def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, _Sink]:
 def _serve(area: SharedArea, sink: _Sink, parent: int) -> None:
     """Writes until the producer closes or is gone.
 
-    A head is acted on one look after it was first seen: by then the record behind it has reached this processor too,
-    on machines that reorder stores as on those that do not.
+    A head is acted on one poll after it was first seen: by then the record behind it has reached this processor too, on
+    machines that reorder stores as on those that do not.
     """
     pause = threading.Event()
     seen = [ring.tail for ring in area.rings]
@@ -85,7 +85,7 @@ def _become_ordinary(patient: bool) -> None:
     """Gives up real-time priority and processor pinning inherited from the controlling process.
 
     Args:
-        patient: Whether to give way to ordinary processes too, as for a cycle at wall-clock pace.
+        patient: Whether to yield to ordinary processes too, as for a cycle at wall-clock pace.
     """
     if hasattr(os, "sched_setscheduler"):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
@@ -98,7 +98,7 @@ def _open(job: dict[str, Any], sink: _Sink) -> LogLock:
     """Locks and opens the log.
 
     Raises:
-        LogWriteError: Another run writes it, it is no regular file, or it cannot be made.
+        LogWriteError: Another run writes it, it is no regular file, or it cannot be created.
     """
     path = Path(job["path"])
     for place in (path, Path(job.get("convert_to") or path)):

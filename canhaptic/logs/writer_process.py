@@ -41,12 +41,12 @@ class WriterProcess:
     `waitpid` and starts another writer if this one is killed; the control thread spends nothing on it.
 
     Args:
-        job: What the writer shall do (`canhaptic.logs.writer.make_sink`).
+        job: Job of the writer (`canhaptic.logs.writer.make_sink`).
         shapes: The rings to share.
-        on_failure: Called once, from another thread, with the reason when writing ends before it was asked to.
+        on_failure: Called once, from another thread, with the reason when writing ends prematurely.
 
     Raises:
-        LogWriteError: The file cannot be made.
+        LogWriteError: The file cannot be created.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class WriterProcess:
         return self._process.pid
 
     def push_patiently(self, ring: Ring, record: Record) -> bool:
-        """Writes one record as soon as the ring has room; returns False when it will have none any more.
+        """Write one record as soon as the ring has room; return False if it never will.
 
         Raises:
             LogWriteError: The writer has failed, the ring is full, and there is no `on_failure` to call.
@@ -93,10 +93,10 @@ class WriterProcess:
         return True
 
     def close(self, status: str) -> None:
-        """Lets the writer finish everything that is in the rings, and waits for it. A second call does nothing.
+        """Let the writer finish everything that is in the rings, and wait for it. A second call does nothing.
 
         Args:
-            status: How the run ended, kept in the file.
+            status: Status of the run, kept in the file.
 
         Raises:
             LogWriteError: The file is not complete.
@@ -146,7 +146,7 @@ class WriterProcess:
             raise LogWriteError(f"cannot write the log: {reason}")
 
     def _wait_for_answer(self, output: IO[str]) -> str:
-        """Returns why the writer did not become ready; empty when it is."""
+        """Reason why the writer did not become ready; empty when it is."""
         if not select.select([output], [], [], _PATIENCE)[0]:
             self._process.kill()
             with suppress(subprocess.TimeoutExpired):  # a process that waits for a dead mount cannot end
