@@ -1,1 +1,1 @@
-"""What a log proves: the account read back, recomputed and re-derived from raw frames."""
+"""Evidence in a log: the account read back, recomputed and re-derived from raw frames."""

@@ -1,4 +1,4 @@
-"""Which rows of a log: those of a span of time, those of each contact."""
+"""Selection of the rows of a log: a span of time, or each contact."""
 
 import numpy as np
 
@@ -26,7 +26,7 @@ def rows_between(log: EnergyLog, start: float | None, stop: float | None) -> sli
 
 
 def rows_to_draw(log: EnergyLog, start: float | None, stop: float | None) -> slice:
-    """Returns the same rows, of a log that holds any.
+    """The same rows, of a log that holds any.
 
     Raises:
         InputError: It holds no cycle, or none between them.
@@ -39,7 +39,7 @@ def rows_to_draw(log: EnergyLog, start: float | None, stop: float | None) -> sli
 def contacts(branch: Array) -> list[tuple[int, int]]:
     """Returns (first, last) row of every stretch in which a hold was booked by another branch than `free`.
 
-    A hold that was held on goes on with what was before it.
+    A contact continues across a hold whose sample was lost.
     """
     booked = np.where(branch != Branch.HELD.value, np.arange(len(branch)), 0)
     touching = np.isin(branch[np.maximum.accumulate(booked)], (Branch.FREE.value, Branch.HELD.value), invert=True)

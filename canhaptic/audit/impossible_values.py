@@ -1,4 +1,4 @@
-"""Stored values that no run writes, so that the log was damaged or what was logged went wrong.
+"""Stored values that no run writes: signs of a damaged log or a faulty logger.
 
 They are numbers that are not finite, and running counts that fall.
 """

@@ -1,4 +1,4 @@
-"""What an energy log says about a run, as one dictionary: the names of `run --json`, with contacts and events added."""
+"""Summary of a run from its energy log, as one dictionary: the names of `run --json`, with contacts and events."""
 
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Final, NotRequired, TypedDict, cast
@@ -153,7 +153,7 @@ def _port(log: EnergyLog, port_name: str, rows: slice) -> PortResult:
 
 
 def _ports(log: EnergyLog, rows: slice, truth: Mapping[str, TruthResult]) -> dict[str, PortResult]:
-    """The account of each port; of an axis in a group what came in and went out by it."""
+    """Account of each port; for an axis in a group, the energy that came in and went out by it."""
     accounts = {name: _port(log, name, rows) for name in log.ports}
     for group in log.groups:
         accounts[group]["state_unit"] = log.ports[group].unit("state")
@@ -161,7 +161,7 @@ def _ports(log: EnergyLog, rows: slice, truth: Mapping[str, TruthResult]) -> dic
 
 
 def _record(log: EnergyLog, name: str, rows: slice) -> PortResult:
-    """What is known of a port in addition to its ledger."""
+    """Figures of a port in addition to its ledger."""
     record = PortRecord(log, name, rows.start)
     record.take(log, rows.start, rows.stop)
     return record.account()
@@ -204,10 +204,10 @@ def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> Led
 
 
 def _known(log: EnergyLog, name: str, values: Array, count: int) -> Array:
-    """Returns the values of a column of codes, of which there are `count`.
+    """Values of a column of codes, of which there are `count`.
 
     Raises:
-        LogFormatError: One is none of them.
+        LogFormatError: A value is none of them.
     """
     worst = int(values.max(initial=0))
     if worst >= count:
@@ -221,9 +221,9 @@ def _last(values: Array) -> float:
 
 
 def _truth(log: EnergyLog, name: str, rows: slice) -> TruthResult:
-    """True energies of the simulated axis against the believed ones.
+    """True energies of the simulated axis against the accounted ones.
 
-    The interaction is minus the motor's work on the moving mass, of a group less that of movers; both count from the
+    The interaction is minus the motor's work on the moving mass, for a group less the movers' work; both count from the
     first row of the part.
     """
     interaction = _taken_in(log, name, rows)
@@ -286,7 +286,7 @@ def _link(log: EnergyLog, rows: slice, sync_index: Array) -> dict[str, float]:
 
 
 def _skipped(log: EnergyLog, rows: slice) -> int:
-    """Returns the SYNCs that were left out between the first row and the last."""
+    """Number of SYNCs skipped between the first row and the last."""
     if rows.stop <= rows.start:
         return 0
     (first,), (last,) = log.deadlines(rows.start, rows.start + 1), log.deadlines(rows.stop - 1, rows.stop)

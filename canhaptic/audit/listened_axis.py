@@ -1,4 +1,4 @@
-"""One axis as its frames show it: PDO fields -> position, torque and state, without a line of the master's code.
+"""One axis from its frames: PDO fields -> position, torque and state, without a line of the master's code.
 
 Scaling and state decoding are written here a second time on purpose. A position is the unwrapped counter times
 (direction / counts_per_unit), a torque is the field times (direction * torque of 1000 counts / 1000), each rounded as
@@ -46,7 +46,7 @@ class DeclaredForce(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class DeclaredDrive:
-    """What a scene says of a drive, as far as its frames need it to be understood."""
+    """Part of a scene's declarations of a drive that its frames need to be decoded."""
 
     name: str
     node_id: int
@@ -109,7 +109,7 @@ class ListenedAxis:
 
     @property
     def is_complete(self) -> bool:
-        """Whether statusword, position and torque of the last SYNC have come."""
+        """Whether statusword, position and torque of the last SYNC have arrived."""
         force = self._drive.force
         efforts = _TORQUES if force is None else (force.object_index,)
         return {od.STATUSWORD, od.POSITION_ACTUAL} <= set(self._fields) and any(t in self._fields for t in efforts)
@@ -130,18 +130,18 @@ class ListenedAxis:
         return self.is_complete and not self.is_enabled
 
     def forget(self) -> None:
-        """Clears what was heard, at the next SYNC."""
+        """Clear the received values, at the next SYNC."""
         self._fields.clear()
 
     def sample(self, sync_index: int, *, is_whole: bool = True) -> Sample:
-        """Returns what was heard since the last SYNC.
+        """Sample of the values received since the last SYNC.
 
         Args:
-            sync_index: Of that SYNC.
-            is_whole: False where an axis of the same group was not heard.
+            sync_index: Index of that SYNC.
+            is_whole: False where an axis of the same group sent no sample.
 
         Raises:
-            InputError: Frames and scene disagree on the rated torque, or neither says it.
+            InputError: Frames and scene disagree on the rated torque, or neither states it.
         """
         reported = next((self._fields[torque] for torque in _TORQUES if torque in self._fields), 0)
         if self.is_complete and self._drive.demand_reported == "after":
@@ -160,7 +160,7 @@ class ListenedAxis:
         return self._last
 
     def _force(self, force: DeclaredForce, counts: int, sync_index: int) -> float:
-        """Returns the force that a value says, of an impulse its mean since the last [N or N*m]."""
+        """Force of a value, for an impulse its mean since the last one [N or N*m]."""
         if not force.impulse_time:
             return (counts - force.offset_counts) * force.per_count
         before, self._impulse, half = self._impulse, counts, 1 << (force.bits - 1)
@@ -169,7 +169,7 @@ class ListenedAxis:
         return change * force.per_count / (periods * force.impulse_time)
 
     def _unwrapped(self, counts: int) -> int:
-        """Returns the position counter [counts], which is an INTEGER32 that wraps, as one that goes on."""
+        """Unwrapped position counter [counts]; the counter itself is an INTEGER32."""
         self._counts += (counts - self._counts + (1 << 31)) % (1 << 32) - (1 << 31)
         return self._counts
 

@@ -1,4 +1,4 @@
-"""Two runs against each other, quantity by quantity: the first row in which they differ, and by how much."""
+"""Comparison of two runs, quantity by quantity: the first row in which they differ, and by how much."""
 
 from typing import TypedDict
 
@@ -21,7 +21,7 @@ class Difference(TypedDict):
 
 
 class LogComparison(TypedDict):
-    """Two runs against each other."""
+    """Comparison of two runs."""
 
     identical: bool
     rows: list[int]  # of both

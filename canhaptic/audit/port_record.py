@@ -1,4 +1,4 @@
-"""What an energy log holds of a port in addition to its ledger, read in pieces from a finished or a growing log."""
+"""Figures of a port in an energy log in addition to its ledger, read in pieces from a finished or a growing log."""
 
 from math import inf
 
@@ -17,11 +17,11 @@ from canhaptic.result import rendered_shares, withdraw_certificates
 
 
 class PortRecord:
-    """Adds up what `canhaptic.meters.RunMeters` adds up in a run, from the columns of its log.
+    """Adds up the figures of `canhaptic.meters.RunMeters` from the columns of a log.
 
     Args:
-        log: Any look at the log.
-        name: Of the port.
+        log: View of the log.
+        name: Name of the port.
         start: First row that counts.
     """
 
@@ -116,7 +116,7 @@ class PortRecord:
         return self._least
 
     def account(self) -> PortResult:
-        """Returns what is known so far, by the names of `run --json`, without verdicts."""
+        """Figures so far, by the names of `run --json`, without verdicts."""
         certificates = [certificate.name.lower() for certificate in certificates_of(self._certificates)]
         account: PortResult = {
             "in": self._in,
@@ -158,7 +158,7 @@ class PortRecord:
 
 
 def limits_of(log: EnergyLog, name: str) -> ActiveLimits | None:
-    """Returns what the column `active` of a port follows from; None where the log does not hold it.
+    """Limits behind the column `active` of a port; None where the log does not hold them.
 
     Raises:
         LogFormatError: The attribute is damaged.
@@ -172,7 +172,7 @@ def limits_of(log: EnergyLog, name: str) -> ActiveLimits | None:
 
 
 def _watch(log: EnergyLog, name: str) -> FrictionWatch | None:
-    """Returns what compares a run with the dry friction that an attribute declares; None where it declares none.
+    """Check of a run against the dry friction that an attribute declares; None without one.
 
     Raises:
         LogFormatError: The attribute is damaged.

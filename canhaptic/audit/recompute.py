@@ -1,4 +1,4 @@
-"""Feeds the logged inputs to the same controller again: every logged output must come out bit for bit."""
+"""Recomputation of a log: the logged inputs go to the same controller again, every output must agree bit for bit."""
 
 import struct
 from collections.abc import Iterator, Sequence
@@ -50,14 +50,14 @@ class Recomputed(TypedDict):
 
 
 def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControllers) -> list[Mismatch]:
-    """Returns of each axis and group the first logged output that differs from the one computed again.
+    """First logged output of each axis and group that differs from the recomputed one.
 
-    Behind a row that is missing nothing is computed: what the controllers were fed in it is not known.
+    Computation ends at a missing row: the inputs of the controllers in it are unknown.
 
     Args:
         log: An open energy log that holds the run from its first cycle.
         axes: Their names, in the order of the rig.
-        controllers: Made from the configuration of the run, at rest.
+        controllers: Controllers made from the configuration of the run, at rest.
     """
     found: dict[str, Mismatch] = {}
     names = (*axes, *(group.name for group in controllers.groups))
@@ -79,9 +79,9 @@ def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControlle
 
 
 def activity_mismatch(log: EnergyLog, name: str) -> Mismatch | None:
-    """Returns the first row whose `active` is not what energies and resolution so far say; None where there is none.
+    """First row whose `active` disagrees with energies and resolution so far; None if all agree.
 
-    Rows behind the first that the log lost are not looked at, nor logs of a format that lacks the column.
+    Rows after the first that the log lost are not compared, nor logs of a format that lacks the column.
     """
     port, rows = log.ports[name], rows_before_a_gap(log)
     limits = limits_of(log, name)
@@ -102,13 +102,13 @@ def activity_mismatch(log: EnergyLog, name: str) -> Mismatch | None:
 
 
 def rows_before_a_gap(log: EnergyLog) -> int:
-    """Returns how many rows come before the first that the log lost."""
+    """Number of rows before the first that the log lost."""
     lost = log.timing["dropped_before"]
     return int(np.argmax(lost > 0)) if lost.any() else log.rows
 
 
 def periods_of(log: EnergyLog) -> list[int]:
-    """Returns how many sample times the hold lasted that ended at each row before the first that the log lost.
+    """Number of sample times of the hold that ended at each row, up to the first row that the log lost.
 
     By the deadlines of the SYNCs. One that was late next to a skipped one may be a sample time off.
     """
@@ -133,7 +133,7 @@ def recompute_all(log: EnergyLog, config: Path | None = None, *, allow_code: boo
 
     Args:
         log: An open energy log that holds the run from its first cycle.
-        config: The scene file; by default the one that the log names.
+        config: Scene file; by default the one that the log names.
         allow_code: Whether program files that the scene names may run.
 
     Raises:
@@ -167,7 +167,7 @@ def scene_of(log: EnergyLog, config: Path | None = None, *, allow_code: bool = F
 
     Args:
         log: An open energy log.
-        config: The scene file; by default the one that the log names.
+        config: Scene file; by default the one that the log names.
         allow_code: Whether program files that the scene names may run.
 
     Raises:

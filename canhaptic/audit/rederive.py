@@ -1,6 +1,6 @@
 """The energy account of a run from its raw bus log and scene alone: frames -> samples -> controllers -> ledger.
 
-What the drives sent is decoded here with the maps and rated torques of the log's own bring-up; the master's
+The drives' data are decoded here with the maps and rated torques of the log's own bring-up; the master's
 codecs and its record of the run take no part, so the account can be held against the one that was logged.
 """
 
@@ -32,7 +32,7 @@ from canhaptic.signals import Sample
 
 @dataclass(slots=True)
 class _Heard:
-    """What the frames show of the torques of one axis: once one is missing, which torque acted is not known."""
+    """Torques of one axis in the frames: once one is missing, the torque that acted is unknown."""
 
     read_back_bound: float = 0.0
     longest_hold: int = 1
@@ -49,10 +49,10 @@ class _Heard:
 
 
 def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[tuple[int, list[Sample], list[bool]]]:
-    """Yields sample times since the SYNC before, and the sample of every axis and whether its torque is the demand.
+    """Yield sample times since the SYNC before, and the sample of every axis and whether its torque is the demand.
 
     From the first SYNC that all axes answered in OPERATION ENABLED to the last that they answered. The stop's ramp is
-    included: the frames do not tell it from the run.
+    included: the frames do not distinguish it from the run.
 
     Raises:
         LogFormatError: The bus log cannot be read.
@@ -106,7 +106,7 @@ def _declared(axis: AxisScene) -> DeclaredDrive:
 
 
 class Departure(TypedDict):
-    """The first value of a port that is not the logged one."""
+    """First value of a port that differs from the logged one."""
 
     port: str
     cycle: int
@@ -128,7 +128,7 @@ class Rederived(TypedDict):
 
 
 def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) -> Rederived:
-    """Returns the account of a run from its frames, and where it departs from the logged one.
+    """Account of a run from its frames, and its first difference from the logged one.
 
     Args:
         bus_log: The frames, bring-up included.
@@ -180,7 +180,7 @@ class _Derivation:
         self.cycles, self._deadline = 0, -1
 
     def take(self, periods: int, samples: list[Sample], shown: Sequence[bool]) -> list[tuple[Sample, EnergyBalance]]:
-        """Takes a SYNC; returns sample and balance of each axis, then of each group.
+        """Take a SYNC; return sample and balance of each axis, then of each group.
 
         Args:
             periods: Sample times since the SYNC before.
@@ -202,7 +202,7 @@ class _Derivation:
         return list(zip(samples, balances, strict=True))
 
     def accounts(self) -> dict[str, PortResult]:
-        """Returns the accounts of axes and groups; of an axis in a group what came in and went out by it."""
+        """Accounts of the axes, then of the groups; for an axis in a group, the energy that came in and went out by it."""
         scene = self._scene
         rendered = [*(axis.passivity for axis in scene.axes), *(group.passivity for group in scene.groups)]
         known = zip(self.units.items(), self._meters.ports, self._ledgers, rendered, strict=True)
@@ -216,7 +216,7 @@ class _Derivation:
 
 
 class _Judge:
-    """Holds the rederived values of one port against the logged ones."""
+    """Compares the rederived values of one port with the logged ones."""
 
     _NAMES: Final = ("position", "torque_applied", "h_i", "h_pas", "h_m", "h_r", "h_s", "h_dis", "gen", "deficit")
 

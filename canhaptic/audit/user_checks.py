@@ -29,7 +29,7 @@ _PURE: Final = ("branches.", "contact.", "limits.", "max_consecutive_losses", "r
 
 
 class Checked(TypedDict):
-    """What a check needs of a result."""
+    """Values that a check needs of a result."""
 
     ports: dict[str, PortResult]
 
@@ -51,7 +51,7 @@ def check(result: Checked, expression: str) -> list[Outcome]:
     A verdict is named alone: `passive` holds where the verdict is yes, and fails where it is no or in doubt.
 
     Args:
-        result: As `inspect` or `run --json` gives it.
+        result: Output of `inspect` or `run --json`.
         expression: NAME, one of >= <= == != > <, a number; or `passive` or `NAME.passive`.
 
     Raises:
@@ -99,10 +99,10 @@ def _verdicts(result: Checked, expression: str) -> list[Outcome]:
 
 
 def _factor(expression: str, unit: str, found: Mapping[str, float], result: Checked) -> float:
-    """Returns how much a unit is of that in which the figures found are kept; 1 where none is given.
+    """Factor from a unit to that of the figures found; 1 without a unit.
 
     Raises:
-        InputError: The unit cannot be read, or is of another quantity than one of the figures.
+        InputError: The unit cannot be read, or measures another quantity than one of the figures.
     """
     if not unit:
         return 1.0
@@ -119,11 +119,11 @@ def _factor(expression: str, unit: str, found: Mapping[str, float], result: Chec
 
 
 def _unit_of(path: str, result: Checked) -> str:
-    """Returns the unit in which a figure is kept, "1" for a pure number.
+    """Unit of a figure in the result, "1" for a pure number.
 
     Args:
-        path: Of the figure in the result, such as `ports.handle.margin.value`.
-        result: As `inspect` or `run --json` gives it.
+        path: Path of the figure in the result, such as `ports.handle.margin.value`.
+        result: Output of `inspect` or `run --json`.
     """
     section, _, rest = path.partition(".")
     name = path.rpartition(".")[2]
