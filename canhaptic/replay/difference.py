@@ -1,4 +1,4 @@
-"""The first difference of a replay in words: both frames decoded, and what was on the bus before them."""
+"""The first difference of a replay as text: both frames decoded, and the bus traffic before them."""
 
 from typing import Final, TypedDict
 
@@ -79,8 +79,8 @@ def describe(recording: Recording, side: RecordedSide, scene: Scene) -> FirstDif
 def _gap(recording: Recording, index: int, sample_time: float) -> float | None:
     """Returns the longest silence of the recording in the two cycles before a frame [s]; None for an ordinary one.
 
-    Where a master departs after it, frames are missing from the recording: after SYNCs that it skipped itself, it sends
-    today what it sent then.
+    A difference after such a silence means that frames are missing from the recording: SYNCs that the master itself
+    skipped are skipped again in the replay.
     """
     if recording.first_sync < 0:
         return None

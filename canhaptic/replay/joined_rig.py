@@ -27,7 +27,7 @@ class JoinedRig(Rig):
 
 
 def _suppose_enabled(drive: ServoDrive) -> None:
-    """Sets what a start would have found out."""
+    """Set the values that a start would have found."""
     drive.reset()
     drive.answers = True
     drive.nmt_state = int(od.NmtState.OPERATIONAL)

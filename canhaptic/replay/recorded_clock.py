@@ -30,13 +30,13 @@ class RecordedClock:
         return self._now
 
     def wait_until(self, deadline: int) -> None:
-        """Lets the recorded side live until `deadline` [ns]."""
+        """Run the recorded side until `deadline` [ns]."""
         while self._now < deadline:
             self._side.process(self._now)
             self._move(min(deadline, max(self._now + 1, self._side.next_due())))
 
     def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
-        """Returns the next frame of the drives; None when the master's turn comes before, or at `deadline` [ns]."""
+        """Next frame of the drives; None when the master's turn comes before, or at `deadline` [ns]."""
         side = self._side
         while True:
             side.process(self._now)

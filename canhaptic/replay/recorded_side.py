@@ -1,4 +1,4 @@
-"""The drive's side of a recording: gives back what followed each frame of the master, and compares that frame."""
+"""The drives' side of a recording: returns the recorded response to each frame of the master, compared first."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ NEVER: Final = 1 << 62  # [ns]
 class ReplayOverError(BaseException):
     """Ends the run: the recording is at its end, or the master departed from it.
 
-    No `Exception`: nothing on the way out may take it for a fault of drive or link and go on sending.
+    Not an `Exception`: no handler on the way out may treat it as a fault of drive or link and go on sending.
     """
 
 
@@ -31,19 +31,19 @@ class RecordedSide:
     """Plays the frames that the master did not send (a `SimulatedPeer`), and compares what it sends but its heartbeats.
 
     Order and times are those of the recording: a frame comes once the master has sent everything that was recorded
-    before it. What the recording has from the drives before a frame of the master, the master has received when it
-    sends it.
+    before it. Recorded frames of the drives that precede a frame of the master have reached the master when it sends
+    it.
 
     Args:
         buses: Its connections to the buses, in the order of the scene.
-        recording: What to play.
+        recording: Recording to play.
         first: Index of the first frame to play.
 
     Attributes:
         compared: Frames of the master found equal so far.
         played: Frames of the drives sent so far.
-        reached: When the master's last frame was sent in the recording [ns]; what it computed before took that long.
-        departure: The first difference; None while there is none.
+        reached: Time of the master's last frame in the recording [ns]; its computation until then took that long.
+        departure: First difference; None while there is none.
     """
 
     def __init__(self, buses: Sequence[can.BusABC], recording: Recording, first: int) -> None:
@@ -88,7 +88,7 @@ class RecordedSide:
         return self._frames[self._next].timestamp_ns
 
     def next_command(self) -> int:
-        """Returns when the master sent its next frame, if nothing comes from the drives before [ns]."""
+        """Time of the master's next frame, if nothing comes from the drives before [ns]."""
         if self._next == self._end or not self._is_master[self._next]:
             return NEVER
         return self._frames[self._next].timestamp_ns
@@ -112,7 +112,7 @@ class RecordedSide:
         )
 
     def _compare(self) -> None:
-        """Compares one frame: that of the bus on which one is recorded next, of another only where there is none."""
+        """Compare one frame: with the next one of its bus in the recording, or of another bus if there is none."""
         while self._next < self._end and not self._is_master[self._next]:
             self._play()
         if self._next == self._end:

@@ -1,4 +1,4 @@
-"""A recorded bus, prepared for a replay: who sent what, where the cycle begins, where the operator ended it."""
+"""A recorded bus, prepared for a replay: sender of each frame, start of the cycle, the operator's stop."""
 
 import struct
 from collections import Counter
@@ -27,7 +27,7 @@ class Recording:
         frames: All other data frames, in the order of the log.
         skipped: Frames that were left out, by kind.
         buses: For each frame, the place of its bus among those of the scene.
-        heartbeat: COB-ID of the master's.
+        heartbeat: COB-ID of the master's heartbeat.
         is_master: For each frame, whether the master sent it.
         has_boot: Whether the start of the drives is in the log.
         first_sync: Index of the frame that is SYNC 0, on the first bus; -1 when no SYNC found every axis enabled.
@@ -62,7 +62,7 @@ class Recording:
         return any(address in addresses and frame.data[1:4] == named for address, frame in pairs)
 
     def operator_cycles(self, ramp_cycles: int) -> int | None:
-        """Returns how many cycles were completed when the operator stopped the run; None when he did not.
+        """Number of cycles before the operator stopped the run; None without such a stop.
 
         An operator's stop shows in the frames: the last SYNC before the drives are disabled was answered by an RPDO
         and followed by one more. After a fault it was answered by zero torque alone.

@@ -65,7 +65,7 @@ class ReplayResult(TypedDict):
 def replay_bus_log(
     bus_log: str | Path, scene: Scene, *, realtime: bool = False, from_sync: bool = False, dry_run: bool = False
 ) -> ReplayResult:
-    """Returns whether the master sends today what it sent in a recording.
+    """Replay a recording and report whether the master sends the same frames today.
 
     Boot, SDO answers, TPDOs, heartbeats and EMCYs come from the recording, on python-can's virtual bus; rig,
     controllers and accounts are those of the scene. A recording without the start of the drives is replayed from the
@@ -73,10 +73,10 @@ def replay_bus_log(
 
     Args:
         bus_log: candump text, BLF, TRC or ASC.
-        scene: What ran then; its bus is replaced by a virtual one and nothing is simulated.
+        scene: Scene of the run; its bus is replaced by a virtual one and nothing is simulated.
         realtime: Keeps the pace of the recording instead of going as fast as the machine allows.
         from_sync: Leaves the start out even if it was recorded.
-        dry_run: Whether no torque was sent then.
+        dry_run: Whether the recorded run was a dry run.
 
     Raises:
         InputError: The recording cannot be read, does not fit the scene, has no SYNC to begin with, or no whole cycle.
@@ -127,7 +127,7 @@ class _Replay:
         return (JoinedRig if self._joins else Rig)(links, drives, scene.bus, group_places(scene))
 
     def _follow_older_master(self, drives: list[ServoDrive]) -> None:
-        """Leaves out of the start what the recording has for no drive: older masters left 0x1006 and offsets alone."""
+        """Leave out of the start what no recorded drive answers: older masters left 0x1006 and offsets alone."""
         if self._joins:
             return
         places = {bus.name: place for place, bus in enumerate(self._scene.buses)}

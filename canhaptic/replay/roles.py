@@ -1,4 +1,4 @@
-"""Who sends which frame of a bus, from a scene: a recording need not say it, and a sniffer cannot know it."""
+"""Sender of each frame of a bus, from a scene: a recording need not contain it, and a sniffer cannot know it."""
 
 import struct
 from typing import Final, NamedTuple
@@ -17,7 +17,7 @@ Address = tuple[int, int]
 
 
 class Roles(NamedTuple):
-    """COB-IDs of a scene by what they mean to a replay."""
+    """COB-IDs of a scene by their role in a replay."""
 
     master: frozenset[Address]  # sent by the master
     sdo_requests: frozenset[Address]
@@ -27,9 +27,9 @@ class Roles(NamedTuple):
     statuswords: dict[Address, struct.Struct]  # TPDO with the statusword -> where it is in it; one per axis
 
     def asks_to_leave(self, data: bytes) -> bool:
-        """Returns whether an RPDO of the first axis takes back OPERATION ENABLED.
+        """Whether an RPDO of the first axis revokes OPERATION ENABLED.
 
-        0x0F keeps it and 0x00 takes it back; decided by the majority of bits, so that one flipped bit moves no end.
+        0x0F keeps it and 0x00 revokes it; decided by the majority of bits, so that one flipped bit moves no end.
         """
         (controlword,) = self.controlword.unpack(data) if len(data) == self.controlword.size else (_ENABLE_BITS,)
         return (int(controlword) & _ENABLE_BITS).bit_count() < _ENABLE_BITS.bit_count() // 2
