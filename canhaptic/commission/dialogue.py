@@ -1,4 +1,4 @@
-"""How commissioning speaks with the person at the machine."""
+"""Dialogue of commissioning with the person at the machine."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -7,24 +7,24 @@ from typing import Protocol
 class Dialogue(Protocol):
     """A person at a terminal, or no person with a simulated drive.
 
-    Where a simulated plant knows the answer it is handed in as `truth`; a person is never shown it.
+    Where a simulated plant knows the answer it is passed in as `truth`; a person is never shown it.
     """
 
     def tell(self, text: str) -> None:
-        """Says what happens now."""
+        """State the present action."""
 
     def confirm(self, question: str) -> bool:
         """Returns whether the person agrees; no answer is no."""
 
     def number(self, question: str, unit: str, truth: float | None) -> float | None:
-        """Returns a number in `unit`, or None when the person has none."""
+        """Number in `unit`, or None without an answer."""
 
     def until_ready(self, text: str, cycles: int) -> Callable[[], bool]:
-        """Asks the person to do something, and returns what says, once per cycle, whether it is done.
+        """Ask the person to do something; return a function, called once per cycle, that reports completion.
 
         Args:
-            text: What to do.
-            cycles: After how many it counts as done where no person answers.
+            text: Request to the person.
+            cycles: Number of cycles after which it counts as done without a person.
         """
 
 
@@ -40,7 +40,7 @@ class Unattended:
         return True
 
     def number(self, question: str, unit: str, truth: float | None) -> float | None:
-        """Returns what the simulated plant knows."""
+        """True value of the simulated plant."""
         self.tell(f"{question} {'unknown' if truth is None else f'{truth:.6g} {unit}'}")
         return truth
 

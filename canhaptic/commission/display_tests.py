@@ -1,13 +1,13 @@
-"""What is measured of an admittance display: its sensor at rest, its drive while a hand pushes and a chirp moves it.
+"""Measurements of an admittance display: its sensor at rest, its drive while a hand pushes and a chirp moves it.
 
-With r the velocity commanded, v that of the handle and F the force, the velocity loop says
+With r the commanded velocity, v the handle's velocity and F the force, the velocity loop is
 
     F = M v' + c (v - r) - k lead + friction sgn(v) + F_0
 
 Each term is averaged with a hat of some milliseconds, of which the mean of v' is a difference of three positions, so
-that no position is differentiated twice from SYNC to SYNC. Least squares give M, c and k. The hand is needed: a handle
-that is let go shows forces that only repeat its own motion, so that M and c were known as a ratio alone. The latency of
-the force is the one that leaves the least.
+that no position is differentiated twice from SYNC to SYNC. Least squares give M, c and k. The hand is needed: the
+forces of a free handle only repeat its own motion, so that M and c would be known as a ratio alone. The latency of the
+force is the one with the least residual.
 """
 
 from typing import Final, NamedTuple
@@ -77,7 +77,7 @@ def commission_displays(session: Session) -> None:
 
 
 def _rest(session: Session, axis: int) -> None:
-    """Measures offset and noise of a sensor on which nothing pushes."""
+    """Measure offset and noise of an unloaded sensor."""
     law = session.play(axis, (), session.cycles(_REST))
     force = -np.array(law.applied[1:])
     given = session.axes[axis].parameters.admittance
@@ -118,7 +118,7 @@ def _loop(session: Session, axis: int) -> None:
 
 
 def _fitted(law: OpenLoop, commands: Array, time: float, *, is_mean: bool) -> _Fit:
-    """Returns what fits best; `commands[k]` acts in the hold that ends at SYNC k."""
+    """Best fit; `commands[k]` acts in the hold that ends at SYNC k."""
     position, force = np.array(law.positions), -np.array(law.applied)
     acted, half = commands[1 : len(position)], max(1, round(_HALF / time))
     holds = np.minimum(np.arange(2 * half) + 0.5, 2 * half - 0.5 - np.arange(2 * half)) / half**2
@@ -186,7 +186,7 @@ def _judge(session: Session, axis: int, fit: _Fit) -> None:
 
 
 def _judge_drive(session: Session, axis: int, fit: _Fit, mass_unit: str, gain_unit: str) -> None:
-    """Judges mass, gains and friction against what the axis declares, or the group that renders on it."""
+    """Judge mass, gains and friction against the declarations of the axis, or of its group."""
     group = next((one for one in session.scene.groups if one.name == session.axes[axis].group), None)
     known = (session.axes[axis] if group is None else group).passivity.parameters
     of_group = "" if group is None else f"; in the group {group.name}, the largest of its axes"
@@ -213,7 +213,7 @@ def _judge_drive(session: Session, axis: int, fit: _Fit, mass_unit: str, gain_un
 
 
 def _judge_friction(session: Session, axis: int, found: float, declared: GuardedDisplayParameters | None) -> None:
-    """Says what the friction of the drive is; where one is declared, whether that is enough."""
+    """Report the friction of the drive; where one is declared, whether that is enough."""
     unit, item = "N" if session.axes[axis].parameters.unit == "m" else "N*m", "friction of the drive"
     value = f"{found:.3g} {unit}"
     if declared is None or declared.drive_friction is None:

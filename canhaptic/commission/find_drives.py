@@ -1,4 +1,4 @@
-"""Who is on the bus, and is it the drive of the configuration? SDO only; nothing is enabled."""
+"""Search for drives on the bus and check against the configuration. SDO only; nothing is enabled."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -86,7 +86,7 @@ def _presence(session: Session, axis: int, drive: ServoDrive) -> None:
 
 
 def _identity(session: Session, axis: int, drive: ServoDrive) -> None:
-    """Compares 0x1018 with what the configuration demands, or else with what the dictionary says of itself."""
+    """Compare 0x1018 with the configuration's values, or else with those of the dictionary."""
     information = drive.dictionary.device_information
     expected = {
         "vendor_id": (1, drive.axis.vendor_id, information.vendor_number),

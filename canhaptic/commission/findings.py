@@ -1,4 +1,4 @@
-"""What commissioning found, row by row, and the values that follow from it."""
+"""Findings of commissioning, row by row, and the values that follow from them."""
 
 from collections.abc import Collection
 from enum import Enum
@@ -23,7 +23,7 @@ class StepVerdict(Enum):
 
 
 class StepFinding(NamedTuple):
-    """One thing that was looked at."""
+    """One item that was checked."""
 
     axis: str
     item: str
@@ -44,7 +44,7 @@ class Value(NamedTuple):
 
     @property
     def text(self) -> str | None:
-        """Value as a scene has it; None: as it has it now."""
+        """Text of a value as in a scene; None: as the scene has it now."""
         factor, unit = _SHOWN_IN.get(self.unit, (1.0, self.unit))
         if not isinstance(self.value, float):  # whole where the drive has it
             return None if self.value is None else str(self.value)
@@ -65,7 +65,7 @@ _COLOURS: Final = {
 
 
 class Report:
-    """Grows step by step, so that what was found before something went wrong is kept."""
+    """Grows step by step, so that earlier findings survive a later error."""
 
     def __init__(self) -> None:
         self.findings: list[StepFinding] = []
@@ -81,7 +81,7 @@ class Report:
 
     @property
     def failed(self) -> bool:
-        """Whether anything says that this rig must not be used."""
+        """Whether any finding forbids the use of this rig."""
         return any(finding.verdict is StepVerdict.FAILED for finding in self.findings)
 
     @property
@@ -100,11 +100,11 @@ class Report:
         return [Change(path, value.text, value.comment or None) for path, value in values.items()]
 
     def unfinished(self, axes: Collection[str], items: Collection[str]) -> list[str]:
-        """Returns why a scene with the values found is not to be run; empty where all is verified.
+        """Reason why a scene with these values is not ready to run; empty where all is verified.
 
         Args:
             axes: Names of all axes.
-            items: What must have been verified of each.
+            items: Items that must have been verified for each.
         """
         seen = {(row.axis, row.item) for row in self.findings if row.verdict is not StepVerdict.UNKNOWN}
         missing = [f"{axis}: {item}: not verified" for axis in axes for item in items if (axis, item) not in seen]
@@ -139,7 +139,7 @@ class Report:
 
 
 def _path(scene: Scene, value: Value) -> tuple[str, ...]:
-    """Returns where a scene has a value, or is to have it."""
+    """Place of a value in a scene, present or future."""
     index = [axis.parameters.name for axis in scene.axes].index(value.axis)
     own, group = ("axes", str(index), *value.key.split(".")), scene.axes[index].group
     head, _, key = value.key.rpartition(".")

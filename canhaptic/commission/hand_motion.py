@@ -1,4 +1,4 @@
-"""The axis at zero torque: does it stay where it is, and does the encoder count as the configuration says?"""
+"""The axis at zero torque: whether it stays at rest, and whether the encoder counts as the configuration states."""
 
 from typing import Final
 
@@ -37,7 +37,7 @@ def stand_still(session: Session, axis: int) -> bool:
 
 
 def move_by_hand(session: Session, axis: int) -> None:
-    """Compares a distance moved by hand with what the encoder says; the drive holds zero torque meanwhile.
+    """Compare a distance moved by hand with the encoder's; the drive holds zero torque meanwhile.
 
     Raises:
         RigError: Drive or link failed.

@@ -1,4 +1,4 @@
-"""Torques that are known beforehand, and the record of what an axis did under them."""
+"""Torques computed in advance, and the record of the axis's motion under them."""
 
 import math
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ class CommissioningLimits(Parameters):
 
 
 class OpenLoop:
-    """A controller that renders nothing: it plays torques, one a cycle, and takes them away when the axis goes too far.
+    """A controller that renders nothing: it plays torques, one a cycle, and drops to zero when the axis goes too far.
 
     The energy that it puts in is booked as deficit: nothing here is passive, and the account says so.
 
@@ -38,8 +38,8 @@ class OpenLoop:
         positions: At every SYNC since `reset` [m or rad].
         applied: Torque of the hold that ended there [N or N*m].
         sent: Torque returned there [N or N*m].
-        tripped: Why the torque was taken away; "" while it was not.
-        has_gap: Whether a sample was lost: the positions are then not those of one SYNC after the other.
+        tripped: Reason why the torque was removed; "" if it was not.
+        has_gap: Whether a sample was lost: the positions then do not belong to consecutive SYNCs.
     """
 
     def __init__(self, torques: Sequence[float], travel: float = math.inf, largest_step: float = math.inf) -> None:
@@ -49,7 +49,7 @@ class OpenLoop:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets what was recorded, and begins with the first torque."""
+        """Clear the record, and begin with the first torque."""
         self.positions: list[float] = []
         self.applied: list[float] = []
         self.sent: list[float] = []
@@ -59,7 +59,7 @@ class OpenLoop:
         self._last = AT_REST
 
     def hold(self) -> EnergyBalance:
-        """Ends the torques: what is measured here has no use for a gap."""
+        """End the torques: a measurement with a gap is useless."""
         self.tripped, self.has_gap = self.tripped or "a TPDO was lost", True
         self._last = self._last._replace(torque=0.0, h_i=0.0, h_m=0.0, deficit=0.0, branch=Branch.HELD.value)
         return self._last
@@ -111,7 +111,7 @@ def reversals(torque: float, longest: int, count: int) -> list[float]:
     """Returns doublets of a torque [N or N*m] of both signs and many lengths, the same with every call.
 
     Args:
-        torque: [N or N*m]
+        torque: Size of the torque [N or N*m].
         longest: First part of the longest doublet, in cycles; the shortest is half as long.
         count: How many doublets.
     """
@@ -126,11 +126,11 @@ def sweep(amplitude: float, lowest: float, highest: float, duration: float, samp
     """Returns a cosine whose frequency rises exponentially: a free mass swings about where it was, and ends at rest.
 
     Args:
-        amplitude: [N or N*m]
+        amplitude: Size of the torque [N or N*m].
         lowest: First frequency [Hz].
         highest: Last frequency [Hz].
-        duration: [s]
-        sample_time: [s]
+        duration: Length of the sweep [s].
+        sample_time: Sample time [s].
     """
     rate = math.log(highest / lowest) / duration
     torques = amplitude * np.cos(

@@ -43,13 +43,13 @@ class Dynamics(NamedTuple):
 
 
 def estimate(positions: _Array, applied: _Array, sample_time: float, half_base: int) -> Dynamics | None:
-    """Returns the least-squares estimate, or None when too little moved to tell.
+    """Least-squares estimate, or None when too little moved.
 
     Args:
         positions: At each SYNC, shape (n,) [m or rad].
         applied: Torque of the hold that ended there, shape (n,) [N or N*m].
-        sample_time: [s]
-        half_base: Half the base of the triangle, in sample times; longer is quieter and blurs fast motion.
+        sample_time: Sample time [s].
+        half_base: Half the base of the triangle, in sample times; longer is quieter and smooths fast motion.
     """
     starts = np.arange(0, len(positions) - 2 * half_base, max(1, half_base // 2))
     if len(starts) < _FEWEST_EQUATIONS or np.ptp(positions) == 0.0:
@@ -62,7 +62,7 @@ def estimate(positions: _Array, applied: _Array, sample_time: float, half_base: 
 
 
 class FrictionCurve(NamedTuple):
-    """Mass, and what brakes the axis while it moves, by speed; each value with one standard deviation."""
+    """Mass, and friction by speed while the axis moves; each value with one standard deviation."""
 
     mass: float  # [kg or kg*m^2]
     mass_error: float
@@ -75,7 +75,7 @@ class FrictionCurve(NamedTuple):
         return max(0.0, float((self.frictions - sure * self.errors - damping * self.speeds).min()))
 
     def falls_at_its_end(self, sure: float) -> bool:
-        """Returns whether friction is still falling in the fastest range: nothing is known of faster motion then."""
+        """Whether friction is still falling in the fastest range: friction at higher speed is then unknown."""
         if len(self.speeds) < _FEWEST_RANGES:
             return True
         last, before = self.frictions[-1], self.frictions[:-1] - sure * (self.errors[:-1] + self.errors[-1])
@@ -83,7 +83,7 @@ class FrictionCurve(NamedTuple):
 
 
 def friction_curve(positions: _Array, applied: _Array, sample_time: float, half_base: int) -> FrictionCurve | None:
-    """Returns mass and friction by speed, or None when too little moved both ways to tell.
+    """Mass and friction by speed, or None when too little moved both ways.
 
     A friction that falls with speed (Stribeck) is neither c nor b v: fitted with one c for all speeds it makes the mass
     too large, and c is above the truth at some speed. So the windows in which the axis moves one way throughout are
@@ -112,7 +112,7 @@ def friction_curve(positions: _Array, applied: _Array, sample_time: float, half_
 def _one_way(
     positions: _Array, half_base: int, stride: int, count: int = _PARTS, slowest: float = 0.0
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Returns where the windows begin in which the axis moves on in every part, and which way, 1 or -1.
+    """Starts of the windows in which the axis moves one way in every part, and that direction, 1 or -1.
 
     Args:
         positions: At each SYNC, shape (n,) [m or rad].
@@ -138,7 +138,7 @@ def estimate_lateness(
 
     It is the time for which the previous torque still acts in every hold: window and lag together. In a hold whose
     torque changes by d the mean torque is less by late d / T, so that one more column of `estimate` finds it.
-    A torque that reverses while the axis is fastest tells most (`laws.reversals`): friction that turns or sticks within
+    A torque that reverses while the axis is fastest shows most (`laws.reversals`): friction that turns or sticks within
     a window would be taken for a late torque. Arguments as of `estimate`; None when the motion was too small.
     """
     starts, ways = _one_way(positions, half_base, half_base // 4, _REVERSAL_PARTS, _SLOWEST)
@@ -174,7 +174,7 @@ def mass_within(positions: _Array, applied: _Array, sample_time: float, half_bas
 def _equations(
     positions: _Array, applied: _Array, sample_time: float, half_base: int, starts: NDArray[np.int64]
 ) -> tuple[_Array, _Array]:
-    """Returns the columns of m, b, c and f, and the mean torques that they add up to."""
+    """Columns of m, b, c and f, and the mean torques they sum to."""
     holds = _triangle(half_base)  # weights of the 2 n holds, sum 1
     step = np.diff(positions)
     window = starts[:, None] + np.arange(2 * half_base)[None, :]
@@ -193,9 +193,9 @@ def _triangle(half_base: int) -> _Array:
 
 
 def _solve(matrix: _Array, torque: _Array) -> tuple[list[float], list[float], float] | None:
-    """Returns the least-squares solution, its standard deviations and the rms of the rest.
+    """Least-squares solution, its standard deviations and the rms residual.
 
-    None where the columns of the matrix do not tell the unknowns apart.
+    None where the columns of the matrix do not separate the unknowns.
     """
     scale = np.linalg.norm(matrix, axis=0)
     used = scale > 0.0

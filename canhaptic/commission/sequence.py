@@ -1,4 +1,4 @@
-"""The steps in their order; what was found before a fault is kept."""
+"""The steps in their order; findings before a fault are kept."""
 
 from typing import Final
 
@@ -18,7 +18,7 @@ def commission(session: Session, timing_duration: float) -> None:
 
     Args:
         session: Rig, dialogue and limits.
-        timing_duration: Of the run at zero torque that is timed [s].
+        timing_duration: Duration of the timed run at zero torque [s].
 
     Raises:
         RigError: Drive or link failed; torque is zero, every drive that answers is disabled.

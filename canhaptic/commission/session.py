@@ -1,4 +1,4 @@
-"""The rig under commissioning: one experiment, run again and again with torques that are known beforehand."""
+"""The rig under commissioning: one experiment, run again and again with torques computed in advance."""
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -30,13 +30,13 @@ class Session:
 
     Args:
         scene: Axes on one or several buses; axes joined by a simulated mechanism cannot be tried one by one.
-        dialogue: With whom to speak.
-        limits: How far to go.
+        dialogue: Dialogue with the person.
+        limits: Limits of torque, travel and the like.
         stop_requested: The operator's stop.
 
     Attributes:
-        report: What was found so far.
-        encoder_ratios: Displacement that the configured encoder shows, as a part of the one measured, per axis.
+        report: Findings so far.
+        encoder_ratios: Displacement by the configured encoder, as a part of the measured one, per axis.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Session:
         """Builds the rig for the steps inside; nothing is sent before one of them does.
 
         Args:
-            with_hand: Whether the simulated hand is on the handle; a real one was asked to be, or not to be.
+            with_hand: Whether the simulated hand is on the handle; a person was asked to hold it, or to let go.
         """
         scene = self.scene if with_hand else _without_hand(self.scene)
         try:
@@ -96,7 +96,7 @@ class Session:
         return self.scene.axes
 
     def coast(self, axis: int) -> None:
-        """Waits without torque until an axis is at rest, as long as a bearing may take that hardly brakes.
+        """Wait without torque until an axis is at rest, as long as a nearly frictionless bearing may take.
 
         Raises:
             RigError: Drive or link failed; torque is zero.
@@ -115,11 +115,11 @@ class Session:
     def play_within(
         self, axis: int, item: str, torques_of: Callable[[float], Sequence[float]], torque: float
     ) -> OpenLoop:
-        """Plays torques of an amplitude as `play` does; where the axis goes too far or too fast, again with half of it.
+        """Play torques of an amplitude as `play` does; where the axis goes too far or too fast, again with half of it.
 
         Args:
             axis: Its index.
-            item: What is measured.
+            item: Measured quantity.
             torques_of: Torques of an amplitude, one per cycle [N or N*m].
             torque: Amplitude [N or N*m].
 
@@ -145,13 +145,13 @@ class Session:
         ready: Callable[[], bool] = lambda: False,
         limits: CommissioningLimits | None = None,
     ) -> OpenLoop:
-        """Runs the rig with torques on one axis and none on the others, stops it, and returns what that axis did.
+        """Run the rig with torques on one axis and none on the others, stop it, and return the motion of that axis.
 
         Args:
             axis: Its index.
             torques: One per cycle [N or N*m].
-            cycles: How long, at most.
-            ready: Ends it earlier.
+            cycles: Largest number of cycles.
+            ready: Ends it earlier when true.
             limits: In place of those of the session.
 
         Raises:
@@ -187,11 +187,11 @@ class Session:
         return self.truths[axis].position if self.truths else None
 
     def cycles(self, seconds: float) -> int:
-        """Returns how many cycles a time takes."""
+        """Number of cycles in a time."""
         return max(1, round(seconds / self.sample_time))
 
     def found(self, axis: int, item: str, configured: str, found: str, verdict: StepVerdict, text: str = "") -> None:
-        """Adds a row to the report and says it."""
+        """Add a row to the report and print it."""
         name = self.axes[axis].parameters.name
         self.report.add(StepFinding(name, item, configured, found, verdict, text))
         self.dialogue.tell(f"  {name}: {item}: {found} ({verdict.value})")
@@ -207,23 +207,23 @@ class Session:
         text: str,
         otherwise: StepVerdict = StepVerdict.DIFFERS,
     ) -> None:
-        """Adds a row that agrees, or has another verdict and a text on what to do."""
+        """Add a row that agrees, or has another verdict and a remedy."""
         self.found(axis, item, configured, found, StepVerdict.AGREES if good else otherwise, "" if good else text)
 
     def agreed(self, question: str, item: str, axes: Iterable[int], text: str = "") -> bool:
-        """Returns whether the person agrees to try something; where not, the report says so of these axes."""
+        """Whether the person agrees to a trial; otherwise the report records it for these axes."""
         if self.dialogue.confirm(question):
             return True
         self.not_tried(item, axes, text)
         return False
 
     def not_tried(self, item: str, axes: Iterable[int], text: str = "") -> None:
-        """Adds a row per axis for what was not tried."""
+        """Add a row per axis for a trial that was left out."""
         for axis in axes:
             self.found(axis, item, "", "not tried", StepVerdict.UNKNOWN, text)
 
     def propose(self, axis: int, key: str, value: float | int | str | None, unit: str = "", comment: str = "") -> None:
-        """Adds a value for the scene; None: the one that it has is right."""
+        """Propose a value for the scene; None: its present value is right."""
         self.report.propose(Value(self.axes[axis].parameters.name, key, value, unit, comment))
 
 

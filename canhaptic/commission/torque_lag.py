@@ -1,4 +1,4 @@
-"""How late a torque acts: reversals while the axis is fastest, timed against the commands."""
+"""Measurement of the torque's lateness: reversals while the axis is fastest, timed against the commands."""
 
 import math
 from collections.abc import Mapping
@@ -24,16 +24,16 @@ _EARLY: Final = 3.0  # standard deviations below 0 from which on a torque acts b
 
 
 def time_the_torque(session: Session, axis: int, most: float, mass: float, known: Mapping[str, float]) -> None:
-    """Measures how late the torque acts, and proposes what it is at most.
+    """Measure the lateness of the torque, and propose its upper bounds.
 
-    The test is repeated, longer each time, while what it leaves open costs too much of the wall.
+    The test is repeated, longer each time, while its uncertainty costs too much of the wall.
 
     Args:
         session: The rig.
         axis: Its index.
         most: Largest torque [N or N*m].
-        mass: First idea of the mass, in the units of the encoder as configured [kg or kg*m^2].
-        known: Values of `passivity` that were measured, SI.
+        mass: First estimate of the mass, in the units of the encoder as configured [kg or kg*m^2].
+        known: Measured values of `passivity`, SI.
 
     Raises:
         RigError: Drive or link failed.
@@ -64,12 +64,12 @@ def time_the_torque(session: Session, axis: int, most: float, mass: float, known
 
 
 def _at_most(late: tuple[float, float]) -> float:
-    """Returns the lag that is declared of a measured one and its standard deviation [s]."""
+    """Lag to declare, from a measured one and its standard deviation [s]."""
     return _OVER * (max(0.0, late[0]) + SURE * late[1])
 
 
 def _is_resolved(session: Session, axis: int, late: tuple[float, float], known: Mapping[str, float]) -> bool:
-    """Returns whether the wall is kept with what would be declared, or lost with the least that was measured."""
+    """Whether the wall is kept with the bound to declare, or lost even with the least measured lag."""
     least = max(0.0, late[0] - SURE * late[1])
     return not _is_lost(session, axis, _at_most(late), known) or _is_lost(session, axis, least, known)
 
@@ -101,7 +101,7 @@ def _lateness(session: Session, axis: int, law: OpenLoop, half_base: int) -> tup
 
 
 def _report(session: Session, axis: int, late: tuple[float, float], kept: str) -> None:
-    """Says what was found, compared with what is declared, and whether that is `kept`."""
+    """Report the lateness against the declared values, and whether these are `kept`."""
     declared = (session.axes[axis].loop.torque_window or 0.0) + (session.axes[axis].loop.current_lag or 0.0)
     value, error = late[0], SURE * late[1]
     configured, found = f"at most {declared * 1e6:.3g} us", f"{value * 1e6:.3g} +- {error * 1e6:.2g} us"
@@ -117,13 +117,13 @@ def _report(session: Session, axis: int, late: tuple[float, float], kept: str) -
 
 
 def _propose(session: Session, axis: int, lag: float | None, known: Mapping[str, float]) -> None:
-    """Proposes window and lag, and the allowance with which the wall is kept where they would cost too much of it.
+    """Propose window and lag, and the allowance that keeps the wall where they would cost too much of it.
 
     Args:
         session: The rig.
         axis: Its index.
-        lag: To declare [s]; None: the configured one is right.
-        known: Values of `passivity` that were measured, SI.
+        lag: Lag to declare [s]; None: the configured one is right.
+        known: Measured values of `passivity`, SI.
     """
     scene = session.axes[axis]
     window = scene.loop.torque_window or 0.0

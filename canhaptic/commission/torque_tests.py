@@ -1,4 +1,4 @@
-"""First torque: a pulse that grows until something moves, then a sweep that says what moves."""
+"""First torque: a pulse that grows until something moves, then a sweep that identifies the moving mass."""
 
 import math
 from typing import Final
@@ -50,12 +50,12 @@ _COMMENTS: Final = {
 
 
 def _largest_torque(session: Session, axis: int, part: float | None = None) -> float:
-    """Returns the torque beyond which commissioning does not go [N or N*m].
+    """Largest torque of commissioning [N or N*m].
 
     Args:
-        session: Its limits.
+        session: Session with its limits.
         axis: Index of the axis.
-        part: Of the rated torque, or of the limit where there is none; None: that of the session.
+        part: Share of the rated torque, or of the limit without one; None: the session's share.
     """
     parameters = session.axes[axis].parameters
     rated = parameters.rated_torque or parameters.torque_limit
@@ -63,7 +63,7 @@ def _largest_torque(session: Session, axis: int, part: float | None = None) -> f
 
 
 def pulse(session: Session, axis: int) -> float | None:
-    """Returns a first idea of the mass, or None when nothing more may be tried.
+    """First estimate of the mass, or None when nothing more may be tried.
 
     A motor that turns against its encoder makes every wall push inward: that ends the commissioning of the axis.
 
@@ -135,7 +135,7 @@ def time_the_read_back(session: Session) -> None:
 
 
 def _first_motion(law: OpenLoop, cycles: int) -> float:
-    """Returns the displacement over the first part of a doublet, counted from where the torque began to act."""
+    """Displacement over the first part of a doublet, from where the torque began to act."""
     begin = next((k for k, torque in enumerate(law.applied) if torque), len(law.applied)) - 1
     end = min(begin + cycles, len(law.positions) - 1)
     return law.positions[end] - law.positions[begin] if 0 <= begin < end else 0.0
@@ -185,7 +185,7 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
 def _swept(
     session: Session, axis: int, amplitude: float, duration: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float, int] | None:
-    """Returns the record of a sweep [s] as `estimate` takes it; None where it was broken off, which is reported."""
+    """Record of a sweep [s] for `estimate`; None where it was aborted, which is reported."""
     lowest, highest, _ = _SWEEP
 
     def torques_of(torque: float) -> list[float]:
@@ -201,7 +201,7 @@ def _swept(
 
 
 def declared_of(found: Dynamics, curve: FrictionCurve | None) -> dict[str, float]:
-    """Returns what may be declared of a device, SI: the ends of the intervals on the safe side, and beyond."""
+    """Declarations for a device, SI: the interval ends on the safe side, with a margin."""
     values = {
         "moving_mass": _UNDER * (found.mass - SURE * found.mass_error),
         "device_damping_bound": _OVER * (max(0.0, found.damping) + SURE * found.damping_error),
@@ -214,14 +214,14 @@ def declared_of(found: Dynamics, curve: FrictionCurve | None) -> dict[str, float
 
 
 def _is_dear(session: Session, axis: int, found: Dynamics, curve: FrictionCurve | None) -> bool:
-    """Returns whether the uncertainty of a sweep costs more of the wall than it may; no lag is counted."""
+    """Whether the uncertainty of a sweep costs more of the wall than it may; no lag is counted."""
     exact = found._replace(mass_error=0.0, damping_error=0.0, friction_error=0.0)
     ends = {**declared_of(found, curve), "current_lag": 0.0}
     return is_dear(session.axes[axis], session.limits.speed, {**ends, **declared_of(exact, None)}, ends)
 
 
 def _of_rotor(session: Session, axis: int, found: Dynamics) -> Dynamics | None:
-    """Returns the dynamics with the mass that moves within the shortest time that the encoder resolves.
+    """Dynamics of the mass that moves within the shortest time that the encoder resolves.
 
     Where that is clearly less than what a slow sweep moves, a shaft lies between: what is rigid with the encoder is the
     rotor (`mass_within`). Where it is neither, a resonance is near, and no mass is reported (None). A resonance far
@@ -297,7 +297,7 @@ def _sure_damping(found: Dynamics) -> float:
 
 
 def _report_least_friction(session: Session, axis: int, found: Dynamics, curve: FrictionCurve | None) -> None:
-    """Reports what dry friction is at least at every speed that was seen."""
+    """Report the least dry friction over every speed that occurred."""
     item, motion = "dry friction, least", session.axes[axis].parameters.unit
     if curve is None or curve.falls_at_its_end(SURE):
         text = "too little motion both ways" if curve is None else "it still falls at the fastest speed that was seen"
@@ -314,7 +314,7 @@ def _report_least_friction(session: Session, axis: int, found: Dynamics, curve: 
 
 
 def _scale(session: Session, axis: int, found: Dynamics) -> None:
-    """Compares the mass found with one that was weighed: the same ratio is wrong in every torque."""
+    """Compare the mass found with a weighed one: the same ratio is wrong in every torque."""
     axis_scene = session.axes[axis]
     parameters, simulation = axis_scene.parameters, axis_scene.simulation
     unit, mass_unit = effort_unit(parameters.unit), _MASS_UNITS[parameters.unit]

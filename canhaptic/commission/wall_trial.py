@@ -1,4 +1,4 @@
-"""What the uncertainty of a measurement costs of the wall, and what an energy allowance buys."""
+"""Cost of a measurement's uncertainty in wall stiffness, and the gain from an energy allowance."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -14,12 +14,12 @@ _SPEEDS: Final = (1.0, 0.5, 0.25, 0.125)  # of the fastest
 
 
 def share_of_wall(axis: AxisScene, fastest: float, declared: Mapping[str, float]) -> float:
-    """Returns the share of the wall that is rendered on the way in, the mean of several speeds.
+    """Share of the wall that is rendered during approach, the mean over several speeds.
 
     1 where the axis has no wall: a group or a display, or another environment.
 
     Args:
-        axis: With its environment and algorithm.
+        axis: Axis with its environment and algorithm.
         fastest: Speed of the handle [m/s or rad/s].
         declared: Values of `passivity` in place of those of the axis, SI.
     """
@@ -39,7 +39,7 @@ def needed_allowance(
 ) -> float | None:
     """Returns the energy allowance [J] with which the ends of measured intervals leave enough of the wall.
 
-    It is twice the least of `ALLOWANCES`, for a contact may begin with some of it given out before. None: none is.
+    It is twice the least of `ALLOWANCES`, as a contact may begin with part of it given out. None: none suffices.
     """
     if not hasattr(axis.passivity.parameters, "energy_allowance"):
         return None

@@ -1,4 +1,4 @@
-"""The master falls silent on purpose: does every drive stop by itself? And is the bus in time?"""
+"""Test of the drives' watchdogs by a silent master, and of the cycle's timing."""
 
 from typing import Final
 
@@ -16,10 +16,10 @@ _SILENCES: Final = 3  # of the longest silence that the drives are configured to
 
 
 def pull_the_master(session: Session) -> None:
-    """Enables every drive at zero torque, falls silent, and looks whether they left OPERATION ENABLED by themselves.
+    """Enable every drive at zero torque, fall silent, and check whether they leave OPERATION ENABLED by themselves.
 
     Raises:
-        RigError: Drive or link failed otherwise than asked for.
+        RigError: Drive or link failed otherwise than intended.
     """
     asked = "watchdog: the drives are enabled at zero torque, then the master falls silent. Now?"
     axes = range(len(session.axes))
@@ -91,10 +91,10 @@ def time_the_cycle(session: Session, seconds: float) -> None:
 
 
 def _propose_jitter(session: Session, latest: float) -> None:
-    """Proposes by how much a hold may differ from the sample time, as a part of it.
+    """Propose the jitter of a hold, as a part of the sample time.
 
     Args:
-        session: Its axes.
+        session: Session with its axes.
         latest: Largest lateness of a SYNC [sample times]; 0 where time is virtual.
     """
     for axis, scene in enumerate(session.axes):
