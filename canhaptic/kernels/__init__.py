@@ -1,10 +1,10 @@
 """Kernels: functions that Python runs in the cycle and numba compiles for sweeps; one source for both.
 
 A kernel is a function on numbers and records. It keeps nothing, raises nothing, and calls `math`, other kernels and the
-methods of an environment only. What it works on comes in four forms:
+methods of an environment only. Its data come in four forms:
 
 * settings, fixed for a run: a frozen dataclass of numbers and of the parameters, of which only numbers are read;
-* state, what is remembered from SYNC to SYNC: a dataclass of numbers, changed in place;
+* state, kept from SYNC to SYNC: a dataclass of numbers, changed in place;
 * memory, sequences whose length the configuration chooses: buffers, changed in place; lists where Python runs the
   kernel, arrays where it is compiled;
 * what it returns: numbers and NamedTuples.
@@ -52,13 +52,13 @@ def zeros(rows: int, columns: int) -> Matrix:
 
 
 def fields_of(kind: object) -> tuple[str, ...]:
-    """Returns the names of the fields of a NamedTuple or of its class; none of anything else."""
+    """Names of the fields of a NamedTuple or of its class; none of anything else."""
     names: tuple[str, ...] = getattr(kind, "_fields", ())
     return names
 
 
 def with_quick_fields(memory: _Memory) -> _Memory:
-    """Returns an object like a NamedTuple, and those in it, of which Python reads a field at half the price."""
+    """Copy of a NamedTuple, and those in it, whose fields Python reads at half the price."""
     names = fields_of(memory)
     if not names:
         return memory
@@ -80,7 +80,7 @@ def _quick_class(kind: type) -> type:
 
 
 class Run(NamedTuple, Generic[SettingsT, StateT, MemoryT]):
-    """What a kernel works on from SYNC to SYNC."""
+    """Settings, state and memory of a kernel."""
 
     settings: SettingsT
     state: StateT

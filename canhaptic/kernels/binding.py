@@ -1,4 +1,4 @@
-"""The same code of a kernel, and of every kernel that it reaches, with other functions in the place of some."""
+"""Copies of a kernel, and of every kernel that it reaches, with some functions replaced."""
 
 import builtins
 from collections.abc import Callable, Mapping
@@ -10,12 +10,12 @@ _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
 class Binding:
-    """Functions whose global names are bound anew, each once.
+    """Copies of functions with global names bound to replacements, each copied once.
 
     Args:
-        instead: A function that is reached, or a global name -> what to take in its place.
-        wrap: Makes of a function that is reached what its name is bound to.
-        known: What needs no look: function -> what takes its place.
+        instead: Replacements by function reached, or by global name.
+        wrap: Makes the binding of a reached function's name.
+        known: Functions with known replacements, used without inspection.
     """
 
     def __init__(
@@ -28,7 +28,7 @@ class Binding:
         self._known: dict[object, object] = dict(known or {})
 
     def rebound(self, function: Callable[..., object]) -> FunctionType:
-        """Returns the same code with other functions in the place of its global names."""
+        """The same code with other functions in the place of its global names."""
         function = cast(FunctionType, function)
         found: dict[str, object] = {"__name__": function.__module__, "__builtins__": builtins}
         for name in sorted(_names_in(function.__code__)):
@@ -41,18 +41,18 @@ class Binding:
         return self.of(name, self._instead.get(value, value)) if callable(value) else self.constant(name, value)
 
     def constant(self, name: str, value: object) -> object:
-        """Returns a value that a function names."""
+        """Value that a function names."""
         return value
 
     def of(self, name: str, value: object) -> object:
-        """Returns what takes the place of a function or class."""
+        """Replacement of a function or class."""
         if value not in self._known:
             self._known[value] = self._wrap(self.rebound(value)) if isinstance(value, FunctionType) else value
         return self._known[value]
 
 
 def bound(function: _Function, instead: Mapping[object, object]) -> _Function:
-    """Returns a kernel as Python runs it, with other functions in the place of some that it reaches.
+    """A kernel for Python, with some of the functions that it reaches replaced.
 
     Args:
         function: The kernel.
@@ -62,7 +62,7 @@ def bound(function: _Function, instead: Mapping[object, object]) -> _Function:
 
 
 def filled(function: _Function, **places: Callable[..., object]) -> _Function:
-    """Returns a kernel with functions in the places that it leaves open; what those name is looked up when it runs.
+    """A kernel with its placeholders filled; the names in those functions are resolved when it runs.
 
     Args:
         function: The kernel.
@@ -73,6 +73,6 @@ def filled(function: _Function, **places: Callable[..., object]) -> _Function:
 
 
 def _names_in(code: CodeType) -> set[str]:
-    """Returns the global names that a function asks for; those of attributes are not among them."""
+    """Global names that a function uses, attributes not included."""
     inner = [_names_in(constant) for constant in code.co_consts if isinstance(constant, CodeType)]
     return {step.argval for step in get_instructions(code) if step.opname == "LOAD_GLOBAL"}.union(*inner)

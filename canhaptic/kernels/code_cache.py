@@ -67,7 +67,7 @@ class CheckedCache(caching.FunctionCache):
         self._cache_file = _CheckedFiles(locator.get_cache_path(), self._impl.filename_base, locator.get_source_stamp())
 
     def save_overload(self, sig: object, data: object) -> None:
-        """Keeps the code; a full disk is no reason not to run it."""
+        """Store the code; a full disk does not prevent a run."""
         with suppress(OSError):
             super().save_overload(sig, data)
 
@@ -80,7 +80,7 @@ def _is_whole(content: bytes, version: str = "") -> bool:
 
 @contextmanager
 def kept_code(sources: Iterable[str]) -> Iterator[bool]:
-    """While it lasts, numba keeps the code of what is made in a folder of these sources; yields whether it can.
+    """Within the context, numba stores code in a folder of these sources; yields whether it can.
 
     Args:
         sources: Everything that decides the machine code.
@@ -118,8 +118,8 @@ def _place_of(sources: Iterable[str]) -> Path | None:
 def _delete_unused(folder: Path) -> None:
     """Deletes what no process has used for 30 days, once in a process.
 
-    A folder gets another name first, so that no process finds half of it. One that is taken away from a process which
-    begins to use it just now is missing there, and missing code is compiled.
+    A folder is renamed first, so that no process finds half of it. Code that a process misses because of that is
+    compiled again.
     """
     with os.scandir(folder) as entries:
         used = {entry.path: entry.stat().st_mtime for entry in entries if entry.is_dir(follow_symlinks=False)}
@@ -132,7 +132,7 @@ def _delete_unused(folder: Path) -> None:
 
 @cache
 def _say_that_nothing_is_kept() -> None:
-    """Says so once, in the process that the user started."""
+    """Warn once, in the process that the user started."""
     if parent_process() is None:
         text = (
             "compiled code is not kept, and each run compiles for 1 to 10 s: the folder canhaptic/kernels in "
@@ -142,7 +142,7 @@ def _say_that_nothing_is_kept() -> None:
 
 
 def cache_folder() -> Path | None:
-    """Returns the folder of compiled kernels, made if need be; None where it is not the user's alone."""
+    """Folder of compiled kernels, created if need be; None where it is not the user's alone."""
     root = os.environ.get("XDG_CACHE_HOME", "")
     try:
         base = Path(root) if Path(root).is_absolute() else Path.home() / ".cache"

@@ -1,6 +1,6 @@
 """Kernels compiled by numba, each with every kernel that it reaches; needs the extra `fast`.
 
-The source is that of the functions; only their global names are bound anew, to compiled functions. No floating-point
+The source is that of the functions; only their global names are bound to compiled functions. No floating-point
 operation is reordered or fused, and a division by zero gives an infinity, so that both forms give the same bits.
 Reference counts of arrays are left out - a kernel makes no array - which makes it ten times faster.
 """
@@ -52,7 +52,7 @@ _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
 class _Dispatcher(Protocol):
-    """A function that numba compiles, with where it keeps the code."""
+    """A function compiled by numba, with the place of its code."""
 
     _cache: object
 
@@ -81,7 +81,7 @@ def compiled(
 
     Args:
         function: The kernel.
-        instead: A function that it reaches, or a global name -> what to take in its place.
+        instead: Replacements by function reached, or by global name.
         keep: Whether the machine code is kept on disk for the next process.
         parts: Classes whose methods it calls, but does not name.
         calls: Functions that stay calls, because they are long and called from several places, while every other
@@ -108,7 +108,7 @@ class _Compiling(Binding):
     """Functions found on the way, each compiled once.
 
     Attributes:
-        sources: What decides the machine code: of every function its code, and the constants that it names.
+        sources: Determinants of the machine code: the code of every function, and the constants that they name.
     """
 
     def __init__(self, instead: Mapping[object, object], calls: Collection[Callable[..., object]] | None) -> None:
@@ -130,12 +130,12 @@ class _Compiling(Binding):
         return made
 
     def constant(self, name: str, value: object) -> object:
-        """Returns a value that a function names, and takes it down."""
+        """Value that a function names; adds it to the sources."""
         self.sources.append(f"{name}={value!r}")
         return value
 
     def of(self, name: str, value: object) -> object:
-        """Returns what takes the place of a function or class, and takes down what of a class matters."""
+        """Replacement of a function or class; adds a class's content to the sources."""
         if value not in self._known and isinstance(value, type):
             self.look_at(value)
         elif not isinstance(value, FunctionType):
@@ -143,10 +143,10 @@ class _Compiling(Binding):
         return super().of(name, value)
 
     def look_at(self, kind: type) -> None:
-        """Takes the fields of a class and the code of its methods among the sources.
+        """Add the fields of a class and the code of its methods to the sources.
 
         Raises:
-            InputError: A field of a NamedTuple has the name of a method, as which numba would take it.
+            InputError: A field of a NamedTuple has the name of a method, and numba would take it for the method.
         """
         taken = sorted(set(fields_of(kind)).intersection(METHODS))
         if taken:

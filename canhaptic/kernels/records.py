@@ -1,4 +1,4 @@
-"""What compiled kernels take in the place of dataclasses and of buffers: NumPy records and arrays."""
+"""NumPy records and arrays that replace dataclasses and buffers in compiled kernels."""
 
 from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
@@ -27,7 +27,7 @@ class _Part(NamedTuple):
 
 
 def record_type(value: object) -> np.dtype[np.void]:
-    """Returns the type of a record with the numbers of an object, and of objects in it; see `_parts_of`."""
+    """Record type of the numbers of an object, and of objects in it; see `_parts_of`."""
     return np.dtype(
         [
             (name, np.dtype(type(part)) if isinstance(part, _NUMBER) else record_type(part))
@@ -65,7 +65,7 @@ def records_of(values: Iterable[object]) -> Records:
 
 
 def number_in(state: object, name: str) -> float:
-    """Returns a number of a dataclass, or of the record in its place."""
+    """Number in a dataclass, or in the record in its place."""
     number: float = state[name] if isinstance(state, np.void) else getattr(state, name)
     return number
 
@@ -82,7 +82,7 @@ def _flat(kind: _Kind, path: str = "", offset: int = 0) -> Iterable[_Part]:
 def arrays_of(value: _Value) -> _Value:
     """Returns a NamedTuple of buffers, and of such, with arrays of its own in their place.
 
-    What a field is follows from its annotation: `Buffer`, `Indices`, `Matrix`, or anything else.
+    The kind of a field follows from its annotation: `Buffer`, `Indices`, `Matrix`, or anything else.
     """
     kind = type(value)
     if not fields_of(kind):
