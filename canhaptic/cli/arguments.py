@@ -68,7 +68,7 @@ def scene_of(arguments: argparse.Namespace, *, beyond_bus: bool = False) -> "Sce
 
 
 def check_picture(path: Path) -> None:
-    """Refuses a picture that could not be written, before anything runs.
+    """Refuse a picture that could not be written, before the run.
 
     Raises:
         InputError: An unknown suffix, no place for it, or matplotlib is not installed.
@@ -82,7 +82,7 @@ def check_picture(path: Path) -> None:
 
 
 def check_page(path: Path) -> None:
-    """Refuses a page that could not be written, before anything runs.
+    """Refuse a page that could not be written, before the run.
 
     Raises:
         InputError: There is no place for it, or Bokeh is not installed.
@@ -94,10 +94,10 @@ def check_page(path: Path) -> None:
 
 
 def check_place(path: Path) -> None:
-    """Refuses a file that could not be written, before anything runs.
+    """Refuse a file that could not be written, before the run.
 
     Raises:
-        InputError: There is no folder for it, or at its place is no regular file.
+        InputError: There is no folder for it, or its path is no regular file.
     """
     if not path.absolute().parent.is_dir():
         raise InputError(f"{path}: no such folder {path.absolute().parent}; make it first")
@@ -105,10 +105,10 @@ def check_place(path: Path) -> None:
 
 
 def require_new(*logs: Path) -> None:
-    """Refuses logs that would take the place of a file, before anything is started.
+    """Refuse logs that would overwrite a file, before the run.
 
     Raises:
-        InputError: One of them exists, or what a killed run left of it.
+        InputError: One of them exists, or the remains of a killed run's log.
     """
     for path in logs:
         unfinished = [path.with_name(f"{path.name}.log")] if path.suffix.lower() in CONVERTIBLE else []
@@ -139,10 +139,10 @@ def positive_number(text: str, units: tuple[str, str], name: str, most: float) -
     """Returns a number above zero, SI, from a text with or without its unit.
 
     Args:
-        text: As typed.
-        units: That it may carry, where motion is linear and where it is rotary.
-        name: What it is, for the message.
-        most: Largest that is accepted.
+        text: The text as typed.
+        units: Accepted units for linear and for rotary motion.
+        name: Name of the quantity, for the message.
+        most: Largest accepted value.
 
     Raises:
         argparse.ArgumentTypeError: It is no number of this dimension, or out of range.

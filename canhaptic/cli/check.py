@@ -1,4 +1,4 @@
-"""`canhaptic check CONFIG`: what a scene would do, before anything is sent."""
+"""`canhaptic check CONFIG`: the verdict on a scene, before anything is sent."""
 
 import argparse
 from collections.abc import Mapping
@@ -67,7 +67,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 class _CheckFindings(NamedTuple):
-    """What `check` found."""
+    """Findings of `check`."""
 
     scene: Scene
     budgets: dict[str, BusBudget]
@@ -76,7 +76,7 @@ class _CheckFindings(NamedTuple):
     felt: dict[str, float]  # axis -> approach speed from which its wall is felt [m/s or rad/s], infinite: from none
 
     def wall(self) -> str:
-        """Returns what a handle that comes in feels of the wall that is felt least; "" where none can be tried."""
+        """Advice for the wall that is felt least in an approach; "" where none can be tried."""
         if not self.felt:
             return ""
         name = max(self.felt, key=self.felt.__getitem__)
@@ -92,11 +92,11 @@ class _CheckFindings(NamedTuple):
 
     @property
     def exceeded(self) -> list[Hint]:
-        """Limits on which the chosen algorithm rests, and which the scene goes beyond."""
+        """Limits exceeded by the scene on which the chosen algorithm rests."""
         return [hint for hint in self.hints if hint.exceeded and hint.concerns]
 
     def verdict(self) -> str:
-        """Returns whether the scene can run and what to look at, in one line."""
+        """Verdict in one line: whether the scene can run, and what to look at."""
         marks = len(guesses_left(self.scene))
         unknown = sum(f.verdict is Verdict.UNKNOWN for rows in self.findings.values() for f in rows)
         load = max(budget.periodic_load for budget in self.budgets.values())
@@ -183,7 +183,7 @@ def _guess_table(guesses: list[Guess]) -> Table:
 
 
 def _realtime(scene: Scene) -> dict[str, str]:
-    """Returns what the operating system says to `bus.realtime`, by asking for it and giving it back."""
+    """The operating system's answer to `bus.realtime`, by requesting and releasing it."""
     realtime = Realtime(scene.bus.realtime)
     realtime.begin()
     realtime.end()
@@ -191,7 +191,7 @@ def _realtime(scene: Scene) -> dict[str, str]:
 
 
 def _without_empty(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns values without the entries that are empty, such as those neither given nor set by default."""
+    """Values without empty entries, such as those neither given nor set by default."""
     return {
         key: _without_empty(entry) if isinstance(entry, Mapping) else entry
         for key, entry in values.items()

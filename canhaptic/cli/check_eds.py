@@ -1,4 +1,4 @@
-"""`canhaptic check-eds FILE`: whether the drive of an EDS or DCF can serve, and what its configuration must bring."""
+"""`canhaptic check-eds FILE`: fitness of the drive of an EDS or DCF, and the keys its configuration must supply."""
 
 import argparse
 from pathlib import Path
@@ -41,11 +41,11 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def survey_of(path: Path, mode: Mode | None = None, force_object: str | None = None) -> tuple[Survey, str | None]:
-    """Returns what a dictionary says of its drive, and the name of the profile of its make, which it was judged with.
+    """Findings of a dictionary, and the name of the drive profile that it was judged with.
 
     Args:
-        path: Of the dictionary.
-        mode: Of an admittance display; None: cyclic torque.
+        path: Path of the dictionary.
+        mode: Mode of an admittance display; None: cyclic torque.
         force_object: Object that shows the force of a display; None: a known analog input, else a node of its own.
 
     Raises:

@@ -57,7 +57,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _walk(session: Session, duration: float) -> tuple[list[str], CanHapticError | None]:
-    """Walks the steps; returns what of them is missing or bad, and what ended them."""
+    """Walk the steps; return what is missing or failed, and the error that ended them."""
     scene, error = session.scene, None
     displays = any(axis.parameters.admittance is not None for axis in scene.axes)
     try:
@@ -72,10 +72,10 @@ def _walk(session: Session, duration: float) -> tuple[list[str], CanHapticError 
 
 
 def _place(scene: Scene, arguments: argparse.Namespace) -> Path | None:
-    """Returns the file that the scene is to be written to, of which it is known that it can be; None for none.
+    """File for the scene, checked to be writable; None for none.
 
     Raises:
-        InputError: Something is in the way, or the scene means something else there.
+        InputError: The path is blocked, or the scene would mean something else there.
     """
     place: Path | None = arguments.config if arguments.in_place else arguments.out
     if place is None:
@@ -94,10 +94,10 @@ def _backup(place: Path) -> Path:
 
 
 def _write(scene: Scene, report: Report, place: Path, arguments: argparse.Namespace) -> None:
-    """Writes the scene with the values found.
+    """Write the scene with the measured values.
 
     Raises:
-        InputError: It cannot be written, or not so that it means what was found.
+        InputError: It cannot be written, or would not express the measured values.
     """
     text = edited_scene(scene, report.changes(scene), str(place), allow_code=arguments.allow_code)
     if arguments.in_place:
@@ -123,14 +123,14 @@ def _dialogue(scene: Scene, *, yes: bool) -> Dialogue:
 class _Terminal:
     """A person at a terminal; questions go to standard error, so that the report can be redirected.
 
-    What was typed before a question was asked is no answer to it: consent to a torque needs the question read first.
+    Input typed before a question does not answer it: consent to a torque needs the question read first.
     """
 
     def __init__(self) -> None:
         self._input = sys.stdin.fileno()
 
     def tell(self, text: str) -> None:
-        """Says what happens now."""
+        """State the present action."""
         write_note(text)
 
     def confirm(self, question: str) -> bool:
@@ -147,7 +147,7 @@ class _Terminal:
         return None
 
     def until_ready(self, text: str, cycles: int) -> Callable[[], bool]:
-        """Returns what looks, without waiting, whether Enter was pressed."""
+        """Function that reports, without waiting, whether Enter was pressed."""
         self._forget()
         write_note(text)
 
@@ -171,7 +171,7 @@ class _Terminal:
         termios.tcflush(self._input, termios.TCIFLUSH)
 
     def _line(self) -> str:
-        """Returns one line as typed; past Python's buffer, in which lines would wait unseen."""
+        """One line as typed; read around Python's buffer, in which lines would wait unseen."""
         return os.read(self._input, _LONGEST_LINE).decode(errors="replace")
 
 
@@ -182,7 +182,7 @@ def _print(
     written: Path | None,
     arguments: argparse.Namespace,
 ) -> None:
-    """Prints what was found, also before an error, and where it was written."""
+    """Print the findings, also before an error, and the path of the scene."""
     if arguments.json:
         result = {**report.as_json(), "unfinished": missing, "written": None if written is None else str(written)}
         write_json(result if error is None else {**failure(error), "result": result})

@@ -1,4 +1,4 @@
-"""`canhaptic configs`: the scenes that come with the package, and a copy of them to change."""
+"""`canhaptic configs`: the scenes in the package, and a copy of them to edit."""
 
 import argparse
 import re
@@ -19,7 +19,7 @@ _SENTENCE_END: Final = re.compile(r"\.\s+(?=[A-Z])")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Lists every scene with what it says of itself, or copies them all."""
+    """List every scene with its description, or copy them all."""
     if arguments.copy is not None:
         _copy(arguments.copy)
         return 0

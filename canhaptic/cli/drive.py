@@ -25,7 +25,7 @@ _POLL_PERIOD = 50_000  # [ns] between two looks at several buses that cannot be 
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Lives until the duration is over (0) or a signal comes (130, 143)."""
+    """Run until the duration is over (0) or a signal comes (130, 143)."""
     scene = scene_of(arguments)
     if any(bus.parameters.interface == "virtual" and bus.parameters.channel is None for bus in scene.buses):
         raise InputError(
@@ -49,7 +49,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _far_end(scene: Scene, place: int, stack: ExitStack) -> tuple[can.BusABC, DriveGroup]:
-    """Returns the connection to one bus of the scene and the drives on it."""
+    """Connection to one bus of the scene and the simulated drives on it."""
     name, parameters = scene.buses[place]
     bus = open_bus(parameters, parameters.channel)
     stack.callback(bus.shutdown)
@@ -67,7 +67,7 @@ def _names(scene: Scene, bus: NamedBus) -> str:
 
 
 def _live(far_ends: Sequence[tuple[can.BusABC, DriveGroup]], duration: float | None, stop: StopSignal) -> None:
-    """Hands every frame to the drives as it comes, and lets their timers run."""
+    """Pass every frame to the drives as it comes, and run their timers."""
     clock = WallClock(spin_margin=0.0)
     now = clock.now()
     end = None if duration is None else now + round(duration * 1e9)
@@ -86,7 +86,7 @@ def _live(far_ends: Sequence[tuple[can.BusABC, DriveGroup]], duration: float | N
 
 
 def _wait_on(clock: WallClock, buses: Sequence[can.BusABC]) -> Callable[[int], tuple[int, can.Message | None]]:
-    """Returns what waits until a time [ns] for a frame of any bus, and returns the place of that bus with the frame."""
+    """Function that waits until a time [ns] for a frame of any bus, and returns that bus's place with the frame."""
     if len(buses) == 1:
         return lambda deadline: (0, clock.receive(buses[0], deadline))
     selector = _selector(buses)
@@ -107,7 +107,7 @@ def _wait_on(clock: WallClock, buses: Sequence[can.BusABC]) -> Callable[[int], t
 
 
 def _selector(buses: Sequence[can.BusABC]) -> selectors.DefaultSelector | None:
-    """Returns what wakes up for a frame of any bus; None where one of them has nothing that could be waited on."""
+    """Selector that wakes up for a frame of any bus; None where a bus has no descriptor to wait on."""
     selector = selectors.DefaultSelector()
     try:
         for bus in buses:

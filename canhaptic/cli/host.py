@@ -1,4 +1,4 @@
-"""What this host grants a process that must wake up on time."""
+"""Host settings for a process that must wake up on time."""
 
 import os
 import platform
@@ -17,7 +17,7 @@ class _HostSetting(NamedTuple):
 
 
 def host_settings() -> list[_HostSetting]:
-    """Returns the settings that matter for a cycle at wall-clock pace; what cannot be read is left out."""
+    """Settings that matter for a cycle at wall-clock pace; unreadable ones are left out."""
     settings = [
         _HostSetting("kernel", f"{platform.system()} {platform.release()}", _kernel_advice()),
         _HostSetting("processors", str(len(_affinity())), _processor_advice()),

@@ -25,9 +25,9 @@ _EXPORTS: Final = ("csv", "parquet", "mat", "mcap")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Does what the arguments ask for; returns 0, or 1 when something that was looked for fails.
+    """Run the requested checks and outputs; return 0, or 1 when a check fails.
 
-    A check, the comparison or the recomputation failed, or the log holds values that are no finite number.
+    That is a failed check, comparison or recomputation, or a log with values that are not finite.
 
     Raises:
         InputError: A log or an argument that cannot be used.
@@ -58,7 +58,7 @@ def _checks(result: Checked, arguments: argparse.Namespace) -> list[Outcome]:
 
 
 def _judge(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) -> None:
-    """Adds what the log is held against: another log, its own controllers, the frames of the same run."""
+    """Compare the log: with another log, its own controllers, the frames of the same run."""
     if arguments.compare is not None:
         with EnergyLog.open(arguments.compare) as other:
             result["comparison"] = compare(log, other)
@@ -122,7 +122,7 @@ def _write_files(log: EnergyLog, result: Inspection, arguments: argparse.Namespa
 
 
 def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
-    """The account of a run of which only the frames are there."""
+    """Account of a run from its frames alone."""
     from canhaptic.audit.rederive import rederive
     from canhaptic.scene.load import load_scene
 

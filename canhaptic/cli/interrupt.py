@@ -1,4 +1,4 @@
-"""Ctrl-C where nothing moves: the command ends at once, also while it is inside a library that listens to no signal."""
+"""Ctrl-C where nothing moves: the command ends at once, also inside a library that ignores signals."""
 
 import os
 import signal
@@ -16,7 +16,7 @@ _LINE: Final = "canhaptic: interrupted\n"
 
 
 def say_interrupted() -> None:
-    """Writes the one line that a command ends with after Ctrl-C."""
+    """Print the final line of a command after Ctrl-C."""
     sys.stderr.write(_LINE)
     sys.stderr.flush()
 
@@ -26,7 +26,7 @@ class PromptEnd:
 
     Python handles a signal between two instructions of its own. A compiler that takes seconds for one call would hold
     it up for so long; the number of the signal is written into a pipe in any case, and a thread waits for it there.
-    Files that are written at that moment are as after a kill. Not for commands that move a drive: they stop in order.
+    Files being written at that moment are as after a kill. Not for commands that move a drive: they stop in order.
     """
 
     def __init__(self) -> None:

@@ -83,7 +83,7 @@ def add_options(name: str, parser: argparse.ArgumentParser) -> None:
 
 
 def _show_old_names() -> None:
-    """Shows a warning of a scene as one line, like every note; others as Python does."""
+    """Show a warning about a scene as one line, like every note; others as Python does."""
     before = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
@@ -96,20 +96,20 @@ def _show_old_names() -> None:
 
 
 class _ShowVersion(argparse.Action):
-    """Looks the version up when it is asked for: the search takes as long as the rest of `--help`."""
+    """Looks the version up on demand: the search takes as long as the rest of `--help`."""
 
     def __init__(self, option_strings: Sequence[str], dest: str) -> None:
         super().__init__(option_strings, dest, nargs=0, help="show program's version number and exit")
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        """Prints it and ends."""
+        """Print the version and end."""
         from importlib.metadata import version
 
         parser.exit(0, f"canhaptic {version('canhaptic')}\n")
 
 
 def _imported(name: str) -> Any:
-    """Returns a module; what an import makes stays, and to search it for garbage costs a tenth of the start."""
+    """Import a module without garbage collection, which would cost a tenth of the start."""
     if name in sys.modules:
         return sys.modules[name]
     was_enabled = gc.isenabled()

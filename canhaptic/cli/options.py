@@ -1,4 +1,4 @@
-"""The arguments of every subcommand; what runs it is in the module of its name, imported once they are right."""
+"""The arguments of every subcommand; its code is in the module of its name, imported after parsing."""
 
 import argparse
 from collections.abc import Callable
@@ -27,7 +27,7 @@ def _check_eds(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_display(parser: argparse.ArgumentParser) -> None:
-    """Declares for which kind of display a dictionary is judged."""
+    """Declare the choice of the kind of display for a dictionary."""
     parser.add_argument(
         "--display", choices=("velocity", "position"),
         help="judge it for an admittance display (force in, velocity out) in mode 9 or 8; by default for cyclic torque",

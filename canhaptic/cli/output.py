@@ -1,4 +1,4 @@
-"""What the command writes: results on standard output, everything else on standard error."""
+"""Output of the command: results on standard output, everything else on standard error."""
 
 import json
 import math
@@ -29,7 +29,7 @@ def write_note(text: str) -> None:
 
 
 def note_file(what: str, path: Path) -> None:
-    """Says on standard error which file was written."""
+    """Report a written file on standard error."""
     write_note(f"  {what:<10}  {path}")
 
 

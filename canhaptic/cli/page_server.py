@@ -1,4 +1,4 @@
-"""Pages that live in a browser: one server for this host and who has its address, until SIGINT or SIGTERM.
+"""Live pages in a browser: one server for this host and holders of its address, until SIGINT or SIGTERM.
 
 A page of another origin in the same browser can send requests here, and by a name of its own that resolves to this host
 it can read the answers, too. So a request must name this host itself, come from the page or from no page, and carry a
@@ -28,7 +28,7 @@ _CHECK: Final = 1000  # [ms] between two looks for visitors to end
 
 
 class _Door:
-    """Lets the requests in that a page served at a path needs; others are answered 404, and begin nothing.
+    """Admits the requests that a page served at a path needs; others get 404, and start nothing.
 
     A matcher for tornado's router.
     """
@@ -37,9 +37,9 @@ class _Door:
         self._paths = (path, f"{path}/", f"{path}/ws")
 
     def match(self, request: Any) -> dict[str, Any] | None:
-        """Returns no parameters where the request may come in, None where it may not.
+        """No parameters for an admitted request, None for any other.
 
-        Any port is right: the page may be reached through a tunnel of ssh.
+        Any port is accepted: the page may be reached through a tunnel of ssh.
         """
         host = request.headers.get("Host", "")
         is_ours = _OURS.fullmatch(host)
@@ -49,7 +49,7 @@ class _Door:
 
 
 def usable_port(arguments: argparse.Namespace) -> int:
-    """Returns the port that was asked for, or one that nothing uses; with Bokeh installed, a page can be served there.
+    """The requested port, or a free one; checks that Bokeh is installed.
 
     Raises:
         InputError: Bokeh is not installed, or the port is taken.
@@ -70,7 +70,7 @@ def serve_page(page: Callable[[Any], object], port: int, title: str, *, show: bo
     Args:
         page: Fills the Bokeh document of a visitor.
         port: From `usable_port`.
-        title: What is served, for the line that gives the address.
+        title: Content of the page, for the line with the address.
         show: Whether to open it in a browser.
     """
     from bokeh.server.server import BaseServer
@@ -105,7 +105,7 @@ def serve_page(page: Callable[[Any], object], port: int, title: str, *, show: bo
 
 
 def _stop_on_signals(loop: Any) -> list[int]:
-    """Returns the list that takes the signal which stops the loop.
+    """List that receives the signal that stops the loop.
 
     As an exception Ctrl-C could be swallowed by the callback that it interrupts.
     """

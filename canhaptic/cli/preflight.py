@@ -1,4 +1,4 @@
-"""`canhaptic preflight CONFIG`: looks at the SocketCAN interfaces of a scene, as `run` does before it begins."""
+"""`canhaptic preflight CONFIG`: the check of a scene's SocketCAN interfaces that `run` makes before it begins."""
 
 import argparse
 from typing import Final
@@ -16,7 +16,7 @@ _COLOURS: Final = {"well": "green", "note": "yellow", "refused": "red"}
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Prints what the kernel says of each interface; returns 1 when a run would be refused."""
+    """Print the kernel's report on each interface; return 1 when a run would be refused."""
     scene = scene_of(arguments)
     findings = preflight(scene)
     is_refused = any(finding.severity == "refused" for finding in findings)

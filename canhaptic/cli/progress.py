@@ -1,6 +1,6 @@
-"""Progress on standard error, only on a terminal and only of what takes longer than a second.
+"""Progress on standard error, only on a terminal and only for tasks longer than a second.
 
-At real pace the terminal must not hold up the cycle: one short line twice a second, and only if it can be written
+At real pace the terminal must not delay the cycle: one short line twice a second, and only if it can be written
 without waiting. No thread is started.
 """
 
@@ -28,7 +28,7 @@ _Pace = Literal["real", "free"]
 def run_progress(
     cycles: int | None, sample_time: float, pace: _Pace, every: int = 64
 ) -> Iterator["RunProgress | None"]:
-    """Yields the progress of a run where somebody can see it; None where standard error is no terminal.
+    """Progress of a run on a terminal; None where standard error is no terminal.
 
     The arguments are those of `RunProgress`.
     """
@@ -43,10 +43,10 @@ class RunProgress:
     """Takes the number of completed cycles; shows it now and then.
 
     Args:
-        cycles: How many there will be; None when that is not known.
-        sample_time: [s]
-        pace: Of the run.
-        every: Which counts are looked at, at free pace: one of so many.
+        cycles: Total number of cycles; None if unknown.
+        sample_time: Sample time [s].
+        pace: Pace of the run.
+        every: Interval of the counts that are examined, at free pace.
     """
 
     def __init__(self, cycles: int | None, sample_time: float, pace: _Pace, every: int = 64) -> None:
@@ -60,7 +60,7 @@ class RunProgress:
         self._bar: Progress | None = None
 
     def __call__(self, cycles: int) -> None:
-        """Takes the number of completed cycles; cheap but for a few calls a second."""
+        """Take the number of completed cycles; cheap except for a few calls a second."""
         if self._pace == "free" and cycles % self._every:
             return
         now = self._clock.now()

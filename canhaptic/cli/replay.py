@@ -17,7 +17,7 @@ from canhaptic.view.energy_table import energy_report, make_console
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Replays; returns 0 when the master sent what was recorded, 1 when it did not.
+    """Replay; return 0 when the master sent the recorded frames, 1 when it did not.
 
     Raises:
         InputError: The recording or the scene cannot be used.
@@ -50,7 +50,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _replay_report(result: ReplayResult) -> list[Text]:
-    """Returns the outcome of a replay as lines."""
+    """Outcome of a replay as lines of text."""
     difference, frames = result["difference"], result["frames"]
     start = "from the boot of the drives" if result["start"] == "boot" else "from the first SYNC with all axes enabled"
     lines = [

@@ -26,7 +26,7 @@ _KEPT: Final = ("yes", "no contact", "dry run")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Runs the scene; returns 0, 1 when --strict was asked for and not kept, or 130 or 143 after a signal."""
+    """Run the scene; return 0, 1 when --strict fails, or 130 or 143 after a signal."""
     scene = scene_of(arguments)
     with ExitStack() as stack:
         energy_log, bus_log = arguments.log or scene.log.energy, arguments.bus_log or scene.log.bus
@@ -59,14 +59,14 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _withheld(result: RunResult) -> str:
-    """Returns in words what a dry run did not send."""
+    """Description of the torque that a dry run withheld."""
     axes = {name: axis for name, axis in result["ports"].items() if "withheld_torque" in axis}
     largest = [f"{name} {axis['withheld_torque']:.3g} {effort_unit(axis['unit'])}" for name, axis in axes.items()]
     return f"dry run: no torque was sent; the largest would have been: {', '.join(largest)}"
 
 
 def _fails(result: RunResult) -> bool:
-    """Says which port is not shown as passive, if one is not; no contact is no failure."""
+    """Report a port that is not shown as passive, if there is one; no contact is no failure."""
     from canhaptic.view.headline import headline_text
 
     for name, account in result["ports"].items():
@@ -76,7 +76,7 @@ def _fails(result: RunResult) -> bool:
 
 
 def _run(experiment: Experiment, duration: float | None, stop: StopSignal) -> tuple[RunResult, CanHapticError | None]:
-    """Runs to the end, good or bad; returns the account and what went wrong."""
+    """Run to the end, good or bad; return the account and the error."""
     scene, clock = experiment.scene, WallClock()
     cycles = None if duration is None else max(1, round(duration / scene.bus.sample_time))
     error: CanHapticError | None = None
@@ -99,7 +99,7 @@ def _run(experiment: Experiment, duration: float | None, stop: StopSignal) -> tu
 
 
 def _report(result: RunResult, error: CanHapticError | None, arguments: argparse.Namespace) -> None:
-    """Prints the account, and the error that ended the run if one did."""
+    """Print the account, and the error that ended the run if there was one."""
     if arguments.json:
         write_json(result if error is None else {**failure(error), "result": result})
     elif result["cycles"]:

@@ -1,4 +1,4 @@
-"""`canhaptic scope LOG`: a live page on a log as it is written. A process of its own that only reads, for this host."""
+"""`canhaptic scope LOG`: a live page on a growing log. A separate process that only reads, for this host."""
 
 import argparse
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Values of options from their texts, each refused with what was expected."""
+"""Parsers of option values, each with an error that states the expected form."""
 
 import argparse
 import re
@@ -45,7 +45,7 @@ def moment(text: str) -> float:
 
 
 def whole(least: int, most: int) -> Callable[[str], int]:
-    """Returns what reads a whole number within limits."""
+    """Parser of a whole number within limits."""
 
     def read(text: str) -> int:
         if not _DIGITS.fullmatch(text) or not least <= int(text) <= most:
