@@ -1,4 +1,4 @@
-"""Words for the codes of CiA 301 and IEC 61800-7-201 (CiA 402): SDO aborts, EMCY error codes, NMT, controlwords."""
+"""Texts for the codes of CiA 301 and IEC 61800-7-201 (CiA 402): SDO aborts, EMCY error codes, NMT, controlwords."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -148,17 +148,17 @@ _CONTROLWORD_TEXTS: Final = (  # (mask, value, command), IEC 61800-7-201, table 
 
 
 def emcy_text(code: int) -> str:
-    """Returns words for an EMCY error code: its own, else those of its group (0x8611 -> 0x8600 -> 0x8000)."""
+    """Text of an EMCY error code: its own, else that of its group (0x8611 -> 0x8600 -> 0x8000)."""
     return _of_code_or_group(_EMCY_TEXTS, code) or "unknown error code"
 
 
 def emcy_remedy(code: int, silence: float, skipped: int) -> str:
-    """Returns what to do about an EMCY error code; "" where the code belongs to the drive's own manual.
+    """Remedy for an EMCY error code; "" where the code belongs to the drive's own manual.
 
     Args:
         code: Error code (0x603F).
         silence: Silence of this computer that the drive is set to tolerate [s].
-        skipped: SYNCs that this computer left out.
+        skipped: Number of SYNCs that this computer skipped.
     """
     return _of_code_or_group(_EMCY_REMEDIES, code).format(silence=silence * 1e3, skipped=skipped)
 
@@ -170,7 +170,7 @@ def _of_code_or_group(texts: Mapping[int, str], code: int) -> str:
 
 
 def sdo_abort_text(code: int) -> str:
-    """Returns words for an SDO abort code."""
+    """Text of an SDO abort code."""
     return _SDO_ABORT_TEXTS.get(code, "unknown abort code")
 
 

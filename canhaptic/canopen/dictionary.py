@@ -1,4 +1,4 @@
-"""An object dictionary as its users see it: what a drive lists, whichever reader made it."""
+"""Interface of an object dictionary, for any reader."""
 
 from collections.abc import Iterator
 from typing import Any, Protocol
@@ -40,7 +40,7 @@ class Dictionary(Protocol):
         """Yields the indices."""
 
     def __getitem__(self, index: int, /) -> Any:
-        """Returns an object: a `Variable`, or what has some in `subindices`."""
+        """An object: a `Variable`, or an entry with `subindices`."""
 
     def get_variable(self, index: int, subindex: int = 0) -> Variable | None:
         """Returns an object or one of its subindices; None where it is not listed."""

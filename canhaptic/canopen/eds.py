@@ -1,4 +1,4 @@
-"""Reads any CiA 306 object dictionary (EDS or DCF) into a `canopen.ObjectDictionary`, tolerant of what vendors write.
+"""Reader of any CiA 306 object dictionary (EDS or DCF) into a `canopen.ObjectDictionary`, tolerant of vendors.
 
 `canopen.import_od` raises on empty entries (`PDOMapping=`, `NrOfRXPDO=`), on Latin-1 text and on a subindex listed
 before its object; it reads a hexadecimal default of a signed object as a large positive number and keeps the node ID
@@ -14,7 +14,7 @@ of the computer that saved a DCF. This reader returns the same types and differs
 - a value that its own type cannot hold counts as not given;
 - a record or array without subindex 0 gets one without value, writable if its first member is.
 
-What cannot be read at all raises `DictionaryError` with file and section.
+An unreadable file raises `DictionaryError` with file and section.
 """
 
 import re
@@ -44,7 +44,7 @@ _Sections = dict[str, _Entries]
 
 
 class _Source(NamedTuple):
-    """A parsed file: the sections by lower-case name, and what every reader below needs to know of it."""
+    """A parsed file: the sections by lower-case name, and the context of every reader below."""
 
     path: Path
     sections: _Sections
@@ -59,7 +59,7 @@ def read_dictionary(path: str | Path, node_id: int) -> ObjectDictionary:
     """Returns the object dictionary of a drive as its EDS or DCF states it, for one node ID.
 
     `value` of a variable is the ParameterValue of a DCF, `default` its DefaultValue; both are None when not given.
-    Who reads the same content again gets the same object: do not change it.
+    Repeated reads of the same content return the same object: do not change it.
 
     Args:
         path: An .eds or .dcf file.
@@ -235,7 +235,7 @@ def _read_subindices(source: _Source, dictionary: ObjectDictionary) -> None:
 
 
 def _add_counts(dictionary: ObjectDictionary) -> None:
-    """Adds subindex 0 to the records and arrays that lack it; what it holds only the drive knows."""
+    """Add subindex 0 to the records and arrays that lack it; only the drive knows its value."""
     for holder in dictionary.values():
         if not isinstance(holder, ODVariable) and holder.subindices and 0 not in holder.subindices:
             first = holder.subindices[min(holder.subindices)]
@@ -314,7 +314,7 @@ def _value(source: _Source, variable: ODVariable, text: str) -> Any:
 
 
 def _held_by(variable: ODVariable, number: int) -> int | None:
-    """Returns the number as the variable's type holds the same bits; None when it has no room for it."""
+    """The number with the same bits in the variable's type; None when the type has no room for it."""
     if variable.data_type not in (*datatypes.INTEGER_TYPES, datatypes.BOOLEAN):
         return None
     bits = 1 if variable.data_type == datatypes.BOOLEAN else len(variable)

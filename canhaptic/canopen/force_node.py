@@ -1,4 +1,4 @@
-"""A force sensor that is a node of its own: which frame it answers a SYNC with, and where its value is in it.
+"""A force sensor with a node of its own: the frame with which it answers a SYNC, and the place of its value.
 
 A CiA 404 transducer sends its process value (0x6130, 0x7130 or 0x9130) in TPDO 1, at 0x180 + its node ID. Any other
 sensor that answers the SYNC with one frame is described in the same way.
