@@ -1,4 +1,4 @@
-"""What this computer needs from a scene: its buses and how many drives are on each. The models of a scene fit."""
+"""Settings of a scene for this computer: its buses and the number of drives on each. The models of a scene fit."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol

@@ -1,4 +1,4 @@
-"""What python-can's interfaces take and need: the options each accepts, and what to do when one cannot be opened.
+"""Options and requirements of python-can's interfaces, and the remedy when one cannot be opened.
 
 Most backends take `**kwargs` and drop what they do not know, so that a misspelt option would vanish. The options are
 therefore read from the source of the backend, which needs neither its driver nor its device.
@@ -47,7 +47,7 @@ logging.getLogger("can").addHandler(logging.NullHandler())  # our error names mi
 
 
 def _known_interfaces() -> list[str]:
-    """Returns the names of all interfaces that python-can offers here, plugins included."""
+    """Names of all interfaces that python-can offers here, plugins included."""
     return sorted(BACKENDS)
 
 
@@ -74,7 +74,7 @@ def _accepted_options(interface: str) -> frozenset[str] | None:
 
 
 def _class_definition(module: str, name: str) -> ast.ClassDef | None:
-    """Returns the class as its source has it, in the module itself or in one of a package; nothing is imported."""
+    """Class definition in the source of a module, or of one in a package; nothing is imported."""
     try:
         spec = importlib.util.find_spec(module)
     except (ImportError, ValueError):
@@ -91,7 +91,7 @@ def _class_definition(module: str, name: str) -> ast.ClassDef | None:
 
 
 def _read_from(function: ast.FunctionDef, kwargs: str) -> Iterator[str]:
-    """Yields the keys that a function takes out of its `**kwargs`."""
+    """Yield the keys that a function reads from its `**kwargs`."""
     for node in ast.walk(function):
         key: ast.expr | None = None
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.args:
@@ -108,7 +108,7 @@ def _read_from(function: ast.FunctionDef, kwargs: str) -> Iterator[str]:
 
 
 def interface_faults(bus: BusSettings) -> list[tuple[str, str]]:
-    """Returns (key of `bus`, what is wrong) for an interface or option that python-can would not take or would drop."""
+    """Faults as (key of `bus`, text) of an interface or option that python-can would refuse or ignore."""
     if bus.interface not in BACKENDS:
         known = ", ".join(_known_interfaces())
         return [("interface", f"got {bus.interface!r}, expected one of: {known}{nearest(bus.interface, BACKENDS)}")]
@@ -124,7 +124,7 @@ def interface_faults(bus: BusSettings) -> list[tuple[str, str]]:
 
 
 def opening_error(bus: BusSettings, channel: str | int | None, error: Exception) -> CanHapticError:
-    """Returns the one error for an interface that could not be opened: what happened, and what to do.
+    """Error for an interface that could not be opened: the cause and the remedy.
 
     Bad input where python-can lacks the interface, its driver or library; a link fault where the device fails.
     """

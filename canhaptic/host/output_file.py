@@ -1,4 +1,4 @@
-"""Files that a command writes: regular ones alone, no symbolic link followed, each replaced whole or not at all."""
+"""Output files of a command: regular ones alone, no symbolic link followed, each replaced whole or not at all."""
 
 import os
 import secrets
@@ -14,7 +14,7 @@ _NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL
 
 
 def why_not_written(path: Path) -> str:
-    """Returns why nothing is written onto a path; empty where there is a regular file or nothing."""
+    """Reason why a path cannot be written; empty where there is a regular file or nothing."""
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:
@@ -37,11 +37,11 @@ def require_writable_place(path: Path) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yields a new, empty file in the folder of `path`; it takes the place of `path` if the block ends well.
+    """Yield a new, empty file in the folder of `path`; it replaces `path` if the block ends well.
 
     Raises:
-        InputError: At `path` is something that must not be replaced.
-        OSError: The new file cannot be made.
+        InputError: `path` is something that must not be replaced.
+        OSError: The new file cannot be created.
     """
     require_writable_place(path)
     temporary = path.with_name(f".{path.stem}.{secrets.token_hex(8)}{path.suffix}")

@@ -1,6 +1,6 @@
-"""What the thread that runs the cycle asks of the operating system, and what it was granted.
+"""Real-time settings of the thread that runs the cycle: requested and granted.
 
-Nothing is asked that the configuration does not name, a refusal never stops a run, and everything is given back at the
+Only what the configuration names is requested, a refusal never stops a run, and everything is released at the
 end. Another platform, a container or a missing privilege refuses; the report says so in the system's own words.
 """
 
@@ -19,7 +19,7 @@ GRANTED: Final = "granted"
 
 
 class RealtimeParameters(Parameters):
-    """What to ask for; nothing by default."""
+    """Requested settings; none by default."""
 
     priority: Annotated[int, quantity("1", ge=1, le=99)] | None = None
     """SCHED_FIFO priority of the thread that runs the cycle; threads and processes it starts do not inherit it."""
@@ -32,10 +32,10 @@ class RealtimeParameters(Parameters):
 
 
 class Realtime:
-    """Asks at `begin`, gives back at `end`.
+    """Requests the settings at `begin`, releases them at `end`.
 
     Args:
-        parameters: What to ask for.
+        parameters: Requested settings.
 
     Attributes:
         report: By name of the parameter: "granted", or "refused: " and why. Empty before `begin`.
@@ -47,7 +47,7 @@ class Realtime:
         self.report: dict[str, str] = {}
 
     def begin(self) -> None:
-        """Asks for everything, for the calling thread; what was asked before is given back first."""
+        """Request everything for the calling thread, after releasing earlier settings."""
         self.end()
         self.report = {}
         asked = self._parameters
@@ -61,7 +61,7 @@ class Realtime:
             self._ask("priority", partial(self._raise_priority, asked.priority))
 
     def end(self) -> None:
-        """Gives everything back; a second call does nothing. To be called in the thread that began."""
+        """Release everything; a second call does nothing. To be called in the thread that began."""
         self._undo.close()
 
     def _ask(self, name: str, ask: Callable[[], None]) -> None:

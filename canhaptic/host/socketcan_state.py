@@ -1,12 +1,12 @@
-"""Looks at SocketCAN interfaces before a run: what the kernel reports, compared with what the scene asks for.
+"""Check of SocketCAN interfaces before a run: the kernel's report, compared with the scene.
 
-The kernel is asked through `ip -details -statistics -json link show`. What is wrong refuses the run; what is only
-unwise, or unknown, is a note.
+The kernel is asked through `ip -details -statistics -json link show`. A fault refuses the run; an unwise or unknown
+setting is a note.
 
 Bus-off (the controller gave up after too many errors) ends a run, and nothing may bring it back to life unseen. With
 `restart-ms 0` the controller stays off until a person restarts it. With a restart after the rig has certainly stopped
-(`stop_cycles` sample times) the bus comes back to drives that are disabled. A restart before that would let a run go
-on as if nothing had been, and is refused.
+(`stop_cycles` sample times) the bus comes back to drives that are disabled. A restart before that would let a run
+continue unnoticed, and is refused.
 """
 
 import json
@@ -39,10 +39,10 @@ class PreflightFinding(NamedTuple):
 
 
 def preflight(scene: RigSettings, run: Runner | None = None) -> list[PreflightFinding]:
-    """Returns what the kernel says of every SocketCAN interface of a scene; nothing for other interfaces.
+    """The kernel's report on every SocketCAN interface of a scene; none for other interfaces.
 
     Args:
-        scene: Names the interfaces.
+        scene: Scene that names the interfaces.
         run: Runs a command and returns what it printed; `ip` itself by default.
     """
     findings = []
@@ -54,13 +54,13 @@ def preflight(scene: RigSettings, run: Runner | None = None) -> list[PreflightFi
 
 
 def all_links_are_virtual(scene: RigSettings, run: Runner | None = None) -> bool:
-    """Returns whether no bus of a scene can have a real drive, as the kernel says it.
+    """Whether no bus of a scene can have a real drive, according to the kernel.
 
     That is so for the virtual bus of this process and for SocketCAN interfaces of the kinds vcan and vxcan. The name of
     an interface does not count. An interface of which the kernel says nothing counts as real.
 
     Args:
-        scene: Names the interfaces.
+        scene: Scene that names the interfaces.
         run: Runs a command and returns what it printed; `ip` itself by default.
     """
     return all(_is_virtual(bus.parameters, run or _run) for bus in scene.buses)
@@ -81,10 +81,10 @@ def _question(channel: str) -> list[str]:
 
 
 def require_preflight(scene: RigSettings, run: Runner | None = None) -> list[PreflightFinding]:
-    """Returns the notes of a preflight in which nothing speaks against a run.
+    """Notes of a preflight without a reason against a run.
 
     Raises:
-        LinkError: Something does; lists every reason.
+        LinkError: There is such a reason; lists every one.
     """
     findings = preflight(scene, run)
     refused = [f for f in findings if f.severity == "refused"]
@@ -94,11 +94,11 @@ def require_preflight(scene: RigSettings, run: Runner | None = None) -> list[Pre
 
 
 def _inspect_interface(channel: str, bus: BusSettings, axes: int, run: Runner) -> list[PreflightFinding]:
-    """Returns what the kernel says of one interface.
+    """The kernel's report on one interface.
 
     Args:
         channel: Name of the interface.
-        bus: What is asked of it.
+        bus: Settings of the bus.
         axes: Drives on it.
         run: Runs a command and returns what it printed.
     """
@@ -120,7 +120,7 @@ def _inspect_interface(channel: str, bus: BusSettings, axes: int, run: Runner) -
 
 
 def _judge_link(channel: str, link: Mapping[str, Any], bus: BusSettings, axes: int) -> list[PreflightFinding]:
-    """Returns what one entry of `ip -json` says of an interface, judged."""
+    """Findings about an interface from its entry of `ip -json`."""
     judged = _Judged(channel)
     if link.get("link_type") != "can":
         judged.refuse("link type", link.get("link_type"), "expected can; name a CAN interface in bus.channel")
@@ -140,22 +140,22 @@ def _judge_link(channel: str, link: Mapping[str, Any], bus: BusSettings, axes: i
 
 
 class _Judged:
-    """Takes what was found of one interface."""
+    """Collects the findings about one interface."""
 
     def __init__(self, channel: str) -> None:
         self.channel = channel
         self.findings: list[PreflightFinding] = []
 
     def well(self, item: str, seen: object, text: str = "") -> None:
-        """Takes a property that is as it should be."""
+        """Add a property that is as it should be."""
         self._add(item, seen, "well", text)
 
     def note(self, item: str, seen: object, text: str) -> None:
-        """Takes one that is unwise, or unknown."""
+        """Add one that is unwise, or unknown."""
         self._add(item, seen, "note", text)
 
     def refuse(self, item: str, seen: object, text: str) -> None:
-        """Takes one that forbids a run."""
+        """Add one that forbids a run."""
         self._add(item, seen, "refused", text)
 
     def _add(self, item: str, seen: object, severity: _Severity, text: str) -> None:
