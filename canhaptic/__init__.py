@@ -95,7 +95,7 @@ __all__ = list(_PUBLIC)
 
 
 def __dir__() -> list[str]:
-    """Returns the public names, and the two modules that hold the others."""
+    """The public names, and the two modules that hold the others."""
     return sorted([*__all__, *_MODULES])
 
 

@@ -36,7 +36,7 @@ _UNCHANGED: Final = (
 
 
 class _CycleLog(Protocol):
-    """Where cycles are written to; `append` must not block the control thread."""
+    """Log of the cycles; `append` must not block the control thread."""
 
     def append(
         self,
@@ -51,7 +51,7 @@ class _CycleLog(Protocol):
         """Takes one cycle."""
 
     def event(self, sync_index: int, kind: str, port: str, text: str) -> None:
-        """Takes something that happened once."""
+        """Take a single event."""
 
 
 class Cycle:
@@ -60,20 +60,20 @@ class Cycle:
     Args:
         rig: Started by `run`.
         controllers: One per axis of the rig, in its order; none for the axes of groups.
-        log: Where every cycle goes; None for none.
-        truths: What the simulated axes really did, read right after their SYNC; None with real drives.
+        log: Log of every cycle; None without one.
+        truths: True motion and energy of the simulated axes, read right after their SYNC; None with real drives.
         groups: Axes that render together, each group with one account.
-        axis_meters: What is known of the sensors and the device of each axis; None where they are ideal.
-        loss_meters: Of the ports that may give out only so much energy.
-        jitters: Part of a sample time by which a hold of each axis may differ from it; None: that is not watched.
+        axis_meters: Accuracy of the sensors and the device of each axis; None where they are ideal.
+        loss_meters: Meters of the ports with a limit on the energy given out.
+        jitters: Largest deviation of a hold of each axis from its sample time, as a part of it; None: not checked.
 
     Raises:
         InputError: There is not one controller for each axis.
 
     Attributes:
         ledgers: The account of each axis; of one in a group its part of the interaction.
-        meters: What is known of axes and groups in addition to their ledgers.
-        judge: What the simulated plant says of them; None without truth.
+        meters: Figures of axes and groups in addition to their ledgers.
+        judge: Comparison with the simulated plant; None without truth.
         timing: Durations of each part of the cycle; nothing is counted at free pace.
         cycles: Cycles completed.
         uneven: Holds that were longer or shorter than `sync_jitter` declares.
@@ -153,7 +153,7 @@ class Cycle:
         self._account(samples, balances, truths)
 
     def _withdraw(self, balances: list[EnergyBalance], jitters: Sequence[int]) -> None:
-        """Withdraws the certificates of a hold that was longer or shorter than they were proved for."""
+        """Withdraw the certificates of a hold that was longer or shorter than they were proved for."""
         broken = [self.rig.uneven > jitter for jitter in jitters]
         for axis in self._axes:
             if broken[axis]:
@@ -167,7 +167,7 @@ class Cycle:
         self.uneven += 1
 
     def _lost(self, meter: EnergyLossMeter) -> str:
-        """Returns by which port too much energy went out, and how much; "" where that is in doubt."""
+        """Port that gave out too much energy, and how much; "" where that is uncertain."""
         unsure = sum(map(self._likely_doubt, meter.axes))
         supplied = sum(g.supplied + g.balance.supplied for g in self.groups if g.name == meter.name)
         if meter.energy + supplied + unsure >= meter.floor:
@@ -176,7 +176,7 @@ class Cycle:
         return f"{meter.name}: sum of interaction {meter.energy + supplied:.3g} J, {limit}"
 
     def _likely_doubt(self, axis: int) -> float:
-        """Returns the largest error of the energy of an axis [J], without commands that may have been lost unseen.
+        """Largest likely error of the energy of an axis [J], without commands that may have been lost unseen.
 
         Where nothing is read back, counting those would make every loss of energy uncertain, and no rig would stop.
         """
@@ -185,11 +185,11 @@ class Cycle:
         return self.meters.of_axes[axis].measured().energy_resolution - unseen
 
     def fail_log(self, reason: str) -> None:
-        """Ends the run after the cycle under way, because a log of it can no longer be written; from any thread."""
+        """End the run after the present cycle, because a log of it can no longer be written; from any thread."""
         self._log = _FailedLog(reason)
 
     def note_fault(self, error: Exception) -> None:
-        """Writes what ended the run into its log, with the SYNC that found it and the axis that failed."""
+        """Log the cause that ended the run, with the SYNC that found it and the axis that failed."""
         if self._log is not None:
             kind, axis = "emcy" if isinstance(error, EmergencyError) else "fault", getattr(error, "axis", "")
             self._log.event(self.rig.sync_index, kind, axis, str(error))
@@ -197,7 +197,7 @@ class Cycle:
     def _account(
         self, samples: Sequence[Sample], balances: Sequence[EnergyBalance], truths: Sequence[Truth] | None
     ) -> None:
-        """Everything that may happen after the torque is on its way."""
+        """Everything that may wait until the torque has been sent."""
         rig, log = self.rig, self._log
         index, deadline, timing = rig.sync_index, rig.deadline_index, rig.timing
         for axis in self._axes:
@@ -249,22 +249,22 @@ class _FailedLog:
         raise LogWriteError(f"{self._reason}; the run was stopped (log.on_failure: continue lets it go on)")
 
     def event(self, *_event: object) -> None:
-        """Takes nothing."""
+        """No-op."""
 
 
 class EnergyAudit:
-    """Compares the energy each ledger believes in with the energy the simulated plant really took or gave.
+    """Compares the accounted energy of each ledger with the true energy of the simulated plant.
 
     Args:
-        axes: How many the rig has.
+        axes: Number of axes of the rig.
         groups: Axes that render together.
 
     Attributes:
         least: Least true sum of h_i after any hold, per axis, then per group: of its motors and movers together [J].
         least_at_handle: The same with what friction and bearings have dissipated [J].
         interaction: True sum of h_i, per axis and group [J].
-        dissipated: By friction and bearings, per axis and group [J].
-        believed_error: Largest |believed - true| sum of h_i after any hold, per axis and group [J].
+        dissipated: Energy dissipated by friction and bearings, per axis and group [J].
+        believed_error: Largest |accounted - true| sum of h_i after any hold, per axis and group [J].
     """
 
     def __init__(self, axes: int, groups: Sequence[AxisGroup] = ()) -> None:
@@ -280,9 +280,10 @@ class EnergyAudit:
         """Takes the truth of the SYNC whose balances the ledgers have just taken.
 
         Args:
-            ledgers: Of each axis.
-            truths: Of each axis.
-            balances: Of each axis; where its position was lost, nothing was booked and belief waits for the next.
+            ledgers: Ledger of each axis.
+            truths: True energies of each axis.
+            balances: Balance of each axis; where its position was lost, nothing was booked and the comparison waits for
+                the next.
         """
         for axis in self._axes:
             _, (motor, _, dissipated, _) = truths[axis]
@@ -314,12 +315,12 @@ def run(
     stop_requested: Callable[[], bool] = lambda: False,
     progress: Callable[[int], None] | None = None,
 ) -> None:
-    """Starts the rig, walks the route, and stops the rig on every way out.
+    """Start the rig, run the cycle, and stop the rig on every way out.
 
     Args:
         cycle: The rig and its controllers.
-        cycles: How many cycles to walk; None: until stopped.
-        stop_requested: Asked before each cycle; True ends the run by the operator's stop.
+        cycles: Number of cycles to run; None: until stopped.
+        stop_requested: Called before each cycle; True ends the run by the operator's stop.
         progress: Called with the number of completed cycles, once per cycle; must be cheap.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Everything canhaptic raises.
+"""All exceptions of canhaptic.
 
     CanHapticError                       exit status
     |- InputError (ValueError)               2   bad input, found before any torque
@@ -41,7 +41,7 @@
 A rig that stops by itself raises one of the innermost, by the reason in `canhaptic.drive.profile.link_policy`, with
 the last thousand records.
 
-Every message says what happened, the value seen, the limit, and what to do.
+Every message states what happened, the value seen, the limit, and what to do.
 """
 
 from collections.abc import Sequence
@@ -64,7 +64,7 @@ class ParameterError(InputError):
     """A parameter outside its physical range; names the value and the limit.
 
     Attributes:
-        part: What refuses: the type of an effect, or a key; "" where the message is of a whole section.
+        part: Origin of the refusal: the type of an effect, or a key; "" where the message concerns a whole section.
     """
 
     def __init__(self, message: str, part: str = "") -> None:
@@ -85,11 +85,11 @@ class SceneError(InputError):
 
 
 class OldNameWarning(FutureWarning):
-    """A scene, an override or an option uses a name of an earlier release; the text says what it is called now."""
+    """A scene, an override or an option uses a name of an earlier release; the text gives the present name."""
 
 
 class OverrideWarning(UserWarning):
-    """An override names another type, and keys that only the old one has are dropped; the text says which."""
+    """An override names another type, and keys that only the old one has are dropped; the text lists them."""
 
 
 class SceneConflictError(SceneError):
@@ -101,7 +101,7 @@ class DictionaryError(InputError):
 
 
 class BusBudgetError(InputError):
-    """The periodic frames do not fit the bus at the asked rate; the message shows the arithmetic."""
+    """The periodic frames do not fit the bus at the requested rate; the message shows the arithmetic."""
 
 
 class LogFormatError(InputError):
@@ -217,7 +217,7 @@ class NotFollowingError(DriveFaultError):
 
 
 class TorqueLimitedError(DriveFaultError):
-    """A drive limits its torque (bit 11 of the statusword) and tells in no TPDO what is left of it."""
+    """A drive limits its torque (bit 11 of the statusword) and no TPDO shows the remaining torque."""
 
 
 class ForceRangeError(DriveFaultError):
@@ -269,4 +269,4 @@ class TorqueNotFiniteError(ControlError):
 
 
 class CycleFailedError(ControlError):
-    """Something else was raised in the cycle; `__cause__` is what."""
+    """Another exception in the cycle; `__cause__` holds it."""

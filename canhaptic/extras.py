@@ -11,7 +11,7 @@ _NAME = "canhaptic"
 def install_hint(extra: str) -> str:
     """Returns the command that installs an extra of this package from where the package itself was installed.
 
-    A checkout or a repository is named by its address (PEP 610); without one the package is asked for by its name.
+    A checkout or a repository is named by its address (PEP 610); otherwise the package is named by its name.
 
     Args:
         extra: One of the optional dependencies in pyproject.toml.
@@ -31,7 +31,7 @@ def _requirement(extra: str, origin: dict[str, Any]) -> str:
 
 
 def _origin() -> dict[str, Any]:
-    """Returns what the installer noted of the address; empty where it noted none."""
+    """Address recorded by the installer; empty without one."""
     try:
         text = metadata.distribution(_NAME).read_text("direct_url.json")
     except metadata.PackageNotFoundError:

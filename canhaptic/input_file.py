@@ -1,4 +1,4 @@
-"""Files that a command reads: regular ones alone, since a pipe or a device has no end, and of a bounded size."""
+"""Input files of a command: regular ones alone, since a pipe or a device has no end, and of a bounded size."""
 
 import errno
 import os
@@ -17,7 +17,7 @@ _KINDS: Final = (
 
 
 def kind_of(mode: int) -> str:
-    """Returns what a file is that is no regular one; empty for a regular file."""
+    """Kind of a file that is not regular; empty for a regular file."""
     if stat.S_ISREG(mode):
         return ""
     return next((name for is_kind, name in _KINDS if is_kind(mode)), "no file")
@@ -27,7 +27,7 @@ def require_regular(path: str | Path) -> os.stat_result:
     """Returns the status of a regular file, of which a symbolic link may lead to it.
 
     Raises:
-        OSError: There is none; `strerror` says what is there.
+        OSError: It does not exist or is not regular; `strerror` says which.
     """
     try:
         found = os.stat(path)
@@ -44,8 +44,8 @@ def read_regular(path: str | Path, most: int) -> bytes:
     """Returns the content of a regular file.
 
     Args:
-        path: Its place.
-        most: Bytes that it may hold.
+        path: Path of the file.
+        most: Largest accepted size [bytes].
 
     Raises:
         OSError: It is no regular file, holds more, or cannot be read; `strerror` says which.

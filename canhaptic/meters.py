@@ -1,4 +1,4 @@
-"""What a run knows of its ports in addition to their ledgers, hold by hold: for the account and the rows of the log."""
+"""Figures of a run's ports in addition to their ledgers, hold by hold: for the account and the rows of the log."""
 
 from collections.abc import Sequence
 from math import inf
@@ -17,20 +17,20 @@ _measured: Final = tuple.__new__  # makes a record at half the cost of calling i
 
 
 class Promise(NamedTuple):
-    """What the certificates of a controller rest on in addition to the declarations of hand and device."""
+    """Assumptions behind a controller's certificates in addition to the declarations of hand and device."""
 
     max_consecutive_losses: int = 0  # sample times without a new torque that they survive
     energy_allowance: float = 0.0  # they promise a sum of interaction of minus this at least [J]
 
 
 def promise_of(controller: object) -> Promise:
-    """Returns what a controller declares; the least where it declares nothing."""
+    """Promise of a controller; the weakest where it declares nothing."""
     losses = int(getattr(controller, "max_consecutive_losses", 0))
     return Promise(losses, float(getattr(controller, "energy_allowance", 0.0)))
 
 
 class HeldTorques(Protocol):
-    """What is known of the torques of one axis; `drive.profile.torque_axis` says what each is."""
+    """Torque record of one axis; `drive.profile.torque_axis` documents each value."""
 
     read_back_bound: float
     longest_hold: int
@@ -49,10 +49,10 @@ class ActiveLimits(NamedTuple):
 
 
 def active_limits(accuracies: Sequence[Accuracy], allowance: float) -> ActiveLimits:
-    """Returns below what a port has given out energy for certain.
+    """Thresholds below which a port has given out energy for certain.
 
     Args:
-        accuracies: One for each axis of the port.
+        accuracies: Accuracy of each axis of the port.
         allowance: Energy that it may give out [J].
     """
     floor = -inf if any(accuracy.is_estimate for accuracy in accuracies) else -(allowance + ROUNDING)
@@ -80,7 +80,7 @@ class Activity:
         self.at_handle_since: int | None = None
 
     def take(self, most: float, deadline: int) -> None:
-        """Takes a sum that is below the floor, or was.
+        """Take a sum that is below the floor, or was.
 
         Args:
             most: Booked energy and resolution together [J].
@@ -95,31 +95,31 @@ class Activity:
 
 @runtime_checkable
 class _StatesResolution(Protocol):
-    """A controller that leaves something of its energy open itself."""
+    """A controller that states an uncertainty of its own energy."""
 
     @property
     def energy_resolution(self) -> float: ...
 
 
 class AxisPort:
-    """What is known of one axis.
+    """Figures of one axis.
 
     Args:
-        meter: Of the axis.
-        drive: Of the axis.
-        controller: Renders it; None of an axis in a group.
+        meter: Meter of the axis.
+        drive: Torque record of the axis.
+        controller: Controller that renders it; None for an axis in a group.
 
     Attributes:
-        activity: When it was active.
-        drives: Of the port.
+        activity: First times at which it was active.
+        drives: Torque records of the port.
         least_at_handle: Least sum of interaction and certain dissipation of the device after any hold [J]; None where
             no damping of the device is declared.
         contacts: Holds in contact.
-        silent: Those of them whose next torque is none.
-        damping: Sum of the damping that was rendered in contact [N*s/m].
-        asked: Sum of the effort that the environment of an axis asked for [N].
-        rendered: What was rendered there [N].
-        sizes_asked: Sum of the sizes of that effort, each as far as the drive may give it [N].
+        silent: Those of them whose next torque is zero.
+        damping: Sum of the damping rendered in contact [N*s/m].
+        asked: Sum of the effort requested by the environment of an axis [N].
+        rendered: Sum of the effort rendered there [N].
+        sizes_asked: Sum of the sizes of that effort, each at most the drive's limit [N].
         sizes_sent: Sum of the sizes of the torques that were sent there [N].
     """
 
@@ -139,12 +139,12 @@ class AxisPort:
         self.least_at_handle = 0.0 if self._is_damped else None
 
     def take(self, sample: Sample, balance: EnergyBalance, ledger: Ledger, sent: float) -> Measured:
-        """Takes a hold; returns what is known.
+        """Take a hold; return the figures so far.
 
         Args:
-            sample: At its end.
-            balance: Of the hold; one that was not booked waits for the next position.
-            ledger: That took it.
+            sample: Sample at its end.
+            balance: Balance of the hold; one that was not booked waits for the next position.
+            ledger: Ledger that took it.
             sent: Sample times from the first SYNC to its end, which may be late.
         """
         meter, branch = self._meter, balance[_BRANCH]
@@ -177,11 +177,11 @@ class AxisPort:
 
     @property
     def friction_excess(self) -> float | None:
-        """Force beyond declared friction and hand that the axis showed [N or N*m]; None where it is not watched."""
+        """Force beyond declared friction and hand that the axis showed [N or N*m]; None without that check."""
         return None if self._meter.watch is None else self._meter.watch.excess
 
     def measured(self) -> Measured:
-        """Returns what is known."""
+        """Figures so far."""
         return self._measured(self._resolution())
 
     def _resolution(self) -> float:
@@ -195,19 +195,19 @@ class AxisPort:
 
 
 class GroupPort:
-    """What is known of a group.
+    """Figures of a group.
 
     Args:
-        meters: Of its axes.
-        drives: Of its axes.
+        meters: Meters of its axes.
+        drives: Torque records of its axes.
         group: Axes that render together.
 
     Attributes:
-        activity: When the group was active; by the sum of its axes, never by one of them.
+        activity: First times at which the group was active, by the sum of its axes, never by one of them.
         drives: As given.
-        least_at_handle: As of an axis, where damping is declared of every axis.
-        contacts: As of an axis.
-        silent: As of an axis.
+        least_at_handle: As for an axis, where damping is declared for every axis.
+        contacts: As for an axis.
+        silent: As for an axis.
     """
 
     __slots__ = ("_group", "_lowest", "_meters", "activity", "contacts", "drives", "least_at_handle", "silent")
@@ -220,7 +220,7 @@ class GroupPort:
         self.least_at_handle = 0.0 if all(meter.is_damped for meter in self._meters) else None
 
     def take(self, _sample: Sample, balance: EnergyBalance, ledger: Ledger, sent: float) -> Measured:
-        """Takes a hold, behind the axes of the group; returns what is known. See `AxisPort.take`."""
+        """Take a hold, after the axes of the group; return the figures so far. See `AxisPort.take`."""
         if balance.branch not in OUT_OF_CONTACT:
             self.contacts += 1
             if not balance.torque:
@@ -241,7 +241,7 @@ class GroupPort:
         return left + sum([drive.read_back_bound for drive in self.drives])
 
     def measured(self) -> Measured:
-        """Returns what is known."""
+        """Figures so far."""
         return Measured(
             self._resolution(),
             sum([meter.dissipated for meter in self._meters]),
@@ -253,18 +253,18 @@ class GroupPort:
 
 
 class RunMeters:
-    """The meters of all axes, and their sums for axes and groups.
+    """Meters of all axes, and their sums for axes and groups.
 
     Args:
         axes: One for each axis.
-        drives: Of the axes.
-        controllers: Of each axis that is in no group, in their order.
+        drives: Torque record of each axis.
+        controllers: Controller of each axis that is in no group, in their order.
         groups: Axes that render together.
 
     Attributes:
         axes: As given.
-        of_axes: What is known of each axis.
-        ports: The same, then of each group.
+        of_axes: Figures of each axis.
+        ports: The same, then figures of each group.
         deadline: Sample times since the first SYNC; ahead of its index where SYNCs were skipped.
     """
 
@@ -294,14 +294,14 @@ class RunMeters:
         deadline: int,
         late: float = 0.0,
     ) -> list[Measured]:
-        """Takes the SYNC whose balances the ledgers have just taken; returns what is known of each port.
+        """Take the SYNC whose balances the ledgers have just taken; return the figures of each port.
 
         Args:
-            samples: Of each axis, then of each group.
-            balances: The same.
-            ledgers: The same.
+            samples: Sample of each axis, then of each group.
+            balances: Balance of each, in the same order.
+            ledgers: Ledger of each, in the same order.
             deadline: Sample times since the first SYNC.
-            late: Time by which the SYNC was later than that [sample times].
+            late: Lateness of the SYNC against it [sample times].
         """
         self.deadline, sent, known = deadline, deadline + late, []
         for place in self._places:  # walked by number, see `Cycle`

@@ -1,4 +1,4 @@
-"""Where the files are that come with the package: `configs/` and `eds/`, in the source tree or as installed."""
+"""Folders of the files in the package: `configs/` and `eds/`, in the source tree or as installed."""
 
 import sysconfig
 from pathlib import Path
@@ -10,7 +10,7 @@ _TREE: Final = Path(__file__).resolve().parent.parent
 
 
 def shipped(folder: str) -> Path:
-    """Returns the folder of that name: next to the package in a source tree, else where its wheel has put it.
+    """Folder of that name: next to the package in a source tree, else where its wheel put it.
 
     Args:
         folder: One of `FOLDERS`.

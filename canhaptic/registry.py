@@ -17,7 +17,7 @@ def load(table: Mapping[str, str], name: str, kind: str) -> Any:
     Args:
         table: Name -> "module:Class".
         name: The name asked for.
-        kind: What the table lists, for the message ("environment", "passivity algorithm", ...).
+        kind: Kind of entries in the table, for the message ("environment", "passivity algorithm", ...).
 
     Raises:
         ParameterError: The name is not in the table; the nearest name is offered.
@@ -35,8 +35,8 @@ def load_algorithm(table: Mapping[str, str], name: str, kind: str, parameters: o
     Args:
         table: As for `load`; every class has a `parameters_type`.
         name: The name asked for.
-        kind: What the table lists.
-        parameters: Of that type; None for its defaults.
+        kind: Kind of entries in the table.
+        parameters: Parameters of its type; None for its defaults.
 
     Raises:
         ParameterError: The name is not in the table, or the parameters are those of another algorithm.
@@ -59,6 +59,6 @@ def nearest(name: str, names: Iterable[str]) -> str:
 
 
 def unknown_key(key: str, names: Iterable[str]) -> str:
-    """Returns what is said of a key that is none of the known ones: the nearest of them, or all."""
+    """Message about an unknown key: the nearest known one, or all."""
     known = sorted(set(names))
     return f"unknown key{nearest(key, known) or '; expected one of: ' + ', '.join(known)}"

@@ -1,12 +1,12 @@
-"""The account of a run as plain values: what `canhaptic run --json` prints and every table and comparison reads.
+"""The account of a run as plain values: the output of `canhaptic run --json`, read by every table and comparison.
 
     {status, config_hash, cycles, verdict, passive, ports: {NAME: {verdict, passive, ...}}, truth: {NAME: {...}},
      timing, link, method}
 
-`passive` is the account's own verdict, from frames alone, on the sum of what came in with the torque of the motor
-(eq. 3); `passive_at_handle`, where a damping of the device is declared, on that sum with what the device has
-dissipated. `plant_passive` and `plant_passive_at_handle` are those of the simulated plant. `verdict` is the word that
-is shown: the plant's where there is one, else the account's.
+`passive` is the account's own verdict, from frames alone, on the sum of the energy that came in against the motor's
+torque (eq. 3); `passive_at_handle`, where a damping of the device is declared, on that sum with the energy that the
+device dissipated. `plant_passive` and `plant_passive_at_handle` are those of the simulated plant. `verdict` is the
+displayed word: the plant's verdict where there is one, else the account's.
 
 A port is an axis or a group of axes. An axis in a group has `group` and what came in and went out by it; the account,
 whether it is passive included, is that of the group, which has `axes`. Energies in [J], times in [s].
@@ -115,12 +115,12 @@ def run_result(
     """Returns the account of a run; energies in [J], times in [s].
 
     Args:
-        cycle: What ran, whether to its end or not.
+        cycle: Cycle after its run, completed or not.
         ports: (name, unit "m" or "rad") of each axis.
         status: "completed", "stopped" or the reason of a stop.
         config_hash: Hash of the configuration in effect.
-        sample_time: [s]
-        method: One line on how the far side was computed; empty with real drives.
+        sample_time: Sample time [s].
+        method: One line on how the rig was simulated; empty with real drives.
     """
     truth = _truth(cycle, [*(name for name, _ in ports), *(group.name for group in cycle.groups)])
     accounts = _accounts(cycle, ports, sample_time, truth)
@@ -177,10 +177,10 @@ def port_account(port: AxisPort | GroupPort, ledger: Ledger, promise: Promise, s
     """Returns the account of a port without its verdicts.
 
     Args:
-        port: What is known of it in addition to its ledger.
-        ledger: Its sums.
-        promise: What its certificates rest on.
-        sample_time: [s].
+        port: Figures of the port in addition to its ledger.
+        ledger: Sums of its ledger.
+        promise: Assumptions behind its certificates.
+        sample_time: Sample time [s].
     """
     measured, least, activity = port.measured(), port.least_at_handle, port.activity
     account: PortResult = {
@@ -209,14 +209,14 @@ def port_account(port: AxisPort | GroupPort, ledger: Ledger, promise: Promise, s
 
 
 def _rendered(meters: RunMeters, axis: int) -> RenderedShares:
-    """Returns how much of what the environment of an axis asked for was rendered."""
+    """Rendered share of the request of an axis's environment."""
     port = meters.of_axes[axis]
     damping = meters.axes[axis].damping_asked * port.contacts
     return rendered_shares(port.asked, port.rendered, damping, port.damping)
 
 
 def rendered_shares(asked: float, given: float, damping_asked: float, damping: float) -> RenderedShares:
-    """Returns how much of effort and damping was rendered in contact, from sums over its holds; None: none asked."""
+    """Rendered shares of effort and damping in contact, from sums over its holds; None if none was requested."""
     return {
         "stiffness": given / asked if asked else None,
         "damping": damping / damping_asked if damping_asked else None,
@@ -224,7 +224,7 @@ def rendered_shares(asked: float, given: float, damping_asked: float, damping: f
 
 
 def withdraw_certificates(account: PortResult, *, longest_gap: int) -> None:
-    """Takes the certificates off an account where a torque acted for longer than they covered, or was not commanded.
+    """Withdraw the certificates of an account where a torque acted longer than they covered, or was not commanded.
 
     The same where one hold had none, being longer or shorter than declared, where the axis moved as it cannot with
     the friction that is declared (`friction_watch`), and where its own energies refute them.
@@ -233,8 +233,8 @@ def withdraw_certificates(account: PortResult, *, longest_gap: int) -> None:
     the torque under way acts for longer, and the one behind it, which counted on a single hold, acts all the same.
 
     Args:
-        account: Of a port; changed.
-        longest_gap: The most sample times between two SYNCs: 1 where none was skipped.
+        account: Account of a port; changed.
+        longest_gap: Largest number of sample times between two SYNCs: 1 where none was skipped.
     """
     covered = account["max_consecutive_losses"] if longest_gap == 1 else 0
     is_broken = account["longest_hold"] > 1 + covered or account.get("uncommanded_cycles", 0)
@@ -251,13 +251,13 @@ def with_groups(
     groups: Mapping[str, Sequence[str]],
     truth: Mapping[str, TruthResult] | None = None,
 ) -> dict[str, PortResult]:
-    """Returns the accounts of axes and groups with the verdicts of each, and with what each says of the other.
+    """Accounts of axes and groups with their verdicts, and the cross-references between them.
 
     Args:
         accounts: Accounts by the name of the port, each formed as if the port were alone.
         groups: Names of the axes of each group. An axis of a group alone proves nothing: its account keeps only the
             energy that came in and went out through it.
-        truth: What the simulated plant says of the ports; None where there is none.
+        truth: Energies of the simulated plant by port; None without a simulation.
     """
     found = {name: account.copy() for name, account in accounts.items()}
     for name, account in found.items():
@@ -280,7 +280,7 @@ def with_groups(
 
 
 def _truth(cycle: Cycle, names: Sequence[str]) -> dict[str, TruthResult]:
-    """Returns what the simulated plant says of each axis, then of each group; nothing with real drives."""
+    """Energies of the simulated plant for each axis, then for each group; none with real drives."""
     judge = cycle.judge
     if judge is None:
         return {}

@@ -4,7 +4,7 @@ from typing import NamedTuple, Protocol
 
 
 class Sample(NamedTuple):
-    """What one axis reported for one SYNC.
+    """Report of one axis for one SYNC.
 
     The torque is the one HELD DURING THE HOLD THAT ENDED at this SYNC, read back from the drive where it can be, so
     that -torque_applied * (position - previous position) is the interaction energy of that hold (eq. 2).
@@ -27,14 +27,14 @@ class PlantEnergy(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """What a simulated axis really did, read at the same SYNC as its Sample."""
+    """True motion and energies of a simulated axis, read at the same SYNC as its Sample."""
 
     position: float  # true position, without encoder [rad or m]
     energy: PlantEnergy
 
 
 class Measured(NamedTuple):
-    """What a run knows of a port besides the balances of its holds; all but the effort are sums since SYNC 0."""
+    """Figures of a port besides the balances of its holds; all but the effort are sums since SYNC 0."""
 
     energy_resolution: float  # largest |booked - true| sum of interaction [J]
     device_dissipated: float  # by what is declared of the device, at least [J]
@@ -45,7 +45,7 @@ class Measured(NamedTuple):
 
 
 class CycleTiming(NamedTuple):
-    """Where the time of one cycle went [ns]."""
+    """Durations within one cycle [ns]."""
 
     wakeup_lateness: int  # from the deadline of the SYNC until it is handed to the bus
     sync_to_last_tpdo: int  # from there to the last position TPDO taken

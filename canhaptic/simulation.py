@@ -53,22 +53,23 @@ class PortAccount:
     """The account of energy of one axis, or of a group of axes. Energies in [J].
 
     Attributes:
-        name: Of the axis or group.
-        energy_in: What came in through the port.
-        energy_out: What went out through it.
-        stored: What the virtual environment holds at the end.
-        dissipated: What it dissipated.
-        deficit: What it gave out beyond what it held, summed.
+        name: Name of the axis or group.
+        energy_in: Energy that came in through the port.
+        energy_out: Energy that went out through it.
+        stored: Energy that the virtual environment stores at the end.
+        dissipated: Energy that it dissipated.
+        deficit: Energy given out beyond the stored energy, summed.
         margin: Least sum of interaction energy less dissipated energy (eq. 4); below 0: not passive.
-        least_interaction: Least sum of interaction energy after any hold (eq. 3), as the controller knows it.
-        true_least_interaction: The same sum by the plant's own energy; NaN for an axis that has none of its own.
+        least_interaction: Least sum of interaction energy after any hold (eq. 3), as accounted by the controller.
+        true_least_interaction: The same sum by the plant's own energy; NaN for an axis without a simulated plant of its
+            own.
         certificate: Weakest certificate of the run by name, `none` where nothing was certified.
         passive: Verdict on `least_interaction` by the account alone; an axis in a group has that of the group.
-        verdict: Word that is shown: the verdict of the simulated plant where it is known, or that nothing was rendered
+        verdict: Displayed word: the verdict of the simulated plant where it is known, or that nothing was rendered
             ("nothing rendered", "no contact", "dry run").
         plant_passive: Verdict by the plant's own energy.
-        active_since: First time at which energy had gone out for certain [s]; None: at no time.
-        advice: Where nothing was rendered: what keeps the torque away and what would help; empty otherwise.
+        active_since: First time at which energy had gone out for certain [s]; None: never.
+        advice: Where nothing was rendered: the cause and the remedy; empty otherwise.
         group: The group that the axis belongs to, whose account counts; empty otherwise.
     """
 
@@ -118,7 +119,7 @@ class Account(Mapping[str, PortAccount]):
 
     @property
     def verdict(self) -> Headline:
-        """The worst word that is shown of any port; see `PortAccount`."""
+        """The worst displayed word of any port; see `PortAccount`."""
         return self._verdict
 
     def __repr__(self) -> str:
@@ -126,15 +127,15 @@ class Account(Mapping[str, PortAccount]):
 
 
 class SimulationResult:
-    """What a simulated run gave: its account, every quantity of its energy log, and pictures.
+    """Result of a simulated run: its account, every quantity of its energy log, and pictures.
 
     The log is kept in a temporary file until the result is deleted; `save` keeps it.
 
     Attributes:
-        scene: What was simulated.
+        scene: The simulated scene.
         account: Energies of each port.
-        error: What ended the run before its time; None for a run that completed.
-        sample_time: [s].
+        error: Error that ended the run early; None for a completed run.
+        sample_time: Sample time [s].
     """
 
     def __init__(
@@ -153,7 +154,7 @@ class SimulationResult:
 
     @property
     def status(self) -> str:
-        """How the run ended: "completed" or "failed: ..."."""
+        """Status of the run: "completed" or "failed: ..."."""
         return str(self.account.raw["status"])
 
     @property
@@ -163,7 +164,7 @@ class SimulationResult:
             return log.time
 
     def log(self) -> EnergyLog:
-        """Opens the energy log of the run, for everything that is not here; close it, or use it as a context.
+        """Open the energy log of the run, for everything not offered here; close it, or use it as a context.
 
         Example:
             >>> with result.log() as log:  # doctest: +SKIP
@@ -174,7 +175,7 @@ class SimulationResult:
     def to_numpy(self) -> dict[str, NDArray[np.float64]]:
         """Returns every sampled quantity of every port as an array of shape (n_cycles,), in SI.
 
-        The name is `PORT.QUANTITY`, such as `handle.position`; `true.PORT.QUANTITY` is what the plant says.
+        The name is `PORT.QUANTITY`, such as `handle.position`; `true.PORT.QUANTITY` is the plant's value.
 
         Example:
             >>> depth = result.to_numpy()["handle.position"].min()  # doctest: +SKIP
@@ -298,14 +299,14 @@ def simulate(
         duration: Length of the run [s], or a text with a unit; by default the scene's.
         progress: Whether a progress bar is shown in a terminal or a notebook.
         allow_code: Whether program files that the scene names (`type: my_wall.py:MyWall`) may run.
-        no_torque: Whether the torque that is sent is 0 always: a dry run, whose requests are in the log.
-        check: Whether a run that ends by itself before its time raises; otherwise the result carries its `error`.
+        no_torque: Whether the torque sent is always 0: a dry run, whose requests are in the log.
+        check: Whether a run that ends early by itself raises; otherwise the result carries its `error`.
 
     Raises:
         SceneError: The scene is wrong; lists every fault.
         InputError: The scene simulates nothing, a change is no plain value, or neither the scene nor the call gives a
             duration.
-        RigError: The run ended before its time, and `check` is true.
+        RigError: The run ended early, and `check` is true.
 
     Example:
         >>> result = canhaptic.simulate("configs/demo.yaml", {"environment.damping": 0.0})  # doctest: +SKIP
@@ -369,7 +370,7 @@ def _plain(value: object) -> object:
 
 
 def _run(experiment: Experiment, cycles: int, progress: bool) -> tuple[RunResult, CanHapticError | None]:
-    """Runs to the end, wherever that is; returns the account and what ended the run before its time."""
+    """Run to the end, normal or not; return the account and the error that ended the run early."""
     error: CanHapticError | None = None
     clock = WallClock()
     begin = clock.now()
@@ -387,7 +388,7 @@ def _run(experiment: Experiment, cycles: int, progress: bool) -> tuple[RunResult
 
 @contextmanager
 def _bar(cycles: int, wanted: bool) -> "Iterator[_Bar | None]":
-    """Yields a progress bar where somebody can see it: in a terminal or a notebook."""
+    """Yield a progress bar in a terminal or a notebook."""
     if not wanted or not (sys.stderr.isatty() or "ipykernel" in sys.modules):
         yield None
         return

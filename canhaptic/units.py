@@ -78,13 +78,13 @@ _LEAST, _MOST = 1e-30, 1e30
 
 @dataclass(slots=True)
 class UnitContext:
-    """Context of a validation by pydantic: in what the axis moves whose parameters are read; None: not known."""
+    """Context of a validation by pydantic: linear or rotary axis whose parameters are read; None: unknown."""
 
     motion: Motion | None = None
 
     @contextmanager
     def moving(self, motion: Motion | None) -> Iterator[None]:
-        """Within the block, parameters belong to an axis that moves in metres or in radians; None: as around it."""
+        """Within the block, parameters belong to an axis that moves in metres or in radians; None: inherited."""
         before = self.motion
         self.motion = motion or before
         try:
@@ -134,7 +134,7 @@ class Unit:
     rotary: str
 
     def accepted(self, motion: Motion | None) -> tuple[str, ...]:
-        """Returns the units that may be used on an axis; both when it is not known in what it moves."""
+        """Units accepted on an axis; both where its kind of motion is unknown."""
         if motion is None:
             return (self.linear,) if self.linear == self.rotary else (self.linear, self.rotary)
         return (self.linear if motion == "m" else self.rotary,)
@@ -269,9 +269,9 @@ def fault_text(fault: ErrorDetails, seen: object, expected: str = "") -> str:
     """Returns one fault of pydantic in words: the value seen and what was expected.
 
     Args:
-        fault: From pydantic.
+        fault: Error of pydantic.
         seen: The value as written.
-        expected: What it should be, as from `Quantity.expected`; empty where only pydantic says it.
+        expected: Expected value, as from `Quantity.expected`; empty where only pydantic describes it.
     """
     kind = fault["type"]
     if kind == "missing":
@@ -286,7 +286,7 @@ def fault_text(fault: ErrorDetails, seen: object, expected: str = "") -> str:
 
 
 def example(field: FieldInfo, motion: Motion | None) -> str:
-    """Returns a value that a field of a model takes, as a shell takes it: `'1 N'`; `...` for what is no number."""
+    """Example value of a field, quoted for a shell: `'1 N'`; `...` for what is not a number."""
     if get_origin(field.annotation) is tuple:
         return "[...]"
     for part in parts_of((field.annotation, *field.metadata)):
