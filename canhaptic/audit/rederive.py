@@ -202,7 +202,7 @@ class _Derivation:
         return list(zip(samples, balances, strict=True))
 
     def accounts(self) -> dict[str, PortResult]:
-        """Accounts of the axes, then of the groups; for an axis in a group, the energy that came in and went out by it."""
+        """Accounts of the axes, then of the groups; of an axis in a group, only the energy through it."""
         scene = self._scene
         rendered = [*(axis.passivity for axis in scene.axes), *(group.passivity for group in scene.groups)]
         known = zip(self.units.items(), self._meters.ports, self._ledgers, rendered, strict=True)
