@@ -6,6 +6,8 @@ from dis import get_instructions
 from types import CodeType, FunctionType
 from typing import TypeVar, cast
 
+from canhaptic.errors import ParameterError
+
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
@@ -67,8 +69,20 @@ def filled(function: _Function, **places: Callable[..., object]) -> _Function:
     Args:
         function: The kernel.
         places: Name of a placeholder that it calls itself -> the function in its place.
+
+    Raises:
+        ParameterError: A function takes another number of arguments than its place.
     """
     kernel = cast(FunctionType, function)
+    for name, given in places.items():
+        place = cast(FunctionType, kernel.__globals__[name]).__code__
+        words, code = place.co_varnames[: place.co_argcount], getattr(given, "__code__", None)  # a builtin has none
+        taken = len(words) if code is None else code.co_argcount
+        if taken != len(words):
+            raise ParameterError(
+                f"{given.__name__}: takes {taken} arguments in the place of {name}, expected {len(words)}: "
+                f"({', '.join(words)}); see docs/extending.md"
+            )
     return cast(_Function, FunctionType(kernel.__code__, {**kernel.__globals__, **places}, kernel.__name__))
 
 

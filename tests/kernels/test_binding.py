@@ -1,5 +1,8 @@
 """A kernel with a placeholder filled, in Python; the old forms of the algorithms judge the numbers."""
 
+import pytest
+
+from canhaptic.errors import ParameterError
 from canhaptic.kernels.binding import bound, filled
 
 
@@ -34,3 +37,12 @@ def test_a_filled_kernel_is_bound_anew_as_any_other() -> None:
         return 1.0
 
     assert bound(pulled, {stiffness_of: soft})(2.0) == 3.0
+
+
+def test_a_function_of_other_arguments_is_refused_where_it_is_put() -> None:
+    with pytest.raises(ParameterError, match=r"^two: takes 2 arguments in the place of respond, expected 1: \("):
+        filled(step, respond=two)
+
+
+def two(first: float, second: float) -> float:
+    return first + second
