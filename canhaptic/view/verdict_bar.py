@@ -27,7 +27,7 @@ def verdict_bar(ports: Mapping[str, PortResult]) -> str:
     """Returns a bar of HTML with the verdicts of every account, and the word of a port where that is another one."""
     said: list[tuple[str, Headline]] = []
     for name, port in ports.items():
-        if port.get("verdict", "yes") not in (port.get("passive", "yes"), port.get("passive_at_handle")):
+        if "verdict" in port and port["verdict"] not in (port.get("passive", "yes"), port.get("passive_at_handle")):
             said.append((headline_text(name, port).plain.strip(), port["verdict"]))
         for key, sum_of in _SUMS.items():
             if key in port:
