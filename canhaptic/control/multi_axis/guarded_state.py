@@ -34,8 +34,6 @@ class GuardedGroupParameters(Parameters):
     max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Consecutive cycles in which any axis may be without a new torque; each costs stiffness. 0: all axes always apply
     together what was sent."""
-    may_cut: bool = False
-    """Whether a drive may cut the torque of one axis by itself, to any part of it; costs stiffness as well."""
 
 
 class GuardedGroupSettings(NamedTuple):
@@ -95,7 +93,7 @@ def settings_of(
     axes = axes_of(loops, parameters.hand_force, parameters.hand_speed)
     _require_certificates(axes, loops)
     loop = group_loop(world, loops)
-    limits = per_axis_limits(axes, delay, parameters.max_consecutive_losses, may_cut=parameters.may_cut)
+    limits = per_axis_limits(axes, delay, parameters.max_consecutive_losses)
     quanta = [loop.torque_quantum for loop in loops]
     return GuardedGroupSettings(
         loop,

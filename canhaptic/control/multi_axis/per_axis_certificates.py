@@ -24,9 +24,6 @@ sent before. Every term is a parabola in l, (1) convex, and the largest l within
 terms that count at the last one, from l = 1 down. Without losses, e = d + 1, (1) serves groups as well: it lets axes
 that bring energy in go first (`inward_first`).
 
-**Torques that are cut.** Where a drive may cut the torque of one axis by itself (`may_cut`), no energy that an axis
-takes in is certain, and no term of (1) counts below 0.
-
 **Torques that come late** (`hold_timing`). In a hold, axis i may then have any course between 0 and the torques of that
 hold; no term counts below 0. It gives out no more than the largest times the way V that it goes along it: for an axis
 that gains a T in the hold, V = D_ij where it begins outward, and V <= (D_ij + a T^2 / 2) / 2 where it turns inside the
@@ -212,7 +209,7 @@ def worst_of(memory: PerAxisMemory, first: int, end: int, share: float, least: f
 
 def given_at_most(limits: PerAxisLimits, memory: PerAxisMemory, share: float) -> tuple[float, float, float]:
     """Returns the parabola A + B l + C l^2 that at a share l is the most that all axes may give out [J]."""
-    least = 0.0 if limits.is_late or limits.may_cut else -inf
+    least = 0.0 if limits.is_late else -inf
     fixed = linear = square = 0.0
     cell = place = 0
     for _ in range(len(memory.largest)):

@@ -17,7 +17,6 @@ class PerAxisLimits(NamedTuple):
     is_ideal: bool  # whether every hold is exact, and no torque late
     is_apart: bool  # whether axes are certified one by one
     is_late: bool  # whether any torque comes late
-    may_cut: bool  # whether a drive may cut the torque of one axis by itself
     responses: Buffer  # T^2 / m of each axis
     roots: Buffer  # of these
 
@@ -44,14 +43,14 @@ class PerAxisMemory(NamedTuple):
     older: Acting  # range of all torques at the last SYNC, (axes,) [N*m or N]
 
 
-def per_axis_limits(axes: AxisLimits, delay: int, losses: int, *, may_cut: bool = False) -> PerAxisLimits:
+def per_axis_limits(axes: AxisLimits, delay: int, losses: int) -> PerAxisLimits:
     """Returns what is fixed for a run."""
     whole = [b + d for b, d in zip(axes.before, axes.during, strict=True)]
     first = max([d / r if r else 0.0 for d, r in zip(axes.during, whole, strict=True)])
     is_late = any(axes.timing.share)
-    is_apart = losses > 0 or may_cut or (len(whole) > 1 and not is_late)
+    is_apart = losses > 0 or (len(whole) > 1 and not is_late)
     return PerAxisLimits(
-        delay, losses, delay + 1 + losses, first, axes.timing.is_ideal, is_apart, is_late, may_cut, whole,
+        delay, losses, delay + 1 + losses, first, axes.timing.is_ideal, is_apart, is_late, whole,
         [sqrt(r) for r in whole],
     )  # fmt: skip
 

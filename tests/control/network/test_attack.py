@@ -32,10 +32,6 @@ LOSSES = {"lost_commands": 0.3, "lost_samples": 0.1}
 KINDS = {
     "together": {},
     "counts, quanta and known limits": {"count": 1e-5, "quantum": 0.01, "limits": (0.5, 5.0)},
-    "a limiter cuts one axis": {"cuts": (0.3, 1e9), "own": {"may_cut": True}},
-    "a limiter cuts one axis, frames lost": {
-        **LOSSES, "cuts": (0.3, 1e9), "max_consecutive_losses": 1, "own": {"may_cut": True},
-    },
     "commands of one axis lost": {"lost_commands": 0.3, "max_consecutive_losses": 1},
     "samples lost": {"lost_samples": 0.2, "max_consecutive_losses": 1},
     "any frame lost": {**LOSSES, "max_consecutive_losses": 1, "delay": 1},
@@ -81,7 +77,6 @@ def search(kind, runs, cycles=150):
 @pytest.mark.slow_for(
     "late, frames lost",
     "three axes, frames lost",
-    "a limiter cuts one axis",
     "commands of one axis lost",
     "samples lost",
     "masses of 100 to 1, frames lost",
@@ -152,7 +147,7 @@ def test_axes_that_act_apart_give_out_energy_unless_that_is_declared(apart):
         for declared in least:
             attack = replace(SLIDING, velocity=velocity, **apart)
             if "cuts" in apart:
-                attack = replace(attack, own={"may_cut": bool(declared)})
+                attack = replace(attack, limits=attack.cuts if declared else None)
             else:
                 attack = replace(attack, max_consecutive_losses=declared)
             least[declared] = min(least[declared], run(attack, rng)[0])
