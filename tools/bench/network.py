@@ -18,8 +18,8 @@ from canhaptic.control.mechanisms.five_bar import FiveBar
 from canhaptic.control.mechanisms.identity import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.group_controller import GroupController
-from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.control.port_hamiltonian.shapes.sphere import Sphere
 from canhaptic.control.port_hamiltonian.shapes.virtual_mass import VirtualMass
@@ -49,7 +49,7 @@ class Followed(NamedTuple):
 def controller_of(environment: Any, kinematics: Any, rate: float, delay: int) -> GroupController:
     """Returns a guarded group of two axes with a hand-force certificate."""
     loop = LoopProperties(sample_time=1.0 / rate, delay=delay, moving_mass=MASS, device_damping_bound=2.0 * FRICTION)
-    parameters = GuardedGroupParameters(hand_force=HAND_FORCE)
+    parameters = GuardedParameters(hand_force=HAND_FORCE)
     return build_group_controller(environment, kinematics, "guarded", parameters, [loop, loop])
 
 

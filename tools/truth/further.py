@@ -79,12 +79,10 @@ def _declared(chance: _Chance, values: dict[str, Any], tags: set[str]) -> dict[s
     """Returns what `guarded` declares in addition; what is said of hand and losses is raised to what they were."""
     found: dict[str, Any] = {}
     drawn, decades = chance.drawn, chance.decades
-    for key, low, high in (
-        *(("energy_allowance", 1e-5, 1e-2), ("hand_speed", 0.05, 1.0), ("alpha", 1.0, 1e4)),
-        ("prediction_holds", 0.05, 1.0),
-    ):
+    for key, low, high in (*(("energy_allowance", 1e-5, 1e-2), ("hand_speed", 0.05, 1.0), ("alpha", 1.0, 1e4)),):
         if drawn(0.08):
             found[key] = decades(low, high)
+    _ = drawn(0.08) and decades(0.05, 1.0)  # of a key that is gone: every seed keeps its scene
     if "alpha" in found:
         found["alpha"] = f"{found['alpha']} s/{values['axes'][0]['unit']}^2"
     if "groups" in values:

@@ -19,7 +19,6 @@ from canhaptic.control.multi_axis.group_rendering import render
 from canhaptic.control.multi_axis.group_shares import UnderWay, free_energy
 from canhaptic.control.multi_axis.guarded_state import (
     GuardedGroupMemory,
-    GuardedGroupParameters,
     GuardedGroupSettings,
     GuardedGroupState,
     memory_of,
@@ -27,12 +26,11 @@ from canhaptic.control.multi_axis.guarded_state import (
 )
 from canhaptic.control.multi_axis.stepped_group import SteppedGroup
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.control.passivity.prediction import observe, observe_mean
 from canhaptic.control.passivity.settlement import settle
 from canhaptic.kernels import Buffer, new
 from canhaptic.units import Parameters
-
-__all__ = ["GuardedGroup", "GuardedGroupParameters"]
 
 _FREE, _START, _EXACT = Branch.FREE.value, Branch.START.value, Branch.EXACT.value
 _DEPLETED, _EXIT = Branch.DEPLETED.value, Branch.EXIT.value
@@ -200,14 +198,14 @@ def branch_of(state: GuardedGroupState, h_i: float, leak: float, deficit: float)
 class GuardedGroup(SteppedGroup):
     """A network rendered as far as the certificates allow."""
 
-    parameters_type: ClassVar[type[Parameters]] = GuardedGroupParameters
+    parameters_type: ClassVar[type[Parameters]] = GuardedParameters
     kernel: ClassVar[GroupKernel] = GroupKernel(settings_of, GuardedGroupState, memory_of, step)
 
     def __init__(
         self,
         environment: NetworkEnvironment,
         kinematics: Kinematics,
-        parameters: GuardedGroupParameters,
+        parameters: GuardedParameters,
         loops: tuple[LoopProperties, ...],
     ) -> None:
         super().__init__(environment, kinematics, parameters, loops)

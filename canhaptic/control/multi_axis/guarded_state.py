@@ -1,7 +1,7 @@
 """Parameters, state and buffers of `guarded` of a group."""
 
 from dataclasses import dataclass, field
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 from canhaptic.control.multi_axis.account_memory import AccountMemory, account_memory
 from canhaptic.control.multi_axis.group_account import AccountSettings, GroupAccount
@@ -10,30 +10,15 @@ from canhaptic.control.multi_axis.group_kernel import Group, GroupLoop, GroupMem
 from canhaptic.control.multi_axis.group_motion import RequestedEfforts, World
 from canhaptic.control.multi_axis.per_axis_memory import per_axis_limits
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded_settings import calm_stiffness_of
-from canhaptic.control.passivity.prediction import PredictedMotion, PredictionSettings, prediction_settings
-from canhaptic.control.recovery import Alpha
+from canhaptic.control.passivity.guarded_settings import GuardedParameters, calm_stiffness_of
+from canhaptic.control.passivity.prediction import (
+    PREDICTION_HOLDS,
+    PredictedMotion,
+    PredictionSettings,
+    prediction_settings,
+)
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, list_of_zeros
-from canhaptic.units import Parameters, quantity
-
-
-class GuardedGroupParameters(Parameters):
-    """Assumptions behind the certificates. Mass and damping of the devices are properties of each axis's loop."""
-
-    hand_force: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = 0.0
-    """Largest force with which the hand pulls each motor axis, Coriolis forces included (`bound`); None: not used."""
-    hand_speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
-    """Largest speed of every motor axis. None: the certificate is not used."""
-    energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
-    """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -energy_allowance."""
-    alpha: Alpha = 0.0
-    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
-    prediction_holds: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.5
-    """Prediction beyond the delay, in holds: 0.5 aims at the middle of the hold, and what is more calms a spring."""
-    max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
-    """Consecutive cycles in which any axis may be without a new torque; each costs stiffness. 0: all axes always apply
-    together what was sent."""
 
 
 class GuardedGroupSettings(NamedTuple):
@@ -80,14 +65,13 @@ class GuardedGroupMemory(NamedTuple):
     scaled: Buffer
 
 
-def settings_of(
-    world: World, parameters: GuardedGroupParameters, loops: tuple[LoopProperties, ...]
-) -> GuardedGroupSettings:
+def settings_of(world: World, parameters: GuardedParameters, loops: tuple[LoopProperties, ...]) -> GuardedGroupSettings:
     """Returns what is fixed for a run.
 
     Raises:
-        ParameterError: No declared property certifies any torque.
+        ParameterError: No declared property certifies any torque, or a group cannot honour a key.
     """
+    _refuse_keys_of_one_axis(parameters)
     sample_time, delay = loops[0].sample_time, loops[0].delay
     late = max([loop.timing.late for loop in loops]) / sample_time
     axes = axes_of(loops, parameters.hand_force, parameters.hand_speed)
@@ -100,14 +84,14 @@ def settings_of(
         AccountSettings(axes, limits, loop.motion.moves),
         credit=parameters.energy_allowance,
         alpha=parameters.alpha,
-        lead=parameters.prediction_holds + delay + late,
+        lead=PREDICTION_HOLDS + delay + late,
         prediction=[
             prediction_settings(
                 loop.moving_mass,
                 loop.device_damping or 0.0,
                 sample_time,
                 delay,
-                parameters.prediction_holds + late,
+                PREDICTION_HOLDS + late,
                 loop.encoder_count,
             )
             for loop in loops
@@ -118,6 +102,27 @@ def settings_of(
         quanta=quanta,
         quantised=any(quanta),
     )
+
+
+def _refuse_keys_of_one_axis(parameters: GuardedParameters) -> None:
+    """Refuses what the certificates of a single axis alone can use.
+
+    Raises:
+        ParameterError: Such a key is declared; it names it.
+    """
+    push, pull = parameters.hand_push or 0.0, parameters.hand_force or 0.0
+    if push > pull:
+        raise ParameterError(
+            f"guarded group: got hand_push {push:g}, expected none above hand_force ({pull:g}); a group knows no way "
+            f"out of its contacts, and hand_force counts along every torque: declare hand_force {push:g}, or leave out "
+            "hand_push"
+        )
+    for key in ("earned_energy", "drag"):
+        if value := getattr(parameters, key):
+            raise ParameterError(
+                f"guarded group: got {key} {value:g}, expected 0; a group keeps no energy for later contacts: leave it "
+                "out, and declare energy_allowance where a contact has to start faster"
+            )
 
 
 def _require_certificates(axes: AxisLimits, loops: tuple[LoopProperties, ...]) -> None:

@@ -16,7 +16,7 @@ from canhaptic.control.certificates.start_energy import start_energy
 from canhaptic.control.certificates.torque_bound import Declared
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.prediction import PredictionSettings, prediction_settings
+from canhaptic.control.passivity.prediction import PREDICTION_HOLDS, PredictionSettings, prediction_settings
 from canhaptic.control.recovery import Alpha, damping_cap
 from canhaptic.errors import ParameterError
 from canhaptic.units import Parameters, quantity
@@ -30,31 +30,35 @@ _LARGEST: Final = 1e9  # [N or N*m]
 
 
 class GuardedParameters(Parameters):
-    """Assumptions behind the certificates. Mass and damping of the device are properties of the loop."""
+    """Assumptions behind the certificates of an axis or a group. Mass and damping of the device are properties of the loop.
+
+    A group refuses what only one axis can honour: `drag`, `earned_energy`, and a `hand_push` above `hand_force`.
+    """
 
     hand_force: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = 0.0
     """Largest force with which the hand pulls out of the contact, or along the torque where a contact has no outside.
-    None: the certificate is not used."""
+    In a group, on each motor axis along any torque, Coriolis forces included. None: the certificate is not used."""
     hand_push: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = None
     """Largest force with which the hand pushes into the contact. It certifies torques that pull the handle back while
-    it leaves the contact (of a damper). None: not known, and the hand force certifies no such torque."""
+    it leaves the contact (of a damper). None: not known, and the hand force certifies no such torque. Where a contact
+    has no outside, and in a group, `hand_force` counts for it."""
     hand_speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
-    """Largest speed of the hand. None: the certificate is not used. Alone it begins only with an energy allowance."""
+    """Largest speed of the hand, in a group of every motor axis. None: the certificate is not used. Alone it begins
+    only with an energy allowance."""
     energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
     """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -energy_allowance."""
     earned_energy: Annotated[float, quantity("J", ge=0.0)] | None = None
     """Energy that came in beyond what is stored, or that the device dissipated, kept for later contacts, so that a
     contact under a hand force starts at any speed. sum(h_i) stays >= 0. None: as much as the environment needs for
-    that, by the hand's force or speed; 0: none."""
+    that, by the hand's force or speed, and none in a group; 0: none."""
     drag: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
     """Largest drag felt in free motion, while less than `earned_energy` is there; 0: none. There too the hand pulls
     away from the environment with no more than `hand_force`."""
     alpha: Alpha = 0.0
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
-    prediction_holds: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.75
-    """Prediction beyond the delay, in holds: 0.5 aims at the middle of the hold, and what is more calms a spring."""
     max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
-    """Consecutive cycles without a new torque at the drive that the certificates survive; each costs stiffness."""
+    """Consecutive cycles without a new torque at the drive, of any axis of a group, that the certificates survive; each
+    costs stiffness. 0 in a group: all axes always apply together what was sent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +128,7 @@ def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> Gu
         torque_step=(loop.torque_rate_limit or inf) * sample_time,
         power_limit=loop.power_limit or inf,
         quantum=loop.torque_quantum,
-        lead=parameters.prediction_holds + loop.delay + late,
+        lead=PREDICTION_HOLDS + loop.delay + late,
         cap=cap,
         damping=cap,
         calm=calm,
@@ -132,7 +136,7 @@ def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> Gu
         damped_stiffness=damped,
         path=speed * sample_time * (1 + loop.delay),
         prediction=prediction_settings(
-            mass, damping, sample_time, loop.delay, parameters.prediction_holds + late, loop.encoder_count
+            mass, damping, sample_time, loop.delay, PREDICTION_HOLDS + late, loop.encoder_count
         ),
         longest_window=max(2, round(_LONGEST_WINDOW / sample_time)) if loop.encoder_count else 0,
         declared=declared_of(parameters, loop, response),

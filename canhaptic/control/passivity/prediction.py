@@ -19,6 +19,8 @@ from typing import Final
 
 from canhaptic.kernels import Buffer
 
+PREDICTION_HOLDS: Final = 0.75
+"""Prediction beyond the delay [holds]: 0.5 aims at the middle of the hold, and what is more calms a spring."""
 _LEARNT: Final = 0.0625
 """Share of an error of prediction by which the force of the hand is corrected in a hold."""
 _RISE_LEARNT: Final = _LEARNT * _LEARNT / 4.0

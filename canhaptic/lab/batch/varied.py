@@ -20,7 +20,7 @@ BATCH_KEYS: Final[dict[str, tuple[str, ...]]] = {
         "stiffness", "damping", "position", "lower", "upper", "hardening", "peak", "pitch", "friction",
         "relaxation_time",
     ),
-    "passivity": (*_LOOP, "hand_force", "hand_speed", "energy_allowance", "alpha", "prediction_holds", "damping_limit"),
+    "passivity": (*_LOOP, "hand_force", "hand_speed", "energy_allowance", "alpha", "damping_limit"),
     "simulation.plant": ("mass", "damping", "initial_position", "initial_velocity"),
     "simulation.user": ("stiffness", "damping", "push", "rest", *(f"motion.{name}" for name in _MOTION)),
     "bus": ("rate",),

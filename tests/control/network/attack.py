@@ -12,8 +12,8 @@ from scipy.linalg import expm
 
 from canhaptic.control.mechanisms.identity import Identity
 from canhaptic.control.multi_axis import build_group_controller
-from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.control.port_hamiltonian.shapes.anisotropic_spring import AnisotropicSpring
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.control.port_hamiltonian.shapes.coupled_handles import CoupledHandles
@@ -135,7 +135,7 @@ def group_of(attack):
     if attack.max_consecutive_losses:
         own["max_consecutive_losses"] = attack.max_consecutive_losses
     mechanism = Identity(axes=len(attack.masses))
-    return build_group_controller(attack.environment, mechanism, "guarded", GuardedGroupParameters(**own), loops)
+    return build_group_controller(attack.environment, mechanism, "guarded", GuardedParameters(**own), loops)
 
 
 class Hand:

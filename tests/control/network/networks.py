@@ -7,10 +7,10 @@ import numpy as np
 from canhaptic.control.mechanisms.identity import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.group_certificates import Acting
-from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
 from canhaptic.control.multi_axis.per_axis_certificates import inward_first, needed_by_hand, share_by_hand, take_sent
 from canhaptic.control.multi_axis.per_axis_memory import per_axis_limits, per_axis_memory
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.control.port_hamiltonian.network import Damper, DoubleWell, Mass, Network, QuadraticForm, Spring
 from canhaptic.control.port_hamiltonian.sampled_network import (
     NetworkState,
@@ -31,7 +31,7 @@ def loops(axes, sample_time=1e-3, delay=0, **known):
 
 def group(environment, axes=2, *, algorithm="guarded", sample_time=1e-3, delay=0, kinematics=None, known=None, **own):
     mechanism = kinematics or Identity(axes=axes)
-    parameters = GuardedGroupParameters(**own) if algorithm == "guarded" else None
+    parameters = GuardedParameters(**own) if algorithm == "guarded" else None
     return build_group_controller(
         environment, mechanism, algorithm, parameters, loops(axes, sample_time, delay, **(known or {}))
     )

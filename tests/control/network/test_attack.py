@@ -7,8 +7,8 @@ import pytest
 
 from canhaptic.control.mechanisms.five_bar import FiveBar as FiveBarKinematics
 from canhaptic.control.multi_axis import build_group_controller
-from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.control.port_hamiltonian.shapes.anisotropic_spring import AnisotropicSpring
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.control.port_hamiltonian.shapes.coupled_handles import CoupledHandles
@@ -209,7 +209,7 @@ def test_lost_frames_cost_stiffness_and_nothing_when_not_declared():
 
 def test_a_group_of_too_many_losses_is_refused():
     with pytest.raises(ValueError, match="16"):
-        GuardedGroupParameters(max_consecutive_losses=17)
+        GuardedParameters(max_consecutive_losses=17)
 
 
 # --- mechanisms -------------------------------------------------------------------------------------------------------
@@ -234,7 +234,7 @@ def five_bar_run(environment: Parameters, delay: int, rate: int, cycles: int, an
         base=0.1, proximal=(0.15, 0.15), distal=(0.2, 0.2), least_sine=0.15
     )  # fmt: skip
     loop = LoopProperties(sample_time=1.0 / rate, delay=delay, moving_mass=1.2e-3, device_damping_bound=0.0)
-    own = GuardedGroupParameters(hand_force=2.0)
+    own = GuardedParameters(hand_force=2.0)
     controller = build_group_controller(environment, kinematics, "guarded", own, [loop, loop])  # type: ignore[arg-type]
     held: tuple[float, ...] = (0.0, 0.0)
     pending = [held] * delay

@@ -12,9 +12,9 @@ from canhaptic.control.mechanisms.transmission import Transmission
 from canhaptic.control.mechanisms.user_function import UserFunction
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.group_motion import world_of
-from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
 from canhaptic.control.multi_axis.stepped_group import SteppedGroup
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.control.port_hamiltonian.network import Network, UserEnergy
 from canhaptic.control.port_hamiltonian.shapes.anisotropic_spring import AnisotropicSpring
 from canhaptic.control.port_hamiltonian.shapes.box import Box
@@ -87,7 +87,7 @@ def group_of(rng):
 
     def make():
         own = {"hand_force": force, "hand_speed": speed, "max_consecutive_losses": losses}
-        kind = GuardedGroupParameters if algorithm == "guarded" else ScaledGroupParameters
+        kind = GuardedParameters if algorithm == "guarded" else ScaledGroupParameters
         parameters = kind(alpha=alpha, **(own if algorithm == "guarded" else {}))
         group = build_group_controller(environment, kinematics, algorithm, parameters, [loop, loop])
         world = world_of(environment, kinematics, (loop, loop))

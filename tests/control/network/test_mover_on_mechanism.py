@@ -8,8 +8,8 @@ import pytest
 
 from canhaptic.control.mechanisms.five_bar import FiveBar
 from canhaptic.control.multi_axis import build_group_controller
-from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.control.port_hamiltonian.shapes.moving_wall import MovingWall
 
 T, MASS = 1e-3, 0.05
@@ -28,7 +28,7 @@ def moved(seed, delay, max_consecutive_losses):
         frequency=rng.uniform(1.0, 10.0),
     )  # fmt: skip
     loop = LoopProperties(sample_time=T, delay=delay, moving_mass=MASS, device_damping_bound=0.0)
-    own = GuardedGroupParameters(hand_force=0.0, max_consecutive_losses=max_consecutive_losses)
+    own = GuardedParameters(hand_force=0.0, max_consecutive_losses=max_consecutive_losses)
     controller = build_group_controller(wall, kinematics, "guarded", own, [loop, loop])
     held, pending, booked, least, strongest = np.zeros(2), [np.zeros(2)] * delay, 0.0, 0.0, 0.0
     for _ in range(400):

@@ -10,7 +10,6 @@ from canhaptic.control.balance import Certificate
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.mechanisms.identity import Identity
 from canhaptic.control.multi_axis import build_group_controller
-from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
@@ -65,9 +64,9 @@ def positions(one, cycles, delay, start=0.003, clip=math.inf, after=None):
 def test_the_account_of_a_guarded_group_is_that_of_guarded(delay, stiffness, damping, own, known, clip):
     wall, plane = pair(stiffness, damping)
     loop = LoopProperties(sample_time=1e-3, delay=delay, **{"moving_mass": 0.25, "device_damping_bound": 0.0, **known})
-    push = {"hand_push": own.get("hand_force", 0.0), "prediction_holds": 0.5, "earned_energy": 0.0}
+    push = {"hand_push": own.get("hand_force", 0.0), "earned_energy": 0.0}
     one = Guarded(wall, GuardedParameters(**push, **own), loop)
-    group = build_group_controller(plane, Identity(axes=1), "guarded", GuardedGroupParameters(**own), [loop])
+    group = build_group_controller(plane, Identity(axes=1), "guarded", GuardedParameters(**own), [loop])
     strongest = richest = worst_torque = worst_energy = 0.0
     for q, held, alone in positions(one, 1000, delay, clip=clip):
         together = group.step([q], [held])
@@ -161,7 +160,7 @@ def test_a_group_is_certified_for_late_torques_and_books_them_at_their_worst(del
         loop = LoopProperties(
             sample_time=1e-3, delay=delay, moving_mass=0.25, device_damping_bound=0.0, current_lag=lag
         )  # fmt: skip
-        parameters = GuardedGroupParameters(hand_force=5.0)
+        parameters = GuardedParameters(hand_force=5.0)
         made.append(
             _OneOfGroup(build_group_controller(pair(1e4, 0.0)[1], Identity(axes=1), "guarded", parameters, [loop]))
         )
@@ -182,7 +181,7 @@ def test_a_group_pressed_into_a_wall_with_late_torques_holds_it(delay):
     loop = LoopProperties(
         sample_time=1e-3, delay=delay, moving_mass=0.25, device_damping_bound=1.0, sync_jitter=0.02, current_lag=1e-4
     )  # fmt: skip
-    plane, own = Plane(normal=(1.0, 1.0), stiffness=2e4, damping=20.0), GuardedGroupParameters(hand_force=1.0)
+    plane, own = Plane(normal=(1.0, 1.0), stiffness=2e4, damping=20.0), GuardedParameters(hand_force=1.0)
     group = build_group_controller(plane, Identity(axes=2), "guarded", own, [loop, loop])
     q, v, pending = 0.01, -0.3, [0.0] * delay
     held = 0.0

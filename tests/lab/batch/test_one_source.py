@@ -50,7 +50,7 @@ def test_windows_over_the_encoder_are_the_scalar_class_to_the_last_bit(count, ha
 
 def test_every_choice_of_an_algorithm_is_the_scalar_class_to_the_last_bit():
     for algorithm, chosen in (
-        ("guarded", {"alpha": "200 s/m^2", "energy_allowance": 1e-3, "hand_speed": 0.5, "prediction_holds": 0.2}),
+        ("guarded", {"alpha": "200 s/m^2", "energy_allowance": 1e-3, "hand_speed": 0.5}),
         ("guarded", {"max_consecutive_losses": 1, "declared_damping": 0.1}),
         ("internal_dissipation", {"alpha": "200 s/m^2"}),
         ("a_priori_dissipation", {"alpha": "200 s/m^2", "rearm": "displacement"}),
