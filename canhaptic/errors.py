@@ -84,10 +84,6 @@ class SceneError(InputError):
         super().__init__("\n".join(self.faults))
 
 
-class OldNameWarning(FutureWarning):
-    """A scene, an override or an option uses a name of an earlier release; the text gives the present name."""
-
-
 class OverrideWarning(UserWarning):
     """An override names another type, and keys that only the old one has are dropped; the text lists them."""
 

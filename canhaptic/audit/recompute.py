@@ -23,6 +23,8 @@ _OUTPUTS: Final = tuple("torque_command" if name == "torque" else name for name 
 _CERTIFICATE: Final = EnergyBalance._fields.index("certificate")
 _NONE: Final = Certificate.NONE.value
 _ROUNDING: Final = 1e-12
+_LAST_OLD_FORMAT: Final = 2
+"""Newest format of the logs of earlier releases."""
 """Largest difference of a sum of energies from the run's own [J]."""
 _BLOCK: Final = 65_536  # rows held in memory at a time
 _ALL: Final = struct.Struct(f"{len(_OUTPUTS)}d")
@@ -174,17 +176,19 @@ def scene_of(log: EnergyLog, config: Path | None = None, *, allow_code: bool = F
         InputError: The scene cannot be read, is not the one of the run, or names other code than ran then.
     """
     from canhaptic.scene.load import load_scene
-    from canhaptic.scene.old_names import RELEASES
+    from canhaptic.scene.old_forms import RELEASES, overrides_now
     from canhaptic.scene.own_code import require_same_code
 
     overrides = log.decoded("config_overrides", list[str]())
+    if log.format_version <= _LAST_OLD_FORMAT:
+        overrides = overrides_now(overrides)
     path = config or Path(str(log.attributes.get("config_source", "")))
     if not path.is_file():
         raise InputError(f"{log.path}: its scene {str(path)!r} is not there; name it with --config")
     scene = load_scene(path, overrides, allow_code=allow_code)
     resolved = log.decoded("config_resolved", dict[str, dict[str, str]]())
     require_same_code(scene.own_code, resolved.get("own_code", {}), str(log.path))
-    if log.attributes.get("config_hash") not in [scene.config_hash(release) for release in (None, *RELEASES)]:
+    if log.attributes.get("config_hash") not in [scene.config_hash(release, resolved) for release in (None, *RELEASES)]:
         raise InputError(
             f"{path}: is not the scene of {log.path}, or was changed since; name the right one with --config"
         )

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from canhaptic.cli.interrupt import INTERRUPTED, PromptEnd, say_interrupted
 from canhaptic.cli.output import print_failure, write_note
-from canhaptic.errors import CanHapticError, InputError, OldNameWarning, OverrideWarning
+from canhaptic.errors import CanHapticError, InputError, OverrideWarning
 
 _COMMANDS: Final = {
     "commission": "walk a new rig from zero torque to a measured configuration, asking before every torque",
@@ -72,7 +72,7 @@ def _run(words: list[str], name: str) -> int:
         if known == name:
             add_options(known, subparser)
     with warnings.catch_warnings():
-        _show_old_names()
+        _show_warnings()
         return _execute(parser.parse_args(words))
 
 
@@ -82,12 +82,12 @@ def add_options(name: str, parser: argparse.ArgumentParser) -> None:
     importlib.import_module(module).OPTIONS[name](parser)
 
 
-def _show_old_names() -> None:
+def _show_warnings() -> None:
     """Show a warning about a scene as one line, like every note; others as Python does."""
     before = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-        if issubclass(category, (OldNameWarning, OverrideWarning)):
+        if issubclass(category, OverrideWarning):
             write_note(f"canhaptic: warning: {message}")
         else:
             before(message, category, *where, **more)

@@ -75,6 +75,7 @@ class EnergyLog:
     Attributes:
         path: The file.
         attributes: Attributes stored with the run (configuration, hashes, versions, ...).
+        format_version: Version of the format; 1 and 2 are of earlier releases.
         ports: Name of the axis -> its quantities; `position`, `torque_command`, `torque_applied`, `h_i`, ...
         truth: The same for the true values of a simulation; empty on a real rig.
         groups: Ports that are groups, and the names of their axes; the accounts of these are the group's.
@@ -89,6 +90,7 @@ class EnergyLog:
         self.path = path
         self._file = file
         self.attributes = {n: _plain(value) for n, value in file.attributes.items() if n not in _OURS}
+        self.format_version = int(file.attributes["format_version"])
         self.sample_time_ns = description.sample_time_ns
         self.rows_lost = description.rows_lost
         self.status = description.status

@@ -19,7 +19,6 @@ from canhaptic.scene.document import MarkedMapping, mark_plain, parse_yaml
 from canhaptic.scene.explain import note_errors, read_mapping
 from canhaptic.scene.layout import SECTIONS, laid_out
 from canhaptic.scene.models import Scene, SceneContext, scene_adapter
-from canhaptic.scene.old_names import rename_old
 from canhaptic.scene.overrides import apply_overrides
 from canhaptic.scene.own_code import CodeUse, OwnCode
 from canhaptic.scene.timing import with_timing
@@ -126,9 +125,7 @@ def _read(
     sections = read_mapping(document, top, faults, ", ".join(SECTIONS))
     if sections is None:
         raise faults.error()
-    rename_old(sections, faults)
     apply_overrides(sections, overrides, faults)
-    rename_old(sections, faults)  # what overrides brought
     code = OwnCode(Path(source).parent, use)
     scene = _validated(sections, laid_out(sections, source, text, overrides, faults), faults, code)
     if scene is None or len(faults):

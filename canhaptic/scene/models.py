@@ -42,7 +42,7 @@ from canhaptic.scene.components import (
 )
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.scene.further_bus import BusName, FurtherBus, NamedBus
-from canhaptic.scene.old_names import Release, in_form_of
+from canhaptic.scene.old_forms import Release, in_form_of
 from canhaptic.scene.own_code import OwnCode
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
@@ -339,12 +339,13 @@ class Scene:
             **({"own_code": dict(self.own_code)} if self.own_code else {}),
         }
 
-    def config_hash(self, release: Release | None = None) -> str:
+    def config_hash(self, release: Release | None = None, logged: Mapping[str, Any] | None = None) -> str:
         """Returns the SHA-256 of the configuration in effect, dictionaries by content.
 
         Args:
-            release: Earlier release whose logs are compared: its names, and its keys that are gone at their default;
-                None for this one.
+            release: Earlier release whose logs are compared: its names, and its keys that are gone; None for this one.
+            logged: Configuration in effect as such a log has it, whose values of keys that are gone count; None: their
+                defaults.
 
         Comments, the order of keys, log paths and the folder of the dictionaries do not change it, nor does it matter
         whether an automatic accuracy was chosen yet: it follows from the rest. Nor do keys of an axis that came after
@@ -360,10 +361,12 @@ class Scene:
             _drop_later(resolved["axes"][axis.parameters.name])
             if self.auto_accuracy is not None and axis.simulation is not None:
                 del resolved["axes"][axis.parameters.name]["simulation"]["accuracy"]
+        for group in self.groups:
+            _drop_later_of_guarded(resolved["groups"][group.name]["passivity"])
         if self.auto_accuracy is not None:
             del resolved["accuracy"]["chosen"]
         if release is not None:
-            resolved = in_form_of(release, resolved, LATER_LOOP_KEYS)
+            resolved = in_form_of(release, resolved, LATER_LOOP_KEYS, logged or {})
         canonical = json.dumps(resolved, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(canonical.encode()).hexdigest()
 
@@ -375,7 +378,10 @@ def _drop_later(axis: dict[str, Any]) -> None:
             del axis["loop"][key]
     if "admittance" in axis and not axis["admittance"]["limit_in_drive"]:
         del axis["admittance"]["limit_in_drive"]
-    passivity = axis["passivity"]
+    _drop_later_of_guarded(axis["passivity"])
+
+
+def _drop_later_of_guarded(passivity: dict[str, Any]) -> None:
     for key, default in (("hand_push", None), ("earned_energy", None), ("drag", 0.0)):
         if key in passivity and passivity[key] == default:
             del passivity[key]

@@ -10,7 +10,6 @@ from typing import Any, Final
 from canhaptic.registry import nearest
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedList, MarkedMapping, parse_yaml
-from canhaptic.scene.old_names import path_now
 from canhaptic.units import shown
 
 _PATH: Final = re.compile(r'(?:"[^"]*"|[^".=]+)(?:\.(?:"[^"]*"|[^".=]+))*')
@@ -29,7 +28,7 @@ def apply_overrides(scene: MarkedMapping, overrides: Sequence[str], faults: Diag
         if not equals or _PATH.fullmatch(address.strip()) is None:
             faults.add(top, "got no PATH=VALUE, expected something like axes.0.node_id=5")
             continue
-        path = path_now(split_override(text)[0], source)
+        path = split_override(text)[0]
         before = len(faults)
         value = parse_yaml(value_text, source, faults, path, lined=False)
         if len(faults) == before:

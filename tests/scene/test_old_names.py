@@ -1,35 +1,27 @@
-"""Names of the first release in scenes, overrides, sweeps and logs still work, and say so; logs of each stay valid.
+"""Logs of earlier releases stay valid, and a tool gives their scenes the names and keys of now.
 
 The logs in `old_logs` were recorded by their release: by the first one for each old name, by 0.2 of a scene of an axis.
 """
 
-import json
 import lzma
-import warnings
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from canhaptic.audit.recompute import recompute_all, scene_of
-from canhaptic.cli.main import main
-from canhaptic.errors import InputError, OldNameWarning, SceneError
-from canhaptic.lab.loop.algorithms import chosen_algorithms
-from canhaptic.lab.studies.sweep.vary import parse_vary
+from canhaptic.cli.main import main as canhaptic
+from canhaptic.errors import InputError, SceneError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.replay.replayed_run import replay_bus_log
 from canhaptic.scene.load import load_scene, scene_from_text
-from canhaptic.scene.models import Scene
-from canhaptic.scene.old_names import OLD_ALGORITHMS, OLD_KEYS
+from canhaptic.scene.old_forms import OLD_ALGORITHMS, overrides_now
 from tests.scene.scene_text import REPOSITORY, faults, scene_file
+from tools.convert_scene import converted, main
 
 OLD_LOGS = Path(__file__).parent / "old_logs"
 NAMES = ("old_guarded", "old_direct", "old_original")
 BETTER_SINCE = {"old_guarded"}
 """Algorithms that send other torques today: their logs open, and what differs is named."""
-VALUES = {"lead": 0.25, "credit": 1e-3, "lost_frames": 1}
-GUARDED = "passivity: {algorithm: guarded, moving_mass: 0.2, device_damping_bound: 0, hand_push: 0, hand_force: 0"
-DEMO = str(REPOSITORY / "configs" / "demo.yaml")
 
 
 def unpacked(name: str, folder: Path) -> Path:
@@ -38,119 +30,81 @@ def unpacked(name: str, folder: Path) -> Path:
     return path
 
 
-def old_scene(name: str) -> Scene:
-    with pytest.warns(OldNameWarning):
-        return load_scene(OLD_LOGS / f"{name}.yaml")
+def scene_of_now(name: str, folder: Path) -> Path:
+    """Returns the scene of an old log after `tools/convert_scene.py`."""
+    path = folder / f"{name}.yaml"
+    path.write_text(converted((OLD_LOGS / f"{name}.yaml").read_text())[0])
+    return path
 
 
 # --- scenes -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("old", "new"), OLD_KEYS.items())
-def test_an_old_key_means_its_new_one_and_the_warning_names_it(tmp_path: Path, old: str, new: str) -> None:
-    plain = "passivity: {algorithm: unprotected}"
-    path = scene_file(tmp_path, (plain, f"{GUARDED}, {old}: {VALUES[old]}}}"))
-    with pytest.warns(OldNameWarning, match=rf"scene.yaml:15:\d+: passivity.{old}: '{old}' is now called '{new}'"):
-        scene = load_scene(path)
-    assert getattr(scene.axes[0].passivity.parameters, new) == VALUES[old]
-    assert scene.resolved()["axes"]["handle"]["passivity"][new] == VALUES[old]
-    today = load_scene(scene_file(tmp_path, (plain, f"{GUARDED}, {new}: {VALUES[old]}}}")))
-    assert today.config_hash() == scene.config_hash()
+@pytest.mark.parametrize("old", ["lead", "credit", "lost_frames", "prediction_holds", "may_cut"])
+def test_an_old_key_is_unknown_and_the_error_lists_those_of_now(tmp_path: Path, old: str) -> None:
+    guarded = "passivity: {algorithm: guarded, moving_mass: 0.2, device_damping_bound: 0"
+    [fault] = faults(tmp_path, ("passivity: {algorithm: unprotected}", f"{guarded}, {old}: 0}}"))
+    assert f"passivity.{old}: unknown key" in fault
+    assert "energy_allowance" in fault
 
 
-@pytest.mark.parametrize(("old", "new"), OLD_ALGORITHMS.items())
-def test_an_old_algorithm_means_its_new_one(tmp_path: Path, old: str, new: str) -> None:
-    path = scene_file(tmp_path, ("algorithm: unprotected", f"algorithm: {old}"))
-    with pytest.warns(OldNameWarning, match=f"algorithm '{old}' is now called '{new}'"):
-        assert load_scene(path).axes[0].passivity.name == new
+def test_a_converted_scene_keeps_comments_and_order_and_says_what_changed() -> None:
+    old = """# mine
+simulation:
+  compiled: true  # quick
+  seed: 3
+passivity:
+  algorithm: guarded  # the default
+  lost_frames: 2
+  prediction_holds: 0.5
+  hand_force: 2 N
+axes: [{name: a, passivity: {algorithm: direct}},
+   {passivity: {algorithm: guarded, lead: 0}}]
+groups: [{passivity: {prediction_holds: 1, algorithm: guarded, credit: 1 mJ, may_cut: true, compiled: false}}]
+"""
+    new, said = converted(old)
+    assert (
+        new
+        == """# mine
+simulation:
+  seed: 3
+passivity:
+  device_damping_bound: 0
+  hand_push: 2 N
+  algorithm: guarded  # the default
+  max_consecutive_losses: 2
+  hand_force: 2 N
+axes: [{name: a, passivity: {algorithm: unprotected}},
+   {passivity: {device_damping_bound: 0, hand_push: 0, algorithm: guarded}}]
+groups: [{passivity: {device_damping_bound: 0, algorithm: guarded, energy_allowance: 1 mJ, }}]
+"""
+    )
+    assert "line 8: prediction_holds is gone, left out" in said
+    assert converted(new) == (new, [])
 
 
-def test_old_keys_of_an_axis_and_of_a_group_mean_their_new_ones(tmp_path: Path) -> None:
-    own = "    passivity: {algorithm: guarded, moving_mass: 0.2, hand_force: 0, lost_frames: 2}\nenvironment:\n"
-    path = scene_file(tmp_path, ("environment:\n", own))
-    with pytest.warns(OldNameWarning, match="axes.0.passivity.lost_frames"):
-        assert load_scene(path).axes[0].passivity.parameters.model_dump()["max_consecutive_losses"] == 2
-    text = (REPOSITORY / "configs" / "two_handles.yaml").read_text().replace("max_consecutive_losses", "lost_frames")
-    with pytest.warns(OldNameWarning, match="groups.0.passivity.lost_frames"):
-        [group] = scene_from_text(text, str(REPOSITORY / "configs" / "x.yaml")).groups
-    assert group.passivity.parameters.model_dump()["max_consecutive_losses"] == 2
-
-
-def test_an_old_key_beside_its_new_one_is_one_fault(tmp_path: Path) -> None:
-    both = f"{GUARDED}, lead: 0, prediction_holds: 0.5}}"
-    assert faults(tmp_path, ("passivity: {algorithm: unprotected}", both)) == [
-        "scene.yaml:15:105: passivity.lead: is now called 'prediction_holds', which is given too; leave out 'lead'"
-    ]
-
-
-@pytest.mark.filterwarnings("ignore::canhaptic.errors.OldNameWarning")
-def test_a_wrong_value_of_an_old_key_is_a_fault_at_its_place(tmp_path: Path) -> None:
-    [fault] = faults(tmp_path, ("passivity: {algorithm: unprotected}", f"{GUARDED}, lead: 2}}"))
-    assert fault == "scene.yaml:15:111: passivity.lead: got 2, expected 0 <= prediction_holds <= 1"
+def test_the_tool_prints_the_scene_and_what_changed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(OLD_LOGS / "old_guarded.yaml")]) == 0
+    printed = capsys.readouterr()
+    assert "lead" not in printed.out.partition("\n")[2]
+    assert "line 7: lost_frames is now max_consecutive_losses\n" in printed.err
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("error")
 def test_shipped_scenes_have_no_old_name() -> None:
-    loaded = 0
     for path in sorted((REPOSITORY / "configs").rglob("*.yaml")):
-        if path.parent.name != "drives":
-            with suppress(InputError):  # an interface or library that this machine lacks
-                load_scene(path)
-                loaded += 1
-    assert loaded >= 40
-
-
-# --- overrides, sweeps, comparisons -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "override",
-    ["passivity.lost_frames=3", "passivity={algorithm: guarded, moving_mass: 0.2, hand_force: 0, lost_frames: 3}"],
-)
-def test_an_override_by_an_old_key_lies_over_the_new_one(override: str) -> None:
-    today = "passivity.max_consecutive_losses=1"
-    with pytest.warns(OldNameWarning, match="--set passivity.*'lost_frames' is now called 'max_consecutive_losses'"):
-        scene = load_scene(DEMO, [today, override])
-    assert scene.axes[0].passivity.parameters.model_dump()["max_consecutive_losses"] == 3
-
-
-def test_a_sweep_takes_old_keys_and_values_as_the_new_ones() -> None:
-    with pytest.warns(OldNameWarning, match="--vary passivity.lead=0,1: 'lead' is now called 'prediction_holds'"):
-        assert parse_vary("passivity.lead=0,1").key == "passivity.prediction_holds"
-    with pytest.warns(OldNameWarning, match="'direct' is now called 'unprotected'"):
-        varied = parse_vary("axes.0.passivity.algorithm=direct,guarded")
-    assert varied.values == ("unprotected", "guarded")
-    assert parse_vary("simulation.lead=0,1").key == "simulation.lead"
-
-
-def test_a_comparison_takes_old_algorithms_as_the_new_ones() -> None:
-    with pytest.warns(OldNameWarning, match="'original' is now called 'a_priori_dissipation'"):
-        assert chosen_algorithms(["original", "a_priori_dissipation", "guarded"]) == ["a_priori_dissipation", "guarded"]
-
-
-def test_the_command_line_warns_in_one_line_and_prints_the_new_name(capsys: pytest.CaptureFixture[str]) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("default")
-        assert main(["check", DEMO, "--json", "--set", "passivity={algorithm: direct}"]) == 0
-    seen = capsys.readouterr()
-    assert seen.err == (
-        "canhaptic: warning: --set passivity={algorithm: direct}: passivity.algorithm: algorithm 'direct' is now "
-        "called 'unprotected'; the old name works in this release and not in the next\n"
-    )
-    assert json.loads(seen.out)["config"]["axes"]["handle"]["passivity"]["algorithm"] == "unprotected"
+        assert converted(path.read_text())[1] == [], path
 
 
 # --- logs ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.filterwarnings("ignore::canhaptic.errors.OldNameWarning")
 def test_an_old_energy_log_opens_and_its_scene_recomputes_to_the_bit(name: str, tmp_path: Path) -> None:
     with EnergyLog.open(unpacked(f"{name}.h5", tmp_path)) as log:
-        stored = scene_from_text(str(log.attributes["config"]), str(log.attributes["config_source"]))
-        assert stored.config_hash() == scene_of(log, OLD_LOGS / f"{name}.yaml").config_hash()
-        [found] = recompute_all(log, OLD_LOGS / f"{name}.yaml")
+        stored, path = converted(str(log.attributes["config"]))[0], scene_of_now(name, tmp_path)
+        assert scene_from_text(stored, str(path)).config_hash() == scene_of(log, path).config_hash()
+        [found] = recompute_all(log, path)
         assert (found["mismatch"] is not None) is (name in BETTER_SINCE)
         assert log.rows == 80
 
@@ -160,7 +114,8 @@ def test_an_old_bus_log_replays_frame_by_frame_from_its_boot_and_from_its_first_
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The start has learnt to read 0x1006 since, and leaves it out here."""
-    path, scene = unpacked(f"{name}.log", tmp_path), old_scene(name)
+    path, config = unpacked(f"{name}.log", tmp_path), scene_of_now(name, tmp_path)
+    scene = load_scene(config)
     result = replay_bus_log(path, scene)
     if name in BETTER_SINCE:
         assert result["status"] == "different"
@@ -169,9 +124,7 @@ def test_an_old_bus_log_replays_frame_by_frame_from_its_boot_and_from_its_first_
     assert result["reads_left_out"] == ["handle: 0x1006"]
     joined = replay_bus_log(path, scene, from_sync=True)
     assert (joined["status"], joined["reads_left_out"]) == ("identical", [])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", OldNameWarning)
-        assert main(["replay", str(path), "--config", str(OLD_LOGS / f"{name}.yaml")]) == 0
+    assert canhaptic(["replay", str(path), "--config", str(config)]) == 0
     assert "because the recorded master was older: handle: 0x1006" in capsys.readouterr().out
 
 
@@ -181,21 +134,15 @@ def test_an_old_bus_log_that_differs_after_the_read_left_out_is_different(tmp_pa
     place = next(number for number, line in enumerate(lines) if "601#4001140100000000" in line)
     lines[place] = lines[place].replace("#40011401", "#40011402")
     path.write_text("".join(lines))
-    difference = replay_bus_log(path, old_scene("old_guarded"))["difference"]
+    difference = replay_bus_log(path, load_scene(scene_of_now("old_guarded", tmp_path)))["difference"]
     assert difference is not None
     assert difference["number"] == place + 1
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.filterwarnings("ignore::canhaptic.errors.OldNameWarning")
-def test_a_scene_that_took_the_new_names_is_still_the_one_of_its_old_log(name: str, tmp_path: Path) -> None:
-    text = (OLD_LOGS / f"{name}.yaml").read_text()
-    for old, new in (OLD_KEYS | OLD_ALGORITHMS).items():
-        text = text.replace(f"{old}: ", f"{new}: ").replace(f"algorithm: {old}", f"algorithm: {new}")
-    text = text.replace("hand_force: 0 N", "hand_force: 0 N, hand_push: 0 N, device_damping_bound: 0 N*s/m")
-    today, other = tmp_path / "today.yaml", tmp_path / "other.yaml"
-    today.write_text(text)
-    other.write_text(text.replace("400 N/m", "401 N/m"))
+def test_a_converted_scene_is_the_one_of_its_old_log_and_a_changed_one_is_not(name: str, tmp_path: Path) -> None:
+    today, other = scene_of_now(name, tmp_path), tmp_path / "other.yaml"
+    other.write_text(today.read_text().replace("400 N/m", "401 N/m"))
     with EnergyLog.open(unpacked(f"{name}.h5", tmp_path)) as log:
         assert scene_of(log, today).axes[0].passivity.name in ("guarded", *OLD_ALGORITHMS.values())
         with pytest.raises(InputError, match="is not the scene of"):
@@ -226,6 +173,25 @@ def test_a_log_of_the_second_release_is_of_its_scene_and_recomputes_to_the_bit(t
 def test_a_scene_has_the_hash_that_release_0_2_gave_it(name: str, recorded: str) -> None:
     """The hashes were computed by that release; groups of impedance displays had a key `compiled`, too."""
     assert load_scene(OLD_LOGS / f"{name}.yaml").config_hash("0.2") == recorded
+
+
+def test_a_log_with_a_key_that_is_gone_is_of_its_scene_at_any_value_of_that_key() -> None:
+    scene = load_scene(OLD_LOGS / "group_of_0_2.yaml")
+    found = {scene.config_hash("0.2")}
+    for key, value in (("prediction_holds", 0.25), ("may_cut", True), ("compiled", True)):
+        found.add(scene.config_hash("0.2", {"groups": {"coupling": {"passivity": {key: value}}}}))
+    assert len(found) == 4
+    logged = {"groups": {"coupling": {"passivity": {"prediction_holds": 0.5, "hand_force": 7.0}}}}
+    assert scene.config_hash("0.2", logged) == scene.config_hash("0.2")  # what a scene can say, the scene says
+    axis = load_scene(OLD_LOGS / "axis_of_0_2.yaml")
+    assert axis.config_hash("0.1", {"axes": {"handle": {"passivity": {"lead": 0.25}}}}) != axis.config_hash("0.1")
+
+
+def test_overrides_of_an_old_log_take_the_names_of_now() -> None:
+    old = ["passivity.lost_frames=3", "axes.0.passivity.algorithm=direct", "passivity.lead=0.5", "bus.rate=500"]
+    assert overrides_now([*old, "groups.0.passivity.may_cut=true", "simulation.compiled=true"]) == [
+        "passivity.max_consecutive_losses=3", "axes.0.passivity.algorithm=unprotected", "bus.rate=500",
+    ]  # fmt: skip
 
 
 def test_a_scene_with_a_name_that_never_was_is_a_fault(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ _LARGEST: Final = 1e9  # [N or N*m]
 
 
 class GuardedParameters(Parameters):
-    """Assumptions behind the certificates of an axis or a group. Mass and damping of the device are properties of the loop.
+    """Assumptions behind the certificates of an axis or a group. Mass and damping of the device belong to the loop.
 
     A group refuses what only one axis can honour: `drag`, `earned_energy`, and a `hand_push` above `hand_force`.
     """

@@ -12,7 +12,6 @@ from canhaptic.lab.loop.scenes import loop_case
 from canhaptic.registry import load
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, GroupScene, Scene
-from canhaptic.scene.old_names import algorithm_now
 from canhaptic.scene.torque_history import simulation_of
 from canhaptic.units import Parameters
 
@@ -48,23 +47,20 @@ def chosen_algorithms(algorithms: Sequence[str] | None, own: Sequence[str] = ())
     Raises:
         ParameterError: One is unknown.
     """
-    chosen = [algorithm_now(name, "algorithms") for name in algorithms or (*own, "guarded", *ALGORITHMS)]
+    chosen = list(dict.fromkeys(algorithms or (*own, "guarded", *ALGORITHMS)))
     for name in chosen:
         if name in own:
             continue
         load(ALGORITHMS, name, "passivity algorithm")
-    return list(dict.fromkeys(chosen))
+    return chosen
 
 
 def with_algorithm(axis: AxisScene, name: str) -> AxisScene:
     """Returns an axis under another algorithm, with what the two have in common (alpha, velocity, ...) kept."""
     if axis.passivity.name == name:
         return axis
-    name = algorithm_now(name, axis.parameters.name)
     model: type[Parameters] = load(ALGORITHMS, name, "passivity algorithm").parameters_type
     given = axis.passivity.parameters
-    if axis.passivity.name == name:
-        return axis
     common = {key: getattr(given, key) for key in model.model_fields if key in type(given).model_fields}
     return replace(axis, passivity=ComponentSpec(name, model().model_copy(update=common)))
 

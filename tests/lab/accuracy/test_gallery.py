@@ -16,7 +16,7 @@ from canhaptic.lab.studies.accuracy.advice import advice, line, meets
 from canhaptic.lab.studies.accuracy.candidates import OURS
 from canhaptic.lab.studies.accuracy.plant_solvers import PlantSide
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.old_names import RELEASES
+from canhaptic.scene.old_forms import RELEASES
 from canhaptic.scene.parts import build_plant
 from canhaptic.scene.torque_history import simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters

@@ -32,7 +32,6 @@ from canhaptic.lab.studies.sweep.sweep_table import Columnset, SweepTable, creat
 from canhaptic.lab.studies.sweep.vary import Varied, parse_vary
 from canhaptic.lab.studies.sweep.workers import Pool, SerialExecutor
 from canhaptic.scene.models import Scene
-from canhaptic.scene.old_names import algorithm_now
 
 _BATCH_CHUNK: Final = (1000, 5000)
 """Least and most scenes of a chunk unless the user says otherwise: fewer, and making the batch costs more than it."""
@@ -153,7 +152,6 @@ def _make_sweep(
     Raises:
         InputError: Anything is wrong.
     """
-    controllers = [algorithm_now(name, "controllers") for name in controllers]
     points = make_points([_varied(one) for one in vary], controllers, samples, seed)
     _check(metrics, duration, cycles)
     recipe = make_recipe(

@@ -18,7 +18,6 @@ from canhaptic.errors import InputError
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.scene.diagnostics import Diagnostics
 from canhaptic.scene.document import parse_yaml
-from canhaptic.scene.old_names import algorithm_now, path_now
 from canhaptic.units import parse_unit
 
 _MOST_VALUES: Final = 1_000_000
@@ -98,7 +97,7 @@ def parse_vary(text: str) -> Varied:
         InputError: It is none of the shapes above, or a number, spacing or count is out of range.
     """
     key, equals, rest = text.partition("=")
-    key, rest = ".".join(path_now(tuple(key.strip().split(".")), f"--vary {text}")), rest.strip()
+    key, rest = key.strip(), rest.strip()
     if not equals or not key or not rest:
         raise _refused(text, "got no KEY=VALUES", _SHAPES)
     parts = _split(rest, ":")
@@ -107,8 +106,6 @@ def parse_vary(text: str) -> Varied:
     items = [item.strip() for item in _split(rest, ",")]
     if not all(items):
         raise _refused(text, "got an empty value", "remove the comma too many")
-    if key.endswith("passivity.algorithm"):
-        items = [algorithm_now(item, f"--vary {text}") for item in items]
     return _list(text, key, items)
 
 

@@ -1,0 +1,88 @@
+"""Forms of earlier configurations: a log is compared with its scene as the release that wrote it hashed it.
+
+`tools/convert_scene.py` gives a scene of an earlier release the names and keys of this one.
+"""
+
+from collections.abc import Collection, Iterable, Mapping
+from copy import deepcopy
+from typing import Any, Final, Literal, get_args
+
+OLD_KEYS: Final = {
+    "lead": "prediction_holds",
+    "credit": "energy_allowance",
+    "lost_frames": "max_consecutive_losses",
+}
+"""Key of `passivity` in the first release -> its name in the second."""
+OLD_ALGORITHMS: Final = {"direct": "unprotected", "original": "a_priori_dissipation"}
+"""Algorithm of one axis in the first release -> its name now."""
+GONE_KEYS: Final = ("compiled", "prediction_holds", "may_cut")
+"""Keys of `passivity`, and of `simulation`, that no scene has any more."""
+Release = Literal["0.1", "0.2"]
+RELEASES: Final[tuple[Release, ...]] = get_args(Release)
+"""Earlier releases whose logs are still compared with their scenes."""
+_GONE: Final[dict[str, dict[str, dict[str, Any]]]] = {
+    "axes": {"guarded": {"prediction_holds": 0.75}},
+    "groups": {"": {"compiled": False}, "guarded": {"prediction_holds": 0.5, "may_cut": False}},
+}
+"""Key of `passivity` that is gone -> its default in 0.2, by owner and algorithm; "" for every algorithm."""
+_SECTION: Final = "passivity"
+_SELECTOR: Final = "algorithm"
+
+
+def overrides_now(overrides: Iterable[str]) -> list[str]:
+    """Returns overrides of an earlier release by the names of now, without those of keys that are gone."""
+    found = []
+    for text in overrides:
+        path, equals, value = text.partition("=")
+        *owner, key = path.strip().split(".")
+        if owner[-1:] == [_SECTION]:
+            key = OLD_KEYS.get(key, key)
+            value = OLD_ALGORITHMS.get(value.strip(), value) if key == _SELECTOR else value
+        if not (owner[-1:] in ([_SECTION], ["simulation"]) and key in GONE_KEYS):
+            found.append(f"{'.'.join((*owner, key))}{equals}{value}")
+    return found
+
+
+def in_form_of(
+    release: Release, resolved: Mapping[str, Any], later: Collection[str], logged: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Returns a configuration in effect as the logs of an earlier release have hashed it.
+
+    Args:
+        release: Release that wrote the log.
+        resolved: Configuration in effect today.
+        later: Keys of the loop that came after the first release.
+        logged: Configuration in effect as the log has it, whose values of keys that are gone count; empty: their
+            defaults.
+    """
+    old = deepcopy(dict(resolved))
+    if old["simulation"] is not None:
+        old["simulation"]["compiled"] = (logged.get("simulation") or {}).get("compiled", False)
+    displays = {name for name, axis in old["axes"].items() if "admittance" in axis}
+    for kind, gone in _GONE.items():
+        for name, owner in old.get(kind, {}).items():
+            if not displays.intersection(owner.get("axes", (name,))):
+                then = logged.get(kind, {}).get(name, {}).get(_SECTION, {})
+                _put_gone(owner[_SECTION], gone, {OLD_KEYS.get(key, key): value for key, value in then.items()})
+    return old if release == "0.2" else _in_old_names(old, later)
+
+
+def _put_gone(section: dict[str, Any], gone: Mapping[str, Mapping[str, Any]], then: Mapping[str, Any]) -> None:
+    """Gives a section `passivity` the keys that its algorithm had then, in place."""
+    for algorithm in ("", section[_SELECTOR]):
+        section |= {key: then.get(key, default) for key, default in gone.get(algorithm, {}).items()}
+
+
+def _in_old_names(old: dict[str, Any], later: Collection[str]) -> dict[str, Any]:
+    """Gives a configuration in effect the names and the keys of the first release, in place."""
+    keys, algorithms = ({new: name for name, new in table.items()} for table in (OLD_KEYS, OLD_ALGORITHMS))
+    for owner in (*old["axes"].values(), *old.get("groups", {}).values()):
+        section = {keys.get(key, key): value for key, value in owner[_SECTION].items()}
+        section[_SELECTOR] = algorithms.get(section[_SELECTOR], section[_SELECTOR])
+        if section.get("hand_push") == section.get("hand_force"):
+            section.pop("hand_push", None)
+        owner[_SECTION] = section
+    for axis in old["axes"].values():
+        axis["loop"] = {key: value for key, value in axis["loop"].items() if key not in later}
+        axis["loop"]["device_damping_bound"] = axis["loop"]["device_damping_bound"] or None
+    return old
