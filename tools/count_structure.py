@@ -96,6 +96,11 @@ def count(top: Path, package: str = "canhaptic") -> dict[str, Any]:
     }
 
 
+def crossing_names(top: Path, package: str = "canhaptic") -> list[str]:
+    """Returns the classes and functions of the package in the folder `top` that a module of another room imports."""
+    return _crossing(list(_modules(top, package)))
+
+
 def _modules(top: Path, package: str) -> Iterator[_Module]:
     for path in sorted((top / package).rglob("*.py")):
         parts = path.relative_to(top).with_suffix("").parts

@@ -5,7 +5,7 @@ from typing import Final
 
 import pytest
 
-from tools.count_structure import count, main
+from tools.count_structure import count, crossing_names, main
 
 FILES = {
     "canhaptic/__init__.py": '"""Doc."""\n',
@@ -111,6 +111,7 @@ def test_the_table_has_a_column_for_each_tree(tree: Path, capsys: pytest.Capture
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 _MOST_ANY: Final = 15.0  # per 1,000 lines of code
+_MOST_CROSSING: Final = 600
 
 
 def any_by_room(top: Path) -> dict[str, float]:
@@ -134,6 +135,11 @@ def test_no_room_leaves_the_types_of_more_than_15_names_in_1000_lines_open() -> 
     found = any_by_room(ROOT / "canhaptic")
     assert {"control", "drive", "sim", "lab"} < set(found)
     assert {room: share for room, share in found.items() if share > _MOST_ANY} == {}
+
+
+@pytest.mark.slow
+def test_no_more_than_600_names_cross_a_room() -> None:
+    assert 400 < len(crossing_names(ROOT)) <= _MOST_CROSSING
 
 
 def test_the_quick_count_of_any_is_that_of_the_syntax_tree_where_no_text_names_it(tree: Path) -> None:
