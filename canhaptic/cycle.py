@@ -7,13 +7,12 @@ One thread walks it. On any error zero torque is sent first and the exception is
 """
 
 from collections.abc import Callable, Sequence
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.control.energy_loss import EnergyLossMeter
 from canhaptic.control.ledger import Ledger
-from canhaptic.control.multi_axis.axis_group import AxisGroup, GroupedControllers
 from canhaptic.control.passivity.controller import Controller
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.profile.link_policy import StopReason, reason_of
@@ -22,6 +21,10 @@ from canhaptic.errors import CycleFailedError, EmergencyError, InputError, LogWr
 from canhaptic.histogram import DurationHistogram
 from canhaptic.meters import RunMeters
 from canhaptic.signals import CycleTiming, Measured, Sample, Truth
+
+if TYPE_CHECKING:
+    from canhaptic.control.energy_audit import EnergyAudit
+    from canhaptic.control.multi_axis.axis_group import AxisGroup, GroupedControllers
 
 _HELD, _NO_CERTIFICATE = Branch.HELD.value, Certificate.NONE.value
 _FEWEST_UNCHANGED: Final = 20  # SYNCs; or those of a second
@@ -85,7 +88,7 @@ class Cycle:
         controllers: Sequence[Controller],
         log: _CycleLog | None = None,
         truths: Callable[[], Sequence[Truth]] | None = None,
-        groups: Sequence[AxisGroup] = (),
+        groups: "Sequence[AxisGroup]" = (),
         axis_meters: Sequence[AxisMeter] | None = None,
         loss_meters: Sequence[EnergyLossMeter] = (),
         jitters: Sequence[float] | None = None,
@@ -95,8 +98,7 @@ class Cycle:
         self.groups = tuple(groups)
         render = (*self.controllers, *(group.controller for group in self.groups))
         self._lasted = [controller.lasted for controller in render if hasattr(controller, "lasted")]
-        together = GroupedControllers(self.controllers, self.groups, rig.dry_run)
-        self._grouped = together if groups or rig.dry_run else None
+        self._grouped = _grouped(self.controllers, self.groups, rig.dry_run) if groups or rig.dry_run else None
         axes = self._grouped.axes if self._grouped else len(self.controllers)
         if axes != len(rig.drives):
             raise InputError(
@@ -108,7 +110,7 @@ class Cycle:
         self._ledgers = [*self.ledgers, *(group.ledger for group in self.groups)]
         self._axes = tuple(range(axes))  # walked by number: for one axis, `zip` or `enumerate` costs more than its body
         self.timing = {name: DurationHistogram() for name in CycleTiming._fields}
-        self.judge = EnergyAudit(axes, self.groups) if truths is not None else None
+        self.judge = None if truths is None else _judge(axes, self.groups)
         self.cycles = self.uneven = 0
         self._is_timed = not isinstance(rig.clock, VirtualClock)  # virtual time does not advance within a cycle
         self._log = log
@@ -234,6 +236,20 @@ class Cycle:
         return rows, accounts, true
 
 
+def _judge(axes: int, groups: "Sequence[AxisGroup]") -> "EnergyAudit":
+    """Returns what compares the accounts with the simulated plant; a run with real drives loads nothing of it."""
+    from canhaptic.control.energy_audit import EnergyAudit
+
+    return EnergyAudit(axes, groups)
+
+
+def _grouped(controllers: Sequence[Controller], groups: "Sequence[AxisGroup]", dry_run: bool) -> "GroupedControllers":
+    """Returns what steps groups and axes together; no other run loads it."""
+    from canhaptic.control.multi_axis.axis_group import GroupedControllers
+
+    return GroupedControllers(controllers, groups, dry_run)
+
+
 class _FailedLog:
     """Replaces the log after a failure and raises, so that the hot loop needs no check."""
 
@@ -250,63 +266,6 @@ class _FailedLog:
 
     def event(self, *_event: object) -> None:
         """No-op."""
-
-
-class EnergyAudit:
-    """Compares the accounted energy of each ledger with the true energy of the simulated plant.
-
-    Args:
-        axes: Number of axes of the rig.
-        groups: Axes that render together.
-
-    Attributes:
-        least: Least true sum of h_i after any hold, per axis, then per group: of its motors and movers together [J].
-        least_at_handle: The same with what friction and bearings have dissipated [J].
-        interaction: True sum of h_i, per axis and group [J].
-        dissipated: Energy dissipated by friction and bearings, per axis and group [J].
-        believed_error: Largest |accounted - true| sum of h_i after any hold, per axis and group [J].
-    """
-
-    def __init__(self, axes: int, groups: Sequence[AxisGroup] = ()) -> None:
-        self.least = [0.0] * (axes + len(groups))
-        self.least_at_handle = [0.0] * (axes + len(groups))
-        self.interaction = [0.0] * (axes + len(groups))
-        self.dissipated = [0.0] * (axes + len(groups))
-        self.believed_error = [0.0] * (axes + len(groups))
-        self._axes = tuple(range(axes))
-        self._groups = [(axes + place, group) for place, group in enumerate(groups)]
-
-    def compare(self, ledgers: Sequence[Ledger], truths: Sequence[Truth], balances: Sequence[EnergyBalance]) -> None:
-        """Takes the truth of the SYNC whose balances the ledgers have just taken.
-
-        Args:
-            ledgers: Ledger of each axis.
-            truths: True energies of each axis.
-            balances: Balance of each axis; where its position was lost, nothing was booked and the comparison waits for
-                the next.
-        """
-        for axis in self._axes:
-            _, (motor, _, dissipated, _) = truths[axis]
-            self._take(axis, -motor, dissipated, ledgers[axis].interaction, balances[axis].branch != _HELD)
-        for place, group in self._groups:
-            true = -sum([truths[axis].energy.motor for axis in group.axes])
-            dissipated = sum([truths[axis].energy.dissipated for axis in group.axes])
-            believed = sum([ledgers[axis].interaction for axis in group.axes])
-            supplied, booked = group.supplied + group.balance.supplied, balances[group.axes[0]].branch != _HELD
-            self._take(place, true, dissipated, believed, booked, supplied)
-
-    def _take(
-        self, place: int, true: float, dissipated: float, believed: float, booked: bool, supplied: float = 0.0
-    ) -> None:
-        came_in = true + supplied
-        self.interaction[place], self.dissipated[place] = came_in, dissipated
-        if came_in < self.least[place]:
-            self.least[place] = came_in
-            if came_in + dissipated < self.least_at_handle[place]:
-                self.least_at_handle[place] = came_in + dissipated
-        error, most = believed - true, self.believed_error[place]
-        if booked and (error > most or error < -most):
-            self.believed_error[place] = abs(error)
 
 
 def run(

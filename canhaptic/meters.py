@@ -2,14 +2,16 @@
 
 from collections.abc import Sequence
 from math import inf
-from typing import Final, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, runtime_checkable
 
 from canhaptic.control.axis_meter import Accuracy, AxisMeter
 from canhaptic.control.balance import OUT_OF_CONTACT, Branch, EnergyBalance
 from canhaptic.control.ledger import Ledger
-from canhaptic.control.multi_axis.axis_group import AxisGroup
 from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, ROUNDING
 from canhaptic.signals import Measured, Sample
+
+if TYPE_CHECKING:
+    from canhaptic.control.multi_axis.axis_group import AxisGroup
 
 _HELD: Final = Branch.HELD.value
 _BRANCH: Final = EnergyBalance._fields.index("branch")  # a field by its number costs a fifth of one by its name
@@ -212,7 +214,7 @@ class GroupPort:
 
     __slots__ = ("_group", "_lowest", "_meters", "activity", "contacts", "drives", "least_at_handle", "silent")
 
-    def __init__(self, meters: Sequence[AxisMeter], drives: Sequence[HeldTorques], group: AxisGroup) -> None:
+    def __init__(self, meters: Sequence[AxisMeter], drives: Sequence[HeldTorques], group: "AxisGroup") -> None:
         self._meters, self.drives, self._group = tuple(meters), tuple(drives), group
         allowance = promise_of(group.controller).energy_allowance
         self.activity = Activity(active_limits([meter.accuracy for meter in meters], allowance))
@@ -273,7 +275,7 @@ class RunMeters:
         axes: Sequence[AxisMeter],
         drives: Sequence[HeldTorques],
         controllers: Sequence[object],
-        groups: Sequence[AxisGroup] = (),
+        groups: "Sequence[AxisGroup]" = (),
     ) -> None:
         self.axes, self.deadline = tuple(axes), 0
         grouped = {axis for group in groups for axis in group.axes}

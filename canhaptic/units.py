@@ -11,19 +11,29 @@ A plain number is SI. A string may carry a unit ("100 N/m", "1 kHz", "50 us"), w
 import math
 import re
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Self, TypeVar, cast, get_args, get_origin
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationError,
+    ValidationInfo,
+)
 from pydantic.fields import FieldInfo
-from pydantic_core import ErrorDetails, core_schema
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
 from canhaptic.axis_units import Motion
 from canhaptic.errors import ParameterError
-from canhaptic.registry import unknown_key
+from canhaptic.registry import load, unknown_key
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass as _ModelMetaclass
@@ -354,3 +364,36 @@ class Parameters(BaseModel, metaclass=_ParametersMeta):
             return cls.model_validate(values, context=UnitContext(motion))
         except ValidationError as error:
             raise ParameterError(_describe(cls, error)) from error
+
+
+class OnDemand:
+    """Annotation of a field whose model is imported only where there is a section for it.
+
+    Args:
+        path: "module:Class" of the model.
+    """
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+
+    def model_of(self, _section: object = None) -> type[Parameters]:
+        """Returns the model."""
+        model: type[Parameters] = load({"": self._path}, "", "model")
+        return model
+
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.with_info_plain_validator_function(self.read)
+
+    def read(self, value: object, info: ValidationInfo[Any]) -> object:
+        """Returns the parameters of a section, in the units of its axis or of what the model itself moves in."""
+        model, context = self.model_of(), info.context
+        if isinstance(value, model):
+            return value
+        if not isinstance(value, Mapping):
+            raise ValueError("expected a mapping of keys and values")
+        motion = getattr(value, "motion", None) or getattr(model, "motion", None)
+        with context.moving(motion) if isinstance(context, UnitContext) else nullcontext():
+            return model.model_validate(value, context=context)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return handler(core_schema.chain_schema([self.model_of().__pydantic_core_schema__]))

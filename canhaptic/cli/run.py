@@ -14,12 +14,12 @@ from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError
-from canhaptic.host.socketcan_state import require_preflight
 from canhaptic.result import RunResult
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.guesses import require_no_guesses
 from canhaptic.scene.log_places import logs_elsewhere
+from canhaptic.scene.models import Scene
 
 _NOT_PASSIVE: Final = 1  # exit status of --strict
 _KEPT: Final = ("yes", "no contact", "dry run")
@@ -40,8 +40,8 @@ def execute(arguments: argparse.Namespace) -> int:
         require_no_guesses(scene)
         for text in elsewhere:
             write_note(f"  {text}")
-        for note in require_preflight(scene):
-            write_note(f"  {note.interface}: {note.item}: {note.seen}: {note.text}")
+        if any(bus.parameters.interface == "socketcan" for bus in scene.buses):
+            _preflight(scene)
         stop = stack.enter_context(StopSignal())
         experiment = build(scene, arguments.pace, energy_log, bus_log, no_torque=arguments.no_torque)
         stack.callback(experiment.close, "interrupted")  # by then closed already, unless a second signal came
@@ -56,6 +56,13 @@ def execute(arguments: argparse.Namespace) -> int:
     if error is not None:
         return error.exit_status
     return stop.exit_status or (_NOT_PASSIVE if arguments.strict and _fails(result) else 0)
+
+
+def _preflight(scene: Scene) -> None:
+    from canhaptic.host.socketcan_state import require_preflight
+
+    for note in require_preflight(scene):
+        write_note(f"  {note.interface}: {note.item}: {note.seen}: {note.text}")
 
 
 def _withheld(result: RunResult) -> str:

@@ -33,10 +33,12 @@ follows at e. Between two of its turns no motion within e of p is shorter.
 
 from dataclasses import dataclass
 from math import inf
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from canhaptic.control.environments.environment import Environment
-from canhaptic.control.friction_watch import FrictionWatch
+
+if TYPE_CHECKING:
+    from canhaptic.control.friction_watch import FrictionWatch
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +120,7 @@ class AxisMeter:
         self,
         accuracy: Accuracy = IDEAL,
         environment: Environment | None = None,
-        watch: FrictionWatch | None = None,
+        watch: "FrictionWatch | None" = None,
     ) -> None:
         self.accuracy, self.watch = accuracy, watch
         self._environment = None if environment is None or environment.relaxes else environment

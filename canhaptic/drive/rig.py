@@ -8,18 +8,16 @@
 On every error zero torque is sent first, then the drives are disabled, then the exception is raised.
 """
 
+import threading
 from collections import deque
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Final, NamedTuple, Self
+from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
 from canhaptic.canopen.code_texts import emcy_remedy
 from canhaptic.drive.axis_parameters import BusParameters
-from canhaptic.drive.can.background_sdo import BackgroundSdo, SdoLine
 from canhaptic.drive.can.bus_budget import has_room_for_sdo
 from canhaptic.drive.can.can_bring_up import CanBringUp
-from canhaptic.drive.can.display_bring_up import DisplayBringUp
-from canhaptic.drive.can.display_drive import DisplayDrive
 from canhaptic.drive.can.drives_on_a_bus import budget_of, own_frames
 from canhaptic.drive.can.exchange import Exchange
 from canhaptic.drive.can.link import Link
@@ -31,6 +29,9 @@ from canhaptic.drive.profile.rig_stop import Trust
 from canhaptic.errors import ControlError, InputError, LinkError, RigError
 from canhaptic.host.realtime import Realtime, RealtimeParameters
 from canhaptic.signals import CycleTiming, Sample
+
+if TYPE_CHECKING:
+    from canhaptic.drive.can.background_sdo import BackgroundSdo, SdoLine
 
 _RECORDS_KEPT: Final = 1000
 _LONGEST_BEHIND: Final = 1.0  # [s] of SYNCs skipped, less those sent, since the computer was last in time
@@ -87,10 +88,8 @@ class Rig:
         self.budgets = [budget_of([d for d in self.drives if d.link is link], bus) for link in self.links]
         self._period = bus.sample_time_ns
         self._exchange = Exchange(self.links, self.drives, bus)
-        self._sdo_lines = tuple(
-            SdoLine(link, has_room=has_room_for_sdo(budget, bus))
-            for link, budget in zip(self.links, self.budgets, strict=True)
-        )
+        self._sdo_lines: tuple[SdoLine, ...] = ()  # one for each bus, from the first `sdo` on
+        self._making_lines = threading.Lock()  # between those who ask first; the cycle never waits for it
         # At free pace the thread never sleeps: with real-time priority it would starve all others of its processor.
         self.realtime = Realtime(RealtimeParameters() if isinstance(self.clock, VirtualClock) else bus.realtime)
         self._reset()
@@ -242,8 +241,10 @@ class Rig:
             if line.busy:
                 line.step()
 
-    def sdo(self, axis: str | int) -> BackgroundSdo:
+    def sdo(self, axis: str | int) -> "BackgroundSdo":
         """Returns SDO access to the drive of an axis, by name or number, during the running cycle and from any thread.
+
+        The first call loads what it needs; make it before `start` where a late SYNC matters.
 
         Raises:
             InputError: There is no such axis.
@@ -252,8 +253,26 @@ class Rig:
         place = names.index(axis) if axis in names else axis
         if not isinstance(place, int) or not 0 <= place < len(names):
             raise InputError(f"no axis {axis!r}; expected one of: {', '.join(names)}, or 0 to {len(names) - 1}")
+        from canhaptic.drive.can.background_sdo import BackgroundSdo
+
         drive = self.drives[place]
-        return BackgroundSdo(drive, self._sdo_lines[self.links.index(drive.link)])
+        return BackgroundSdo(drive, self._lines()[self.links.index(drive.link)])
+
+    def _lines(self) -> "tuple[SdoLine, ...]":
+        """Returns the SDO traffic of each bus, made with the first request for it; open while the rig runs."""
+        from canhaptic.drive.can.background_sdo import SdoLine
+
+        with self._making_lines:
+            if not self._sdo_lines:
+                self._sdo_lines = tuple(
+                    SdoLine(link, has_room=has_room_for_sdo(budget, self.bus))
+                    for link, budget in zip(self.links, self.budgets, strict=True)
+                )
+                for line in self._sdo_lines if self._is_running else ():
+                    line.open()
+                for line in () if self._is_running else self._sdo_lines:  # stopped in between
+                    line.close()
+        return self._sdo_lines
 
     def _not_running(self) -> RigError:
         text = f"the rig is not running (last stop: {self.stop_reason.name}); call start()"
@@ -395,4 +414,10 @@ class Rig:
 
 
 def _bring_up(drive: ServoDrive) -> CanBringUp:
-    return DisplayBringUp(drive) if isinstance(drive, DisplayDrive) else CanBringUp(drive)
+    if drive.axis.admittance is not None:
+        from canhaptic.drive.can.display_bring_up import DisplayBringUp
+        from canhaptic.drive.can.display_drive import DisplayDrive
+
+        if isinstance(drive, DisplayDrive):
+            return DisplayBringUp(drive)
+    return CanBringUp(drive)

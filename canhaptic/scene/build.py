@@ -20,10 +20,8 @@ from canhaptic.drive.can.link import Link, Recorder
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.registry import load
 from canhaptic.scene.bus import echoes, open_bus, private_channel, suffers, with_effects
-from canhaptic.scene.log_writers import open_bus_log, open_energy_log
 from canhaptic.scene.loss_limits import build_loss_meters
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import (
@@ -38,11 +36,13 @@ from canhaptic.scene.parts import (
     shared_motors,
 )
 from canhaptic.signals import SimulatedPeer, Truth
-from canhaptic.sim.drive.can.drive_group import DriveGroup, DriveGroups, Drives
-from canhaptic.sim.plant.plant import Plant
 
 if TYPE_CHECKING:
+    from canhaptic.logs.bus_log import BusLogWriter
+    from canhaptic.logs.energy_log import EnergyLogWriter
     from canhaptic.sim.bus.faulty_bus import FaultyBus
+    from canhaptic.sim.drive.can.drive_group import DriveGroup, Drives
+    from canhaptic.sim.plant.plant import Plant
 
 _Pace = Literal["real", "free"]
 _CHOICES: Final = {"auto": "canhaptic.lab.studies.accuracy.accuracy_choice:with_chosen_accuracy"}
@@ -76,14 +76,10 @@ class Experiment:
             faulty = {n: _build_faulty_bus(scene, n, buses[n], stack) for n in _suffering(scene)}
             self.faulty_buses = {scene.buses[n].name: faulty_bus for n, faulty_bus in faulty.items()}
             self.clock = _build_clock(scene, pace, groups, faulty)
-            self.energy_log = None
-            if energy_log:
-                self.energy_log = open_energy_log(scene, energy_log, pace, self._lose_log, dry_run=no_torque)
-            if self.energy_log is not None:
-                stack.callback(self.energy_log.close, "failed")
-            self.bus_log = open_bus_log(scene, bus_log, pace, self._lose_log) if bus_log else None
-            if self.bus_log is not None:
-                stack.callback(self.bus_log.close)
+            self.energy_log: EnergyLogWriter | None = None
+            self.bus_log: BusLogWriter | None = None
+            if energy_log or bus_log:
+                self._open_logs(energy_log, bus_log, stack, dry_run=no_torque)
             links = [
                 Link(faulty.get(n, bus), self.clock, _recorder(self.bus_log, n), echoes=echoes(of.parameters))
                 for n, (of, bus) in enumerate(zip(scene.buses, buses, strict=True))
@@ -99,6 +95,16 @@ class Experiment:
                 self.cycle.fail_log(self._log_failure)
             self._stack = stack.pop_all()
 
+    def _open_logs(self, energy_log: Path | None, bus_log: Path | None, stack: ExitStack, *, dry_run: bool) -> None:
+        from canhaptic.scene.log_writers import open_bus_log, open_energy_log
+
+        if energy_log:
+            self.energy_log = open_energy_log(self.scene, energy_log, self.pace, self._lose_log, dry_run=dry_run)
+            stack.callback(self.energy_log.close, "failed")
+        if bus_log:
+            self.bus_log = open_bus_log(self.scene, bus_log, self.pace, self._lose_log)
+            stack.callback(self.bus_log.close)
+
     def _lose_log(self, reason: str) -> None:
         """Record, from another thread, that a log failed; `close` reports it in any case."""
         if self.scene.log.on_failure == "stop":
@@ -112,9 +118,13 @@ class Experiment:
         return next(iter(self.faulty_buses.values()), None)
 
     @property
-    def plants(self) -> list[Plant]:
+    def plants(self) -> "list[Plant]":
         """The simulated plant of each axis; none with real drives."""
-        motors = [drive.servo.motor for drive in self.far_side.drives] if self.far_side else []
+        if self.far_side is None:
+            return []
+        from canhaptic.sim.plant.plant import Plant
+
+        motors = [drive.servo.motor for drive in self.far_side.drives]
         return [motor for motor in motors if isinstance(motor, Plant)]
 
     def close(self, status: str = "completed") -> None:
@@ -190,7 +200,7 @@ def require_buildable(scene: Scene) -> None:
         Experiment(scene, "free", None, None).close()
 
 
-def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) -> DriveGroup:
+def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) -> "DriveGroup":
     """Returns the simulated drives of a scene on one connection to the bus.
 
     Args:
@@ -201,6 +211,8 @@ def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) ->
     Raises:
         InputError: The scene has no `simulation`.
     """
+    from canhaptic.sim.drive.can.drive_group import DriveGroup
+
     scene = _with_accuracy(scene)
     period, drives = scene.bus.sample_time_ns, []
     axes = [axis for axis in scene.axes if name in (None, axis.bus)]
@@ -249,17 +261,19 @@ def _open_bus(parameters: BusParameters, channel: str | int | None, stack: ExitS
     return bus
 
 
-def _build_groups(scene: Scene, channels: Sequence[str | int | None], stack: ExitStack) -> list[DriveGroup]:
+def _build_groups(scene: Scene, channels: Sequence[str | int | None], stack: ExitStack) -> "list[DriveGroup]":
     return [
         build_drive_group(scene, _open_bus(bus.parameters, channel, stack), bus.name)
         for bus, channel in zip(scene.buses, channels, strict=True)
     ]
 
 
-def _far_side(scene: Scene, groups: Sequence[DriveGroup]) -> Drives | None:
+def _far_side(scene: Scene, groups: "Sequence[DriveGroup]") -> "Drives | None":
     """Returns all simulated drives in the order of the axes; None with real ones."""
     if len(groups) < 2:
         return groups[0] if groups else None
+    from canhaptic.sim.drive.can.drive_group import DriveGroups
+
     drives = {bus.name: iter(group.drives) for bus, group in zip(scene.buses, groups, strict=True)}
     return DriveGroups(groups, [next(drives[axis.bus]) for axis in scene.axes])
 
@@ -275,7 +289,7 @@ def _build_faulty_bus(scene: Scene, index: int, bus: can.BusABC, stack: ExitStac
     return faulty_bus
 
 
-def _build_clock(scene: Scene, pace: _Pace, groups: Sequence[DriveGroup], faulty: "Mapping[int, FaultyBus]") -> Clock:
+def _build_clock(scene: Scene, pace: _Pace, groups: "Sequence[DriveGroup]", faulty: "Mapping[int, FaultyBus]") -> Clock:
     """Returns the clock, which drives the simulated drives, and the faults between them and the master if any."""
     peers: list[SimulatedPeer] = [faulty[n].around(group) if n in faulty else group for n, group in enumerate(groups)]
     clock: Clock = VirtualClock(peers) if pace == "free" else WallClock(peers, scene.bus.spin_margin)
@@ -284,7 +298,7 @@ def _build_clock(scene: Scene, pace: _Pace, groups: Sequence[DriveGroup], faulty
     return clock
 
 
-def _recorder(bus_log: BusLogWriter | None, index: int) -> Recorder | None:
+def _recorder(bus_log: "BusLogWriter | None", index: int) -> Recorder | None:
     return None if bus_log is None else bus_log.on(index)
 
 
@@ -294,7 +308,7 @@ def _build_rig(scene: Scene, links: Sequence[Link], *, dry_run: bool) -> Rig:
     return Rig(links, drives, scene.bus, group_places(scene))
 
 
-def _truths(far_side: Drives | None) -> Callable[[], Sequence[Truth]] | None:
+def _truths(far_side: "Drives | None") -> Callable[[], Sequence[Truth]] | None:
     if far_side is None:
         return None
     readers = [drive.truth for drive in far_side.drives]

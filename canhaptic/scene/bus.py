@@ -10,7 +10,6 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import InputError
 from canhaptic.host.interfaces import opening_error
 from canhaptic.scene.models import Scene
-from canhaptic.sim.bus.virtual_bus import LeanVirtualBus
 
 if TYPE_CHECKING:
     from canhaptic.sim.bus.faulty_bus import FaultyBus
@@ -38,6 +37,8 @@ def open_bus(bus: BusParameters, channel: str | int | None) -> can.BusABC:
         LinkError: The interface is there but cannot be opened: no such channel, no device, no permission.
     """
     if bus.interface == "virtual" and channel is not None and not bus.options:
+        from canhaptic.sim.bus.virtual_bus import LeanVirtualBus
+
         return LeanVirtualBus(channel)
     options: dict[str, Any] = {"bitrate": bus.bitrate, **bus.options}
     if bus.interface == "virtual":

@@ -1,11 +1,10 @@
 """Fields of the scene whose model is chosen by name from a table, or imported only where the scene has the key."""
 
 import warnings
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Mapping, Set
 from contextlib import AbstractContextManager
-from functools import partial
 from multiprocessing import parent_process
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, Literal, NamedTuple, Protocol
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
 from pydantic.json_schema import JsonSchemaValue
@@ -15,11 +14,26 @@ from canhaptic.axis_units import Motion
 from canhaptic.errors import OverrideWarning, ParameterError
 from canhaptic.registry import load
 from canhaptic.scene.document import MarkedMapping
-from canhaptic.scene.own_code import OWN_MODULE, OwnCode
-from canhaptic.units import Parameters, example, shown
+from canhaptic.units import OnDemand, Parameters, example, shown
 
 READY: Final = "ready"
 """Type of an error of pydantic whose text needs no value in front."""
+
+
+CodeUse = Literal["refused", "run", "left"]
+"""What happens to own code that a scene names: refused with one error, run, or left unread."""
+OWN_MODULE: Final = "_canhaptic_own_"
+"""Begins the name of the private module of a file of own code."""
+
+
+class _CodeReading(Protocol):
+    """Code of its user that a scene names; see `OwnCode`, which is loaded where a scene names some."""
+
+    def is_left(self, reference: str, kind: str) -> bool:
+        """Returns whether a name is of own code that stays unread."""
+
+    def find(self, reference: str, kind: str) -> Any:
+        """Returns the class of the user's own that a name means; None where it means none."""
 
 
 class SceneReading(Protocol):
@@ -31,7 +45,7 @@ class SceneReading(Protocol):
     """Unit of the position of the axis that is read."""
 
     @property
-    def code(self) -> OwnCode:
+    def code(self) -> _CodeReading:
         """Own code that may be read."""
 
     @property
@@ -117,10 +131,13 @@ class ComponentOf:
             if not isinstance(name, str):
                 seen = "missing" if name is None else f"got {shown(name)}"
                 raise ParameterError(f"{seen}, expected one of: {', '.join(sorted(self.table))}")
-            code = info.context.code
-            if name not in self.table and code.is_left(name, self.kind):
-                return ComponentSpec(name, UnreadParameters(written=dict(value.without(self.selector, *self.apart))))
-            own = None if name in self.table else code.find(name, self.kind)
+            own = None
+            if name not in self.table:
+                code = info.context.code
+                if code.is_left(name, self.kind):
+                    written = dict(value.without(self.selector, *self.apart))
+                    return ComponentSpec(name, UnreadParameters(written=written))
+                own = code.find(name, self.kind)
             model = self._model(name) if own is None else _own_parameters(own, name)
         except ParameterError as error:
             raise self._refused(str(error)) from error
@@ -171,31 +188,27 @@ class ComponentOf:
         return {**model, "properties": properties, "required": [self.selector, *required]}
 
 
-class OwnModel:
-    """Annotation of a field with a model of its own: a section with `type` is read by a subclass of the user's own.
+class OwnModel(OnDemand):
+    """Annotation of a field whose section, where it has `type`, is read by a subclass of the user's own.
 
     Args:
+        path: "module:Class" of the model of any other section.
         kind: Kind of model, for messages and plug-ins.
     """
 
-    def __init__(self, kind: str) -> None:
+    def __init__(self, path: str, kind: str) -> None:
+        super().__init__(path)
         self._kind = kind
 
-    def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
-        read = partial(self._read, source)
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         plain = core_schema.plain_serializer_function_ser_schema(_with_type)
-        return core_schema.with_info_wrap_validator_function(read, handler(source), serialization=plain)
+        return core_schema.with_info_plain_validator_function(self.read, serialization=plain)
 
-    def _read(
-        self,
-        model: type[Parameters],
-        value: object,
-        handler: Callable[[object], object],
-        info: ValidationInfo[SceneReading],
-    ) -> object:
+    def read(self, value: object, info: ValidationInfo[Any]) -> object:
+        """Returns the parameters of a section."""
         if not isinstance(value, MarkedMapping) or "type" not in value:
-            return handler(value)
-        name, code = value["type"], info.context.code
+            return super().read(value, info)
+        name, code, model = value["type"], info.context.code, self.model_of()
         if not isinstance(name, str):
             raise ValueError(f"type: got {shown(name)}, expected FILE.py:Class")
         if code.is_left(name, self._kind):
@@ -249,36 +262,6 @@ class ComponentByDisplay(ComponentOf):
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         impedance = super().__get_pydantic_json_schema__(schema, handler)["oneOf"]
         return {"anyOf": [*impedance, *self._admittance.__get_pydantic_json_schema__(schema, handler)["oneOf"]]}
-
-
-class OnDemand:
-    """Annotation of a field whose model is imported only where the scene has the key.
-
-    Args:
-        path: "module:Class" of the model.
-    """
-
-    def __init__(self, path: str) -> None:
-        self._path = path
-
-    def model_of(self, _section: object = None) -> type[Parameters]:
-        """Returns the model."""
-        model: type[Parameters] = load({"": self._path}, "", "model")
-        return model
-
-    def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
-        plain = core_schema.plain_serializer_function_ser_schema(lambda value: value and value.model_dump(mode="json"))
-        return core_schema.with_info_plain_validator_function(self._read, serialization=plain)
-
-    def _read(self, value: object, info: ValidationInfo[SceneReading]) -> Parameters | None:
-        if value is None:
-            return None
-        if not isinstance(value, MarkedMapping):
-            raise ValueError("expected a mapping of keys and values")
-        return validated(self.model_of(), value, info.context)
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        return handler(self.model_of().__pydantic_core_schema__)
 
 
 def _parameters_of(entry: Any) -> type[Parameters]:

@@ -1,7 +1,7 @@
 """Checks that need more than one section of a scene."""
 
 from collections import Counter
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.canopen.eds import read_dictionary
@@ -14,13 +14,14 @@ from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.host.interfaces import interface_faults
 from canhaptic.scene.device_bounds import rests_on_hand_force
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
-from canhaptic.scene.display_checks import check_display
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.layout import bus_section
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controller, build_group, build_mechanism, build_plant
-from canhaptic.sim.plant.mechanism import MechanismParameters
 from canhaptic.units import shown
+
+if TYPE_CHECKING:
+    from canhaptic.sim.plant.mechanism import MechanismParameters
 
 
 def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, beyond_bus: bool = False) -> None:
@@ -44,7 +45,7 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
     maps: dict[str, list[AxisMap | None]] = {bus.name: [] for bus in scene.buses}
     for axis, entry in zip(scene.axes, sections["axes"], strict=True):
         _check_loop(axis, _passivity_section(axis, entry, sections, scene), scene, faults)
-        check_display(axis, entry, scene, faults)
+        _check_display(axis, entry, scene, faults)
         axis_map = _check_parts(axis, entry, sections, scene, faults)
         maps[axis.bus].append(axis_map)
         if axis_map is not None and not scene.simulated:
@@ -215,6 +216,14 @@ def _check_parts(
     return _check_dictionary(axis, entry, scene, faults)
 
 
+def _check_display(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: Diagnostics) -> None:
+    if axis.parameters.admittance is None and (axis.simulation is None or axis.simulation.admittance is None):
+        return
+    from canhaptic.scene.display_checks import check_display
+
+    check_display(axis, entry, scene, faults)
+
+
 def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) -> SourceLocation:
     """Place in the scene of what a plant refuses: an effect of this type, or the plant."""
     axes = simulation.get("axes")
@@ -260,7 +269,7 @@ def _check_mechanisms(scene: Scene, sections: MarkedMapping, faults: Diagnostics
         scene.mechanisms, sections["simulation"]["mechanisms"] if scene.mechanisms else (), strict=True
     ):
         (name, model, _), before, at = of.mechanism, len(faults), section.value_at("axes")
-        motion, members = cast(MechanismParameters, model).motion, [scene.axis(axis) for axis in of.axes]
+        motion, members = cast("MechanismParameters", model).motion, [scene.axis(axis) for axis in of.axes]
         for axis in members:
             if axis.parameters.unit != motion:
                 text = f"got {axis.parameters.name!r} with unit {axis.parameters.unit}, expected unit: {motion}, in"

@@ -12,8 +12,12 @@ from typing import Any, Final
 import yaml
 
 from canhaptic.axis_units import Motion
+from canhaptic.registry import unknown_key
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
+from canhaptic.units import shown
 
+NOTED: Final = object()
+"""Replaces a value whose fault is noted already."""
 _MAX_NODES: Final = 20_000  # a scene has a few hundred; more is an alias bomb
 _TAG: Final = "tag:yaml.org,2002:"
 _MERGE: Final = _TAG + "merge"
@@ -279,3 +283,27 @@ def mark_plain(value: Any, source: str, path: tuple[str, ...] = ()) -> Any:
             items.put(mark_plain(entry, source, below.path), below)
         return items
     return value
+
+
+def read_mapping(value: object, at: SourceLocation, faults: Diagnostics, what: str) -> MarkedMapping | None:
+    """Returns a value that must be a mapping; None, with a fault, when it is something else."""
+    if isinstance(value, MarkedMapping):
+        return value
+    faults.add(at, f"got {shown(value)}, expected a mapping of {what}")
+    return None
+
+
+def read_list(value: object, at: SourceLocation, faults: Diagnostics, what: str) -> MarkedList | None:
+    """Returns a value that must be a list; None, with a fault, when it is something else."""
+    if isinstance(value, MarkedList):
+        return value
+    faults.add(at, f"got {shown(value)}, expected a list of {what}")
+    return None
+
+
+def refuse_unknown_keys(section: MarkedMapping, known: Iterable[str], faults: Diagnostics) -> None:
+    """Notes every key of a section that is none of the known ones, with the nearest name."""
+    names = tuple(known)
+    for key in section:
+        if key not in names:
+            faults.add(section.keys_at[key], unknown_key(key, names))

@@ -1,4 +1,4 @@
-"""Errors of pydantic as diagnostics of a scene, with line, value seen, unit and range."""
+"""Errors of pydantic as diagnostics of a scene, with line, value seen, unit and range; loaded with the first."""
 
 import dataclasses
 import typing
@@ -10,13 +10,10 @@ from pydantic_core import ErrorDetails
 
 from canhaptic.axis_units import Motion
 from canhaptic.registry import unknown_key
-from canhaptic.scene.components import READY, ComponentOf, OnDemand
+from canhaptic.scene.components import READY, ComponentOf
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
-from canhaptic.scene.document import MarkedList, MarkedMapping
-from canhaptic.units import Quantity, fault_text, parts_of, shown
-
-NOTED: Final = object()
-"""Replaces a value whose fault is noted already."""
+from canhaptic.scene.document import NOTED, MarkedList, MarkedMapping
+from canhaptic.units import OnDemand, Quantity, fault_text, parts_of, shown
 
 _SHAPES: Final = {
     "model_type": "a mapping of keys and values",
@@ -25,30 +22,6 @@ _SHAPES: Final = {
     "tuple_type": "a list of {name}",
     "list_type": "a list of {name}",
 }
-
-
-def read_mapping(value: object, at: SourceLocation, faults: Diagnostics, what: str) -> MarkedMapping | None:
-    """Returns a value that must be a mapping; None, with a fault, when it is something else."""
-    if isinstance(value, MarkedMapping):
-        return value
-    faults.add(at, f"got {shown(value)}, expected a mapping of {what}")
-    return None
-
-
-def read_list(value: object, at: SourceLocation, faults: Diagnostics, what: str) -> MarkedList | None:
-    """Returns a value that must be a list; None, with a fault, when it is something else."""
-    if isinstance(value, MarkedList):
-        return value
-    faults.add(at, f"got {shown(value)}, expected a list of {what}")
-    return None
-
-
-def refuse_unknown_keys(section: MarkedMapping, known: Iterable[str], faults: Diagnostics) -> None:
-    """Notes every key of a section that is none of the known ones, with the nearest name."""
-    names = tuple(known)
-    for key in section:
-        if key not in names:
-            faults.add(section.keys_at[key], unknown_key(key, names))
 
 
 def note_errors(model: type, section: MarkedMapping, error: ValidationError, faults: Diagnostics) -> None:

@@ -20,8 +20,7 @@ from canhaptic.axis_units import Motion
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.registry import nearest
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
-from canhaptic.scene.document import MarkedList, MarkedMapping
-from canhaptic.scene.explain import NOTED, read_list, read_mapping
+from canhaptic.scene.document import NOTED, MarkedList, MarkedMapping, read_list, read_mapping
 from canhaptic.scene.models import task_unit
 from canhaptic.units import shown
 
@@ -31,6 +30,37 @@ class Members(NamedTuple):
 
     section: MarkedMapping
     axes: tuple[str, ...]
+
+    def as_group(self, units: dict[str, Motion]) -> MarkedMapping:
+        """Returns a group in the units of its axes, and what it renders in those of its task space."""
+        motions = {units[name] for name in self.axes if name in units}
+        motor = next(iter(motions)) if len(motions) == 1 else None
+        section = self.section.copy()
+        section.put("axes", self.axes or NOTED, section.mark, section.value_at("axes"))
+        kinematics = section.get("kinematics")
+        if kinematics is None:
+            kinematics = MarkedMapping(section.value_at("kinematics"))
+            kinematics.set("type", "identity")
+        name = kinematics.get("type") if isinstance(kinematics, MarkedMapping) else None
+        task = task_unit(str(name), motor) if str(name) in KINEMATICS else None
+        for key, value, motion in (
+            ("kinematics", kinematics, task),
+            ("network", section.get("network"), task),
+            ("passivity", section.get("passivity"), motor),
+        ):
+            section.put(key, _moving(value, motion), section.keys_at.get(key, section.mark), section.value_at(key))
+        if name == "identity" and "axes" not in kinematics:
+            section["kinematics"].set("axes", max(1, len(self.axes)))
+        return section
+
+    def as_mechanism(self) -> MarkedMapping:
+        """Returns a simulated mechanism; its hand moves in metres, for linear and rotary motors."""
+        section = MarkedMapping(self.section.mark)
+        section.put("axes", self.axes or NOTED, section.mark, self.section.value_at("axes"))
+        section.set("mechanism", self.section.without("axes", "hand"))
+        if self.section.get("hand") is not None:
+            section.put("hand", _moving(self.section["hand"], "m"), section.mark, self.section.value_at("hand"))
+        return section
 
 
 def members_of(owner: MarkedMapping | None, key: str, what: str, faults: Diagnostics) -> list[Members]:
@@ -86,39 +116,6 @@ def _check_members(members: Iterable[Members], known: Sequence[str], what: str, 
             elif name in taken:
                 faults.add(at, f"got {name!r}, which is in a {what} already; an axis belongs to one")
             taken.add(name)
-
-
-def group_layout(group: Members, units: dict[str, Motion]) -> MarkedMapping:
-    """Returns a group in the units of its axes, and what it renders in those of its task space."""
-    motions = {units[name] for name in group.axes if name in units}
-    motor = next(iter(motions)) if len(motions) == 1 else None
-    section = group.section.copy()
-    section.put("axes", group.axes or NOTED, section.mark, section.value_at("axes"))
-    kinematics = section.get("kinematics")
-    if kinematics is None:
-        kinematics = MarkedMapping(section.value_at("kinematics"))
-        kinematics.set("type", "identity")
-    name = kinematics.get("type") if isinstance(kinematics, MarkedMapping) else None
-    task = task_unit(str(name), motor) if str(name) in KINEMATICS else None
-    for key, value, motion in (
-        ("kinematics", kinematics, task),
-        ("network", section.get("network"), task),
-        ("passivity", section.get("passivity"), motor),
-    ):
-        section.put(key, _moving(value, motion), section.keys_at.get(key, section.mark), section.value_at(key))
-    if name == "identity" and "axes" not in kinematics:
-        section["kinematics"].set("axes", max(1, len(group.axes)))
-    return section
-
-
-def mechanism_layout(moved: Members) -> MarkedMapping:
-    """Returns a simulated mechanism; its hand moves in metres, for linear and rotary motors."""
-    section = MarkedMapping(moved.section.mark)
-    section.put("axes", moved.axes or NOTED, section.mark, moved.section.value_at("axes"))
-    section.set("mechanism", moved.section.without("axes", "hand"))
-    if moved.section.get("hand") is not None:
-        section.put("hand", _moving(moved.section["hand"], "m"), section.mark, moved.section.value_at("hand"))
-    return section
 
 
 def _moving(value: object, motion: Motion | None) -> object:

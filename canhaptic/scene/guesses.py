@@ -1,11 +1,13 @@
 """Values of a scene that are marked as guesses; no real drive runs on them."""
 
 import re
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from canhaptic.errors import InputError
-from canhaptic.host.socketcan_state import Runner, all_links_are_virtual
 from canhaptic.scene.models import Scene
+
+if TYPE_CHECKING:
+    from canhaptic.host.socketcan_state import Runner
 
 TO_SET: Final = "TO SET"
 """Marks every value that the user has to replace."""
@@ -31,14 +33,18 @@ def guesses_left(scene: Scene) -> list[Guess]:
     return found
 
 
-def refuses_guesses(scene: Scene, run: Runner | None = None) -> bool:
+def refuses_guesses(scene: Scene, run: "Runner | None" = None) -> bool:
     """Returns whether a run of the scene is refused while values are marked: drives may be real.
 
     Args:
         scene: The scene.
         run: Runs a command and returns what it printed; the kernel is asked with it whether the buses are virtual.
     """
-    return not scene.simulated and not all_links_are_virtual(scene, run)
+    if scene.simulated:
+        return False
+    from canhaptic.host.socketcan_state import all_links_are_virtual
+
+    return not all_links_are_virtual(scene, run)
 
 
 def _is_simulated_elsewhere(scene: Scene) -> bool:

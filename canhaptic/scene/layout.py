@@ -13,22 +13,28 @@ by `Scene`.
 """
 
 from collections.abc import Sequence
-from typing import Any, Final, get_args
+from typing import TYPE_CHECKING, Any, Final, get_args
 
 from canhaptic.axis_units import Motion
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.registry import nearest
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.diagnostics import Diagnostics
-from canhaptic.scene.document import MarkedList, MarkedMapping
+from canhaptic.scene.document import (
+    NOTED,
+    MarkedList,
+    MarkedMapping,
+    read_list,
+    read_mapping,
+    refuse_unknown_keys,
+)
 from canhaptic.scene.eds_path import find_dictionary
-from canhaptic.scene.explain import NOTED, read_list, read_mapping, refuse_unknown_keys
 from canhaptic.scene.further_bus import FurtherBus
-from canhaptic.scene.group_layout import Members, check_group_axes, group_layout, mechanism_layout, members_of
 from canhaptic.scene.models import LOOP_KEYS, GroupMembership, RunParameters
-from canhaptic.scene.profiles import with_profile
-from canhaptic.scene.simulated_defaults import mirror_quirks
 from canhaptic.units import shown
+
+if TYPE_CHECKING:
+    from canhaptic.scene.group_layout import Members
 
 SECTIONS: Final = ("bus", "axes", "groups", "environment", "passivity", "simulation", "accuracy", "log", "duration")
 OWN_SECTIONS: Final = ("environment", "passivity")
@@ -59,15 +65,27 @@ def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence
     if simulation is not None and simulation.get("bus") is not None:
         scene.put("bus_effects", simulation["bus"], simulation.keys_at["bus"], simulation.values_at["bus"])
     before = len(faults)
-    groups = members_of(written, "groups", "groups, each with name, axes, network, ...", faults)
-    mechanisms = members_of(simulation, "mechanisms", "mechanisms, each with type and axes", faults)
-    check_group_axes(groups, mechanisms, _axis_names(written), faults)
+    groups, mechanisms = _members(written, simulation, faults)
     axes = _axes(written, simulation, groups, mechanisms, faults, is_known=len(faults) == before)
     scene.set("axes", axes)
     units: dict[str, Motion] = {str(a["parameters"].get("name")): a.motion for a in axes if a is not NOTED and a.motion}
-    scene.set("groups", [group_layout(group, units) for group in groups])
-    scene.set("mechanisms", [mechanism_layout(mechanism) for mechanism in mechanisms])
+    scene.set("groups", [group.as_group(units) for group in groups])
+    scene.set("mechanisms", [mechanism.as_mechanism() for mechanism in mechanisms])
     return scene
+
+
+def _members(
+    written: MarkedMapping, simulation: MarkedMapping | None, faults: Diagnostics
+) -> "tuple[list[Members], list[Members]]":
+    """Returns groups and simulated mechanisms; a scene without them loads nothing of their layout."""
+    if written.get("groups") is None and (simulation is None or simulation.get("mechanisms") is None):
+        return [], []
+    from canhaptic.scene.group_layout import check_group_axes, members_of
+
+    groups = members_of(written, "groups", "groups, each with name, axes, network, ...", faults)
+    mechanisms = members_of(simulation, "mechanisms", "mechanisms, each with type and axes", faults)
+    check_group_axes(groups, mechanisms, _axis_names(written), faults)
+    return groups, mechanisms
 
 
 def _axis_names(written: MarkedMapping) -> list[str]:
@@ -168,8 +186,8 @@ def _bus_of_axis(section: MarkedMapping, names: tuple[str, ...], faults: Diagnos
 def _axes(
     written: MarkedMapping,
     simulation: MarkedMapping | None,
-    groups: Sequence[Members],
-    mechanisms: Sequence[Members],
+    groups: "Sequence[Members]",
+    mechanisms: "Sequence[Members]",
     faults: Diagnostics,
     *,
     is_known: bool,
@@ -198,9 +216,9 @@ def _axes(
 
 
 def _axis(
-    section: MarkedMapping, written: MarkedMapping, group: Members | None, faults: Diagnostics, *, is_known: bool
+    section: MarkedMapping, written: MarkedMapping, group: "Members | None", faults: Diagnostics, *, is_known: bool
 ) -> MarkedMapping:
-    section = with_profile(section, faults)
+    section = _over_profile(section, faults)
     own = find_dictionary(section.without(*OWN_SECTIONS, "bus"), faults)
     unit = section.get("unit", AxisParameters.model_fields["unit"].default)
     axis = MarkedMapping(section.mark, unit if unit in get_args(Motion) else None)
@@ -218,6 +236,14 @@ def _axis(
     axis.set("loop", MarkedMapping(section.mark) if passivity is None else passivity.only(LOOP_KEYS))
     axis.update(simulation=None)
     return axis
+
+
+def _over_profile(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
+    if section.get("drive") is None:
+        return section.without("drive")
+    from canhaptic.scene.profiles import with_profile
+
+    return with_profile(section, faults)
 
 
 def _own_over_shared(
@@ -246,7 +272,7 @@ def _own_over_shared(
     return result
 
 
-def _loop_in_group(section: MarkedMapping, group: Members, faults: Diagnostics) -> MarkedMapping | None:
+def _loop_in_group(section: MarkedMapping, group: "Members", faults: Diagnostics) -> MarkedMapping | None:
     """Loop of an axis in a group: its own `passivity` over that of the group."""
     renders = f"group {group.section.get('name')!r} renders on this axis;"
     if section.get("environment") is not None:
@@ -303,6 +329,8 @@ def _own_parts(name: str, simulation: MarkedMapping, faults: Diagnostics) -> Mar
 
 def _drive(parts: MarkedMapping, axis: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
     """Returns the simulated drive's parameters; its scaling is the axis's unless it is given one of its own."""
+    from canhaptic.scene.simulated_defaults import mirror_quirks
+
     at = parts.value_at("drive")
     written = MarkedMapping(at)
     if parts.get("drive") is not None:
@@ -341,7 +369,7 @@ def _mirror_display(drive: MarkedMapping, axis: MarkedMapping) -> None:
 
 
 def _check_names(
-    written: MarkedMapping, simulation: MarkedMapping | None, groups: Sequence[Members], faults: Diagnostics
+    written: MarkedMapping, simulation: MarkedMapping | None, groups: "Sequence[Members]", faults: Diagnostics
 ) -> None:
     """Notes names of axes that are none, and shared sections that no axis reads because groups render on all."""
     names = _axis_names(written)

@@ -12,15 +12,13 @@ from pydantic import ValidationError
 
 from canhaptic.errors import SceneConflictError, SceneError
 from canhaptic.input_file import read_regular
+from canhaptic.scene.components import CodeUse
 from canhaptic.scene.cross_checks import cross_check
 from canhaptic.scene.device_bounds import with_device_bounds
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
-from canhaptic.scene.document import MarkedMapping, mark_plain, parse_yaml
-from canhaptic.scene.explain import note_errors, read_mapping
+from canhaptic.scene.document import MarkedMapping, mark_plain, parse_yaml, read_mapping
 from canhaptic.scene.layout import SECTIONS, laid_out
 from canhaptic.scene.models import Scene, SceneContext, scene_adapter
-from canhaptic.scene.overrides import apply_overrides
-from canhaptic.scene.own_code import CodeUse, OwnCode
 from canhaptic.scene.timing import with_timing
 
 MAX_BYTES: Final = 1_000_000
@@ -125,9 +123,13 @@ def _read(
     sections = read_mapping(document, top, faults, ", ".join(SECTIONS))
     if sections is None:
         raise faults.error()
-    apply_overrides(sections, overrides, faults)
-    code = OwnCode(Path(source).parent, use)
-    scene = _validated(sections, laid_out(sections, source, text, overrides, faults), faults, code)
+    if overrides:
+        from canhaptic.scene.overrides import apply_overrides
+
+        apply_overrides(sections, overrides, faults)
+    laid = laid_out(sections, source, text, overrides, faults)
+    context = SceneContext(folder=Path(source).parent, use=use, simulated=laid["simulation"] is not None)
+    scene = _validated(sections, laid, faults, context)
     if scene is None or len(faults):
         raise faults.error()
     cross_check(scene, sections, faults, beyond_bus=beyond_bus)
@@ -135,15 +137,18 @@ def _read(
     return scene
 
 
-def _validated(sections: MarkedMapping, laid: MarkedMapping, faults: Diagnostics, code: OwnCode) -> Scene | None:
+def _validated(
+    sections: MarkedMapping, laid: MarkedMapping, faults: Diagnostics, context: SceneContext
+) -> Scene | None:
     """Returns the scene; None when it has faults, which are all noted."""
     try:
-        context = SceneContext(code=code, simulated=laid["simulation"] is not None)
         scene = scene_adapter().validate_python(laid, context=context)
-        return with_device_bounds(
-            with_timing(_completed(replace(scene, own_code=code.hashes, unread=tuple(code.left))))
-        )
+        if context.has_code:
+            scene = replace(scene, own_code=context.code.hashes, unread=tuple(context.code.left))
+        return with_device_bounds(with_timing(_completed(scene)))
     except ValidationError as error:
+        from canhaptic.scene.explain import note_errors
+
         note_errors(Scene, laid, error, faults)
     except RecursionError:
         faults.add(sections.mark, "nested too deeply")

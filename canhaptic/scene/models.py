@@ -33,31 +33,31 @@ from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.logs.log_parameters import LogParameters
 from canhaptic.scene.components import (
     READY,
+    CodeUse,
     ComponentByDisplay,
     ComponentOf,
     ComponentSpec,
-    OnDemand,
     OwnModel,
     UnreadParameters,
 )
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.scene.further_bus import BusName, FurtherBus, NamedBus
-from canhaptic.scene.old_forms import Release, in_form_of
-from canhaptic.scene.own_code import OwnCode
-from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.effects import EFFECTS
 from canhaptic.sim.plant.mechanism import MECHANISMS
-from canhaptic.sim.plant.mechanism.task_hand import TaskHand
-from canhaptic.sim.plant.plant import PlantParameters
-from canhaptic.sim.plant.user import UserParameters
-from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation
-from canhaptic.units import Name, Parameters, UnitContext, quantity
+from canhaptic.units import Name, OnDemand, Parameters, UnitContext, quantity
 
 if TYPE_CHECKING:
+    from canhaptic.scene.old_forms import Release
+    from canhaptic.scene.own_code import OwnCode
     from canhaptic.sim.bus.bus_effects import BusEffects
-else:
-    BusEffects = Any
+    from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+    from canhaptic.sim.plant.mechanism.task_hand import TaskHand
+    from canhaptic.sim.plant.plant import PlantParameters
+    from canhaptic.sim.plant.user import UserParameters
+    from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation
+else:  # a scene without them loads nothing of them
+    BusEffects = SimulatedDriveParameters = TaskHand = PlantParameters = UserParameters = AdmittanceSimulation = Any
 
 LOOP_KEYS: Final = (
     *("moving_mass", "device_damping", "device_damping_bound", "device_friction", "device_friction_bound"),
@@ -70,6 +70,8 @@ _MOVES_IN_METRES: Final = ("planar_2r", "five_bar")
 """Kinematics whose task space is in metres, for linear and rotary motors."""
 
 UnitT = TypeVar("UnitT", bound=str | None)
+_Drive = Annotated[SimulatedDriveParameters, OnDemand("canhaptic.sim.drive.drive_parameters:SimulatedDriveParameters")]
+_Hand = Annotated[TaskHand, OnDemand("canhaptic.sim.plant.mechanism.task_hand:TaskHand")]
 Environment = Annotated[
     ComponentSpec,
     ComponentByDisplay(
@@ -112,9 +114,25 @@ class SceneContext(UnitContext):
 
     bus: BusParameters | None = None  # once it is validated
     simulated: bool = False  # as that of `Scene`, once the bus is validated
-    code: OwnCode = field(default_factory=lambda: OwnCode(Path()))
+    folder: Path = Path()  # of the scene
+    use: CodeUse = "refused"
     displays: set[str] = field(default_factory=set)  # axes that are admittance displays, as far as they are read
     is_display: bool = False  # whether the last of them is one
+    _code: "OwnCode | None" = None
+
+    @property
+    def has_code(self) -> bool:
+        """Whether the scene asked for code of its user's own."""
+        return self._code is not None
+
+    @property
+    def code(self) -> "OwnCode":
+        """Own code that may be read, loaded where a scene asks for some."""
+        if self._code is None:
+            from canhaptic.scene.own_code import OwnCode
+
+            self._code = OwnCode(self.folder, self.use)
+        return self._code
 
 
 class RunParameters(Parameters):
@@ -163,13 +181,15 @@ def _in_its_unit(value: object, read: Callable[[object], object], info: Info[Sce
 class AxisSimulation:
     """Simulation of one axis: the simulated drive, the motor, the user's hand and the named effects."""
 
-    drive: SimulatedDriveParameters
-    plant: PlantParameters
-    user: Annotated[UserParameters, OwnModel("hand")] | None = None
+    drive: _Drive
+    plant: Annotated[PlantParameters, OnDemand("canhaptic.sim.plant.plant:PlantParameters")]
+    user: Annotated[UserParameters, OwnModel("canhaptic.sim.plant.user:UserParameters", "hand")] | None = None
     effects: tuple[Annotated[ComponentSpec, ComponentOf(EFFECTS, "effect")], ...] = ()
     seed: int = 0
     accuracy: AccuracyParameters = field(default_factory=AccuracyParameters)
-    admittance: AdmittanceSimulation | None = None
+    admittance: (
+        Annotated[AdmittanceSimulation, OnDemand("canhaptic.sim.plant.velocity_drive:AdmittanceSimulation")] | None
+    ) = None
 
 
 def _loop_of(section: object, info: Info[SceneContext]) -> object:
@@ -201,7 +221,7 @@ class AxisScene:
     simulation: AxisSimulation | None
     bus: str = ""  # name of the one it is on
     group: str = ""  # name of the group that renders on it; environment and passivity then say so
-    simulated_drive: SimulatedDriveParameters | None = None  # of an axis whose motor moves a simulated mechanism
+    simulated_drive: _Drive | None = None  # of an axis whose motor moves a simulated mechanism
 
     @property
     def is_read(self) -> bool:
@@ -241,7 +261,7 @@ class MechanismScene:
 
     mechanism: Annotated[ComponentSpec, ComponentOf(MECHANISMS, "mechanism")]
     axes: Annotated[tuple[str, ...], AfterValidator(_as_many_as_move_it)]
-    hand: Annotated[TaskHand | None, WrapValidator(_in_its_unit)] = None
+    hand: Annotated[_Hand | None, WrapValidator(_in_its_unit)] = None
     substeps: int = 1
 
 
@@ -339,7 +359,7 @@ class Scene:
             **({"own_code": dict(self.own_code)} if self.own_code else {}),
         }
 
-    def config_hash(self, release: Release | None = None, logged: Mapping[str, Any] | None = None) -> str:
+    def config_hash(self, release: "Release | None" = None, logged: Mapping[str, Any] | None = None) -> str:
         """Returns the SHA-256 of the configuration in effect, dictionaries by content.
 
         Args:
@@ -366,6 +386,8 @@ class Scene:
         if self.auto_accuracy is not None:
             del resolved["accuracy"]["chosen"]
         if release is not None:
+            from canhaptic.scene.old_forms import in_form_of
+
             resolved = in_form_of(release, resolved, LATER_LOOP_KEYS, logged or {})
         canonical = json.dumps(resolved, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(canonical.encode()).hexdigest()

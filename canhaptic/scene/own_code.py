@@ -18,16 +18,13 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.input_file import read_regular
+from canhaptic.scene.components import OWN_MODULE, CodeUse
 
-CodeUse = Literal["refused", "run", "left"]
-"""What happens to own code that a scene names: refused with one error, run, or left unread."""
 _MARK: Final = ".py:"
-OWN_MODULE: Final = "_canhaptic_own_"
-"""Begins the name of the private module of a file."""
 _LARGEST: Final = 1_000_000  # [bytes]
 ENTRY_POINT_GROUPS: Final[Mapping[str, str]] = {
     "environment": "canhaptic.environments",

@@ -1,40 +1,39 @@
 """The parts of one axis made from its scene: plant, controller, simulated drive, servo drive."""
 
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import can
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.control.admittance import build_display_controller, build_display_group
-from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.axis_meter import AxisMeter, SilentMeter
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.plain import plain
-from canhaptic.control.friction_watch import FrictionWatch
-from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis import build_group_controller
-from canhaptic.control.multi_axis.axis_group import AxisGroup
-from canhaptic.control.multi_axis.group_controller import GroupController, NetworkEnvironment
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import Controller
 from canhaptic.drive.axis_parameters import BusParameters
-from canhaptic.drive.can.display_drive import DisplayDrive
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene
 from canhaptic.scene.sensor_errors import accuracy_of, friction_declared, loop_as_known
-from canhaptic.sim.drive.can.drive_node import SimulatedDrive
-from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.plant.effects import Effect
-from canhaptic.sim.plant.mechanism import Mechanism, MechanismParameters
-from canhaptic.sim.plant.mechanism.shared_mechanism import MechanismMotor, SharedMechanism
-from canhaptic.sim.plant.plant import Plant
-from canhaptic.sim.plant.velocity_drive import AdmittancePlant
+
+if TYPE_CHECKING:
+    from canhaptic.control.admittance.properties import DisplayProperties
+    from canhaptic.control.mechanisms.kinematics import Kinematics
+    from canhaptic.control.multi_axis.axis_group import AxisGroup
+    from canhaptic.control.multi_axis.group_controller import GroupController, NetworkEnvironment
+    from canhaptic.sim.drive.can.drive_node import SimulatedDrive
+    from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+    from canhaptic.sim.plant.effects import Effect
+    from canhaptic.sim.plant.mechanism import Mechanism, MechanismParameters
+    from canhaptic.sim.plant.mechanism.shared_mechanism import MechanismMotor
+    from canhaptic.sim.plant.plant import Plant
 
 
-def build_plant(simulation: AxisSimulation, sample_time_ns: int, *, compiled: bool = False) -> Plant:
+def build_plant(simulation: AxisSimulation, sample_time_ns: int, *, compiled: bool = False) -> "Plant":
     """Returns the motor and user of one axis, at rest until the first SYNC with the drive enabled.
 
     Args:
@@ -44,19 +43,23 @@ def build_plant(simulation: AxisSimulation, sample_time_ns: int, *, compiled: bo
     """
     effects = [effect_of(effect) for effect in simulation.effects]
     if simulation.admittance is not None:
+        from canhaptic.sim.plant.velocity_drive import AdmittancePlant
+
         return AdmittancePlant(
             simulation.plant, simulation.admittance, simulation.user, effects, sample_time_ns, simulation.seed,
             simulation.accuracy,
         )  # fmt: skip
+    from canhaptic.sim.plant.plant import Plant
+
     return Plant(
         simulation.plant, simulation.user, effects, sample_time_ns, simulation.seed, simulation.accuracy,
         compiled,
     )  # fmt: skip
 
 
-def effect_of(effect: ComponentSpec) -> Effect:
+def effect_of(effect: ComponentSpec) -> "Effect":
     """Object of an effect's parameters."""
-    return cast(Effect, effect.parameters)  # every class of EFFECTS is one
+    return cast("Effect", effect.parameters)  # every class of EFFECTS is one
 
 
 def build_axis_controller(axis: AxisScene) -> Controller:
@@ -80,7 +83,7 @@ def build_axis_controller(axis: AxisScene) -> Controller:
     return build_controller(environment, axis.passivity.name, axis.passivity.parameters, loop_as_known(axis))
 
 
-def display_properties(axis: AxisScene) -> DisplayProperties:
+def display_properties(axis: AxisScene) -> "DisplayProperties":
     """Declared properties of an admittance display.
 
     Raises:
@@ -92,6 +95,8 @@ def display_properties(axis: AxisScene) -> DisplayProperties:
     if "speed_limit" not in given.model_fields_set or display.acceleration_limit is None:
         missing = "admittance.acceleration_limit" if display.acceleration_limit is None else "speed_limit"
         raise ParameterError(f"{given.name}: {missing}: missing; an admittance display needs it, add it")
+    from canhaptic.control.admittance.properties import DisplayProperties
+
     force, time = display.force, axis.loop.sample_time
     counts = given.counts_per_unit
     quantum = 1.0 / (counts * time) if display.mode == "position" else 1.0 / (display.velocity_counts or counts)
@@ -111,8 +116,12 @@ def build_axis_controllers(scene: Scene) -> list[Controller]:
     return [build_axis_controller(axis) for axis in scene.axes if not axis.group]
 
 
-def build_axis_groups(scene: Scene) -> list[AxisGroup]:
+def build_axis_groups(scene: Scene) -> "list[AxisGroup]":
     """Returns the groups of a scene, at rest."""
+    if not scene.groups:
+        return []
+    from canhaptic.control.multi_axis.axis_group import AxisGroup
+
     return [
         AxisGroup(group.name, places, build_group(scene, group))
         for group, places in zip(scene.groups, group_places(scene), strict=True)
@@ -135,12 +144,14 @@ def _axis_meter(axis: AxisScene, algorithm: str) -> AxisMeter:
     if axis.parameters.admittance is not None:
         return SilentMeter()
     environment = None if axis.group else plain(cast(Environment, axis.environment.parameters))
-    declared = friction_declared(axis)
-    watch = None if declared is None else FrictionWatch(declared)
-    return AxisMeter(accuracy_of(axis, algorithm), environment, watch)
+    if (declared := friction_declared(axis)) is None:
+        return AxisMeter(accuracy_of(axis, algorithm), environment)
+    from canhaptic.control.friction_watch import FrictionWatch
+
+    return AxisMeter(accuracy_of(axis, algorithm), environment, FrictionWatch(declared))
 
 
-def build_group(scene: Scene, group: GroupScene) -> GroupController:
+def build_group(scene: Scene, group: GroupScene) -> "GroupController":
     """Returns the controller of one group.
 
     Raises:
@@ -150,8 +161,8 @@ def build_group(scene: Scene, group: GroupScene) -> GroupController:
         return _build_display_group(scene, group)
     check_group(group)
     loops = [loop_as_known(scene.axis(name)) for name in group.axes]
-    kinematics = cast(Kinematics, group.kinematics.parameters)  # every class of KINEMATICS is one
-    network = cast(NetworkEnvironment, group.network.parameters)  # every class of NETWORKS is one
+    kinematics = cast("Kinematics", group.kinematics.parameters)  # every class of KINEMATICS is one
+    network = cast("NetworkEnvironment", group.network.parameters)  # every class of NETWORKS is one
     return build_group_controller(network, kinematics, group.passivity.name, group.passivity.parameters, loops)
 
 
@@ -161,7 +172,7 @@ def check_group(group: GroupScene) -> None:
     Raises:
         ParameterError: They do not.
     """
-    kinematics = cast(Kinematics, group.kinematics.parameters)
+    kinematics = cast("Kinematics", group.kinematics.parameters)
     if kinematics.axes != len(group.axes):
         raise ParameterError(
             f"kinematics {group.kinematics.name!r} has {kinematics.axes} motor axes, expected the {len(group.axes)} of "
@@ -169,7 +180,7 @@ def check_group(group: GroupScene) -> None:
         )
 
 
-def _build_display_group(scene: Scene, group: GroupScene) -> GroupController:
+def _build_display_group(scene: Scene, group: GroupScene) -> "GroupController":
     axes = [scene.axis(name) for name in group.axes]
     others = [axis.parameters.name for axis in axes if axis.parameters.admittance is None]
     if others:
@@ -177,19 +188,22 @@ def _build_display_group(scene: Scene, group: GroupScene) -> GroupController:
             f"group {group.name!r} has admittance displays and {', '.join(others)}, which is none; expected one kind"
         )
     check_group(group)
-    properties, kinematics = [display_properties(axis) for axis in axes], cast(Kinematics, group.kinematics.parameters)
+    properties, kinematics = (
+        [display_properties(axis) for axis in axes],
+        cast("Kinematics", group.kinematics.parameters),
+    )
     return build_display_group(
         group.network.parameters, group.passivity.name, group.passivity.parameters, properties, kinematics
     )
 
 
-def build_mechanism(of: MechanismScene, sample_time_ns: int) -> Mechanism:
+def build_mechanism(of: MechanismScene, sample_time_ns: int) -> "Mechanism":
     """Returns a simulated mechanism, at rest until the last of its drives is enabled.
 
     Raises:
         ParameterError: It cannot be in the pose of its parameters.
     """
-    parameters = cast(MechanismParameters, of.mechanism.parameters)  # every class of MECHANISMS is one
+    parameters = cast("MechanismParameters", of.mechanism.parameters)  # every class of MECHANISMS is one
     return parameters.build(of.hand, sample_time_ns, of.substeps)
 
 
@@ -204,6 +218,8 @@ def build_servo_drive(axis: AxisScene, link: Link, bus: BusParameters, *, dry_ru
         require_torque_axis(axis)
     if axis.parameters.admittance is None:
         return ServoDrive(link, axis.parameters, dictionary, bus, dry_run=dry_run)
+    from canhaptic.drive.can.display_drive import DisplayDrive
+
     return DisplayDrive(link, axis.parameters, dictionary, bus)
 
 
@@ -222,17 +238,25 @@ def require_torque_axis(axis: AxisScene) -> None:
 
 def build_simulated_drive(
     axis: AxisScene, simulation: AxisSimulation, bus: can.BusABC, sample_time_ns: int
-) -> SimulatedDrive:
+) -> "SimulatedDrive":
     """Returns the drive of one axis with motor and user behind it; it reads its dictionary itself."""
+    from canhaptic.sim.drive.can.drive_node import SimulatedDrive
+
     plant = build_plant(simulation, sample_time_ns)
     node_id, eds = axis.parameters.node_id, axis.parameters.eds
     return SimulatedDrive(bus, node_id, eds, plant, simulation.drive, sample_time_ns)
 
 
 def build_mechanism_drive(
-    axis: AxisScene, parameters: SimulatedDriveParameters, motor: MechanismMotor, bus: can.BusABC, sample_time_ns: int
-) -> SimulatedDrive:
+    axis: AxisScene,
+    parameters: "SimulatedDriveParameters",
+    motor: "MechanismMotor",
+    bus: can.BusABC,
+    sample_time_ns: int,
+) -> "SimulatedDrive":
     """Returns the drive of one axis that moves a mechanism with others."""
+    from canhaptic.sim.drive.can.drive_node import SimulatedDrive
+
     node_id, eds = axis.parameters.node_id, axis.parameters.eds
     drive = SimulatedDrive(bus, node_id, eds, motor, parameters, sample_time_ns)
     servo = drive.servo
@@ -240,8 +264,10 @@ def build_mechanism_drive(
     return drive
 
 
-def shared_motors(scene: Scene) -> dict[str, MechanismMotor]:
+def shared_motors(scene: Scene) -> "dict[str, MechanismMotor]":
     """Returns the motors of all simulated mechanisms, by the name of their axis."""
+    from canhaptic.sim.plant.mechanism.shared_mechanism import SharedMechanism
+
     motors: dict[str, MechanismMotor] = {}
     for of in scene.mechanisms:
         shared = SharedMechanism(build_mechanism(of, scene.bus.sample_time_ns), len(of.axes))

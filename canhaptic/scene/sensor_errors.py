@@ -5,13 +5,15 @@ An encoder may be noisy or coarser than its counts, and a motor may give another
 
 from collections.abc import Mapping
 from math import inf
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from canhaptic.control.axis_meter import Accuracy
-from canhaptic.control.friction_watch import FrictionDeclared
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.scene.models import AxisScene
 from canhaptic.units import Parameters
+
+if TYPE_CHECKING:
+    from canhaptic.control.friction_watch import FrictionDeclared
 
 _SIGMAS: Final = 6.0
 """Standard deviations of a noise beyond which no sample is expected: 2e-9 of them."""
@@ -68,12 +70,14 @@ def _bounds_motion(axis: AxisScene, loop: LoopProperties) -> bool:
     return bool(loop.device_damping or speed or (force is not None and loop.moving_mass is not None))
 
 
-def friction_declared(axis: AxisScene) -> FrictionDeclared | None:
+def friction_declared(axis: AxisScene) -> "FrictionDeclared | None":
     """Declared friction and hand for the check of an axis; None where one is undeclared."""
     loop, parameters = loop_as_known(axis), axis.passivity.parameters
     force, push = (getattr(parameters, key, None) for key in ("hand_force", "hand_push"))
     if axis.group or not loop.device_friction or loop.moving_mass is None or force is None:
         return None
+    from canhaptic.control.friction_watch import FrictionDeclared
+
     return FrictionDeclared(
         loop.device_friction,
         loop.moving_mass,

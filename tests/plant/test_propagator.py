@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from canhaptic.sim.plant.propagator import LEVELS, dyadic_flows
+from canhaptic.sim.plant.accuracy_parameters import LEVELS
+from canhaptic.sim.plant.propagator import dyadic_flows
 
 
 def servo_and_hand(stiffness: float, damping: float, mass: float, frequency: float) -> np.ndarray:

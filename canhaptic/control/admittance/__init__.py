@@ -1,17 +1,19 @@
-"""Admittance displays: force in, velocity out. The tables of what is rendered and of the algorithms that render it."""
+"""Admittance displays: force in, velocity out. The tables of what is rendered and of the algorithms that render it.
+
+Every scene reads the tables; the modules of this room are loaded where a scene has a display.
+"""
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
-from canhaptic.control.admittance.properties import DisplayProperties
-from canhaptic.control.admittance.task_environment import TaskEnvironment
-from canhaptic.control.mechanisms.identity import Identity
-from canhaptic.control.mechanisms.kinematics import Kinematics
-from canhaptic.control.multi_axis.group_controller import GroupController
-from canhaptic.control.passivity.controller import Controller
 from canhaptic.registry import load, load_algorithm
-from canhaptic.units import Parameters
+
+if TYPE_CHECKING:
+    from canhaptic.control.admittance.properties import DisplayProperties
+    from canhaptic.control.mechanisms.kinematics import Kinematics
+    from canhaptic.control.multi_axis.group_controller import GroupController
+    from canhaptic.control.passivity.controller import Controller
+    from canhaptic.units import Parameters
 
 _HERE: Final = "canhaptic.control.admittance"
 _RIVALS: Final = "canhaptic.lab.rivals"
@@ -49,8 +51,8 @@ DISPLAY_GROUP_ALGORITHMS: Final[dict[str, str]] = {
 
 
 def build_display_controller(
-    environment: Any, algorithm_name: str, parameters: Parameters | None, properties: DisplayProperties
-) -> Controller:
+    environment: Any, algorithm_name: str, parameters: "Parameters | None", properties: "DisplayProperties"
+) -> "Controller":
     """Returns the controller of one admittance display, at rest.
 
     Args:
@@ -70,10 +72,10 @@ def build_display_controller(
 def build_display_group(
     environment: Any,
     algorithm_name: str,
-    parameters: Parameters,
-    properties: Sequence[DisplayProperties],
-    kinematics: Kinematics | None = None,
-) -> GroupController:
+    parameters: "Parameters",
+    properties: "Sequence[DisplayProperties]",
+    kinematics: "Kinematics | None" = None,
+) -> "GroupController":
     """Returns the controller of several admittance displays with one account, at rest.
 
     Args:
@@ -86,6 +88,10 @@ def build_display_group(
     Raises:
         ParameterError: Unknown name, or parts that do not fit together.
     """
+    from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
+    from canhaptic.control.admittance.task_environment import TaskEnvironment
+    from canhaptic.control.mechanisms.identity import Identity
+
     algorithm = load(DISPLAY_GROUP_ALGORITHMS, algorithm_name, "algorithm of several admittance displays")
     if kinematics is not None and not isinstance(kinematics, Identity):
         lag = 0.0

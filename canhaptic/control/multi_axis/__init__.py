@@ -1,13 +1,18 @@
-"""Port-Hamiltonian networks on several motor axes: the tables that name them, and the controller of a group of axes."""
+"""Port-Hamiltonian networks on several motor axes: the tables that name them, and the controller of a group of axes.
+
+Every scene reads the tables; the modules of this room are loaded where a scene has a group.
+"""
 
 from collections.abc import Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from canhaptic.control.mechanisms.kinematics import Kinematics
-from canhaptic.control.multi_axis.group_controller import GroupController, NetworkEnvironment
-from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.registry import load_algorithm
-from canhaptic.units import Parameters
+
+if TYPE_CHECKING:
+    from canhaptic.control.mechanisms.kinematics import Kinematics
+    from canhaptic.control.multi_axis.group_controller import GroupController, NetworkEnvironment
+    from canhaptic.control.passivity.controller import LoopProperties
+    from canhaptic.units import Parameters
 
 _HERE: Final = "canhaptic.control.multi_axis"
 _RIVALS: Final = "canhaptic.lab.rivals"
@@ -36,12 +41,12 @@ GROUP_ALGORITHMS: Final[dict[str, str]] = {
 
 
 def build_group_controller(
-    environment: NetworkEnvironment,
-    kinematics: Kinematics,
+    environment: "NetworkEnvironment",
+    kinematics: "Kinematics",
     algorithm_name: str,
-    parameters: Parameters | None,
-    loops: Sequence[LoopProperties],
-) -> GroupController:
+    parameters: "Parameters | None",
+    loops: "Sequence[LoopProperties]",
+) -> "GroupController":
     """Returns a controller of a group of axes, at rest and without stored energy.
 
     Args:

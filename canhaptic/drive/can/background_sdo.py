@@ -211,10 +211,13 @@ class SdoLine:
     # --- the thread of the cycle --------------------------------------------------------------------------------------
 
     def open(self) -> None:
-        """Takes requests from now on."""
-        self.busy = False
-        self._done, self._has_hander = SimpleQueue(), False
-        self._is_open = self._has_room
+        """Takes requests from now on, unless it does."""
+        with self._starting:  # the first request for SDO may open it while the rig starts
+            if self._is_open:
+                return
+            self.busy = False
+            self._done, self._has_hander = SimpleQueue(), False
+            self._is_open = self._has_room
 
     def close(self) -> None:
         """Takes no more requests and fails those that wait."""

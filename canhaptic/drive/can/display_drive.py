@@ -5,12 +5,11 @@ display holds the torque, and the command is a velocity.
 """
 
 from collections.abc import Callable
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from canopen import ObjectDictionary
 
 from canhaptic.canopen import objects as od
-from canhaptic.canopen.force_node import ForceNode
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.sdo import SdoChannel
@@ -24,6 +23,9 @@ from canhaptic.drive.profile.power_states import PowerState
 from canhaptic.drive.profile.scaling import AxisScaling
 from canhaptic.errors import ParameterError
 from canhaptic.signals import Sample
+
+if TYPE_CHECKING:
+    from canhaptic.canopen.force_node import ForceNode
 
 _tuple: Final = tuple.__new__
 _QUICK_STOP_BY_SDO: Final = next(download(od.CONTROLWORD, 0, od.Controlword.QUICK_STOP.to_bytes(2, "little")))
@@ -72,7 +74,7 @@ class DisplayDrive(ServoDrive):
         if self._is_position:
             self.rest_text = "the position of the axis"
 
-    def _force_handler(self, node: ForceNode) -> Callable[[bytearray], None]:
+    def _force_handler(self, node: "ForceNode") -> Callable[[bytearray], None]:
         """Handler of the frames of a sensor with a node of its own: one more part of the sample."""
         bit = self._all_tpdos + 1
         self._all_tpdos |= bit

@@ -1,13 +1,17 @@
 """Parameters of an axis that is an admittance display: velocity commands, force sensor, limits."""
 
 import re
-from typing import Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import field_validator, model_validator
 
 from canhaptic.canopen import objects as od
-from canhaptic.canopen.force_node import ForceNode
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import OnDemand, Parameters, quantity
+
+if TYPE_CHECKING:
+    from canhaptic.canopen.force_node import ForceNode
+else:  # a sensor that is no node of its own loads nothing of it
+    ForceNode = Any
 
 _LARGEST_BITS: Final = 32
 _OBJECT: Final = re.compile(r"0x([0-9a-fA-F]{4})(?:\.([0-9a-fA-F]{1,2}))?")
@@ -21,7 +25,7 @@ class ForceParameters(Parameters):
 
     object: str | None = None
     """Object of the drive that shows the force, `0x3160.1` (index.subindex, hexadecimal); INTEGER16 or INTEGER32."""
-    node: ForceNode | None = None
+    node: Annotated[ForceNode, OnDemand("canhaptic.canopen.force_node:ForceNode")] | None = None
     """Frame of a sensor that answers the SYNC by itself; in place of `object`."""
     per_count: Annotated[float, quantity("N", "N*m", ge=-1e6, le=1e6)]
     """Force of the hand towards +q, by one count; negative where the sensor counts the other way; of an impulse N*s."""

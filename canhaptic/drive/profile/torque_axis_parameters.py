@@ -1,14 +1,18 @@
 """Parameters of one axis, for any fieldbus: every value in SI, with unit and range."""
 
-from typing import Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import field_validator
 
 from canhaptic.canopen import objects as od
-from canhaptic.drive.profile.display_parameters import DisplayParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import ParameterError
-from canhaptic.units import Name, Parameters, PrintablePath, quantity
+from canhaptic.units import Name, OnDemand, Parameters, PrintablePath, quantity
+
+if TYPE_CHECKING:
+    from canhaptic.drive.profile.display_parameters import DisplayParameters
+else:  # an impedance display loads nothing of it
+    DisplayParameters = Any
 
 _LARGEST_SPEED: Final = {"m": 10.0, "rad": 100.0}  # [m/s or rad/s]
 ReadBack = Literal["demand", "actual", "none"]
@@ -52,7 +56,9 @@ class TorqueAxisParameters(Parameters):
     """Largest difference of a measured torque (0x6077) from its command, as a part of the rated torque."""
     demand_reported: Literal["before", "after"] = "before"
     """Whether the TPDO of a SYNC carries the torque held before that SYNC or the one that begins with it."""
-    admittance: DisplayParameters | None = None
+    admittance: (
+        Annotated[DisplayParameters, OnDemand("canhaptic.drive.profile.display_parameters:DisplayParameters")] | None
+    ) = None
     """Parameters of an admittance display, force in and velocity out. None: an impedance display."""
     vendor_id: Annotated[int, quantity("1", ge=0, le=0xFFFFFFFF)] | None = None
     """Expected 0x1018:01; any when absent."""

@@ -1,12 +1,16 @@
 """Parameters of the simulated drive beyond its dictionary. Nothing that a dictionary lacks is assumed."""
 
 import re
-from typing import Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import Field, field_validator
 
-from canhaptic.canopen.force_node import ForceNode
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import OnDemand, Parameters, quantity
+
+if TYPE_CHECKING:
+    from canhaptic.canopen.force_node import ForceNode
+else:  # a sensor that is no node of its own loads nothing of it
+    ForceNode = Any
 
 _PLACE: Final = re.compile(r"(?:0x)?([0-9a-f]{1,4})(?:(?:\.|sub)(?:0x)?([0-9a-f]{1,2}))?", re.IGNORECASE)
 
@@ -37,7 +41,7 @@ class DisplayScaling(Parameters):
 
     force_object: str | None = None
     """Object that shows the force; None: a node of its own does."""
-    force_node: ForceNode | None = None
+    force_node: Annotated[ForceNode, OnDemand("canhaptic.canopen.force_node:ForceNode")] | None = None
     """That node; None: an object of the drive shows the force."""
     force_per_count: Annotated[float, quantity("N", "N*m")]
     """Force of the hand towards +q, by one count."""

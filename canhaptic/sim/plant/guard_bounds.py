@@ -23,7 +23,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.sim.plant.propagator import LEVELS, Array, halvings_of, taylor_flow
+from canhaptic.sim.plant.accuracy_parameters import LEVELS
+from canhaptic.sim.plant.propagator import Array, halvings_of, taylor_flow
 
 _LOOSENING: Final = 1.0 + 1e-9
 """The bounds are raised by it for their own rounding."""

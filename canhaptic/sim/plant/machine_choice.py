@@ -1,7 +1,6 @@
 """Choice of the stepper: interpreted, or compiled by numba, which is imported only then."""
 
 from canhaptic.errors import ParameterError
-from canhaptic.extras import install_hint
 from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
 
 
@@ -16,6 +15,8 @@ def machine_type(compiled: bool) -> type[HybridAutomaton]:
     try:
         from canhaptic.sim.plant.njit_stepper import CompiledMachine
     except ImportError as error:
+        from canhaptic.extras import install_hint
+
         raise ParameterError(
             f"compiled: needs numba ({error}); {install_hint('fast')}, or leave it out", "compiled"
         ) from error

@@ -9,7 +9,7 @@ since the plant's epoch, so that k whole sample times are exactly k steps.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
 
@@ -22,12 +22,13 @@ from canhaptic.sim.plant.guard_horizon import HOLDS
 from canhaptic.sim.plant.hybrid_automaton import matrix_of
 from canhaptic.sim.plant.machine_choice import machine_type
 from canhaptic.sim.plant.mode_matrices import Mode, initial_state
-from canhaptic.sim.plant.pointer_hand import PLACE
 from canhaptic.sim.plant.propagator import TICKS, Array
-from canhaptic.sim.plant.splitting import Splitting
-from canhaptic.sim.plant.timetable import Timetable
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.units import Parameters, quantity
+
+if TYPE_CHECKING:
+    from canhaptic.sim.plant.splitting import Splitting
+    from canhaptic.sim.plant.timetable import Timetable
 
 _tuple: Final = tuple.__new__  # makes the energies at half the cost of calling their class
 _WORTH_LOOKING: Final = 8  # holds without events ahead: a look costs as much as two that are judged
@@ -124,7 +125,7 @@ class Plant:
         self.has_ideal_encoder = not self.scene.encoders
         self._machine = machine_type(compiled)(self.scene, self.accuracy.max_events, self.accuracy.event_bits)
         self._run_holds: Callable[[Array, Array], None] | None = getattr(self._machine, "run_holds", None)
-        self._splitting = Splitting(self._machine, self.accuracy.substeps) if self.scene.efforts else None
+        self._splitting = self._split() if self.scene.efforts else None
         self._timetable: Timetable | None = None
         self._hold = self._chosen_hold()
         self._is_linear = self._hold == self._linear_hold
@@ -138,6 +139,11 @@ class Plant:
         self.state_names = (*self.scene.names, *kept)
         self.reset()
 
+    def _split(self) -> "Splitting":
+        from canhaptic.sim.plant.splitting import Splitting
+
+        return Splitting(self._machine, self.accuracy.substeps)
+
     def _chosen_hold(self) -> Callable[[int, float], None]:
         """Function that moves this model by a hold; specialised to the effects present."""
         scene, machine = self.scene, self._machine
@@ -150,6 +156,8 @@ class Plant:
             self._splitting.run if self._splitting else machine.run if has_guards else machine.run_free
         )
         if scene.schedule:
+            from canhaptic.sim.plant.timetable import Timetable
+
             self._timetable = Timetable(machine, run)
             run = self._timetable.run
         self._run = run
@@ -208,6 +216,8 @@ class Plant:
 
     def move_hand(self, place: float) -> None:
         """Moves a `PointerHand` to a position [m or rad] for the following holds; allowed between two holds only."""
+        from canhaptic.sim.plant.pointer_hand import PLACE
+
         self.set_states({PLACE: place})
 
     @property

@@ -12,13 +12,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from canhaptic.sim.plant.accuracy_parameters import LEVELS
+
 Array = NDArray[np.float64]
 
-LEVELS: Final = 24
-"""Halvings of one sample time: time is counted in T / 2^24, 60 ps at 1 kHz.
-
-2^20 (1 ns) leaves 3e-8 of the position at a damped stop, whose force jumps at contact; 2^24 leaves 2e-9.
-"""
 TICKS: Final = 1 << LEVELS
 """Ticks in one sample time; all time inside the plant is an integer number of them."""
 _LARGEST_STEP: Final = 0.25  # of ||F h||: the series then needs about a dozen terms

@@ -16,7 +16,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from canhaptic.kernels import Indices
-from canhaptic.sim.plant.propagator import LEVELS, TICKS, Array
+from canhaptic.sim.plant.accuracy_parameters import LEVELS
+from canhaptic.sim.plant.propagator import TICKS, Array
 
 _ROUNDING: Final = 1e-14  # a guard is broken when it is below zero by more than this part of its largest term
 _CHAIN: Final = 16  # switches without time between them

@@ -8,7 +8,7 @@ of the object dictionary: its SDO server, codecs, scaling and state machine are 
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Final, cast
+from typing import TYPE_CHECKING, Final, cast
 
 import can
 from canopen.objectdictionary import ObjectDictionary
@@ -34,13 +34,15 @@ from canhaptic.sim.drive.can import emergency as emcy
 from canhaptic.sim.drive.can.nmt_slave import HeartbeatConsumer, HeartbeatProducer, command_for
 from canhaptic.sim.drive.can.process_data import Content, Handler, ProcessData
 from canhaptic.sim.drive.can.sdo_server import SdoServer
-from canhaptic.sim.drive.can.sensor_node import SensorNode
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.drive.profile.display_servo import DisplayMotor, DisplayServo
 from canhaptic.sim.drive.profile.object_store import ObjectStore
 from canhaptic.sim.drive.profile.servo import Motor, Servo
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from canhaptic.sim.drive.timers import Timers
+
+if TYPE_CHECKING:
+    from canhaptic.sim.drive.can.sensor_node import SensorNode
+    from canhaptic.sim.drive.profile.display_servo import DisplayMotor
 
 _COMMUNICATION_OBJECTS: Final = range(0x1000, 0x2000)
 _NOT_SERVED: Final = frozenset({(GUARD_TIME, None), (LIFE_TIME_FACTOR, None)})  # node guarding
@@ -52,9 +54,11 @@ _FAULTY: Final = frozenset((DriveState.FAULT_REACTION_ACTIVE, DriveState.FAULT))
 
 
 def _servo(store: ObjectStore, motor: Motor, parameters: SimulatedDriveParameters) -> Servo:
-    if parameters.display is not None:
-        return DisplayServo(store, cast(DisplayMotor, motor), parameters)
-    return Servo(store, motor, parameters)
+    if parameters.display is None:
+        return Servo(store, motor, parameters)
+    from canhaptic.sim.drive.profile.display_servo import DisplayServo
+
+    return DisplayServo(store, cast("DisplayMotor", motor), parameters)
 
 
 class SimulatedDrive:
@@ -122,10 +126,15 @@ class SimulatedDrive:
         self._settle_timer = timers.add(self._settle)
         timers.start(timers.add(self._power_on), 0)
 
-    def _sensor_node(self, parameters: SimulatedDriveParameters) -> SensorNode | None:
+    def _sensor_node(self, parameters: SimulatedDriveParameters) -> "SensorNode | None":
         """Returns the force sensor of an admittance display that is a node of its own."""
         display, servo = parameters.display, self.servo
-        if display is None or display.force_node is None or not isinstance(servo, DisplayServo):
+        if display is None or display.force_node is None:
+            return None
+        from canhaptic.sim.drive.can.sensor_node import SensorNode
+        from canhaptic.sim.drive.profile.display_servo import DisplayServo
+
+        if not isinstance(servo, DisplayServo):
             return None
         scales = display.force_per_count, display.force_offset_counts
         return SensorNode(display.force_node, *scales, servo.shown_force, self._send)
@@ -224,7 +233,7 @@ class SimulatedDrive:
         if len(content) == 1:
             self._consumer.hear(slot)
 
-    def _on_sync_with_sensor(self, sensor: SensorNode, handler: Handler | None, content: Content) -> None:
+    def _on_sync_with_sensor(self, sensor: "SensorNode", handler: Handler | None, content: Content) -> None:
         if handler is not None:
             handler(content)
         sensor.take_sync()

@@ -5,12 +5,14 @@ commands, encoders or efforts to a `canhaptic.sim.plant.assembly.PlantModel`.
 """
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Final, Protocol, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol, cast
 
 from canhaptic.axis_units import Motion
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
-from canhaptic.sim.plant.assembly import PlantModel
+
+if TYPE_CHECKING:
+    from canhaptic.sim.plant.assembly import PlantModel
 
 EFFECTS: Final[dict[str, str]] = {
     "backlash": "canhaptic.sim.plant.effects.backlash:Backlash",
@@ -46,7 +48,7 @@ class Effect(Protocol):
     rank: ClassVar[int]
     """Effects are added in this order, then in the order of the scene."""
 
-    def add_to(self, scene: PlantModel) -> None:
+    def add_to(self, scene: "PlantModel") -> None:
         """Add the components of the effect.
 
         Raises:

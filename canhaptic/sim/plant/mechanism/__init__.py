@@ -4,11 +4,13 @@ A mechanism is a frozen parameter model with `build(hand, sample_time_ns, subste
 never imported. Its hand holds the handle in task space, in metres, for linear and rotary motors.
 """
 
-from typing import ClassVar, Final, Protocol
+from typing import TYPE_CHECKING, ClassVar, Final, Protocol
 
 from canhaptic.axis_units import Motion
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.plant.mechanism.task_hand import TaskHand
+
+if TYPE_CHECKING:
+    from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 
 MECHANISMS: Final[dict[str, str]] = {
     "five_bar": "canhaptic.sim.plant.mechanism.five_bar_linkage:FiveBarLinkage",
@@ -60,7 +62,7 @@ class MechanismParameters(Protocol):
     order: ClassVar[int | None]
     """Order of the error in the substep; None when it is exact between its events."""
 
-    def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> Mechanism:
+    def build(self, hand: "TaskHand | None", sample_time_ns: int, substeps: int) -> Mechanism:
         """The mechanism at rest in its initial pose, before `begin`.
 
         Args:

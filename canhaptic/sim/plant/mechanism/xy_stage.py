@@ -11,12 +11,13 @@ from typing import Annotated, Any, ClassVar, Final
 
 from canhaptic.axis_units import Motion
 from canhaptic.signals import PlantEnergy
+from canhaptic.sim.plant.accuracy_parameters import LEVELS
 from canhaptic.sim.plant.assembly import LEAST_MASS, Body, LinearPart, PlantModel, Rows
 from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
 from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton, matrix_of
 from canhaptic.sim.plant.mechanism.sample_clock import SampleClock
 from canhaptic.sim.plant.mechanism.task_hand import Length, PointerTaskHand, TaskHand
-from canhaptic.sim.plant.propagator import LEVELS, TICKS, Array
+from canhaptic.sim.plant.propagator import TICKS, Array
 from canhaptic.units import Parameters, quantity
 
 _NAMES: Final = ("x", "y")

@@ -1,0 +1,70 @@
+"""The accounts of a run against the truth of its simulated plant; loaded where there is one."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from canhaptic.control.balance import Branch, EnergyBalance
+from canhaptic.control.ledger import Ledger
+from canhaptic.signals import Truth
+
+if TYPE_CHECKING:
+    from canhaptic.control.multi_axis.axis_group import AxisGroup
+
+_HELD = Branch.HELD.value
+
+
+class EnergyAudit:
+    """Compares the accounted energy of each ledger with the true energy of the simulated plant.
+
+    Args:
+        axes: Number of axes of the rig.
+        groups: Axes that render together.
+
+    Attributes:
+        least: Least true sum of h_i after any hold, per axis, then per group: of its motors and movers together [J].
+        least_at_handle: The same with what friction and bearings have dissipated [J].
+        interaction: True sum of h_i, per axis and group [J].
+        dissipated: Energy dissipated by friction and bearings, per axis and group [J].
+        believed_error: Largest |accounted - true| sum of h_i after any hold, per axis and group [J].
+    """
+
+    def __init__(self, axes: int, groups: "Sequence[AxisGroup]" = ()) -> None:
+        self.least = [0.0] * (axes + len(groups))
+        self.least_at_handle = [0.0] * (axes + len(groups))
+        self.interaction = [0.0] * (axes + len(groups))
+        self.dissipated = [0.0] * (axes + len(groups))
+        self.believed_error = [0.0] * (axes + len(groups))
+        self._axes = tuple(range(axes))
+        self._groups = [(axes + place, group) for place, group in enumerate(groups)]
+
+    def compare(self, ledgers: Sequence[Ledger], truths: Sequence[Truth], balances: Sequence[EnergyBalance]) -> None:
+        """Takes the truth of the SYNC whose balances the ledgers have just taken.
+
+        Args:
+            ledgers: Ledger of each axis.
+            truths: True energies of each axis.
+            balances: Balance of each axis; where its position was lost, nothing was booked and the comparison waits for
+                the next.
+        """
+        for axis in self._axes:
+            _, (motor, _, dissipated, _) = truths[axis]
+            self._take(axis, -motor, dissipated, ledgers[axis].interaction, balances[axis].branch != _HELD)
+        for place, group in self._groups:
+            true = -sum([truths[axis].energy.motor for axis in group.axes])
+            dissipated = sum([truths[axis].energy.dissipated for axis in group.axes])
+            believed = sum([ledgers[axis].interaction for axis in group.axes])
+            supplied, booked = group.supplied + group.balance.supplied, balances[group.axes[0]].branch != _HELD
+            self._take(place, true, dissipated, believed, booked, supplied)
+
+    def _take(
+        self, place: int, true: float, dissipated: float, believed: float, booked: bool, supplied: float = 0.0
+    ) -> None:
+        came_in = true + supplied
+        self.interaction[place], self.dissipated[place] = came_in, dissipated
+        if came_in < self.least[place]:
+            self.least[place] = came_in
+            if came_in + dissipated < self.least_at_handle[place]:
+                self.least_at_handle[place] = came_in + dissipated
+        error, most = believed - true, self.believed_error[place]
+        if booked and (error > most or error < -most):
+            self.believed_error[place] = abs(error)
