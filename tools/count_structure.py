@@ -48,7 +48,7 @@ _RUN = """
 import json, sys
 from canhaptic.cli.main import main
 
-assert main(["run", "configs/demo.yaml", "--duration", "0.1", *sys.argv[1:]]) == 0
+assert main(["run", *sys.argv[1:]]) == 0
 print(json.dumps([name for name in sys.modules if name.split(".")[0] == "canhaptic"]))
 """
 
@@ -124,16 +124,30 @@ def _is_lab(module: _Module) -> bool:
     return module.name.split(".")[1:2] == ["lab"]
 
 
-def loaded_modules(top: Path, *options: str) -> list[str]:
-    """Returns the modules of the package in the folder `top` that a run of its demo with options imports."""
+def loaded_modules(top: Path, *options: str, scene: str = "configs/demo.yaml", duration: float = 0.1) -> list[str]:
+    """Returns the modules of the package in the folder `top` that a run of one of its scenes imports.
+
+    Args:
+        top: Folder that holds `canhaptic/`.
+        options: Of the command `run`.
+        scene: Scene file.
+        duration: Length of the run [s].
+    """
+    words = [scene, "--duration", str(duration), *options]
     environment = {**os.environ, "PYTHONPATH": str(top.resolve())}
     done = subprocess.run(
-        [sys.executable, "-c", _RUN, *options], cwd=top, env=environment, capture_output=True, text=True
+        [sys.executable, "-c", _RUN, *words], cwd=top, env=environment, capture_output=True, text=True
     )
     if done.returncode:
-        raise SystemExit(f"{top}: the demo does not run: {done.stderr}")
+        raise SystemExit(f"{top}: {scene} does not run: {done.stderr}")
     loaded: list[str] = json.loads(done.stdout.splitlines()[-1])
     return loaded
+
+
+def code_of(top: Path, names: Iterable[str]) -> int:
+    """Returns the lines of code of modules of the package in the folder `top`."""
+    lines = {module.name: _code_lines(module) for module in _modules(top, "canhaptic")}
+    return sum(lines[name] for name in names)
 
 
 def _loaded_code(top: Path, lines: Mapping[str, int]) -> int | None:

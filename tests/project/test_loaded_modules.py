@@ -1,0 +1,130 @@
+"""A run loads what its scene names, and nothing else: whole runs, each in a fresh process."""
+
+import shutil
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from tests.acceptance.two_processes import Listener, canhaptic, shared_bus  # noqa: F401 - a fixture
+from tools.count_structure import code_of, loaded_modules
+
+ROOT: Final = Path(__file__).resolve().parents[2]
+CODE_OF_A_REAL_AXIS: Final = 11_150
+"""Most lines of code that one real axis may load, on a bus that is not SocketCAN and without its preflight (170)."""
+KINDS: Final[dict[str, tuple[str, ...]]] = {
+    "simulation": (
+        *("sim.drive", "sim.bus", "sim.plant.plant", "sim.plant.user", "control.energy_audit"),
+        *("scene.simulated_defaults", "scene.method", "scene.plant_price", "scene.torque_history"),
+    ),
+    "effect": ("sim.plant.effects.",),
+    "approximate effect": ("sim.plant.splitting",),
+    "effect at a time": ("sim.plant.timetable",),
+    "group": ("control.multi_axis.", "control.port_hamiltonian.", "scene.group_layout"),
+    "kinematics": ("control.mechanisms.",),
+    "mechanism": ("sim.plant.mechanism.",),
+    "display": (
+        *("control.admittance.", "drive.can.display_", "drive.profile.display_", "drive.profile.force_channel"),
+        *("scene.display_", "sim.drive.profile.display_", "sim.plant.velocity_drive", "sim.plant.force_sensor"),
+    ),
+    "force node": ("canopen.force_node", "sim.drive.can.sensor_node"),
+    "impedance algorithm": ("control.passivity.guarded", "control.certificates.torque_bound"),
+    "own code": ("scene.own_code",),
+    "log": ("logs.bus_", "logs.columns", "logs.energy_", "logs.ring", "logs.writer", "scene.log_writers"),
+    "fault of the bus": ("sim.bus.faulty_bus", "sim.bus.bus_effects"),
+    "drive profile": ("scene.profiles",),
+    "fault of the scene": ("scene.explain", "scene.first_contact"),
+    "override": ("scene.overrides",),
+    "friction": ("control.friction_watch",),
+    "SDO in the cycle": ("drive.can.background_sdo",),
+    "SocketCAN": ("host.socketcan_state",),
+    "compiled": ("sim.plant.njit_stepper", "kernels.compiler"),
+    "other command": ("audit", "commission", "lab", "replay"),
+}
+"""What a scene may name -> beginnings of the modules that only such a scene loads; a dot at the end: not the table."""
+GUARDED: Final = frozenset({"simulation", "impedance algorithm"})
+WALL: Final = """
+from typing import Annotated
+from canhaptic.extending import OwnEnvironment, quantity
+
+
+class Spring(OwnEnvironment):
+    stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0)] = 200.0
+
+    def effort(self, state: float) -> float:
+        return self.stiffness * state
+"""
+
+
+def kinds_of(modules: list[str]) -> set[str]:
+    names = [name.removeprefix("canhaptic.") for name in modules]
+    return {kind for kind, starts in KINDS.items() if any(name.startswith(starts) for name in names)}
+
+
+def loaded(scene: str, *options: str) -> set[str]:
+    modules = loaded_modules(ROOT, *options, scene=scene, duration=0.02)
+    assert {"canhaptic.cycle", "canhaptic.drive.rig", "canhaptic.scene.build"} <= set(modules)
+    return kinds_of(modules)
+
+
+def test_a_bare_simulated_axis_loads_its_algorithm_and_its_plant_alone() -> None:
+    assert loaded("configs/demo.yaml") == GUARDED
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("scene", "kinds"),
+    [
+        ("configs/hard/sim_stop_1khz.yaml", {"simulation", "effect"}),
+        ("configs/hard/sim_lugre_presliding.yaml", {"simulation", "effect", "approximate effect"}),
+        ("configs/two_handles.yaml", {"simulation", "impedance algorithm", "group", "kinematics", "fault of the bus"}),
+        ("configs/five_bar_sphere.yaml", {"simulation", "impedance algorithm", "group", "kinematics", "mechanism"}),
+        ("configs/admittance/virtual_mass.yaml", {"simulation", "display", "effect"}),
+        ("configs/admittance/force_node.yaml", {"simulation", "display", "effect", "force node"}),
+    ],
+)
+def test_a_scene_loads_what_it_names(scene: str, kinds: set[str]) -> None:
+    assert loaded(scene) == kinds
+
+
+@pytest.mark.slow
+def test_own_code_alone_loads_what_reads_it(tmp_path: Path) -> None:
+    text = (ROOT / "configs" / "demo.yaml").read_text().replace("type: spring_damper_wall", "type: my_wall.py:Spring")
+    (tmp_path / "scene.yaml").write_text(text.replace("  position: -0.05 m\n", ""))
+    (tmp_path / "my_wall.py").write_text(WALL)
+    shutil.copy(ROOT / "eds" / "cia402_servo.eds", tmp_path)
+    assert loaded(str(tmp_path / "scene.yaml"), "--allow-code") == GUARDED | {"own code"}
+
+
+@pytest.mark.slow
+def test_what_is_asked_for_is_loaded(tmp_path: Path) -> None:
+    """Without this, a kind whose modules have other names today would be absent everywhere."""
+    found = loaded(
+        *("configs/demo.yaml", "--log", str(tmp_path / "run.h5"), "--set", "passivity.device_friction=0.1 N"),
+        *("--set", "simulation.effects=[{type: coulomb_friction, static: 0.3, kinetic: 0.2}]"),
+    )
+    assert found == GUARDED | {"log", "override", "friction", "effect"}
+    for kind, starts in KINDS.items():
+        for start in starts:
+            path = start.rstrip(".").replace(".", "/")
+            assert any((ROOT / "canhaptic").glob(f"{path}*")), (kind, start)
+
+
+@pytest.mark.slow
+def test_a_real_axis_loads_no_simulation_and_no_more_code_than_can_be_read(
+    shared_bus: tuple[Listener, list[str]],  # noqa: F811
+) -> None:
+    listener, words = shared_bus
+    declared = ["sync_jitter=5 %", "torque_window=100 us", "current_lag=500 us", "device_friction_bound=2 N"]
+    words_of_master = [word for key in declared for word in ("--set", f"passivity.{key}")]
+    with canhaptic("drive", str(ROOT / "configs/demo.yaml"), *words) as drive:
+        assert drive.stderr is not None
+        listener.wait_for(lambda frame: frame.can_id == 0x701)
+        modules = loaded_modules(ROOT, *words, "--set", "simulation=null", *words_of_master, duration=0.3)
+    assert kinds_of(modules) == {"impedance algorithm", "override"}
+    assert [name for name in modules if name.startswith("canhaptic.sim.")] == [
+        *("canhaptic.sim.plant", "canhaptic.sim.plant.accuracy_parameters"),
+        *("canhaptic.sim.plant.effects", "canhaptic.sim.plant.mechanism"),
+    ]  # a parameter model and two tables
+    own = [name for name in modules if not name.startswith(("canhaptic.sim", "canhaptic.scene.overrides"))]
+    assert code_of(ROOT, own) <= CODE_OF_A_REAL_AXIS
