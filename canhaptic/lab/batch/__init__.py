@@ -1,4 +1,4 @@
-"""Many scenes at once: what a sweep runs, compiled where numba is installed and one after the other where not.
+"""Many scenes at once: the engine of a sweep, compiled where numba is installed and interpreted otherwise.
 
     reason = why_not_batchable(scene)            # "" or the reason by name
     run_batch(scene, {"environment.stiffness": k, "bus.rate": rates}, cycles=1000, engine="auto")
@@ -67,14 +67,14 @@ def run_batch(
     """Returns the figures of many scenes, each of shape (n_scenes,); the order of the scenes changes nothing.
 
     Args:
-        scene: What all have in common; `why_not_batchable(scene)` must be "".
+        scene: Common part of the scenes; `why_not_batchable(scene)` must be "".
         varied: Key of `BATCH_KEYS` -> value of each scene, shape (n_scenes,), in SI.
         cycles: SYNCs, at least 2.
         engine: "numba" needs the extra `fast`; "auto" takes it where it is installed and pays, else "python".
         metrics: Names of `ALL`; None for `METRICS`. Those of
             `CONTINUOUS` march a continuous run with every loop and are NaN where it has no closed form.
-        seeds: Of everything random in each scene, shape (n_scenes,); that of the scene by default.
-        stopped: Takes the number of every scene whose plant could not be moved on, and why; its figures are NaN.
+        seeds: Seed of everything random in each scene, shape (n_scenes,); by default that of the scene.
+        stopped: Called with the numbers of scenes whose plant could not be moved on, and why; their figures are NaN.
 
     Raises:
         ParameterError: A key that cannot vary inside a batch, a value out of its range, an unknown metric.

@@ -1,4 +1,4 @@
-"""Many loops of one kind: what they have in common, and the numbers in which they differ."""
+"""Many loops of one kind: their common part, and the numbers in which they differ."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,11 +19,11 @@ class NotBatchableError(InputError, NotImplementedError):
 
 @dataclass(frozen=True, slots=True)
 class BatchCase:
-    """What many loops have in common, and the numbers in which they differ.
+    """The common part of many loops, and the numbers in which they differ.
 
-    A plant that is linear is among the numbers; plants with events are apart, each different one once.
+    A linear plant is among the numbers; plants with events are separate, each different one once.
 
-    `numbers` holds what may differ by name: of the models `environment`, `passivity` and `loop` field by field; of the
+    `numbers` holds varied values by name: of the models `environment`, `passivity` and `loop` field by field; of the
     drive `counts_per_unit`, `torque_quantum` and `torque_limit`; of the meter `last_from`, `damping_per_time` and
     `friction`; `seed` of the encoder's noise; of plants with events `plant`, the place in `plants`; of a linear plant
     `start.ROW`, `flow.ROW.COLUMN` and, where it is known in closed form, `rate.ROW.COLUMN`. A

@@ -29,7 +29,7 @@ _MOST_STEPS: Final = 4096
 
 
 def why_not_continuous(case: BatchCase) -> str:
-    """Returns "" where continuous runs can be followed next to their loops, else the reason."""
+    """"" where continuous runs can be followed along with their loops, else the reason."""
     if not isinstance(case.environment, CLOSED_FORM):
         return f"{type(case.environment).__name__} has no flow in closed form"
     return "" if f"rate.1.{case.size - 2}" in case.numbers else "the plant has effects that are not in arrays"
@@ -62,7 +62,7 @@ class ContinuousModes(NamedTuple):
 
 
 def no_modes(count: int) -> ContinuousModes:
-    """Returns what scenes without continuous environments have."""
+    """Placeholder for scenes without continuous environments."""
     nothing = np.zeros((1, 3, 1, 1))
     return ContinuousModes([ReferenceSettings()] * count, nothing, nothing, np.zeros((1, 1)))
 
@@ -73,12 +73,12 @@ def continuous_modes(
     """Returns the continuous environments of some scenes.
 
     Args:
-        case: With an environment of `CLOSED_FORM`.
-        numbers: Of these scenes.
-        count: Scenes.
+        case: Case with an environment of `CLOSED_FORM`.
+        numbers: Varied numbers of these scenes.
+        count: Number of scenes.
         cycles: SYNCs of the whole run.
-        with_force: Whether the force is asked for: read as often as `reference.continuous_reference` reads it.
-        with_travel: Whether it is asked how far they go.
+        with_force: Whether the force is needed: read as often as `reference.continuous_reference` reads it.
+        with_travel: Whether the travel is needed.
     """
     linear = _linear(case, numbers, count)
     period = np.broadcast_to(np.asarray(numbers["loop.sample_time"], dtype=float), (count,))
@@ -102,7 +102,7 @@ def continuous_modes(
 
 
 def _flows(rates: Array, step: Array) -> Array:
-    """Returns y after a step of y' = F y in many scenes, shape (n, k, k); once for all that do not differ."""
+    """y after a step of y' = F y in many scenes, shape (n, k, k); computed once for equal scenes."""
     if (rates == rates[0]).all():
         step, which = np.unique(step, return_inverse=True)
         return _flows_of_each(rates[: len(step)], step)[which]
@@ -155,7 +155,7 @@ def _linear(case: BatchCase, numbers: Mapping[str, Any], count: int) -> _Linear:
 
 
 def _fastest(linear: _Linear) -> Array:
-    """Returns a bound of the rates of each scene [rad/s]: those of an oscillator, and those of the hand's motion."""
+    """Bound of the rates of each scene [rad/s]: those of an oscillator, and those of the hand's motion."""
     found = np.zeros(len(linear.lower))
     for rates in linear.rates:
         hand = np.abs(rates[:, 2:-1]).max(axis=(1, 2)) if rates.shape[1] > 3 else 0.0

@@ -1,4 +1,4 @@
-"""From a scene and the keys in which many scenes differ to the loops of a batch."""
+"""Loops of a batch from a scene and the keys in which many scenes differ."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -35,7 +35,7 @@ def why_not_batchable(scene: Scene) -> str:
     "effect coulomb_friction has events", "scene has 2 axes, expected one", ...
 
     Args:
-        scene: Validated; none of its values matters, only what it names.
+        scene: Validated; only its types matter, not its values.
     """
     reason = why_not_beforehand(scene)
     if reason:
@@ -62,7 +62,7 @@ def why_not_compiled(case: LoopCase) -> str:
 
 
 def why_not_compared(scene: Scene, metrics: Sequence[str]) -> str:
-    """Returns "" when a batch has what metrics compare a scene with, else the reason."""
+    """"" when a batch has the quantities that metrics compare a scene with, else the reason."""
     if set(metrics).isdisjoint(CONTINUOUS) or is_linear(simulation_of(scene.axes[0])):
         return ""
     return "a plant with events has its continuous run by itself"
@@ -94,7 +94,7 @@ def batch_case(scene: Scene, varied: Mapping[str, Array]) -> BatchCase:
     """Returns the loop of a scene of one axis with the numbers in which many scenes differ.
 
     Args:
-        scene: What they have in common, the delay among it.
+        scene: Common part of the scenes, the delay included.
         varied: Key of `BATCH_KEYS` but `loop.delay` -> value of each scene.
     """
     axis = scene.axes[0]
@@ -114,7 +114,7 @@ def batch_case(scene: Scene, varied: Mapping[str, Array]) -> BatchCase:
 
 
 def losses_of(scene: Scene) -> Losses:
-    """Returns the frames that the bus of a scene loses; none where it picks them by COB-ID, time or bus."""
+    """Frames that the bus of a scene loses; none where it selects them by COB-ID, time or bus."""
     effects = scene.bus_effects
     if effects is None or not effects.drop or effects.ids or effects.during or effects.buses:
         return Losses()
@@ -126,7 +126,7 @@ def losses_of(scene: Scene) -> Losses:
 
 
 def not_in_loop(scene: Scene, *, is_batched: bool) -> str:
-    """Returns which effects of the bus are not in a loop without it, in words; "" for none."""
+    """Bus effects that a loop without a bus leaves out, in words; "" for none."""
     if scene.bus_effects is None:
         return ""
     passed = ("drop",) if is_batched and losses_of(scene).exists else ()
@@ -144,10 +144,10 @@ def loop_in_arrays(
     """Returns a loop that is not of a scene (an ideal encoder, an ideal torque) for many scenes.
 
     Args:
-        case: What they have in common.
-        plant: Its moving mass.
+        case: Common part of the loops.
+        plant: Moving mass of the plant.
         user: The hand.
-        numbers: By the names of `BatchCase.numbers`.
+        numbers: Varied numbers by the names of `BatchCase.numbers`.
         varied: Keys of `BATCH_KEYS` under `simulation.` and `bus.rate` -> value of each scene.
     """
     simulation = AxisSimulation(SimulatedDriveParameters(counts_per_unit=1.0), plant, user, (), 0)
@@ -184,7 +184,7 @@ def _numbers(
 
 
 def _device_damping(case: LoopCase, simulation: AxisSimulation, varied: Mapping[str, Array]) -> Array | float:
-    """Returns what the meter takes for certain, as `loop_case` does."""
+    """Device damping that the meter counts as certain, as `loop_case` does."""
     if "passivity.device_damping" in varied:
         return varied["passivity.device_damping"]
     if _PLANT_DAMPING in varied and case.loop.device_damping is None:

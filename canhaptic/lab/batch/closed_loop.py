@@ -1,4 +1,4 @@
-"""One plant and one controller in one loop, from SYNC to SYNC: a kernel, and what it shares with other loops.
+"""One plant and one controller in one loop, from SYNC to SYNC: a kernel, and its parts shared with other loops.
 
 The order and the rounding are those of `direct_rig.DirectRig` and `canhaptic.lab.loop.axis_loop.render`. A linear
 plant moves by the exact flow of one hold, its rows summed term by term; for one with events `event_plant` takes its
@@ -30,7 +30,7 @@ MOVED: Final = 0
 
 @dataclass(frozen=True, slots=True)
 class Winding:
-    """A winding that protects itself; see `thermal_derating`."""
+    """A winding with thermal protection; see `thermal_derating`."""
 
     torque_limit: float = inf  # of the cold winding [N or N*m]; infinite: none
     heat: float = 0.0  # final temperature above ambient over torque squared
@@ -42,7 +42,7 @@ class Winding:
 
 @dataclass(frozen=True, slots=True)
 class Signals:
-    """Effects of a plant on what the encoder reads, and on a torque before it reaches the motor."""
+    """Effects of a plant on the encoder reading, and on a torque before it reaches the motor."""
 
     noise: float = 0.0  # standard deviation of a reading [m or rad]
     seed: int = 0  # of the noise
@@ -56,7 +56,7 @@ class Signals:
 
 @dataclass(frozen=True, slots=True)
 class Losses:
-    """Frames that a bus loses, each on its own or in runs (two states, lost and heard, for each direction)."""
+    """Frames that a bus loses, singly or in runs (two states, good and lossy, for each direction)."""
 
     exists: bool = False
     after_heard: float = 0.0  # share that is lost behind a frame that was heard
@@ -82,7 +82,7 @@ class LoopSettings:
 
 @dataclass(slots=True)
 class Interruption:
-    """Where a loop is when it is interrupted, and what of it is not in the plant."""
+    """State of an interrupted loop, apart from its plant."""
 
     cycle: int = 0
     held: float = 0.0  # since the SYNC before [N or N*m]
@@ -99,7 +99,7 @@ class Interruption:
 
 
 class AxisState(Protocol):
-    """What every algorithm remembers of its axis."""
+    """State of the axis in every algorithm."""
 
     axis: Axis
 
@@ -126,7 +126,7 @@ class LinearPlants(NamedTuple):
 
 
 def begin_plant(plants: LinearPlants, row: int) -> None:
-    """Puts the plant of a loop to its start."""
+    """Reset the plant of a loop to its start."""
     start = plants.starts[row % len(plants.starts)]
     for place in range(len(plants.state)):
         plants.state[place] = start[place]
@@ -161,14 +161,14 @@ def commanded(loop: LoopSettings, torque: float) -> float:
 
 
 class ActingTorque(NamedTuple):
-    """What reaches a motor of a torque during the hold to come."""
+    """Torque that reaches a motor during the next hold."""
 
     torque: float  # [N or N*m]
     temperature: float  # of the winding at its end [K]
 
 
 def acting(signals: Signals, temperature: float, torque: float) -> ActingTorque:
-    """Returns the torque that the motor gives for a command [N or N*m] at a temperature of its winding [K]."""
+    """Torque that the motor gives for a command [N or N*m] at a temperature of its winding [K]."""
     winding = signals.winding
     if not signals.saturates_last:
         torque = min(max(torque, -signals.saturation), signals.saturation)
@@ -184,7 +184,7 @@ def acting(signals: Signals, temperature: float, torque: float) -> ActingTorque:
 
 
 def pass_frames(losses: Losses, place: Interruption, cycle: int) -> None:
-    """Loses frames of a SYNC, or lets them pass."""
+    """Lose or pass the frames of a SYNC."""
     if losses.to_drive:
         place.lost_to_drive = is_lost(losses, place.lost_to_drive, cycle * TICKS + 1)
         place.is_synced = not place.lost_to_drive
@@ -203,7 +203,7 @@ def is_lost(losses: Losses, was_lost: bool, tick: int) -> bool:
 
 
 def step(environment: Environment, run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
-    """Placeholder of the kernel of an algorithm; the caller of `run_loop` gives another in its place."""
+    """Kernel of an algorithm; the caller of `run_loop` supplies it."""
     raise NotImplementedError
 
 
@@ -219,22 +219,22 @@ def run_loop(
     reference_memory: ReferenceMemory,
     cycles: int,
 ) -> int:
-    """Runs a loop until its last SYNC or until it diverges, which a number that is not finite does too.
+    """Run a loop until its last SYNC or until it diverges; a number that is not finite counts as divergence.
 
     Args:
-        environment: That is rendered.
-        run: Of the algorithm: its settings, state at rest, and memory of zeros.
-        loop: Between plant and controller.
-        meter: Gathers the figures.
-        plant: As `move_plant` takes it, at its start.
-        place: Where the run is: at its beginning, or where it was interrupted.
+        environment: The rendered environment.
+        run: Settings of the algorithm, its state at rest, and memory of zeros.
+        loop: Properties of the loop between plant and controller.
+        meter: Accumulates the figures.
+        plant: Plant in the form of `move_plant`, at its start.
+        place: State of the run: at its beginning, or where it was interrupted.
         continuous: Environment that the loop is compared with, if there is one.
-        reference: Its run, before it begins.
-        reference_memory: Of that, at the start.
+        reference: Continuous run, before it begins.
+        reference_memory: Memory of the continuous run, at the start.
         cycles: SYNCs.
 
     Returns:
-        MOVED, or what `move_plant` returned of a hold that is not over.
+        MOVED, or the result of `move_plant` for an incomplete hold.
     """
     for cycle in range(place.cycle, cycles):
         before = plant.state[0]
@@ -263,7 +263,7 @@ def run_loop(
 
 
 def advance(loop: LoopSettings, plant: LinearPlant, place: Interruption, cycle: int) -> int:
-    """Moves the plant to a SYNC; returns what `move_plant` does."""
+    """Move the plant to a SYNC; return the result of `move_plant`."""
     if place.cycle != cycle:
         place.acting = place.held
         if loop.signals.on_torque:
@@ -278,7 +278,7 @@ def answer(
     environment: Environment, run: AxisRun, loop: LoopSettings, meter: Meter, place: Interruption, true_position: float,
     cycle: int,
 ) -> bool:  # fmt: skip
-    """Lets the controller answer a SYNC; returns False where it gets or gives a number that is not finite."""
+    """Let the controller answer a SYNC; return False if its input or output is not finite."""
     held = place.held
     position = read(loop.signals, cycle, true_position)
     position = measured(loop, position) if isfinite(position) else position
@@ -293,7 +293,7 @@ def answer(
 
 
 def hand_over(loop: LoopSettings, place: Interruption) -> None:
-    """Brings the command to the drive for the next free hold."""
+    """Send the command to the drive for the next free hold."""
     if loop.delay and place.is_synced:
         place.held = place.waiting
     if not place.is_sent:
@@ -326,5 +326,5 @@ def move_plant(plant: LinearPlant, torque: float, cycle: int) -> int:
 
 
 def work_in(plant: LinearPlant, interaction: float, torque: float, travel: float) -> float:
-    """Returns the energy that has come in [J], after a hold of constant torque [N or N*m] along a way [m or rad]."""
+    """Energy that has come in [J], after a hold of constant torque [N or N*m] over a displacement [m or rad]."""
     return interaction - torque * travel

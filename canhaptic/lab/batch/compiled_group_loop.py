@@ -19,7 +19,7 @@ from canhaptic.sim.plant.effects.encoder_noise import noise, uniform
 
 
 def compiled_world(world: World) -> tuple[Any, Records]:
-    """Returns a world for compiled kernels, its tables apart.
+    """A world for compiled kernels, and its tables.
 
     Raises:
         ParameterError: A part of it is given as functions in Python.
@@ -36,7 +36,7 @@ def run_records(
     world: World, tables: Records, settings: Records, states: Records, memories: Records, rig: Records,
     motors: Any, room: Records, followed: Records, meters: Records, rows: Any, cycles: int,
 ) -> None:  # fmt: skip
-    """Calls `run_group` with what lies in records of shape (1,)."""
+    """Call `run_group` with records of shape (1,)."""
     whole = World(world.mechanism, world.geometry, world.mover, tables[0], world.functions)
     run_group(
         whole, settings[0], states[0], memories[0], rig[0], motors[0], room[0], followed[0], meters[0], rows, cycles
@@ -51,20 +51,20 @@ def _compiled_loop(kernel: GroupKernel, parts: tuple[type, ...], replaced: tuple
 
 
 def _motors(motors: Any) -> tuple[Any, dict[object, object]]:
-    """Returns the motors at their start, and what the loop calls anew for them."""
+    """The motors at their start, and the functions that they replace in the loop."""
     if isinstance(motors, LinearMotors):
         return record_of(motors), {}
     return (motors.made(listed=False),), motors.replacements()
 
 
 def run_compiled(case: GroupCase, cycles: int, rows: Array, instead: Mapping[object, object]) -> GroupMeter:
-    """Returns the sums of a loop after its cycles, or when it diverged.
+    """Sums of a loop after its cycles, or when it diverged.
 
     Args:
-        case: That can be compiled.
+        case: Case that can be compiled.
         cycles: SYNCs.
-        rows: For what takes the place of `take_group`, shape (cycles, columns).
-        instead: Functions of the loop, each with what comes in its place.
+        rows: Rows for the replacement of `take_group`, shape (cycles, columns).
+        instead: Functions of the loop, each with its replacement.
     """
     world = case.world
     bare, tables = compiled_world(world)
@@ -83,7 +83,7 @@ def run_compiled(case: GroupCase, cycles: int, rows: Array, instead: Mapping[obj
 
 
 def _fill(into: object, record: Any) -> None:
-    """Gives a dataclass the numbers of a record."""
+    """Copy the numbers of a record into a dataclass."""
     for name in record.dtype.names:
         if isinstance(record[name], np.void):
             _fill(getattr(into, name), record[name])

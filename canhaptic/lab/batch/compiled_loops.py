@@ -55,8 +55,8 @@ def run_loops(
 ) -> int:  # fmt: skip
     """Runs one loop after the other, from the place in `outcomes`, see `run_loop`; returns how many are over.
 
-    A loop that is interrupted is gone on with at the next call: outcomes = [loops that are over, why it returned, 1
-    where the next loop has begun].
+    An interrupted loop continues at the next call: outcomes = [completed loops, reason of the return, 1 if the next
+    loop has begun].
     """
     for i in range(outcomes[0], len(table)):
         environment = new_environment(*fixed_tuple(table[i], WIDTH))
@@ -81,12 +81,12 @@ def run_loops(
 
 
 def known_states(_moved: Buffer) -> int:
-    """Takes the place of `states_in`."""
+    """Replaces `states_in`."""
     return STATES
 
 
 def known_length(_state: Buffer) -> int:
-    """Takes the place of `length_of`."""
+    """Replaces `length_of`."""
     return LENGTH
 
 
@@ -98,10 +98,10 @@ def compiled_loops(
 
     Args:
         kind: Tuple type of the environment.
-        kernel: Of the algorithm.
-        states: Of the plant, where it is linear.
-        length: Of the state of the continuous run.
-        replaced: Functions of the loop, each with what comes in its place.
+        kernel: Kernel of the algorithm.
+        states: Number of states of the plant, if it is linear.
+        length: Length of the state of the continuous run.
+        replaced: Functions of the loop, each with its replacement.
     """
     instead = {
         new_environment: kind, "WIDTH": len(kind._fields), step: kernel.step, states_in: known_states, "STATES": states,
@@ -178,14 +178,14 @@ class CompiledLoops:
 
 
 def compiled_noise(deviation: float, seed: int, tick: int) -> float:
-    """Takes the place of `encoder_noise.noise`, in 64 bits."""
+    """Replaces `encoder_noise.noise`, in 64 bits."""
     base = _mixed(np.uint64(seed) * _GAMMA + np.uint64(tick))
     first, second = _mixed(base + _GAMMA), _mixed(base + _GAMMA + _GAMMA)
     return gaussian(deviation, (np.float64(first) + 1.0) / _WHOLE, np.float64(second) / _WHOLE)
 
 
 def compiled_uniform(seed: int, tick: int) -> float:
-    """Takes the place of `encoder_noise.uniform`, in 64 bits."""
+    """Replaces `encoder_noise.uniform`, in 64 bits."""
     return np.float64(_mixed(_mixed(np.uint64(seed) * _GAMMA + np.uint64(tick)) + _GAMMA)) / _WHOLE
 
 
@@ -196,7 +196,7 @@ def _mixed(value: np.uint64) -> np.uint64:
 
 
 def _of(values: Array, some: Numbers) -> Array:
-    """Returns what belongs to some scenes; all of it where they share it."""
+    """Part of some scenes; all of it where they share it."""
     return values if len(values) == 1 else values[some]
 
 

@@ -1,4 +1,4 @@
-"""What runs the kernels of a batch: machine code compiled by numba, or Python; both give the same bits."""
+"""Choice of the engine of a batch: machine code compiled by numba, or Python; both give the same bits."""
 
 from importlib.util import find_spec
 from typing import Final, Literal
@@ -22,11 +22,11 @@ def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
     """Returns the engine that "auto" chooses here.
 
     Args:
-        engine: As asked for.
+        engine: Requested engine.
         pays: Whether compiling takes less time than it saves.
 
     Raises:
-        ParameterError: An unknown name, or numba is asked for and not installed.
+        ParameterError: An unknown name, or numba is requested and not installed.
     """
     if engine not in ("auto", "numba", "python"):
         raise ParameterError(f"engine: got {engine!r}, expected auto, numba or python")

@@ -1,4 +1,4 @@
-"""Loops with plants that have events: for each different plant the loops that have it."""
+"""Loops with plants that have events, grouped by plant."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -22,7 +22,7 @@ def run_event_plants(
         loops: `InterpretedLoops` or `CompiledLoops`.
         plants: Each different plant.
         which: Number of the plant of each loop, shape (n,).
-        stopped: Takes the numbers of loops whose plants could not be moved on, and why.
+        stopped: Called with the numbers of loops whose plants could not be moved on, and why.
         listed: Whether Python runs the loops.
     """
     for number in np.unique(which).tolist():
@@ -45,9 +45,9 @@ def _going_on(modes: EventModes, stopped: dict[int, EventLimitError]) -> Interru
 
 
 def uninterrupted(*_what: object) -> None:
-    """Is called by no loop of a linear plant."""
+    """Placeholder, which no loop of a linear plant calls."""
 
 
 def loop_replacements(plants: Sequence[PlantValues]) -> dict[object, object]:
-    """Returns what takes the place of functions of the loop for plants with events; nothing for linear ones."""
+    """Replacements of functions of the loop for plants with events; none for linear ones."""
     return replacements(plants[0].scene()) if plants else {}

@@ -1,4 +1,4 @@
-"""A plant with events in the loop of a batch: what takes the place of `closed_loop.move_plant`; kernels.
+"""A plant with events in the loop of a batch: replacements of `closed_loop.move_plant`; kernels.
 
 The modes, the stepper and what is solved over substeps are those of `canhaptic.sim.plant`, on arrays of all modes. A
 mode that is not compiled yet interrupts the loop: the state goes back to the start of the hold, the caller compiles
@@ -60,7 +60,7 @@ class EventState:
 
 
 class EventPlant(NamedTuple):
-    """A plant of which many loops have one each, one after the other; all but the tables is changed in place."""
+    """A plant with events, used by many loops in turn; all but the tables is changed in place."""
 
     tables: ModeTables
     settings: StepperSettings
@@ -86,7 +86,7 @@ class EventPlant(NamedTuple):
 
 
 class EventPlants(NamedTuple):
-    """One plant that many loops have, one after the other."""
+    """One plant with events, used by many loops in turn."""
 
     plant: EventPlant
     start: Buffer  # state at the first SYNC, shape (n,)
@@ -94,7 +94,7 @@ class EventPlants(NamedTuple):
 
 
 def begin_events(plants: EventPlants, row: int) -> None:
-    """Puts the plant of a loop to its start."""
+    """Reset the plant of a loop to its start."""
     plant, now = plants.plant, plants.plant.now[0]
     for place in range(len(plants.start)):
         plant.state[place] = plant.spare[place] = plants.start[place]
@@ -117,7 +117,7 @@ def move_events(plant: EventPlant, torque: float, cycle: int) -> int:
 
 
 def move_held(plant: EventPlant, cycle: int) -> int:
-    """The same under what is held in its state."""
+    """The same under the torque held in its state."""
     counts, now = plant.counts, plant.now[0]
     keep(plant)
     end = cycle * TICKS
@@ -146,7 +146,7 @@ def move_held(plant: EventPlant, cycle: int) -> int:
 
 
 def run_ticks(plant: EventPlant, ticks: int, most: int) -> int:
-    """Moves by some ticks; returns those left at the limit of events, or before a mode that is missing."""
+    """Move by some ticks; return those left at the limit of events, or before a missing mode."""
     return run_on(plant, ticks, most)
 
 
@@ -171,7 +171,7 @@ def tidy(plant: EventPlant) -> None:
 
 
 def keep(plant: EventPlant) -> None:
-    """Keeps what a hold changes."""
+    """Save everything that a hold changes."""
     state, now = plant.state, plant.now[0]
     for row in range(len(state)):
         plant.began[row] = state[row]
@@ -185,7 +185,7 @@ def keep(plant: EventPlant) -> None:
 
 
 def interrupt(plant: EventPlant, guard: int, change: int) -> int:
-    """Goes back to the start of the hold, and says which mode is missing."""
+    """Return to the start of the hold, and record the missing mode."""
     state, counts, now = plant.state, plant.counts, plant.now[0]
     now.mode, now.guard, now.change = counts[MODE], guard, change
     for row in range(len(state)):
@@ -200,11 +200,11 @@ def interrupt(plant: EventPlant, guard: int, change: int) -> int:
 
 
 def book_nothing(works: Any, state: Buffer, books: tuple[Books]) -> None:
-    """Takes the place of `stepper.book` where the motor's work is its torque times the way."""
+    """Replaces `stepper.book` where the motor's work is its torque times displacement."""
 
 
 def book_motor(works: Any, state: Buffer, books: tuple[Books]) -> None:
-    """Takes the place of `stepper.book`: the work of the motor alone; `works` has shape (n, 2 n)."""
+    """Replaces `stepper.book`: the work of the motor alone; `works` has shape (n, 2 n)."""
     only, size = books[0], len(state)
     move(works, state, only.rows)
     total = 0.0
@@ -214,6 +214,6 @@ def book_motor(works: Any, state: Buffer, books: tuple[Books]) -> None:
 
 
 def booked_work(plant: EventPlant, interaction: float, torque: float, travel: float) -> float:
-    """Takes the place of `closed_loop.work_in` where the motor's work is booked."""
+    """Replaces `closed_loop.work_in` where the motor's work is booked."""
     booked: float = plant.books[0].totals[0] + plant.now[0].rippled
     return 0.0 - booked

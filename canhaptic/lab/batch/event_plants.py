@@ -1,6 +1,6 @@
 """Plants with events for many loops: the modes of one plant as kernels take them, compiled when they are entered.
 
-Scenes that differ in nothing of the plant share its modes, which cost some milliseconds each.
+Scenes with the same plant share its modes, which cost some milliseconds each.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -62,7 +62,7 @@ class PlantValues(NamedTuple):
     sample_time_ns: int
 
     def scene(self) -> PlantModel:
-        """Returns what it consists of."""
+        """Model of the plant."""
         effects = [effect_of(effect) for effect in self.simulation.effects]
         return collect(self.simulation.plant, self.simulation.user, effects, self.sample_time_ns * 1e-9)
 
@@ -70,11 +70,11 @@ class PlantValues(NamedTuple):
 def distinct_plants(
     simulation: AxisSimulation, sample_time_ns: Array | float, varied: Mapping[str, Array]
 ) -> tuple[list[PlantValues], NDArray[np.intp]]:
-    """Returns the plants that differ, and the number of that of each scene, shape (n_scenes,).
+    """Distinct plants, and the number of each scene's plant, shape (n_scenes,).
 
     Args:
-        simulation: What all have in common.
-        sample_time_ns: One, or of each scene, shape (n_scenes,) [ns].
+        simulation: Common part of the scenes.
+        sample_time_ns: One value, or one for each scene, shape (n_scenes,) [ns].
         varied: Keys under `simulation.` -> value of each scene.
     """
     keys = {key: values for key, values in varied.items() if key.startswith("simulation.")}
@@ -89,13 +89,13 @@ def distinct_plants(
 
 
 class EventModes:
-    """The modes of one plant, and where it starts.
+    """The modes of one plant, and its start.
 
     Args:
-        scene: What it consists of.
-        accuracy: The defaults when None.
+        scene: Model of the plant.
+        accuracy: Accuracy; the defaults when None.
         listed: Whether Python runs the loop, on lists.
-        is_booked: Whether the motor's work is booked; None: as the plant asks.
+        is_booked: Whether the motor's work is booked; None: as the plant requires.
     """
 
     def __init__(
@@ -158,7 +158,7 @@ class EventModes:
         return plants._replace(plant=plant)
 
     def error(self, plants: EventPlants, cycle: int) -> EventLimitError:
-        """Returns why a loop was stopped in the hold before a SYNC."""
+        """Reason why a loop was stopped in the hold before a SYNC."""
         machine, plant = self._machine, plants.plant
         where = f"plant before {cycle * TICKS * machine.tick_time:.9g} s"
         described = machine.described(int(plant.counts[MODE]), [float(value) for value in plant.state])
@@ -190,20 +190,20 @@ class EventModes:
 
 
 def by_its_way() -> dict[object, object]:
-    """Returns what a loop calls in the place of other functions where the motor's work is its torque times the way."""
+    """Replacements in a loop where the motor's work is its torque times displacement."""
     return {**_PRODUCTS, stepper.book: book_nothing}
 
 
 def works_are_booked(scene: PlantModel) -> bool:
-    """Returns whether the motor's work is more than its torque times the way: by a current loop, or a ripple."""
+    """Whether the motor's work is more than its torque times displacement: by a current loop, or a ripple."""
     return scene.motor_torque != "torque" or any(effort.account == "motor" for effort in scene.efforts)
 
 
 def replacements(scene: PlantModel) -> dict[object, object]:
-    """Returns what a loop of plants with events calls in the place of other functions.
+    """Replacements in a loop of plants with events.
 
     Args:
-        scene: One of the plants.
+        scene: Model of one of the plants.
     """
     found: dict[object, object] = {
         **by_its_way(), closed_loop.move_plant: move_events, closed_loop.begin_plant: begin_events,

@@ -1,6 +1,6 @@
 """Forces that are not piecewise affine, in the loop of a batch: `canhaptic.sim.plant.splitting` on arrays; kernels.
 
-The force of a substep is found by the same secant; what it asks of the plant is asked of `EventPlant`.
+The force of a substep is found by the same secant, with `EventPlant` in the place of the plant.
 """
 
 from typing import Final
@@ -14,7 +14,7 @@ _UNKNOWN_SLOPE: Final = -1.0
 
 
 def run_substeps(plant: EventPlant, ticks: int, most: int) -> int:
-    """Takes the place of `event_plant.run_ticks`: moves in substeps that end at their first event at the latest."""
+    """Replaces `event_plant.run_ticks`: moves in substeps that end at their first event at the latest."""
     counts, now = plant.counts, plant.now[0]
     while ticks:
         ticks -= substep(plant, min(ticks, plant.substep_ticks), most)
@@ -42,7 +42,7 @@ def substep(plant: EventPlant, ticks: int, most: int) -> int:
 
 
 def solve(plant: EventPlant, ticks: int, most: int) -> float:
-    """Returns the force that its own motion asks for; the plant is left where it takes it."""
+    """Force consistent with its own motion; the plant is left at the end of that motion."""
     counts, now = plant.counts, plant.now[0]
     for row in range(len(plant.state)):
         plant.saved[row] = plant.state[row]
@@ -57,7 +57,7 @@ def solve(plant: EventPlant, ticks: int, most: int) -> float:
 
 
 def residual_of_plant(plant: EventPlant, force: float) -> float:
-    """Takes the place of `splitting.residual`; 0 where the plant cannot be moved on, which ends the search."""
+    """Replaces `splitting.residual`; 0 where the plant cannot be moved on, which ends the search."""
     state, counts, now = plant.state, plant.counts, plant.now[0]
     if counts[MISSING] != NONE or now.is_stopped:
         return 0.0

@@ -1,4 +1,4 @@
-"""The one group of a scene as kernels take it: what is rendered, by what, and the motors that are moved."""
+"""The one group of a scene in kernel form: environment, algorithm and motors."""
 
 from dataclasses import replace
 from typing import Any, NamedTuple, cast
@@ -31,7 +31,7 @@ from canhaptic.scene.sensor_errors import loop_as_known
 
 
 class GroupCase(NamedTuple):
-    """One group as kernels take it."""
+    """One group in kernel form."""
 
     kernel: GroupKernel
     world: World
@@ -58,8 +58,8 @@ def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
     """Returns the one group of a scene.
 
     Args:
-        scene: With one group, alone.
-        explains: Whether the shares of spring and damper are asked for.
+        scene: Scene with one group, alone.
+        explains: Whether the shares of spring and damper are needed.
 
     Raises:
         InputError: The motors of the group are not simulated, or move with others.
@@ -86,7 +86,7 @@ def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
 
 
 def _with_effects(loop: LoopSettings, axis: AxisScene, sample_time: float) -> LoopSettings:
-    """Returns what lies between a motor and its controller, with the effects of its plant on torque and encoder."""
+    """Loop between a motor and its controller, with the effects of its plant on torque and encoder."""
     simulation = axis.simulation
     if simulation is None:
         return loop

@@ -1,8 +1,8 @@
 """Motors and the controller of a group in one loop, from SYNC to SYNC: a kernel, as `closed_loop` is for one axis.
 
-Plants that move by one flow are in the loop; what moves otherwise takes the place of `move_motors`. What the network
-would have the motors do at their true positions, without sampling errors, is followed next to the controller: what was
-held is explained by it, as shares of spring and damper.
+Plants that move by one flow are in the loop; others replace `move_motors`. The network's request at the true positions,
+without sampling errors, is followed along with the controller: the torques held are explained by it, as shares of
+spring and damper.
 """
 
 from dataclasses import dataclass, field
@@ -52,7 +52,7 @@ class LinearMotors(NamedTuple):
 
 
 class GroupRoom(NamedTuple):
-    """Buffers of the loop, of shape (motors,) where they are not said."""
+    """Buffers of the loop, of shape (motors,) unless stated."""
 
     held: Buffer  # since the SYNC before [N or N*m]
     waiting: Buffer  # one sample late
@@ -86,7 +86,7 @@ class GroupMeter:
 def step(
     world: World, settings: object, state: Any, memory: Any, missed: int, positions: Buffer, torques_applied: Buffer
 ) -> GroupHold:
-    """Placeholder of the kernel of an algorithm; the caller of `run_group` gives another in its place."""
+    """Kernel of an algorithm; the caller of `run_group` supplies it."""
     raise NotImplementedError
 
 
@@ -94,19 +94,19 @@ def run_group(
     world: World, settings: object, state: Any, memory: Any, rig: GroupRig, motors: Any, room: GroupRoom,
     followed: GroupMotion, meter: GroupMeter, rows: Matrix, cycles: int,
 ) -> None:  # fmt: skip
-    """Runs a loop until its last SYNC or until it diverges, which a number that is not finite does too.
+    """Run a loop until its last SYNC or until it diverges; a number that is not finite counts as divergence.
 
     Args:
-        world: What is rendered.
-        settings: Of the algorithm.
-        state: Of the algorithm, at rest.
-        memory: Of the algorithm, zeros.
-        rig: Between motors and controller.
-        motors: As `move_motors` takes them, at their start.
-        room: Zeros.
-        followed: Of the group that knows its true positions, at rest.
-        meter: Gathers the sums.
-        rows: For what takes the place of `take_group`.
+        world: Network and kinematics of the group.
+        settings: Settings of the algorithm.
+        state: State of the algorithm, at rest.
+        memory: Memory of the algorithm, zeros.
+        rig: Properties of the loop between motors and controller.
+        motors: Motors in the form of `move_motors`, at their start.
+        room: Buffers of zeros.
+        followed: Motion of the group at its true positions, at rest.
+        meter: Accumulates the sums.
+        rows: Rows for the replacement of `take_group`.
         cycles: SYNCs.
     """
     figures = meter.figures
@@ -138,7 +138,7 @@ def run_group(
 
 
 def act(rig: GroupRig, room: GroupRoom, cycle: int) -> None:
-    """Takes what of the torques held reaches the motors until a SYNC."""
+    """Record the part of the held torques that reaches the motors until a SYNC."""
     for i in range(len(room.held)):
         signals = rig.loops[i].signals
         if not cycle:
@@ -150,14 +150,14 @@ def act(rig: GroupRig, room: GroupRoom, cycle: int) -> None:
 
 
 def see(rig: GroupRig, room: GroupRoom, cycle: int) -> None:
-    """Writes the positions as the controller sees them."""
+    """Write the encoder readings of the positions."""
     for i in range(len(room.seen)):
         at, loop = room.read[i], rig.loops[i]
         room.seen[i] = measured(loop, read(loop.signals, cycle, at)) if isfinite(at) else at
 
 
 def send(rig: GroupRig, room: GroupRoom, torques: Buffer) -> None:
-    """Takes the torques that the drives make of a command for the next free hold."""
+    """Take the torques that the drives apply for a command in the next free hold."""
     for i in range(len(room.held)):
         command = commanded(rig.loops[i], torques[i])
         if rig.delay:
@@ -167,7 +167,7 @@ def send(rig: GroupRig, room: GroupRoom, torques: Buffer) -> None:
 
 
 def is_away(rig: GroupRig, room: GroupRoom) -> bool:
-    """Returns whether a motor is where no user took it."""
+    """Whether a motor is farther than any user moved it."""
     for i in range(len(room.true)):
         if not -rig.furthest < room.true[i] < rig.furthest:
             return True
@@ -223,8 +223,8 @@ def explain(world: World, rig: GroupRig, room: GroupRoom, followed: GroupMotion,
 def shares(meter: GroupMeter) -> tuple[float, float]:
     """Returns the shares of spring and damper that were rendered; NaN without any.
 
-    The spring's is that in the torques held, by least squares with the damper; the damper's is the damping that the
-    controller booked over that asked for.
+    The spring's share is that in the torques held, by least squares with the damper; the damper's is the damping that
+    the controller booked over the requested one.
     """
     both, nothing = meter.spring_spring * meter.damper_damper, float("nan")
     apart = both - meter.spring_damper * meter.spring_damper
@@ -261,7 +261,7 @@ def move_motors(motors: Any, room: GroupRoom, cycle: int) -> float:
 
 
 def arrive(room: GroupRoom, i: int, at: float, cycle: int) -> float:
-    """Takes where a motor is at a SYNC [m or rad]; returns the work that it did in that hold [J]."""
+    """Record the position of a motor at a SYNC [m or rad]; return the work that it did in that hold [J]."""
     room.moved[i] = at - room.true[i] if cycle else 0.0
     room.true[i] = room.read[i] = at
     return room.acting[i] * room.moved[i]

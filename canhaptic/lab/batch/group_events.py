@@ -1,8 +1,8 @@
 """Motors of a group whose plants have events, current loops or forces over substeps, in the loop of the group.
 
 Plants of their own side by side are one `EventPlant` each; a stage is one plant of several motors. All modes that a
-plant can enter are compiled beforehand, so that the loop is never interrupted. What one plant needs of the stepper, a
-booked work or substeps, the others take too: one loop moves them all.
+plant can enter are compiled beforehand, so that the loop is never interrupted. All plants use the features of the
+stepper that any of them needs, a booked work or substeps: one loop moves them all.
 """
 
 from collections.abc import Callable, Sequence
@@ -47,7 +47,7 @@ class EventMotorsPlan(NamedTuple):
     places: Sequence[int]
 
     def made(self, *, listed: bool) -> EventMotors:
-        """Returns them at their start.
+        """The motors at their start.
 
         Args:
             listed: Whether Python runs the loop, on lists.
@@ -64,11 +64,11 @@ class EventMotorsPlan(NamedTuple):
 
     @property
     def is_booked(self) -> bool:
-        """Whether the work of a motor is more than its torque times the way."""
+        """Whether the work of a motor is more than its torque times displacement."""
         return any(works_are_booked(model()) for model in self.models)
 
     def replacements(self) -> dict[object, object]:
-        """Returns what the loop of a group calls in the place of other functions."""
+        """Replacements in the loop of a group."""
         found: dict[object, object] = {**by_its_way(), move_motors: move_event_motors}
         if any(model().efforts for model in self.models):
             found |= {event_plant.run_ticks: run_with_efforts, splitting.residual: residual_of_plant}
@@ -82,24 +82,24 @@ def why_not_events(model: PlantModel) -> str:
 
 
 def run_with_efforts(plant: EventPlant, ticks: int, most: int) -> int:
-    """Takes the place of `event_plant.run_ticks` where some plants have forces over substeps."""
+    """Replaces `event_plant.run_ticks` where some plants have forces over substeps."""
     return run_substeps(plant, ticks, most) if len(plant.efforts) else run_on(plant, ticks, most)
 
 
 def work_over(plant: EventPlant, way: float) -> float:
-    """Returns the work that a motor did in a hold [J], from its torque times the way."""
+    """Work of a motor in a hold [J], from its torque times displacement."""
     return way
 
 
 def booked_over(plant: EventPlant, way: float) -> float:
-    """Takes the place of `work_over` where the work is booked."""
+    """Replaces `work_over` where the work is booked."""
     now = plant.now[0]
     booked: float = plant.books[0].totals[0] + now.rippled - (now.began_work + now.began_ripple)
     return booked
 
 
 def move_event_motors(motors: EventMotors, room: GroupRoom, cycle: int) -> float:
-    """Takes the place of `move_motors`; NaN where a plant had too many events."""
+    """Replaces `move_motors`; NaN where a plant had too many events."""
     work, count = 0.0, len(room.held)
     if cycle:
         for i in range(count):

@@ -33,19 +33,19 @@ class FiveBarPlan(NamedTuple):
     right: int
 
     def made(self, *, listed: bool) -> FiveBarMotors:
-        """Returns them at their start; see `EventMotorsPlan.made`."""
+        """The motors at their start; see `EventMotorsPlan.made`."""
         settings, state, stack = [self.motion.settings], [replace(self.motion.state)], five_bar_stack()
         if listed:
             return FiveBarMotors(settings, state, stack, self.left, self.right)
         return FiveBarMotors(records_of(settings), records_of(state), arrays_of(stack), self.left, self.right)
 
     def replacements(self) -> dict[object, object]:
-        """Returns what the loop of a group calls in the place of other functions."""
+        """Replacements in the loop of a group."""
         return {move_motors: move_five_bar}
 
 
 def move_five_bar(motors: FiveBarMotors, room: GroupRoom, cycle: int) -> float:
-    """Takes the place of `move_motors`; NaN where the links were pushed through a singular pose."""
+    """Replaces `move_motors`; NaN where the links were pushed through a singular pose."""
     state, settings = motors.state[0], motors.settings[0]
     if cycle:
         torques = (room.acting[motors.left], room.acting[motors.right])

@@ -1,7 +1,7 @@
-"""One group of a scene in a loop without a bus: motors, the controller of the group, and what happened at every SYNC.
+"""One group of a scene in a loop without a bus: motors, the controller of the group, and a record of every SYNC.
 
 Order and rounding are those of `DirectRig`: the true positions, the encoders' counts, the step, the torque that the
-drives make of the command.
+drives apply for the command.
 """
 
 from array import array
@@ -51,7 +51,7 @@ def _run_group_loop(
     """Runs the one group of a scene.
 
     Args:
-        scene: With one group, alone.
+        scene: Scene with one group, alone.
         cycles: SYNCs.
         take: Called at every SYNC; may raise to end the run.
         controller: At rest; None: that of the scene.
@@ -81,14 +81,14 @@ def _run_group_loop(
 
 
 def loop_of(axis: AxisScene, delay: int) -> LoopSettings:
-    """Returns what lies between a motor and the controller of its group."""
+    """Loop between a motor and the controller of its group."""
     parameters, rated = axis.parameters, axis.parameters.rated_torque
     quantum = 0.0 if rated is None else rated * _PER_MILLE
     return LoopSettings(delay, parameters.counts_per_unit or 0.0, quantum, parameters.torque_limit or inf)
 
 
 def motors_of(scene: Scene, axes: Sequence[AxisScene]) -> Motors:
-    """Returns what a group of axes moves, at its start.
+    """Plant that a group of axes moves, at its start.
 
     Raises:
         InputError: The motors are not simulated, or move with others.
@@ -135,10 +135,10 @@ def _own_plants(scene: Scene, axes: Sequence[AxisScene]) -> Motors:
 
 
 class GroupRecorder(Recorder):
-    """Takes what happened at every SYNC of a group; positions and torques are of shape (n, axes).
+    """Records every SYNC of a group; positions and torques are of shape (n, axes).
 
     Args:
-        axes: Motors.
+        axes: Number of motors.
         furthest: Distance from the origin that counts as divergence [m or rad].
         tick: Called at every SYNC.
     """
@@ -152,7 +152,7 @@ class GroupRecorder(Recorder):
         """Takes one SYNC.
 
         Raises:
-            DivergedError: A position is not finite, or further away than any user took it.
+            DivergedError: A position is not finite, or farther away than any user moved it.
         """
         self.take(0.0, 0.0, sqrt(sum(torque * torque for torque in hold.held)), hold.balance.account, -hold.interaction)
         self._seen.extend(hold.seen)
@@ -163,13 +163,13 @@ class GroupRecorder(Recorder):
             raise DivergedError(f"the group is at {tuple(hold.true)}, expected within {self._furthest:g}")
 
     def run(self, ended: str = "", reason: str = "") -> LoopRun:
-        """Returns everything taken so far; see `Recorder`."""
+        """Everything recorded so far; see `Recorder`."""
         seen, true, held = (np.array(flat).reshape(-1, self._axes) for flat in (self._seen, self._true, self._held))
         return super().run(ended, reason)._replace(position=seen, true_position=true, torque=held)
 
 
 def render_group(scene: Scene, cycles: int, recorder: GroupRecorder) -> LoopRun:
-    """Runs the one group of a scene; a run that diverges or fails ends early and says so.
+    """Run the one group of a scene; a run that diverges or fails ends early and is marked so.
 
     Raises:
         InputError: The motors of the group are not simulated, or move with others.

@@ -1,4 +1,4 @@
-"""What the motors of a group move, for its loop: by one flow, by the stepper, or as a five-bar."""
+"""Models of the motors of a group for its loop: one flow, the stepper, or a five-bar."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -24,8 +24,8 @@ def motors_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> LinearMotors | Ev
     """Returns the motors of a group at their start; the reason by name where they cannot move in its loop.
 
     Args:
-        scene: Of the group alone.
-        axes: Of the group.
+        scene: Scene with the group alone.
+        axes: Axes of the group.
 
     Raises:
         InputError: The motors of the group are not simulated, or move with others.
@@ -50,11 +50,11 @@ def motors_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> LinearMotors | Ev
 def _of_mechanism(
     of: MechanismScene, order: Sequence[int], sample_time_ns: int
 ) -> LinearMotors | EventMotorsPlan | FiveBarPlan | str:
-    """Returns what a mechanism is in the loop.
+    """Model of a mechanism in the loop.
 
     Args:
         of: The mechanism.
-        order: Places of the motors of the group among its own.
+        order: Places of the group's motors among the mechanism's.
         sample_time_ns: T [ns].
     """
     moving: Any = build_mechanism(of, sample_time_ns)
@@ -90,7 +90,7 @@ def _stage(stage: XYMotion, order: Sequence[int]) -> LinearMotors:
     """Returns a stage, whose forces are states that do not change.
 
     Args:
-        stage: Without dry friction.
+        stage: Stage without dry friction.
         order: Places of the motors of the group among those of the stage.
     """
     flow, start = stage.whole_flow(), stage.state

@@ -21,7 +21,7 @@ _BRANCH, _CERTIFICATE = (EnergyBalance._fields.index(name) for name in ("branch"
 
 
 def keep_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, hold: GroupHold) -> None:
-    """Takes the place of `take_group`: writes a row, what came in first, then each motor, then the account."""
+    """Replaces `take_group`: writes a row, first the energy that came in, then each motor, then the account."""
     row, account, motors = rows[int(meter.figures.cycles)], hold.account, len(room.held)
     meter.figures.cycles += 1.0
     row[0] = meter.supplied - meter.work
@@ -56,7 +56,7 @@ def render_group_by(engine: ChosenEngine, scene: Scene, cycles: int, recorder: G
 
 
 def _recorded(rows: Array, motors: int, recorder: GroupRecorder, *, is_whole: bool) -> LoopRun:
-    """Returns what a recorder makes of rows."""
+    """Record made of rows."""
     for interaction, *numbers in rows.tolist():
         seen, true, held = (numbers[i * motors : (i + 1) * motors] for i in range(3))
         booked = numbers[3 * motors :]

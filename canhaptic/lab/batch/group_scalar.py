@@ -1,8 +1,8 @@
 """One group of a scene in a loop without a bus, with the names of the batch.
 
-What a figure of one axis means for a group: energies are those of all its motors and of a mover; torques are Euclidean
-norms, `torque_peak` is the largest of any motor. Travel, stiffness and what is compared with a continuous run are NaN:
-a group has no position.
+Figures of one axis apply to a group as follows: energies are those of all its motors and of a mover; torques are
+Euclidean norms, `torque_peak` is the largest of any motor. Travel, stiffness and comparisons with a continuous run are
+NaN: a group has no position.
 """
 
 from collections.abc import Callable, Sequence
@@ -41,7 +41,7 @@ def group_meter(case: GroupCase, cycles: int, engine: ChosenEngine = "python") -
     """Returns the sums of a loop after its cycles, or when it diverged.
 
     Args:
-        case: Which is compiled where it can be.
+        case: Case of the group, compiled where it can be.
         cycles: SYNCs.
         engine: Python takes every case.
     """
@@ -61,7 +61,7 @@ def group_meter(case: GroupCase, cycles: int, engine: ChosenEngine = "python") -
 
 
 def _in_python(case: GroupCase) -> tuple[Any, GroupRig, dict[object, object]]:
-    """Returns the motors at their start, what lies between them and the controller, and what the loop calls anew."""
+    """The motors at their start, their loop to the controller, and the replacements in it."""
     motors = case.motors
     if isinstance(motors, LinearMotors):
         return motors._replace(state=list(motors.state)), case.rig, {}
@@ -78,7 +78,7 @@ def _python_loop(kernel: GroupKernel, replaced: tuple[tuple[object, object], ...
 
 
 class _Moved:
-    """Takes the place of `move_motors` for motors that do not move by one flow."""
+    """Replaces `move_motors` for motors that do not move by one flow."""
 
     def __init__(self, motors: Motors, period: int) -> None:
         self._motors, self._period, self._done = motors, period, 0.0
@@ -96,7 +96,7 @@ class _Moved:
 
 
 def group_figures(meter: GroupMeter, metrics: Sequence[str] | None = None) -> dict[str, float]:
-    """Returns the figures that are made of sums; NaN for those of a position."""
+    """Figures made of sums; NaN for those of a position."""
     names, sums = list(METRICS if metrics is None else metrics), meter.figures
     own = [name for name in names if name not in _OF_A_POSITION]
     figures = metrics_of(own, {name: np.array([getattr(sums, name)]) for name in sums_of(own)})

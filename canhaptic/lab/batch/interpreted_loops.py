@@ -1,4 +1,4 @@
-"""Loops of a batch run by Python, one after the other: where numba is not installed, and to judge compiled ones by."""
+"""Loops of a batch run by Python, one after the other: where numba is missing, and as reference for compiled ones."""
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -18,15 +18,15 @@ class InterpretedLoops:
     """One loop after the other.
 
     Args:
-        kernel: Of the algorithm.
-        rows: The scenes.
-        modes: Of the continuous environments.
+        kernel: Kernel of the algorithm.
+        rows: Rows of the scenes.
+        modes: Modes of the continuous environments.
         cycles: SYNCs.
-        instead: Functions of the loop in whose place others come.
+        instead: Replacements of functions of the loop.
 
     Attributes:
-        meters: Of every scene.
-        references: What is remembered of its continuous run.
+        meters: Meter of every scene.
+        references: Memory of its continuous run.
     """
 
     def __init__(
@@ -46,9 +46,10 @@ class InterpretedLoops:
         """Runs some of the scenes.
 
         Args:
-            some: Their numbers.
-            plants: Theirs.
-            interrupted: (plants, number of a scene, where it is, why) -> plants to go on with; None ends that scene.
+            some: Numbers of the scenes.
+            plants: Plants of the scenes.
+            interrupted: (plants, number of a scene, its state, reason) -> plants to continue with; None ends that
+                scene.
         """
         for number, i in enumerate(some):
             row, kernel = self._rows[i], self._kernel

@@ -1,6 +1,6 @@
-"""One loop compiled with its plant, every SYNC of which is kept: for studies that need rows and not sums.
+"""One loop compiled with its plant, with a record of every SYNC: for studies that need rows and not sums.
 
-What happened at a SYNC is written into a row, and the rows are handed to the recorder of the loop that Python runs. A
+Each SYNC is written into a row, and the rows are passed to the recorder of the loop that Python runs. A
 linear plant moves by sums in another order than in `Plant`, so that numbers differ from those of `loop.render` by
 rounding; where the last bit counts, take that.
 """
@@ -32,7 +32,7 @@ def keep(
     environment: Environment, settings: MeterSettings, rows: Matrix, cycle: int, position: float,
     true_position: float, torque: float, interaction: float, balance: EnergyBalance,
 ) -> None:  # fmt: skip
-    """Takes the place of `meter.take`: writes a row."""
+    """Replaces `meter.take`: writes a row."""
     row = rows[cycle]
     row[0], row[1], row[2], row[3] = position, true_position, torque, interaction
     row[4], row[5], row[6], row[7], row[8] = balance.torque, balance.h_i, balance.h_pas, balance.h_m, balance.h_r
@@ -44,18 +44,18 @@ def keep(
 def compare_nothing(
     rows: Matrix, position: float, torque: float, continuous_position: float, continuous_torque: float
 ) -> None:
-    """Takes the place of `meter.compare`."""
+    """Replaces `meter.compare`: no-op."""
 
 
 def miss_nothing(
     environment: Environment, settings: MeterSettings, rows: Matrix, cycle: int, true_position: float, torque: float,
     interaction: float,
 ) -> None:  # fmt: skip
-    """Takes the place of `meter.miss`: no frame is lost here."""
+    """Replaces `meter.miss`: no frame is lost here."""
 
 
 def diverge_silently(rows: Matrix) -> None:
-    """Takes the place of `meter.diverge`: the rows end."""
+    """Replaces `meter.diverge`: the rows end."""
 
 
 _KEEPING: Final[dict[object, object]] = {
@@ -72,15 +72,15 @@ def render_compiled(
     """Runs a case compiled; see `loop.render`.
 
     Args:
-        case: For which `cases.why_not_compiled` is "".
+        case: Case for which `cases.why_not_compiled` is "".
         cycles: SYNCs.
-        recorder: Says what counts as divergence.
+        recorder: Defines divergence.
         progress: Called once per cycle when the loop is over; may raise.
 
-    Raises:
+    EventLimitError: The plant had more events in one sample time than allowed.
         EventLimitError: The plant had more events in one sample time than are allowed.
         NotBatchableError: numba cannot compile the environment.
-        ParameterError: The algorithm cannot do without something that its loop does not say.
+        ParameterError: The algorithm needs a value that its loop does not give.
     """
     case.controller()  # refuses what cannot be built
     for position, true_position, torque, interaction, *booked in _rows(case, cycles).tolist():
@@ -98,7 +98,7 @@ def render_compiled(
 
 
 def _rows(case: LoopCase, cycles: int) -> Array:
-    """Returns the rows of all SYNCs, those behind the end of the loop left out."""
+    """Rows of all SYNCs up to the end of the loop."""
     batch, kernel = replace(loop_alone(case), furthest=inf), cast(Kernel, kernel_of(case.algorithm))
     rows = [*scene_rows(batch, kernel, batch.numbers, 1)]
     instead: dict[object, object] = {**_KEEPING, **loop_replacements(batch.plants)}

@@ -1,6 +1,6 @@
-"""Where the sampled loop of servo, hand and a two-sided spring-damper is stable: eigenvalues of many scenes at once.
+"""Stability of the sampled loop of servo, hand and a two-sided spring-damper: eigenvalues of many scenes at once.
 
-A wall that is touched all the time is linear, and so is the loop around it: with z = [q, v, q before, torque that
+A wall in permanent contact is linear, and so is the loop around it: with z = [q, v, q before, torque that
 waits] one hold is a matrix, and the loop decays where its eigenvalues are inside the unit circle. For maps of 10^4
 scenes before one is run; a scene with events needs a run.
 """

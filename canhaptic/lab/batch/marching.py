@@ -36,12 +36,12 @@ def march(
     """Returns metrics of many loops, each of shape (n_scenes,), in the order of the scenes.
 
     Args:
-        case: What they have in common, and the numbers in which they differ.
-        scenes: Their number.
+        case: Common part of the loops, and the numbers in which they differ.
+        scenes: Number of scenes.
         cycles: SYNCs, the first included.
         engine: See `run_batch`.
         metrics: Names of `ALL`.
-        stopped: Takes the number of a scene whose plant could not be moved on, and why; its metrics are NaN.
+        stopped: Called with the number of a scene whose plant could not be moved on, and why; its metrics are NaN.
 
     Raises:
         NotBatchableError: The algorithm is no kernel, or numba cannot compile the environment.
@@ -70,7 +70,7 @@ def march(
 
 
 def _last_from(case: BatchCase, cycles: int) -> Array | float:
-    """Returns the SYNC with which the last part of each run begins."""
+    """SYNC with which the last part of each run begins."""
     period = np.asarray(case.numbers["loop.sample_time"], dtype=float)
     found = {value: float(last_rows(cycles, value).start) for value in np.unique(period).tolist()}
     return np.array([found[value] for value in period.tolist()]) if period.ndim else found[float(period)]
@@ -113,7 +113,7 @@ def _columns(found: Any) -> dict[str, Array]:
 
 
 def _compared(sums: Mapping[str, Array], runs: Mapping[str, Array], modes: ContinuousModes) -> dict[str, Array]:
-    """Returns the sums of the continuous runs and of what is compared with them; NaN where a scene has none."""
+    """Sums of the continuous runs and of the comparison with them; NaN where a scene has none."""
     found = {
         **{name: sums[name] for name in _COMPARED if name in sums},
         "continuous_travel": runs["highest"] - runs["lowest"],

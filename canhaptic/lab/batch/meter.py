@@ -1,7 +1,7 @@
 """The sums behind the figures of one run, gathered while it runs: memory does not grow with cycles.
 
-A kernel, so that runs one by one and compiled ones have the same sums. `canhaptic.lab.figures.figures` defines what
-each sum is for.
+A kernel, so that interpreted runs and compiled ones have the same sums. `canhaptic.lab.figures.figures` defines the use
+of each sum.
 """
 
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ class MeterSettings:
 
 @dataclass(slots=True)
 class Meter:
-    """Running sums and extremes of one axis; energies in [J]. Its fields are what `figures.ALL` names."""
+    """Running sums and extremes of one axis; energies in [J]. Its fields are named in `figures.ALL`."""
 
     cycles: float = 0.0
     diverged: float = 0.0
@@ -95,15 +95,15 @@ def take(
     """Takes one SYNC.
 
     Args:
-        environment: That is rendered.
-        settings: Of the run.
+        environment: The rendered environment.
+        settings: Settings of the run.
         meter: Changed.
-        cycle: Number of the SYNC.
-        position: As the controller saw it [m or rad].
+        cycle: Index of the SYNC.
+        position: Position as the controller read it [m or rad].
         true_position: [m or rad].
-        torque: Applied in the hold that ended [N or N*m].
+        torque: Torque applied in the hold that ended [N or N*m].
         interaction: True energy that came in since the start [J].
-        balance: What the controller booked.
+        balance: Balance booked by the controller.
     """
     meter.cycles = cycle + 1.0
     moved = true_position - meter.true_position if cycle else 0.0
@@ -128,7 +128,7 @@ def miss(
     environment: Environment, settings: MeterSettings, meter: Meter, cycle: int, true_position: float, torque: float,
     interaction: float,
 ) -> None:  # fmt: skip
-    """Takes a SYNC whose position the controller did not get; see `take`."""
+    """Take a SYNC whose position did not reach the controller; see `take`."""
     nothing, surplus = 0.0, meter.surplus
     balance = new(EnergyBalance, (
         nothing, nothing, nothing, nothing, nothing, nothing, surplus, nothing, nothing, nothing, nothing, _HELD,
@@ -155,19 +155,19 @@ def take_energy(
 
 
 def diverge(meter: Meter) -> None:
-    """Takes it that a run diverged."""
+    """Record that a run diverged."""
     meter.diverged = 1.0
 
 
 def compare(meter: Meter, position: float, torque: float, continuous_position: float, continuous_torque: float) -> None:
-    """Takes one SYNC with that of the continuous environment.
+    """Compare one SYNC with that of the continuous environment.
 
     Args:
         meter: Changed.
-        position: The true one [m or rad].
-        torque: Applied in the hold that ended [N or N*m].
+        position: True position [m or rad].
+        torque: Torque applied in the hold that ended [N or N*m].
         continuous_position: [m or rad].
-        continuous_torque: Its mean over the hold that ended [N or N*m].
+        continuous_torque: Mean continuous torque over the hold that ended [N or N*m].
     """
     error = position - continuous_position
     meter.position_squares += error * error

@@ -30,10 +30,10 @@ _Numbers = dict[str, Array | float]
 
 
 def is_linear(simulation: AxisSimulation) -> bool:
-    """Returns whether one flow moves a plant, and the motor's work is the torque held times the way.
+    """Whether one flow moves a plant, and the motor's work is the held torque times displacement.
 
     Raises:
-        ParameterError: An effect does not go with the plant.
+        ParameterError: An effect does not fit the plant.
     """
     scene = PlantValues(simulation, _ANY_NS).scene()
     moves_by_flow = not (any(part.has_guards for part in scene.parts) or scene.efforts or scene.schedule)
@@ -54,8 +54,8 @@ def plant_numbers(simulation: AxisSimulation, sample_time_ns: Array | float, var
     """Returns start, flow and rates of many plants by the names of `BatchCase.numbers`; a coefficient of 0 is left out.
 
     Args:
-        simulation: What all have in common.
-        sample_time_ns: One, or of each scene, shape (n_scenes,) [ns].
+        simulation: Common part of the scenes.
+        sample_time_ns: One value, or one for each scene, shape (n_scenes,) [ns].
         varied: Keys under `simulation.` -> value of each scene.
     """
     keys = {key: values for key, values in varied.items() if key.startswith("simulation.")}
@@ -84,7 +84,7 @@ def _named(name: str, matrices: Array) -> _Numbers:
 
 
 def _shared(values: Array) -> Array | float:
-    """Returns one number where all scenes have the same."""
+    """One number where all scenes share it."""
     return float(values[0]) if (values == values[0]).all() else np.ascontiguousarray(values)
 
 

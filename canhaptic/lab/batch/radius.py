@@ -20,11 +20,11 @@ _IN_IT: Final = ("viscous_friction", "tremor")
 def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
     """Returns the largest |eigenvalue| of one hold of each linear sampled loop, shape (n_scenes,): stable below 1.
 
-    The loop is closed by the environment as if it were touched all the time (a wall: of both sides), rendered by
+    The loop is closed by the environment as if in permanent contact (a wall: on both sides), rendered by
     `unprotected` with the velocity of the last hold, at the delay of the scene, without encoder steps and limits.
 
     Args:
-        scene: With a linear plant and hand, an environment with a linear stiffness, and one axis.
+        scene: Scene with a linear plant and hand, an environment with a linear stiffness, and one axis.
         varied: Key of `BATCH_KEYS` -> value of each scene, shape (n_scenes,), in SI.
 
     Raises:

@@ -41,7 +41,7 @@ class ReferenceSettings:
 
 @dataclass(slots=True)
 class ReferenceState:
-    """What is remembered of a continuous run."""
+    """State of a continuous run."""
 
     mode: int = OUTSIDE
     cycle: int = 0
@@ -166,7 +166,7 @@ def move_in_pieces(settings: ReferenceSettings, reference: ReferenceState, memor
 
 
 def surface_ahead(settings: ReferenceSettings, mode: int, way: float) -> float:
-    """Returns the surface that a motion along `way` meets next [m or rad], infinite where there is none."""
+    """Surface that a motion along `way` meets next [m or rad], infinite if there is none."""
     if way > 0.0:
         return settings.lower if mode == LOWER else settings.upper if mode == OUTSIDE else inf
     return settings.upper if mode == UPPER else settings.lower if mode == OUTSIDE else -inf
@@ -201,14 +201,14 @@ def value_at(series: Matrix, row: int, at: float) -> float:
 
 
 def root(series: Matrix, row: int, constant: float, until: float, end: float) -> float:
-    """Returns where a polynomial that moves one way passes through zero before `until` [s].
+    """Root before `until` [s] of a monotonic polynomial.
 
     Args:
-        series: Coefficients, of which the first is not looked at.
-        row: Of the polynomial.
+        series: Coefficients; the first is not used.
+        row: Row of the polynomial.
         constant: First coefficient; 0 or of the sign opposite to `end`.
-        until: Where the bracket ends [s].
-        end: The polynomial there.
+        until: End of the bracket [s].
+        end: Value of the polynomial there.
     """
     low, high = 0.0, until
     at = until * constant / (constant - end)

@@ -1,4 +1,4 @@
-"""One loop, every SYNC of which is kept, by Python or compiled; which one a study takes, and what says so."""
+"""One loop with a record of every SYNC, by Python or compiled; the choice for a study, and the note about it."""
 
 from collections.abc import Callable
 from typing import Final
@@ -17,19 +17,19 @@ def render_by(
     engine: ChosenEngine, case: LoopCase, cycles: int, recorder: Recorder | None = None,
     progress: Callable[[], None] | None = None,
 ) -> LoopRun:  # fmt: skip
-    """Runs a case as `loop.render` does; `LoopRun.engine` says what computed it, and why where it is not as asked.
+    """Run a case as `loop.render` does; `LoopRun.engine` names the engine, and why it differs from the requested one.
 
     Args:
         engine: "python" gives the bits of the path over CAN; "numba" differs from it by rounding, and runs in Python
             what cannot be compiled.
-        case: What to run.
+        case: Case to run.
         cycles: SYNCs.
-        recorder: Says what counts as divergence; 1 km by default.
+        recorder: Defines divergence; 1 km by default.
         progress: Called once per cycle.
 
     Raises:
-        EventLimitError: The plant had more events in one sample time than are allowed.
-        ParameterError: The algorithm cannot do without something that its loop does not say.
+        EventLimitError: The plant had more events in one sample time than allowed.
+        ParameterError: The algorithm needs a value that its loop does not give.
     """
     if engine == "python":
         return render(case, cycles, recorder, progress)
@@ -45,7 +45,7 @@ def render_by(
 
 
 def work_of(case: LoopCase, cycles: int) -> float:
-    """Returns what a run costs, in cycles of a light plant."""
+    """Cost of a run, in cycles of a light plant."""
     if case.simulation is None:
         return 0.0
     plant = PlantValues(case.simulation, case.sample_time_ns).scene()

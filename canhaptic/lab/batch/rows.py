@@ -20,7 +20,7 @@ _OF_LOOP: Final = ("counts_per_unit", "torque_quantum", "torque_limit", "last_fr
 
 
 class SceneRow(NamedTuple):
-    """One scene as kernels take it."""
+    """One scene in kernel form."""
 
     environment: Any  # plain object
     settings: Any  # of the algorithm
@@ -37,10 +37,10 @@ def scene_rows(case: BatchCase, kernel: Kernel, numbers: Numbers, count: int) ->
     """Yields every scene.
 
     Args:
-        case: What they have in common.
-        kernel: Of the algorithm.
-        numbers: In which they differ, one or of shape (count,) each.
-        count: Scenes.
+        case: Common part of the scenes.
+        kernel: Kernel of the algorithm.
+        numbers: Varied numbers, one or of shape (count,) each.
+        count: Number of scenes.
     """
     environment = _Varied("environment", case.environment, numbers)
     parameters = _Varied("passivity", case.parameters, numbers)
@@ -56,7 +56,7 @@ def scene_rows(case: BatchCase, kernel: Kernel, numbers: Numbers, count: int) ->
 
 
 class _Varied:
-    """A parameter model with other numbers for each scene, as a plain object."""
+    """A parameter model with different numbers for each scene, as a plain object."""
 
     def __init__(self, section: str, model: Any, numbers: Numbers) -> None:
         self._model = model
@@ -107,9 +107,9 @@ def linear_plants(case: BatchCase, numbers: Numbers, count: int, *, listed: bool
     """Returns the plants of many scenes; one flow and start where all have the same.
 
     Args:
-        case: What the scenes have in common.
-        numbers: In which they differ.
-        count: Scenes.
+        case: Common part of the scenes.
+        numbers: Varied numbers.
+        count: Number of scenes.
         listed: Whether Python runs the loops, on lists.
     """
     states = case.size - 2

@@ -1,4 +1,4 @@
-"""One scene at a time, with the names of the batch: for scenes that do not fit it, and to judge it by."""
+"""One scene at a time, with the names of the batch: for scenes that do not fit it, and as its reference."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -25,13 +25,13 @@ def run_scalar(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) 
     """Returns the figures of one scene by the names of `METRICS`.
 
     Args:
-        scene: With a simulated first axis, which is the one that is run; or one group of axes.
+        scene: Scene with a simulated first axis, which is run; or with one group of axes.
         cycles: SYNCs.
         metrics: Names of `ALL`; None for `METRICS`, which need no continuous run.
 
     Raises:
-        InputError: The axis is not simulated, or has no continuous run that is asked for.
-        ParameterError: The algorithm cannot do without something that its loop does not say.
+        InputError: The axis is not simulated, or a continuous run is requested and it has none.
+        ParameterError: The algorithm needs a value that its loop does not give.
     """
     if scene.groups:
         return group_figures(group_meter(group_case(scene), cycles), metrics)
@@ -97,7 +97,7 @@ def _metered(case: LoopCase, cycles: int, continuous: ContinuousReference | None
 
 
 def loop_settings(case: LoopCase, cycles: int) -> LoopSettings:
-    """Returns what lies between plant and controller in a run of some cycles."""
+    """Loop between plant and controller in a run of some cycles."""
     period = case.sample_time_ns * 1e-9
     meter = MeterSettings(float(last_rows(cycles, period).start), case.device_damping / period, case.device_friction)
     return LoopSettings(

@@ -1,4 +1,4 @@
-"""The effects of a plant that change a number and not a motion: what the encoder reads, what of a torque acts."""
+"""Effects of a plant that change a number and not a motion: the encoder reading, and the torque that acts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,21 +16,21 @@ SIGNAL_EFFECTS: Final = (_NOISE, "encoder_quantisation", *_TORQUE)
 
 @dataclass(frozen=True, slots=True)
 class SignalEffects:
-    """Those of one plant, in the order in which they act."""
+    """Signal effects of one plant, in the order in which they act."""
 
     effects: tuple[ComponentSpec, ...] = ()
 
     @classmethod
     def of(cls, effects: Sequence[ComponentSpec]) -> "SignalEffects":
-        """Returns those among the effects of a plant."""
+        """Signal effects among the effects of a plant."""
         return cls(tuple(effect for effect in effects if effect.name in SIGNAL_EFFECTS))
 
     def at(self, sample_time: float, seed: int) -> Signals:
-        """Returns them as numbers.
+        """The effects as numbers.
 
         Args:
-            sample_time: [s].
-            seed: Of what is random.
+            sample_time: Sample time [s].
+            seed: Seed of everything random.
         """
         found: dict[str, Any] = {effect.name: effect.parameters for effect in self.effects}
         order = [effect.name for effect in self.effects if effect.name in _TORQUE]

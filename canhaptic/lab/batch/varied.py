@@ -34,7 +34,7 @@ def scene_with(scene: Scene, values: Mapping[str, float]) -> Scene:
     """Returns a scene of one axis with other values, each validated by the model that owns it.
 
     Args:
-        scene: With one simulated axis.
+        scene: Scene with one simulated axis.
         values: Key of `BATCH_KEYS` -> value in SI.
 
     Raises:

@@ -1,4 +1,4 @@
-"""`canhaptic accuracy CONFIG`: what accuracy costs in time, for the simulated plant and for the loop, with advice."""
+"""`canhaptic accuracy CONFIG`: the price of accuracy in time, for the simulated plant and for the loop, with advice."""
 
 import argparse
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from canhaptic.view.energy_table import make_console
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Measures and prints; returns 0, or 130 or 143 after a signal, with what was measured by then.
+    """Measure and print; return 0, or 130 or 143 after a signal, with the results by then.
 
     Raises:
         InputError: A scene, an axis or a file that cannot be used.
@@ -90,7 +90,7 @@ def _write(
     write_page: Callable[[Path], object],
     markdown: Callable[[], str],
 ) -> None:
-    """Writes the picture, the page and the tables that were asked for."""
+    """Write the requested picture, page and tables."""
     if arguments.png is not None:
         draw(arguments.png)
         note_file("picture", arguments.png)

@@ -1,4 +1,4 @@
-"""`canhaptic map FILE.h5`: how stiff a wall may be, what is left of it, and where theory draws the line."""
+"""`canhaptic map FILE.h5`: largest wall stiffness, its rendered part, and the borders of theory."""
 
 import argparse
 
@@ -47,7 +47,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _lines(columns: list[list[Panel | None]]) -> list[dict[str, object]]:
-    """Returns every line that is drawn, as plain values."""
+    """Every drawn line, as plain values."""
     return [
         {"panel": panel.title, "line": line.label, "x": panel.x_label, "y": panel.y_label,
          "values": [[float(x), float(y)] for x, y in zip(line.x, line.y, strict=True)]}

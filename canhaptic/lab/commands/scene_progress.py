@@ -1,4 +1,4 @@
-"""Progress of many scenes on standard error: how many, how many a second, how long it will still take."""
+"""Progress of many scenes on standard error: count, rate, remaining time."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -13,10 +13,10 @@ from canhaptic.lab.studies.sweep.run_sweep import Progress as Scenes
 
 @contextmanager
 def scene_progress(what: str = "scenes") -> Iterator[Callable[[Scenes], None]]:
-    """Yields what takes how far a sweep is, and shows it from the first time on where somebody can see it.
+    """Yield a function that takes the progress of a sweep, and shows it on a terminal.
 
     Args:
-        what: Is counted, in a word or two.
+        what: Name of the counted items, a word or two.
     """
     columns = (
         TextColumn(f"  {what}"),

@@ -63,7 +63,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _workers(arguments: argparse.Namespace, stack: ExitStack) -> tuple[Any, int]:
-    """Returns (executor, chunks to have under way)."""
+    """Executor, and number of chunks in flight."""
     if arguments.dask is not None:
         executor, threads = stack.enter_context(dask_executor(arguments.dask))
         return executor, 2 * threads

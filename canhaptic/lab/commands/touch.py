@@ -32,7 +32,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 class _Visits:
-    """Gives the only hand to the latest visitor."""
+    """Assigns the only hand to the latest visitor."""
 
     def __init__(self, scene: "Scene", arguments: argparse.Namespace) -> None:
         self._scene, self._arguments = scene, arguments

@@ -1,1 +1,1 @@
-"""Figures of a run: of its energy, its field and what a hand feels."""
+"""Figures of a run: energy, figures of the literature, and the contact felt by the hand."""

@@ -34,7 +34,7 @@ def display_figures(scene: Scene, cycles: int, metrics: Sequence[str] | None = N
     """Returns the figures of one display, or of one group of them; NaN for those that only impedance displays have.
 
     Args:
-        scene: Of that part alone, simulated.
+        scene: Scene of that part alone, simulated.
         cycles: SYNCs.
         metrics: Names; None for all of `DISPLAY_METRICS`.
 
@@ -73,7 +73,7 @@ def figures_of(run: DisplayRun, scene: Scene) -> dict[str, float]:
 
 
 def _mass_asked(scene: Scene) -> float | None:
-    """Returns the mass that a scene of one part renders [kg or kg*m^2]; None where it has none."""
+    """Mass that a scene of one part is to render [kg or kg*m^2]; None where it has none."""
     part = scene.groups[0].network if scene.groups else scene.axes[0].environment
     asked = getattr(part.parameters, "inertia", getattr(part.parameters, "mass", None))
     return None if asked is None else float(asked)

@@ -1,8 +1,7 @@
 """The field's own figures of an algorithm on one axis: one definition each, with its source (`FIELD_FIGURES`).
 
-Figures of a run that are compared with the continuous environment (errors, force variation, limit cycle, stiffness
-rendered) are defined in `figures.py`, the time of a step in `cost.py`; here is what the literature on haptic rendering
-asks besides.
+Comparisons with the continuous environment (errors, force variation, limit cycle, rendered stiffness) are defined in
+`figures.py`, the time of a step in `cost.py`; here are further figures of the literature on haptic rendering.
 """
 
 import math
@@ -16,7 +15,7 @@ from canhaptic.lab.loop.axis_loop import Array, LoopRun
 
 
 class FieldFigure(NamedTuple):
-    """What a figure is, and where its definition and its idea come from."""
+    """A figure with the source of its definition and idea."""
 
     what: str
     unit: str
@@ -74,7 +73,7 @@ _WINDOW: Final = 0.02
 
 
 def energy_given_out(run: LoopRun) -> float:
-    """Returns the most energy that the port had given out beyond what was put in, after any hold [J].
+    """Largest energy that the port had given out beyond what was put in, after any hold [J].
 
     Source: the condition that a passivity observer watches, Hannaford and Ryu 2002, doi:10.1109/70.988969; here with
     the energy of the plant, not the one booked.
@@ -83,16 +82,16 @@ def energy_given_out(run: LoopRun) -> float:
 
 
 def energy_beyond_device(run: LoopRun, device_damping: float, sample_time: float) -> float:
-    """Returns the most energy given out beyond what came in and what the device's own damping took, after any hold [J].
+    """Largest energy given out beyond the energy received and the device's own dissipation, after any hold [J].
 
     A display is passive where this is 0, also where its environment alone is not: Colgate and Schenkel, "Passivity of a
     class of sampled-data systems", Journal of Robotic Systems 14, 1997 (its condition was read where others cite it).
     In a hold that moves D a damping b takes at least b D^2 / T.
 
     Args:
-        run: Of an axis.
-        device_damping: That is certain [N*s/m or N*m*s/rad].
-        sample_time: [s].
+        run: Run of an axis.
+        device_damping: Certain damping of the device [N*s/m or N*m*s/rad].
+        sample_time: Sample time [s].
     """
     moved = np.diff(run.true_position, prepend=run.true_position[:1])
     taken = np.cumsum(device_damping / sample_time * moved**2)
@@ -106,9 +105,9 @@ def rate_hardness(run: LoopRun, environment: Environment, sample_time: float) ->
     performance metric for haptic interfaces", IEEE Trans. Robotics and Automation 16, 2000 (its abstract was read).
 
     Args:
-        run: That begins out of contact.
-        environment: What was rendered.
-        sample_time: [s].
+        run: Run that begins out of contact.
+        environment: Rendered environment.
+        sample_time: Sample time [s].
 
     Returns:
         None where there was no contact, or the first one was reached without speed.
@@ -136,13 +135,13 @@ def drag(run: LoopRun) -> float | None:
 def rendered_impedance(run: LoopRun, sample_time: float, frequency: float) -> complex:
     """Returns force over velocity at one frequency, over the whole periods of the last half [N*s/m or N*m*s/rad].
 
-    The transparency of a display is how near this is to the impedance asked for, over frequency. Held forces are taken
+    The transparency of a display is how near this is to the requested impedance, over frequency. Held forces are taken
     as they act, constant over each hold; positions at their SYNCs.
 
     Args:
-        run: Of a hand that moves with this frequency, always in contact.
+        run: Run of a hand that moves with this frequency, always in contact.
         sample_time: [s].
-        frequency: [Hz]; below half of the rate.
+        frequency: Frequency [Hz]; below half of the rate.
     """
     omega, count = 2.0 * math.pi * frequency, len(run.position)
     periods = max(1, math.floor(0.5 * count * sample_time * frequency))
@@ -168,14 +167,14 @@ class StiffestWalls(NamedTuple):
 
 
 def stiffest_walls(stiffnesses: Array, passive: Any, shares: Array) -> StiffestWalls:
-    """Returns up to which stiffness walls are passive, and the stiffest of these that is rendered near.
+    """Largest stiffness up to which all walls are passive, and the stiffest of these that is rendered accurately.
 
     Over the damping of the wall this is the K-B plot, or Z-width: Colgate and Brown 1994, as above.
 
     Args:
-        stiffnesses: That were tried, rising, shape (n,) [N/m or N*m/rad].
+        stiffnesses: Stiffnesses tried, rising, shape (n,) [N/m or N*m/rad].
         passive: Whether each was passive, shape (n, ...).
-        shares: Stiffness rendered over the one asked for, shape (n, ...); NaN where there is none.
+        shares: Stiffness rendered over the requested one, shape (n, ...); NaN where there is none.
     """
     kept = np.logical_and.accumulate(np.asarray(passive, dtype=bool), axis=0)
     near = kept & (np.abs(shares - 1.0) <= NEAR)
@@ -186,14 +185,14 @@ def stiffest_walls(stiffnesses: Array, passive: Any, shares: Array) -> StiffestW
 
 
 class MWidth(NamedTuple):
-    """Virtual masses that are stable lie between these [kg or kg*m^2]."""
+    """Range of stable virtual masses [kg or kg*m^2]."""
 
     least: float  # below zero: inertia is taken away
     most: float
 
 
 def m_width(mass: float, damping: float, sample_time: float, delay: int = 0, cutoff: float = math.inf) -> MWidth:
-    """Returns the range of virtual masses that a device displays in a stable way, nothing else attached to it.
+    """Range of virtual masses that an unloaded device displays stably.
 
     Source: Colonnese and Okamura, "M-width: stability and accuracy of haptic rendering of virtual mass", RSS 2012, and
     IJRR 34, 2015, doi:10.1177/0278364914559294 (the abstracts were read: "the dynamic range of virtual masses
@@ -201,11 +200,11 @@ def m_width(mass: float, damping: float, sample_time: float, delay: int = 0, cut
     over T; without damping, delay and filter the loop is z^2 + (M / 2m) (z + 1) = 0, stable for -m < M < 2m.
 
     Args:
-        mass: m of the device [kg or kg*m^2].
-        damping: Of the device [N*s/m or N*m*s/rad].
+        mass: m, the mass of the device [kg or kg*m^2].
+        damping: Damping of the device [N*s/m or N*m*s/rad].
         sample_time: T [s].
-        delay: Whole holds.
-        cutoff: Of a first-order low-pass on the acceleration [Hz]; infinite: none.
+        delay: Delay in whole holds.
+        cutoff: Cutoff of a first-order low-pass on the acceleration [Hz]; infinite: none.
     """
     decay = math.exp(-damping * sample_time / mass)
     moved = _moved_in_a_hold(mass, damping, sample_time)
@@ -222,7 +221,7 @@ def m_width(mass: float, damping: float, sample_time: float, delay: int = 0, cut
 
 
 def _moved_in_a_hold(mass: float, damping: float, sample_time: float) -> Array:
-    """Returns the numerator of position over held force, (x1 z + x0) / (z - 1)(z - p), highest power first."""
+    """Numerator of position over held force, (x1 z + x0) / (z - 1)(z - p), highest power first."""
     ratio = damping * sample_time / mass
     if ratio < 1e-6:
         return np.full(2, 0.5 * sample_time**2 / mass)
@@ -231,7 +230,7 @@ def _moved_in_a_hold(mass: float, damping: float, sample_time: float) -> Array:
 
 
 def _last_stable(is_stable: Callable[[float], bool], step: float) -> float:
-    """Returns how far from zero towards a step all is stable, to six digits; infinite beyond a million steps."""
+    """Largest stable value from zero in steps of `step`, to six digits; infinite beyond a million steps."""
     inside, outside = 0.0, 1e-3 * step
     while is_stable(outside):
         inside, outside = outside, 1.1 * outside

@@ -1,7 +1,7 @@
-"""The figures of a run: each is defined here once, by name, unit and the sums that it is made of.
+"""The figures of a run: each is defined here once, by name, unit and its sums.
 
-Sums come from a run that kept its rows (`_sums_of_run`) or are gathered while a run goes on (`canhaptic.lab.batch`).
-Energies [J] are those of the plant unless they say believed.
+Sums come from a run that kept its rows (`_sums_of_run`) or are accumulated during a run (`canhaptic.lab.batch`).
+Energies [J] are those of the plant unless named as accounted ones (`believed_...`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -93,8 +93,8 @@ def figures(
     """Returns the figures of one run as plain values; None where there is nothing to measure.
 
     Args:
-        environment: What was rendered.
-        run: Of one algorithm.
+        environment: Rendered environment.
+        run: Run of one algorithm.
         reference: The continuous run of the same user; None where there is none.
         sample_time: [s].
     """
@@ -148,9 +148,9 @@ def _sums_of_run(
     """Returns the sums behind the figures of errors, stiffness, damping and rest, by the names in `ALL`.
 
     Args:
-        environment: What was rendered.
-        run: Of one algorithm.
-        reference: The continuous run of the same user; None leaves out what is compared with it.
+        environment: Rendered environment.
+        run: Run of one algorithm.
+        reference: The continuous run of the same user; None leaves out the comparison with it.
         sample_time: [s].
     """
     damping, touching = run.damping[np.isfinite(run.damping)], np.isfinite(run.damping)
@@ -200,7 +200,7 @@ def _in_last_part(
 
 
 def _forces(environment: Environment, position: Array, torque: Array) -> dict[str, float]:
-    """Returns sums of force, state and effort asked for; zeros where the state relaxes, which has no stiffness."""
+    """Sums of force, state and requested effort; zeros where the state relaxes, which has no stiffness."""
     if environment.relaxes:
         return {"force": 0.0, "state": 0.0, "asked": 0.0}
     states = [environment.true_state(q, 0.0, 0.0) for q in position.tolist() if environment.contact(q)]
@@ -218,7 +218,7 @@ def last_rows(cycles: int, sample_time: float) -> slice:
 
 
 def sums_of(metrics: Sequence[str]) -> tuple[str, ...]:
-    """Returns the sums that some metrics are made of, each once."""
+    """Sums that some metrics are made of, each once."""
     return tuple(dict.fromkeys(name for metric in metrics for name in ALL[metric][1]))
 
 
@@ -245,7 +245,7 @@ def _metric(metric: str, sums: Mapping[str, Array]) -> Array:
 
 
 def _at_rest(metric: str, sums: Mapping[str, Array]) -> Array:
-    """Returns what is measured in the last part, where the continuous axis rests there."""
+    """Figures of the last part of the run, where the continuous axis rests there."""
     rest = sums["continuous_rest"]
     rests = (sums["diverged"] == 0.0) & (rest <= REST * np.maximum(sums["continuous_travel"], 1e-9))
     if metric == "limit_cycle":

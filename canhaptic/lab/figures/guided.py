@@ -25,11 +25,11 @@ class GuidedPlant(Plant):
 
     Args:
         parameters: Mass, bearings and start.
-        hand: That is guided.
-        effects: Of the plant.
-        sample_time_ns: [ns].
-        course: Of the hand, in the order of time; before the first leg the hand rests.
-        seed: Of every random effect.
+        hand: The guided hand.
+        effects: Effects of the plant.
+        sample_time_ns: Sample time [ns].
+        course: Course of the hand, in the order of time; before the first leg the hand rests.
+        seed: Seed of every random effect.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""A hand that is guided from outside: its place and its push go on at rates that are set between two holds.
+"""A hand guided from outside: its position and its push change at rates that are set between two holds.
 
 Place, speed, push and its rate are states that change linearly, so that the plant stays as exact as with any other
 hand, with any effects; `Plant.set_states` changes them at a SYNC.

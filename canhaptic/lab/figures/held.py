@@ -1,10 +1,10 @@
-"""The largest stiffness that a loop holds at rest under a push that rises slowly, found by bisection.
+"""Largest stiffness that a loop holds at rest under a slowly rising push, found by bisection.
 
     push     from 0 to its full force while it rises, from in front of the wall; then constant
-    held     over the last part of the run: mean torque over mean depth is within the tolerance of what was asked, depth
-             goes to and fro by no more than the tolerance, and no more energy came out than the allowance
+    held     over the last part of the run: mean torque over mean depth is within the tolerance of the stiffness, depth
+             swings by no more than the tolerance, and no more energy came out than the allowance
 
-What swings at first must have died away by the damping of device and hand when a wall is judged: `settling_time`.
+Initial oscillations must have died away by the damping of device and hand when a wall is judged: `settling_time`.
 """
 
 from collections.abc import Sequence
@@ -44,12 +44,12 @@ class Leaning:
 
 
 def settling_time(mass: float, damping: float) -> float:
-    """Returns how long to lean until a swing of the device on an ideal spring has died away to 1 % [s]."""
+    """Time of leaning until a swing of the device on an ideal spring has died away to 1 % [s]."""
     return _TIMES * 2.0 * mass / damping
 
 
 class Held(NamedTuple):
-    """What became of a wall."""
+    """Outcome of a trial of one wall."""
 
     share: float  # mean torque over what was asked at the mean depth
     ripple: float  # way to and fro over the mean depth
@@ -59,7 +59,7 @@ class Held(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """The device that is leant on."""
+    """The device that is loaded."""
 
     case: LoopCase  # its environment and plant are replaced
     plant: PlantParameters
@@ -68,13 +68,13 @@ class Bench:
 
 
 def held(bench: Bench, stiffness: float, leaning: Leaning, damping: float = 0.0) -> Held:
-    """Returns what becomes of one wall.
+    """Outcome of one wall.
 
     Args:
         bench: Device and loop.
-        stiffness: [N/m or N*m/rad].
-        leaning: How it is leant on.
-        damping: Of the wall [N*s/m or N*m*s/rad].
+        stiffness: Stiffness of the wall [N/m or N*m/rad].
+        leaning: Push on the wall.
+        damping: Damping of the wall [N*s/m or N*m*s/rad].
     """
     plant = bench.plant.model_copy(update={"initial_position": leaning.clearance, "initial_velocity": 0.0})
     course = (Leg(0.0, push_rate=-leaning.push / leaning.rise), Leg(leaning.rise))
@@ -105,13 +105,13 @@ class LargestHeld(NamedTuple):
 
 
 def largest_held(bench: Bench, leaning: Leaning, softest: float, stiffest: float) -> LargestHeld:
-    """Returns the largest stiffness that is held; softer walls that are not are counted.
+    """Largest stiffness that is held; counts the softer walls that are not.
 
     Args:
         bench: Device and loop.
-        leaning: How walls are leant on.
+        leaning: Push on the walls.
         softest: Stiffness tried first [N/m or N*m/rad].
-        stiffest: Largest that is tried; below the softest none is.
+        stiffest: Largest stiffness tried; below the softest none is.
     """
     if stiffest < softest:
         return LargestHeld(0.0, 0, 0)

@@ -1,6 +1,6 @@
-"""A slow hand goes into a wall and stops there: how deep it comes to rest, and what drags it before.
+"""A slow hand that enters a wall and stops there: its depth at rest, and the drag before.
 
-The hand is a spring whose far end moves at a constant speed through free space and then into the wall, and stops. The
+The hand is a spring whose outer end moves at a constant speed through free space and then into the wall, and stops. The
 handle begins with that speed, so that it does not swing on the spring.
 """
 
@@ -21,7 +21,7 @@ _HALVINGS: Final = 60
 
 @dataclass(frozen=True, slots=True)
 class SlowHand:
-    """A spring with a far end that moves, towards a wall at the origin."""
+    """A spring with a moving end, towards a wall at the origin."""
 
     speed: float  # [m/s or rad/s]
     stiffness: float = 300.0  # [N/m or N*m/rad]
@@ -42,7 +42,7 @@ class Entered(NamedTuple):
 
 
 def enter(bench: Bench, wall: SpringDamperWall, hand: SlowHand) -> Entered:
-    """Returns what becomes of a slow hand at a wall that is solid below the origin."""
+    """Result of a slow hand at a wall that is solid below the origin."""
     period, way = bench.case.sample_time_ns * 1e-9, hand.free + hand.into
     moving = max(1, round(way / hand.speed / period)) * period  # it stops with a SYNC
     speed = way / moving
@@ -60,15 +60,15 @@ def enter(bench: Bench, wall: SpringDamperWall, hand: SlowHand) -> Entered:
 
 
 def certified_rest(response: DisplacementResponse, delay: int, hand: SlowHand) -> tuple[float, float]:
-    """Returns (depth [m or rad], stiffness) at which the hand rests on what the hand-force certificate holds.
+    """Depth [m or rad] and stiffness at which the hand rests on the force held by the hand-force certificate.
 
     The certificate holds the stiffness c F / (F + F_h) at a force F. With the force K (s - x) of a spring K that ends
     at s, the depth x has c x = F + F_h. Where it lies beyond s, the spring is too weak to be held: the depth is s, and
     the stiffness is 0.
 
     Args:
-        response: Of the axis.
-        delay: In holds.
+        response: Displacement response of the axis.
+        delay: Delay in whole holds.
         hand: The hand.
     """
 

@@ -48,7 +48,7 @@ class SwitchedModel(Protocol):
         """Returns the rate of every state."""
 
     def ways(self, modes: Modes) -> list[Transition]:
-        """Returns every way out of these modes; valid until it is asked for others."""
+        """Every transition out of these modes; valid until the next call."""
 
 
 def reference(
@@ -58,9 +58,9 @@ def reference(
 
     Args:
         model: The plant.
-        torques: Of each hold [N or N*m].
-        sample_time_ns: Of a hold [ns].
-        stop: Asked now and then whether to give up.
+        torques: Torque of each hold [N or N*m].
+        sample_time_ns: Duration of a hold [ns].
+        stop: Polled now and then; true gives up.
 
     Raises:
         InputError: scipy is missing, the solver fails, or it was stopped.
@@ -94,12 +94,12 @@ def located_states(
 
     Args:
         model: The plant.
-        torques: Of each hold [N or N*m]; where the plant has several motors, one for each.
-        sample_time_ns: Of a hold [ns].
+        torques: Torque of each hold [N or N*m]; where the plant has several motors, one for each.
+        sample_time_ns: Duration of a hold [ns].
         method: Name of the solver.
         rtol: Relative tolerance.
         atol: Absolute tolerance, of each state in its own unit.
-        stop: Asked now and then whether to give up.
+        stop: Polled now and then; true gives up.
 
     Raises:
         InputError: scipy is missing, the solver fails, or it was stopped.
@@ -129,11 +129,11 @@ def states_at(
     """Returns every state without a torque at some times, by DOP853 with dense output.
 
     Args:
-        model: The plant and what acts on it.
+        model: The plant and the forces on it.
         times: Ascending, from 0 [s].
         rtol: Relative tolerance; a thousandth of it is the absolute one, of each state in its own unit.
-        stop: Asked now and then whether to give up.
-        longest: Step at whose ends guards are looked at, where modes may change [s].
+        stop: Polled now and then; true gives up.
+        longest: Longest step, at whose ends guards are checked, where modes may change [s].
 
     Raises:
         InputError: scipy is missing, the solver fails, or it was stopped.
@@ -168,7 +168,7 @@ def _solve_ivp() -> Callable[..., Any]:
 
 
 def _require_running(stop: Callable[[], bool] | None) -> None:
-    """Raises InputError where it was asked to stop."""
+    """Raise InputError where a stop was requested."""
     if stop is not None and stop():
         raise InputError("stopped before the reference was there; nothing can be compared without it")
 
@@ -182,7 +182,7 @@ def _hold(
     span: tuple[float, float],
     read: Callable[[Any], None] = lambda _result: None,
 ) -> tuple[list[float], Modes]:
-    """Returns state and modes after one stretch of time under one torque; `read` sees every solution on the way."""
+    """State and modes after a time under one torque; `read` receives every solution on the way."""
     now, end = span
     for _ in range(_MOST_CHANGES):
         state, modes = settled(model, now, state, torque, modes)
@@ -204,7 +204,7 @@ def _hold(
 def settled(
     model: SwitchedModel, time: float, state: list[float], torque: Any, modes: Modes
 ) -> tuple[list[float], Modes]:
-    """Returns state and modes after every way was taken whose value is below zero here."""
+    """State and modes after every transition whose value is below zero here."""
     for _ in range(_CHAIN):
         ways = model.ways(modes)
         broken = next((way for way in ways if way.value(time, state, torque) < -way.rounding), None)
@@ -215,7 +215,7 @@ def settled(
 
 
 def through(way: Transition, state: Sequence[float], modes: Modes) -> tuple[Floats, Modes]:
-    """Returns state and modes after a way was taken."""
+    """State and modes after a transition."""
     after = [float(value) for value in state]
     if way.reset is not None:
         way.reset(after)
@@ -223,7 +223,7 @@ def through(way: Transition, state: Sequence[float], modes: Modes) -> tuple[Floa
 
 
 def _event(way: Transition) -> Any:
-    """Returns what falls through zero a hair beyond the guard: a guard that stays at zero is no event."""
+    """Guard value slightly beyond zero: a guard that stays at zero is no event."""
 
     def event(time: float, state: State, torque: Any, _modes: Modes) -> float:
         return way.value(time, state, torque) + way.rounding

@@ -1,4 +1,4 @@
-"""The textbook plant by methods of fixed step, as most simulators take them: a mode changes at the end of a step only.
+"""The reference plant by fixed-step methods, as in most simulators: a mode changes at the end of a step only.
 
 So each is of its own order while nothing switches, and of order 1 where something does.
 """
@@ -33,8 +33,8 @@ def fixed_step_states(
 
     Args:
         model: The plant.
-        torques: Of each hold [N or N*m]; where the plant has several motors, one for each.
-        sample_time_ns: Of a hold [ns].
+        torques: Torque of each hold [N or N*m]; where the plant has several motors, one for each.
+        sample_time_ns: Duration of a hold [ns].
         step: One of `METHODS`.
         substeps: Steps in a hold.
     """

@@ -1,4 +1,4 @@
-"""Forces of the textbook plant, one element each: what acts on the bodies, and how an element leaves its mode.
+"""Forces of the reference plant, one element each: its forces on the bodies, and its transitions between modes.
 
 An element adds to `forces` (one per body, motor first) and to `rates`. Signs, units and sources are those of the effect
 of the same name in `canhaptic.sim.plant.effects`.
@@ -45,7 +45,7 @@ class BodyPlace(NamedTuple):
 
 
 class Element(Protocol):
-    """One thing that exerts a force.
+    """One source of force.
 
     Attributes:
         modes: Its modes, the first at the start.
@@ -57,16 +57,16 @@ class Element(Protocol):
         """Adds its forces and the rates of its own states."""
 
     def ways(self, index: int, mode: str) -> Sequence[Transition]:
-        """Returns the ways out of a mode; `index` is its own place among the elements."""
+        """Transitions out of a mode; `index` is its own place among the elements."""
 
 
 class _Smooth:
-    """What elements without modes share."""
+    """Common part of elements without modes."""
 
     modes: tuple[str, ...] = ("only",)
 
     def ways(self, index: int, mode: str) -> Sequence[Transition]:
-        """Returns none."""
+        """No transitions."""
         return ()
 
 
@@ -109,11 +109,11 @@ class ReferenceHand(_Smooth):
     """K (x_u - q) + D (v_u - v) + push on the last body; its work goes to the last state.
 
     Args:
-        place: Of the body that is held.
+        place: Place of the held body.
         grasps: (from time, stiffness, damping), ascending.
         push: Constant force.
-        rest: Where the spring is at rest.
-        sines: (amplitude, angular frequency, phase) of what the hand follows.
+        rest: Rest position of the spring.
+        sines: (amplitude, angular frequency, phase) of the voluntary motion.
     """
 
     def __init__(
@@ -177,13 +177,13 @@ class LuGre(_Smooth):
 
 
 class ReferenceContact:
-    """A one-sided damped contact whose dented face creeps back; `depth` is a state.
+    """A one-sided damped contact whose dented face recovers; `depth` is a state.
 
     Args:
         sides: (body, its place, factor); distance = sum of factor times position.
         limit: Distance at which the faces meet.
-        stiffness: Of the faces.
-        damping: Of the faces.
+        stiffness: Stiffness of the faces.
+        damping: Damping of the faces.
         depth: Place of the state.
     """
 
@@ -206,7 +206,7 @@ class ReferenceContact:
             rates[self._depth] = -self._stiffness / self._damping * state[self._depth]
 
     def ways(self, index: int, mode: str) -> Sequence[Transition]:
-        """Returns parting where the force would pull, touching where the faces meet."""
+        """Transitions: separation at zero force, contact at zero gap."""
 
         def meet(state: Floats) -> None:
             state[self._depth] = self._beyond(state)
@@ -233,11 +233,11 @@ class ReferenceStickSlip:
     """Dry friction on a body: held up to `static`, then `kinetic`; with Stribeck an excess that falls off.
 
     Args:
-        kinetic: While sliding.
-        static: At breakaway.
-        excess: Of the Stribeck characteristic at rest; 0 without it.
-        stribeck_velocity: Over which it falls.
-        velocity: At the start.
+        kinetic: Level while sliding.
+        static: Level at breakaway.
+        excess: Excess of the Stribeck characteristic at rest; 0 without it.
+        stribeck_velocity: Velocity over which it falls.
+        velocity: Velocity at the start.
         others: (time, state, torque) -> sum of the other forces on the body.
         body: Index of the body, and of its velocity in the state; the motor by default.
     """
@@ -262,7 +262,7 @@ class ReferenceStickSlip:
         forces[self._body] -= size if mode == "forward" else -size
 
     def ways(self, index: int, mode: str) -> Sequence[Transition]:
-        """Returns breakaway when stuck, rest when sliding."""
+        """Transitions: breakaway when stuck, rest when sliding."""
         static, others, rounding = self._static, self._others, _NEGLIGIBLE * self._static
 
         def stop(state: Floats) -> None:

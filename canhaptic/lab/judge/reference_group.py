@@ -1,4 +1,4 @@
-"""What several motors move as ordinary differential equations: axes of their own, an X-Y stage, a five-bar.
+"""Motion of several motors as ordinary differential equations: axes of their own, an X-Y stage, a five-bar.
 
 The links of the five-bar are those of the simulated one; the method is another: `M(q) v' = torque + ... - C(q, v)`, in
 accelerations and for any solver, where the simulated one takes steps of a discrete gradient in momenta.
@@ -34,7 +34,7 @@ State = Sequence[float]
 
 
 class GroupModel(SwitchedModel, Protocol):
-    """Motors and what they move; the torque of `rates` is one for each motor."""
+    """Motors and their mechanics; the torque of `rates` is one for each motor."""
 
     @property
     def evaluations(self) -> int:
@@ -50,7 +50,7 @@ class GroupModel(SwitchedModel, Protocol):
         """Returns the works of all motors and of the user since the start [J]."""
 
     def inertia(self, positions: State) -> list[Floats]:
-        """Returns the inertia that the motors feel [kg or kg*m^2]."""
+        """Inertia at the motors [kg or kg*m^2]."""
 
 
 class AxesModel:
@@ -97,7 +97,7 @@ class AxesModel:
         return found
 
     def ways(self, modes: Modes) -> list[Transition]:
-        """Returns every way out of these modes; see `SwitchedModel`."""
+        """Every transition out of these modes; see `SwitchedModel`."""
         parts = enumerate(zip(self._models, self._parts, self._modes, strict=True))
         return [
             _of_motor(way, motor, part, own.start)
@@ -107,12 +107,12 @@ class AxesModel:
 
 
 def _of_motor(way: Transition, motor: int, part: slice, first: int) -> Transition:
-    """Returns the way out of a mode of one plant as one of the group's.
+    """A transition of one plant as one of the group's.
 
     Args:
-        way: Of the plant.
-        motor: Its place.
-        part: Of the state that is the plant's.
+        way: Transition of the plant.
+        motor: Index of its motor.
+        part: Part of the state that belongs to the plant.
         first: Place of its first mode.
     """
 
@@ -140,7 +140,7 @@ class _TwoMotors:
         self.evaluations = 0
 
     def ways(self, modes: Modes) -> list[Transition]:
-        """Returns every way out of these modes; see `SwitchedModel`."""
+        """Every transition out of these modes; see `SwitchedModel`."""
         return []
 
     def positions(self, state: State) -> Floats:
@@ -186,11 +186,11 @@ class StageModel(_TwoMotors):
         return [*speed, *accelerations, _dot(torque, speed), _dot(hand, speed)]
 
     def ways(self, modes: Modes) -> list[Transition]:
-        """Returns every way out of these modes; see `SwitchedModel`."""
+        """Every transition out of these modes; see `SwitchedModel`."""
         return [way for i, guide in enumerate(self._guides) for way in guide.ways(i, modes[i])]
 
     def _forces(self, time: float, state: State, torques: State) -> tuple[Floats, tuple[float, float]]:
-        """Returns the forces on the masses without dry friction, and of them that of the hand [N]."""
+        """Forces on the masses without dry friction, and the hand's part of them [N]."""
         place, speed = state[:2], state[2:4]
         hand = hand_pull(self._hand, time, (place[0], place[1]), (speed[0], speed[1]))
         pairs = zip(torques, hand, self._damping, speed, strict=True)
@@ -250,7 +250,7 @@ class FiveBarModel(_TwoMotors):
         return pose
 
     def _stop_pull(self, span: float) -> float:
-        """Returns the force of the elbow stop, positive where it draws the elbows together [N]."""
+        """Force of the elbow stop, positive where it draws the elbows together [N]."""
         if self._stop is None:
             return 0.0
         return self._stop.stiffness * (max(0.0, span - self._stop.most) - max(0.0, self._stop.least - span))

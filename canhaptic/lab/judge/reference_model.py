@@ -1,4 +1,4 @@
-"""The textbook plant of a scene: elements collected, states named, and one right-hand side for any solver.
+"""The reference plant of a scene: elements collected, states named, and one right-hand side for any solver.
 
 State: position, velocity, [twist, load_velocity], [motor_torque], [temperature], [depths, bristle], work of the motor,
 work of the user. Every effect that acts on the motion is there; those of the encoder are not.
@@ -48,13 +48,13 @@ class Model:
     Args:
         parameters: Mass and bearings.
         user: The hand; None without a hand.
-        effects: As for `Plant`.
+        effects: Effects as for `Plant`.
 
     Raises:
         ParameterError: An effect or the hand has no equations here, or an effect is given twice and has them once.
 
     Attributes:
-        names: Of the states.
+        names: Names of the states.
         start: State at time 0.
         first: Mode of each element at time 0.
         breaks: Times at which the equations change by the clock [s].
@@ -89,7 +89,7 @@ class Model:
     def add(self, element: Element) -> None:
         """Adds a further element that acts on the motor, such as an environment.
 
-        Its forces come before those of dry friction, which takes up what is left.
+        Its forces come before those of dry friction, which balances the remaining force.
         """
         dry = 1 if self._friction is not None else 0
         self._elements.insert(len(self._elements) - dry, element)
@@ -191,7 +191,7 @@ class Model:
         return rates
 
     def _forces(self, time: float, state: State, torque: float, modes: Modes, rates: Floats, count: int) -> Floats:
-        """Returns the force of the first `count` elements on each body, and writes the rates they know."""
+        """Force of the first `count` elements on each body; writes the rates that they know."""
         self.evaluations += 1
         forces = [0.0] * len(self._masses)
         held = self._held(state, torque, rates) if self._commands else torque
@@ -208,7 +208,7 @@ class Model:
         return forces
 
     def _held(self, state: State, torque: float, rates: Floats) -> float:
-        """Returns what the drive makes of a torque; writes the rate of the winding's temperature."""
+        """Torque that the drive applies for a command; writes the rate of the winding's temperature."""
         for command in self._commands:
             if command.type == "torque_saturation":
                 torque = max(-command.limit, min(command.limit, torque))
@@ -224,12 +224,12 @@ class Model:
         return torque
 
     def _other_forces(self, time: float, state: State, torque: float) -> float:
-        """Returns all forces on the motor but dry friction; the modes are those that `ways` was last asked for."""
+        """All forces on the motor but dry friction, in the modes of the last call of `ways`."""
         rates = [0.0] * len(self.names)
         return self._forces(time, state, torque, self._asked, rates, len(self._elements) - 1)[0]
 
     def ways(self, modes: Modes) -> list[Transition]:
-        """Returns every way out of these modes; valid until it is asked for others."""
+        """Every transition out of these modes; valid until the next call."""
         self._asked = modes
         return [way for i, element in enumerate(self._elements) for way in element.ways(i, modes[i])]
 
@@ -240,7 +240,7 @@ class Model:
 
 
 def _require_known(effect: str, number: int) -> None:
-    """Refuses what the equations would leave out: a judge that ignores an effect would blame the plant for it.
+    """Refuse an effect without equations: a judge that ignores an effect would blame the plant for it.
 
     Raises:
         ParameterError: The effect has no equations here, or as the `number`-th of its type.

@@ -1,4 +1,4 @@
-"""The motion of states that a textbook method found, and how far two motions are apart."""
+"""Motion of the states found by a reference method, and the difference of two motions."""
 
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ class MotionError(NamedTuple):
 
     @property
     def is_finite(self) -> bool:
-        """Whether all of it is a number."""
+        """Whether all values are finite."""
         return bool(np.isfinite(self.position) and np.isfinite(self.force) and np.isfinite(self.energy))
 
 
@@ -30,13 +30,13 @@ def motion_of(states: list[Floats]) -> Motion:
 
 
 def difference(one: Motion, other: Motion, mass: float, sample_time: float) -> MotionError:
-    """Returns how far two motions are apart; infinite where one of them is not finite.
+    """Difference of two motions; infinite where one of them is not finite.
 
     Args:
         one: A motion.
         other: Another over the same holds.
-        mass: Of the motor's body [kg or kg*m^2].
-        sample_time: [s]
+        mass: Mass of the motor's body [kg or kg*m^2].
+        sample_time: Sample time [s].
     """
     with np.errstate(all="ignore"):
         kicks = np.diff(one.velocity - other.velocity, prepend=0.0) * (mass / sample_time)

@@ -15,12 +15,12 @@ Progress = Callable[[int], None]
 
 
 def known_algorithms(table: Mapping[str, str], kind: str, algorithms: Sequence[str] | None) -> list[str]:
-    """Returns the names asked for, each known; all of them for None.
+    """Requested names, each known; all of them for None.
 
     Args:
         table: Name -> "module:Class".
-        kind: What they are, for the message.
-        algorithms: Asked for.
+        kind: Kind of the algorithms, for the message.
+        algorithms: Requested names.
 
     Raises:
         ParameterError: One is unknown.
@@ -36,8 +36,8 @@ def accounts_over_can(
     """Returns the account of a run under each algorithm, with its `status` and a `remark`; a refused one has no more.
 
     Args:
-        scene: With all its drives simulated in this process.
-        names: Of the algorithms.
+        scene: Scene with all its drives simulated in this process.
+        names: Names of the algorithms.
         cycles: SYNCs of each run.
         under: (scene, name) -> the scene under that algorithm; may refuse with a ParameterError.
         progress: Called with the number of cycles done so far, of all runs together.
@@ -67,7 +67,7 @@ class Heading(TypedDict):
 
 
 def heading_of(scene: Scene, cycles: int, path: str = "can") -> Heading:
-    """Returns what a comparison begins with."""
+    """Heading of a comparison."""
     return {
         "scene": scene.source,
         "config_hash": scene.config_hash(),

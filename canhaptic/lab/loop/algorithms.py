@@ -1,4 +1,4 @@
-"""An axis under another algorithm: it keeps what both have in common, and takes from the plant what is not declared."""
+"""An axis under another algorithm: common parameters are kept, and undeclared properties are taken from the plant."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,29 +20,29 @@ PLANT_OF: Final = {"moving_mass": "mass", "device_damping": "damping", "device_d
 
 
 class _AbleAxis(NamedTuple):
-    """An axis whose algorithm has what it needs."""
+    """An axis completed with the properties that its algorithm needs."""
 
     axis: AxisScene
     from_plant: tuple[str, ...] = ()  # properties of its loop that the scene does not declare, taken from the plant
 
     @property
     def remark(self) -> str:
-        """Properties that it takes from the plant, in words; "" for none."""
+        """Properties taken from the plant, in words; "" for none."""
         shown = [f"{key} {getattr(self.axis.loop, key):g}" for key in self.from_plant if key != "device_damping_bound"]
         return f"from the plant: {', '.join(shown)}" if self.from_plant else ""
 
 
 def own_algorithms(scene: Scene) -> list[str]:
-    """Returns the names of the user's own algorithms that a scene has."""
+    """Names of the user's own algorithms in a scene."""
     return list(dict.fromkeys(axis.passivity.name for axis in scene.axes if axis.passivity.own is not None))
 
 
 def chosen_algorithms(algorithms: Sequence[str] | None, own: Sequence[str] = ()) -> list[str]:
-    """Returns the names asked for, each known; for None all of them, the one that is meant for a rig first.
+    """Requested names, each known; for None all of them, the one for real rigs first.
 
     Args:
-        algorithms: Asked for.
-        own: Names of the user's own that may be asked for as well; for None they come first.
+        algorithms: Requested names.
+        own: Names of the user's own algorithms, also permitted; for None they come first.
 
     Raises:
         ParameterError: One is unknown.
@@ -56,7 +56,7 @@ def chosen_algorithms(algorithms: Sequence[str] | None, own: Sequence[str] = ())
 
 
 def with_algorithm(axis: AxisScene, name: str) -> AxisScene:
-    """Returns an axis under another algorithm, with what the two have in common (alpha, velocity, ...) kept."""
+    """An axis under another algorithm, with the common parameters (alpha, velocity, ...) kept."""
     if axis.passivity.name == name:
         return axis
     model: type[Parameters] = load(ALGORITHMS, name, "passivity algorithm").parameters_type
@@ -66,7 +66,7 @@ def with_algorithm(axis: AxisScene, name: str) -> AxisScene:
 
 
 def group_under(group: GroupScene, name: str) -> GroupScene:
-    """Returns a group under another algorithm, with what the two have in common kept."""
+    """A group under another algorithm, with the common parameters kept."""
     if group.passivity.name == name:
         return group
     model = load(GROUP_ALGORITHMS, name, "group algorithm").parameters_type
@@ -76,7 +76,7 @@ def group_under(group: GroupScene, name: str) -> GroupScene:
 
 
 def display_under(axis: AxisScene, name: str) -> AxisScene:
-    """Returns an admittance display under another algorithm, with its defaults where it is not that of the scene.
+    """An admittance display under another algorithm, with defaults where it differs from the scene's.
 
     Raises:
         ParameterError: The algorithm needs parameters that the scene does not give.
@@ -103,7 +103,7 @@ def _with_defaults(name: str, model: type[Parameters], remedy: str) -> Component
 
 
 def _with_known_plant(axis: AxisScene) -> _AbleAxis:
-    """Returns an axis whose algorithm takes from the simulated plant what the scene does not declare."""
+    """An axis with undeclared properties of its algorithm taken from the simulated plant."""
     plant = simulation_of(axis).plant
     from_plant = tuple(key for key in PLANT_OF if getattr(axis.loop, key) is None)
     values = {key: getattr(plant, PLANT_OF[key]) for key in from_plant}
@@ -111,7 +111,7 @@ def _with_known_plant(axis: AxisScene) -> _AbleAxis:
 
 
 def able_under(axis: AxisScene, name: str, scene: Scene) -> _AbleAxis:
-    """Returns an axis under an algorithm, which takes from the plant only what it cannot do without.
+    """An axis under an algorithm, with indispensable properties taken from the plant where undeclared.
 
     Raises:
         ParameterError: It cannot be built even so.

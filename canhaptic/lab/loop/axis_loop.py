@@ -1,4 +1,4 @@
-"""One algorithm on one simulated axis, without a bus: what it did in every hold and what the plant says of it."""
+"""One algorithm on one simulated axis, without a bus: a record of every hold with the plant's true values."""
 
 from array import array
 from collections.abc import Callable
@@ -46,7 +46,7 @@ class Case(Protocol):
 class LoopCase:
     """One algorithm, one environment, one plant, and the loop between them.
 
-    `loop` is what the algorithm assumes, the rest is what is true.
+    `loop` is what the algorithm assumes, the rest is true.
     """
 
     environment: Environment
@@ -100,7 +100,7 @@ class LoopRun(NamedTuple):
 
     @property
     def believed_error(self) -> float:
-        """Largest |believed - true| sum of h_i after any hold [J]."""
+        """Largest |accounted - true| sum of h_i after any hold [J]."""
         return float(np.abs(self.believed - self.interaction).max(initial=0.0))
 
     @property
@@ -110,11 +110,11 @@ class LoopRun(NamedTuple):
 
 
 class DivergedError(ControlError):
-    """The axis left every place where the user could have taken it."""
+    """The axis went farther than the user could have moved it."""
 
 
 class Recorder:
-    """Takes what happened at every SYNC; used by the loop without a bus and by the one over it.
+    """Records every SYNC; used by the loop without a bus and by the one over it.
 
     Args:
         furthest: Distance from `centre` that counts as divergence [m or rad].
@@ -130,7 +130,7 @@ class Recorder:
 
     @classmethod
     def around(cls, motion: Array) -> "Recorder":
-        """Returns one to which it is divergence to go ten times as far as a known motion [m or rad], shape (n,)."""
+        """Recorder for which ten times the range of a known motion [m or rad], shape (n,), is divergence."""
         lowest, highest = float(motion.min()), float(motion.max())
         return cls(_TRAVELS * max(highest - lowest, _LEAST_TRAVEL), 0.5 * (lowest + highest))
 
@@ -138,14 +138,14 @@ class Recorder:
         """Takes one SYNC.
 
         Args:
-            position: As the controller saw it [m or rad].
+            position: Position as the controller read it [m or rad].
             true_position: [m or rad].
-            torque: Applied in the hold that ended [N or N*m].
-            balance: What the controller booked.
+            torque: Torque applied in the hold that ended [N or N*m].
+            balance: Balance booked by the controller.
             motor: True work of the motor on the moving mass since the start [J].
 
         Raises:
-            DivergedError: The position is not finite, or further away than any user took it.
+            DivergedError: The position is not finite, or farther away than any user moved it.
         """
         self._ledger.add(balance, len(self._columns[0]))
         believed, dissipated = add(self._believed, balance.h_i), add(self._dissipated, balance.h_r)
@@ -161,11 +161,11 @@ class Recorder:
             raise DivergedError(f"the axis is at {true_position:g}, expected {self._lowest:g} to {self._highest:g}")
 
     def run(self, ended: str = "", reason: str = "") -> LoopRun:
-        """Returns everything taken so far.
+        """Everything recorded so far.
 
         Args:
             ended: "" at the run's end, else "diverged" or "stopped".
-            reason: Why it was stopped, in words.
+            reason: Reason of the stop, in words.
         """
         position, true, torque, interaction, believed, dissipated, damping = (np.array(c) for c in self._columns)
         summary = self._ledger.summary()
@@ -180,16 +180,16 @@ def render(
     recorder: Recorder | None = None,
     progress: Callable[[], None] | None = None,
 ) -> LoopRun:
-    """Runs a case from the plant's initial state; a run that diverges or fails ends early and says so.
+    """Run a case from the plant's initial state; a run that diverges or fails ends early and is marked so.
 
     Args:
-        case: What to run.
+        case: Case to run.
         cycles: SYNCs.
-        recorder: Says what counts as divergence; 1 km by default.
+        recorder: Defines divergence; 1 km by default.
         progress: Called once per cycle; must be cheap.
 
     Raises:
-        ParameterError: The algorithm cannot do without something that its loop does not say.
+        ParameterError: The algorithm needs a value that its loop does not give.
     """
     controller, plant, taken = case.controller(), case.make_plant(), recorder or Recorder()
 

@@ -1,4 +1,4 @@
-"""What one step of an algorithm costs: its own run fed to a fresh controller, interleaved with the others.
+"""Cost of one step of an algorithm: its own run fed to a fresh controller, interleaved with the others.
 
 Times are of this machine at this moment: for comparing the columns of one table, never a pass mark.
 """
@@ -22,8 +22,8 @@ def microseconds_per_step(cases: Mapping[str, tuple[Case, LoopRun]], repeats: in
     """Returns the time of a step [us]: each block of steps at its least over interleaved repeats.
 
     Args:
-        cases: Algorithm -> what it is and the run that it is fed with; one that has no step is left out.
-        repeats: Of each, in turn A B C A B C, so that a drifting machine hits all alike.
+        cases: Algorithm -> its case and the run that it is fed with; one without steps is left out.
+        repeats: Repeats of each, in turn A B C A B C, so that a drifting machine affects all alike.
     """
     blocks = {name: _blocks(run) for name, (_, run) in cases.items() if run.position.size}
     best = {name: [float("inf")] * len(of_run) for name, of_run in blocks.items()}

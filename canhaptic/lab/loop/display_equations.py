@@ -3,7 +3,7 @@
     M v' = c (r - v) + f_I + F - b v,   f_I' = k (r - v),   F = k_g (x - q) + d_g (w - v)
     m x'' = -F + K (x_u - x) + D (x_u' - w) + push,          E' = F v
 
-q, v of the mass before the sensor, x, w of what lies behind it; r is the command. Effects and torque limits are left
+q, v of the mass before the sensor, x, w of the mass behind it; r is the command. Effects and torque limits are left
 out.
 """
 
@@ -22,7 +22,7 @@ _TOLERANCE = 1e-11
 
 
 def why_no_equations(simulation: AxisSimulation) -> str:
-    """Returns "" where these equations are those of the plant, else what they leave out."""
+    """"" where these equations are those of the plant, else the missing part."""
     display, user = simulation.admittance, simulation.user
     if display is None:
         return "no admittance display"
@@ -39,7 +39,7 @@ def integrate(simulation: AxisSimulation, held: Sequence[float], sample_time: fl
     """Returns position [m or rad] and energy through the sensor [J] at each SYNC, shape (len(held), 2), by DOP853.
 
     Args:
-        simulation: Of the axis.
+        simulation: Simulation of the axis.
         held: Velocity commanded in the hold before each SYNC [m/s or rad/s]; the first is not used.
         sample_time: T [s].
 

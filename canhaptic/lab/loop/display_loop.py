@@ -1,7 +1,7 @@
 """Admittance displays in a loop without a bus: plants, sensors, encoders, a controller, and the energies of the plants.
 
 One axis, or one group of axes with one account. Encoder and force are whole counts, commands whole quanta, and act as
-many holds late as the bus of the scene makes them; what would stop the rig ends the run.
+many holds late as on the bus of the scene; an error that would stop the rig ends the run.
 """
 
 from collections import deque
@@ -67,7 +67,7 @@ class DisplayRun:
 
 
 class _Motor(NamedTuple):
-    """One axis: what is simulated, and how it is read."""
+    """One axis: its simulation, and its readings."""
 
     plant: AdmittancePlant
     counts: float  # of the encoder, per m or rad
@@ -78,11 +78,11 @@ class _Motor(NamedTuple):
     name: str
 
     def position(self) -> float:
-        """Returns what the encoder shows [m or rad]."""
+        """Encoder reading [m or rad]."""
         return round(self.plant.encoder_position * self.counts) / self.counts
 
     def force(self) -> float:
-        """Returns what the sensor shows [N or N*m]."""
+        """Sensor reading [N or N*m]."""
         return self.channel.take(round(self.plant.read_force() / self.per_count + self.offset))
 
 
@@ -90,10 +90,10 @@ _JUMP: Final = 2.0  # of the speed limit, as in the drive's link policy
 
 
 def run_display(scene: Scene, cycles: int) -> DisplayRun:
-    """Returns what some SYNCs of one axis, or of one group, came to.
+    """Result of a run of one axis, or of one group.
 
     Args:
-        scene: Of that part alone, simulated.
+        scene: Scene of that part alone, simulated.
         cycles: SYNCs.
 
     Raises:
@@ -131,7 +131,7 @@ _Step = Callable[[list[float], list[float]], tuple[list[float], EnergyBalance]]
 
 
 def _stepped(scene: Scene) -> tuple[Any, _Step]:
-    """Returns the controller, and what takes (positions, forces shown) and returns (commands, account)."""
+    """The controller, and a function from (positions, forces shown) to (commands, account)."""
     if scene.groups:
         group: Any = build_group(scene, scene.groups[0])
 
@@ -199,7 +199,7 @@ def _take(motors: list[_Motor], commands: list[float], account: EnergyBalance, f
 
 
 def felt(run: DisplayRun, scene: Scene) -> tuple[float, float]:
-    """Returns mass [kg or kg*m^2] and damping [N*s/m or N*m*s/rad] that fit true forces and velocities best.
+    """Mass [kg or kg*m^2] and damping [N*s/m or N*m*s/rad] that fit true forces and velocities best.
 
     F - k (q - rest) = m v' + b v + F_0, m and b the same for all axes; away from walls and limits of the position. NaN
     where there is too little motion, and on a path, across which a hand feels another mass.
@@ -226,7 +226,7 @@ def felt(run: DisplayRun, scene: Scene) -> tuple[float, float]:
 
 
 def _is_free(scene: Scene, place: int, position: Array, near: float) -> Mask:
-    """Returns where an axis is further than a distance from its walls and limits."""
+    """SYNCs at which every axis is farther than a distance from its walls and limits."""
     environment: Any = (scene.groups[0].network if scene.groups else scene.axes[0].environment).parameters
     environment = environment.of_axis(place) if scene.groups else environment
     display = scene.axes[place].parameters.admittance

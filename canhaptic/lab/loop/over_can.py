@@ -17,7 +17,7 @@ _Take = Callable[[int, Sample, EnergyBalance, Truth], None]
 
 
 class _Tap:
-    """Hands every cycle on where a log would take it."""
+    """Passes every cycle on in the place of a log."""
 
     def __init__(self, take: _Take) -> None:
         self._take = take
@@ -36,11 +36,11 @@ class _Tap:
             self._take(axis, *row)
 
     def event(self, sync_index: int, kind: str, port: str, text: str) -> None:
-        """Takes nothing: a fault ends the run."""
+        """No-op: a fault ends the run."""
 
 
 def walk_over_can(scene: Scene, cycles: int, take: _Take) -> list[LedgerSummary]:
-    """Runs the controllers of a scene on its simulated drives, hands every cycle on, and returns the accounts.
+    """Run the controllers of a scene on its simulated drives, pass every cycle on, and return the accounts.
 
     Args:
         scene: No axis of it is in a group.
@@ -64,10 +64,10 @@ def walk_over_can(scene: Scene, cycles: int, take: _Take) -> list[LedgerSummary]
 
 
 def render_over_can(scene: Scene, cycles: int, counter: Callable[[], None]) -> list[LoopRun]:
-    """Returns one run per axis; a run that a drive or the limiter ends says so.
+    """One run per axis; a run that a drive or the limiter ends is marked so.
 
     Args:
-        scene: With the algorithm to run.
+        scene: Scene with the algorithm to run.
         cycles: SYNCs.
         counter: Called once per cycle and axis.
 

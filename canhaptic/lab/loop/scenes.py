@@ -1,4 +1,4 @@
-"""From one axis of a scene to what the study runs: the loop without a bus, and the plant without a controller."""
+"""Parts of a scene for a study: the loop of an axis without a bus, and the plant without a controller."""
 
 from dataclasses import replace
 from typing import Final, cast
@@ -21,7 +21,7 @@ _PER_MILLE: Final = 1e-3
 
 
 def cycles_of(scene: Scene, duration: float | None) -> int:
-    """Returns the SYNCs of a run of a duration [s], at least 2; for None as long as the scene says."""
+    """SYNCs of a run of a duration [s], at least 2; for None the duration of the scene."""
     return max(2, round((duration or scene.run.duration or _DEFAULT_DURATION) / scene.bus.sample_time))
 
 
@@ -41,9 +41,9 @@ def require_single_axes(scene: Scene, command: str, axis: str | None = None) -> 
     """Refuses axes that a group of the scene moves together.
 
     Args:
-        scene: Of the study.
-        command: That studies it, for the message.
-        axis: The only one that is studied; None for all.
+        scene: Scene of the study.
+        command: Command of the study, for the message.
+        axis: The only axis studied; None for all.
 
     Raises:
         InputError: A group renders on one of them, or one is an admittance display.
@@ -59,7 +59,7 @@ def require_single_axes(scene: Scene, command: str, axis: str | None = None) -> 
 
 
 def parts_of(scene: Scene) -> dict[str, Scene]:
-    """Returns what renders by itself, an axis or a group, by its name, each as a scene alone."""
+    """Independently rendering parts, axes or groups, by name, each as a scene alone."""
     alone = {
         axis.parameters.name: replace(scene, axes=(axis,), groups=(), mechanisms=())
         for axis in scene.axes
@@ -93,9 +93,9 @@ def mechanism_of_group(scene: Scene) -> MechanismScene | None:
 
 
 def at_rate(scene: Scene, rate: float) -> Scene:
-    """Returns the scene at another rate [Hz], without asking whether its bus could carry it.
+    """The scene at another rate [Hz], without a check of the bus load.
 
-    Nor is it asked whether a torque could come so early: it acts in the first half of its hold at the latest.
+    Nor is the torque's arrival time checked: it acts in the first half of its hold at the latest.
 
     Raises:
         ParameterError: The rate is out of range.
@@ -157,7 +157,7 @@ def loop_case(axis: AxisScene, scene: Scene) -> LoopCase:
 
 
 def _device_damping(axis: AxisScene) -> float:
-    """Returns the damping of the device that is declared, else that of the simulated plant."""
+    """Declared damping of the device, else that of the simulated plant."""
     if axis.loop.device_damping is not None:
         return axis.loop.device_damping
     if axis.simulation is None:

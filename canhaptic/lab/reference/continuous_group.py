@@ -50,7 +50,7 @@ class ContinuousGroup(NamedTuple):
 
 
 def group_model(scene: Scene) -> GroupModel:
-    """Returns what the one group of a scene moves as equations; the motors in the order of the group's axes.
+    """Equations of the plant of a scene's one group; the motors in the order of the group's axes.
 
     Raises:
         InputError: There are none for it.
@@ -75,10 +75,10 @@ def continuous_group(
     """Returns what the hands would feel without sampling.
 
     Args:
-        scene: With one group, alone.
+        scene: Scene with one group, alone.
         step_ns: Time between two readings [ns].
         steps: Readings after the first.
-        stop: Asked now and then whether to give up.
+        stop: Polled now and then; true gives up.
 
     Raises:
         InputError: There are no equations, scipy is missing, the solver fails, the mechanism leaves its workspace, or
@@ -121,7 +121,7 @@ class _Coupled:
         return [*self.model.rates(time, motors, torques, modes), *moved, *torques, taken]
 
     def ways(self, modes: Modes) -> list[Transition]:
-        """Returns every way out of these modes, which are those of the motors; see `SwitchedModel`."""
+        """Every transition out of these modes, which are those of the motors; see `SwitchedModel`."""
         return [way._replace(value=partial(self._guard, way)) for way in self.model.ways(modes)]
 
     def _guard(self, way: Transition, time: float, state: State, _torque: float) -> float:

@@ -1,4 +1,4 @@
-"""What the continuous environment does at every SYNC and in between: position, force, and how much the force varies."""
+"""The continuous environment at every SYNC and in between: position, force, and variation of the force."""
 
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
@@ -49,16 +49,16 @@ def continuous_reference(
     cycles: int,
     seed: int = 0,
 ) -> ContinuousReference:
-    """Returns what the user would feel from the continuous environment.
+    """Motion and force that the user would feel from the continuous environment.
 
     Args:
         environment: Rendered without sampling.
         plant: Moving mass.
         user: The hand.
-        effects: Of the plant; those of encoder and command have no part in it.
+        effects: Effects of the plant; those of encoder and command are left out.
         sample_time_ns: T [ns], the grid of the result.
         cycles: SYNCs.
-        seed: Of random effects.
+        seed: Seed of random effects.
 
     Raises:
         InputError: There are no equations for the environment or an effect, or they are not piecewise affine and scipy
@@ -91,7 +91,7 @@ def _environment_torque(environment: Environment, position: Array, velocity: Arr
     Strains that relax are followed over half a step before and half a step after the motion: second order in the step.
 
     Args:
-        environment: What is touched.
+        environment: Environment in contact.
         position: Shape (n,) [m or rad].
         velocity: Shape (n,) [m/s or rad/s].
         step: Time between two of them [s].

@@ -1,4 +1,4 @@
-"""The continuous environment rendered to the same user and plant: what every sampled algorithm is compared with.
+"""The continuous environment rendered to the same user and plant: the reference for every sampled algorithm.
 
 No sampling, no encoder, no torque limit. Environments that are piecewise affine become a part of the exact machine of
 `canhaptic.sim` (crossings bracketed to a tick); the others are integrated by DOP853 (`textbook_environment`).
@@ -73,10 +73,10 @@ def _effect(parts: Sequence[Part], state: str | None = None) -> Effect:
 
 
 class _Wall(PlainPart):
-    """Spring and damper beyond a surface, exactly as eq. 12 has it: the damper holds back until the surface is passed.
+    """Spring and damper beyond a surface, exactly as in eq. 12: the damper resists until the surface is passed.
 
     Args:
-        name: Of the part and of its work.
+        name: Name of the part and of its work.
         surface: [m or rad].
         below: Whether it is solid below the surface.
         stiffness: [N/m or N*m/rad].
@@ -100,7 +100,7 @@ class _Wall(PlainPart):
             rows.add_power(self.name, self._damping * velocity, velocity)
 
     def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
-        """Returns the crossing of the surface."""
+        """Guard: crossing of the surface."""
         beyond = self._sign * self._depth(rows)
         return (Guard(-beyond, "inside") if mode == "outside" else Guard(beyond, "outside"),)
 
@@ -131,7 +131,7 @@ class _PrandtlElement(PlainPart):
             rows.add_power(self.name, effort, velocity)
 
     def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
-        """Returns yielding when elastic, the reversal when sliding."""
+        """Guards: yielding when elastic, the reversal when sliding."""
         if mode == "elastic":
             limit = rows.row(one=self._surface.friction / self._surface.stiffness)
             strain, place = rows.row(strain=1.0), rows.index["strain"]

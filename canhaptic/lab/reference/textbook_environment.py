@@ -57,14 +57,14 @@ class ContinuousRun(NamedTuple):
 def continuous_run(
     environment: Environment, model: Model, times: Sequence[float], rtol: float, stop: Callable[[], bool] | None = None
 ) -> ContinuousRun:
-    """Returns what the user would feel without sampling.
+    """Motion that the user would feel without sampling.
 
     Args:
         environment: Rendered without sampling.
         model: Plant, user and effects; the environment is added to it.
         times: Ascending, from 0 [s].
         rtol: Relative tolerance of the solver.
-        stop: Asked now and then whether to give up.
+        stop: Polled now and then; true gives up.
 
     Raises:
         InputError: There are no equations for the environment, scipy is missing, the solver fails, or it was stopped.
@@ -95,9 +95,9 @@ def surfaces(environment: Environment) -> list[float]:
 
 
 def _has_own_surfaces(environment: Environment) -> bool:
-    """Whether an environment of the user's own says where it switches, and is a force of its place alone.
+    """Whether a user's own environment defines its switching surfaces, and is a force of position alone.
 
-    `surfaces` must be written where `contact` and `true_state` are, or below: otherwise it speaks of another contact.
+    `surfaces` must be defined in the class of `contact` and `true_state`, or below: otherwise it may not match them.
     """
     where = {
         name: place
@@ -134,7 +134,7 @@ class _EnvironmentForce:
         rates[self.interaction] = -force * velocity
 
     def ways(self, index: int, mode: str) -> Sequence[Transition]:
-        """Returns crossing of the surfaces, yielding, or the reversal of what yields."""
+        """Transitions: crossing of the surfaces, yielding, or its reversal."""
         if isinstance(self._environment, CoulombSurface):
             return self._yielding(index, mode, self._environment.friction / self._environment.stiffness)
         if mode == "only":
@@ -187,7 +187,7 @@ class _EnvironmentForce:
 
 
 def _distance(surface: float, sign: float) -> Callable[[float, State, float], float]:
-    """Returns what falls through zero where the axis crosses the surface towards -sign."""
+    """Value that falls through zero where the axis crosses the surface towards -sign."""
 
     def distance(_time: float, state: State, _torque: float) -> float:
         return sign * (float(state[POSITION]) - surface)

@@ -2,8 +2,8 @@
 
 The energy to be dissipated in a hold is T d v^2 with the velocity that was computed before it; what remains of stored
 and received energy gives the next state. Early in a contact that a-priori energy can exceed what the user has put in:
-the store falls instead of rising, and empties. What happens then the text does not print, and on it depends whether
-the failure of Fig. 5 shows. Measured on the wall of Figs. 4-5 (100 N/m, 5 Ns/m; user of 60 N/m, 5 Ns/m, 0.25 kg, 0.1 m
+the store falls instead of rising, and empties. The text does not print what follows, and it decides whether the failure
+of Fig. 5 shows. Measured on the wall of Figs. 4-5 (100 N/m, 5 Ns/m; user of 60 N/m, 5 Ns/m, 0.25 kg, 0.1 m
 at 0.5 Hz), force variation over that of the continuous wall's:
 
     after the store emptied in contact                              40 Hz    100 Hz
@@ -46,7 +46,7 @@ from canhaptic.control.passivity.stored_model import (
 
 
 class APrioriDissipationParameters(StoredModelParameters):
-    """Parameters that ref. [12] leaves open."""
+    """Parameters that ref. [12] does not fix."""
 
     rearm: Literal["printed", "displacement"] = "printed"
     """Velocity of the start after the store emptied in contact: x / T as printed (eq. 14), or from the displacement."""

@@ -5,8 +5,9 @@ next hold ends with E_n + (b/T) dx^2 - F dx >= 0 for EVERY motion dx exactly whe
 already under way may cost up to f^2 T / 4b first, so with delay its square is taken off. This is the device-damping
 certificate; what it renders is limited to a stiffness of about 2 b / T.
 
-T is the longest that a hold may be, and of E_n is taken what encoder counts hide: a position is unsure by half a count
-e, so that dx counts as |dx| - 2e in what is dissipated, and e (|F_n| + sum |F_k - F_(k-1)|) of the energy may not have
+T is the longest duration of a hold, and E_n is reduced by the encoder's uncertainty: a position is uncertain by half a
+count e, so that dx counts as |dx| - 2e in the dissipated energy, and e (|F_n| + sum |F_k - F_(k-1)|) of the energy may
+not have
 come in (`axis_meter`). A drive takes whole steps of torque, to which the command is rounded towards zero. The proof
 needs one torque in a hold: where an older one acts in a part of it (window, lag), nothing is certified.
 """
@@ -40,7 +41,7 @@ class EnergyBoundingParameters(DamperVelocity):
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """What is certain of the device."""
+    """Certain properties of the device."""
 
     damping: float  # certain [N*s/m or N*m*s/rad]
     longest: float  # hold [s]
@@ -88,7 +89,7 @@ def respond(run: SampledRun[Device, _EnergyBoundingState], hold: Hold, asked: As
 
 
 def known_energy(device: Device, sample_time: float, state: _EnergyBoundingState, hold: Hold) -> float:
-    """Takes the hold that ended and returns E_n less what the counts of the encoder hide [J]."""
+    """Take the hold that ended and return E_n less the encoder's uncertainty [J]."""
     count, periods = device.count, hold.elapsed / sample_time
     moved = max(0.0, abs(hold.displacement) - count)
     booked = add(state.energy, hold.h_i + device.damping * (moved * moved) / (periods * device.longest))
@@ -101,10 +102,10 @@ def bounded_share(device: Device, torques: Buffer, oldest: int, energy: float, w
     """Returns the part of a wanted torque that is within the bound, 0..1.
 
     Args:
-        device: What is certain of it.
-        torques: In flight, a ring [N or N*m].
-        oldest: Place of the one whose hold ended; the others act before the wanted one.
-        energy: As `known_energy` has it [J].
+        device: Certain properties of the device.
+        torques: Torques in flight, a ring [N or N*m].
+        oldest: Place of the torque whose hold ended; the others act before the wanted one.
+        energy: Energy from `known_energy` [J].
         wanted: Size of the torque [N or N*m].
     """
     square = 4.0 * device.damping / device.longest * energy

@@ -1,4 +1,4 @@
-"""`energy_tank`: the spring beyond a constant stiffness takes its energy from a tank, and only what is in there.
+"""`energy_tank`: the spring beyond a constant stiffness takes its energy from a tank, and no more than it holds.
 
 The force is K_c x + b x (K - K_c) + d v with 0 <= b <= 1. The tank holds T: what the damper dissipates flows in while T
 is below `most_energy`, what the variable spring takes up flows in, and what it gives back flows out. b is the largest
@@ -64,7 +64,7 @@ def respond(run: SampledRun[EnergyTankParameters, _EnergyTankState], hold: Hold,
 def part_applied(parts: Buffer, place: int, missed: int) -> float:
     """Returns the part of the variable spring in the command of the hold that ended, 0..1.
 
-    Where samples were lost it is not known which command acted, so that all of it counts; the drive repeated the
+    Where samples were lost it is unknown which command acted, so that the whole spring counts; the drive repeated the
     newest, which takes the place of those that ended.
     """
     if missed == 0:
@@ -109,7 +109,7 @@ def allowed_share(
 
 
 class EnergyTank(SteppedController):
-    """The sampled environment, its spring within what a tank holds."""
+    """The sampled environment, its spring limited by the energy of a tank."""
 
     parameters_type = EnergyTankParameters
     kernel = sampled_kernel(respond, _EnergyTankState, kept=lambda settings: settings.hold.delay + 1)

@@ -115,7 +115,7 @@ def step(
 
 
 def unsure_of(memory: ScaledGroupMemory, ended: GroupHolds, missed: int) -> float:
-    """Returns the worst error of the energy over holds of which only the whole displacement is known [J]."""
+    """Largest error of the energy over holds of which only the total displacement is known [J]."""
     total = 0.0
     for i in range(len(ended.displacement)):
         moved, torque, apart = ended.displacement[i], ended.applied[i], 0.0
@@ -165,7 +165,7 @@ def send(world: World, settings: ScaledGroupSettings, state: ScaledGroupState, m
 
 
 class ScaledGroup(SteppedGroup):
-    """A network whose state is the one that was paid for."""
+    """A network whose state holds only energy that was received."""
 
     parameters_type: ClassVar[type[Parameters]] = ScaledGroupParameters
     kernel: ClassVar[GroupKernel] = GroupKernel(settings_of, ScaledGroupState, memory_of, step)

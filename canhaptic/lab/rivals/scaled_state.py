@@ -1,4 +1,4 @@
-"""The state of a network as it was paid for: every change of it balances the energy of a hold."""
+"""State of a network that holds only received energy: every change of it balances the energy of a hold."""
 
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
@@ -102,9 +102,9 @@ def exchange(
     """Books a hold whose motion `group_motion.move` has taken.
 
     Args:
-        world: What is rendered.
+        world: Network and kinematics of the group.
         state: Changed.
-        memory: Of the group.
+        memory: Buffers of the group.
         delay: Whole holds between computation and action.
         h_m: Energy that the model received [J].
         damped: Damper efforts inside the torques applied, times the displacements [J].
@@ -153,7 +153,7 @@ def start(
 
 
 def lay_line(memory: ScaledGroupMemory, step: Buffer) -> None:
-    """Lays the line from the state along a step."""
+    """Set the line from the state along a step."""
     line, state = memory.paid.line, memory.group.motion.network.state
     for i in range(len(state)):
         line.state[i], line.step[i] = state[i], step[i]
@@ -182,9 +182,9 @@ def balance(
 def approximate(
     world: World, state: ScaledGroupState, memory: ScaledGroupMemory, h_m: float, power: float, deepest: float
 ) -> HoldAccount:
-    """Dissipates what the last velocity would, as far as it is there; the state sinks to what remains (eq. 18).
+    """Dissipate the last velocity's loss, as far as available; the state relaxes to the remaining energy (eq. 18).
 
-    Where sinking frees too little, the step is taken to where it gives the most, and the rest is a deficit.
+    Where that frees too little, the step is taken to its largest energy release, and the rest is a deficit.
     """
     tables, functions, followed, h_s = world.tables, world.functions, memory.group.motion.network, state.paid.h_s
     line, rest, model, available = memory.paid.line, memory.paid.rest, followed.room.step, h_s + h_m
@@ -230,7 +230,7 @@ def settle_state(
     h_r: float,
     pace: float,
 ) -> HoldAccount:
-    """Takes the energy of the state; what it leaves over or lacks is booked."""
+    """Take the energy of the state; book its excess or shortfall."""
     network = state.group.motion.network
     settle_network(world.tables, world.functions, network, memory.group.motion.network)
     state.paid.h_s = h_s = network.energy
@@ -249,7 +249,7 @@ def leave(
     touching: bool,
     exchanged: bool,
 ) -> HoldAccount:
-    """Leaks what is left in storages that the model does not touch any more."""
+    """Leak the energy of storages that the model no longer touches."""
     tables, paid, motion = world.tables, state.paid, state.group.motion
     followed, model = memory.group.motion.network, memory.paid.model
     branch, h_r, gen, deficit, leak = account
@@ -271,7 +271,7 @@ def leave(
 
 
 def write_model(world: World, state: ScaledGroupState, memory: ScaledGroupMemory) -> None:
-    """Writes the state of the model: where the ports are, or a whole step further."""
+    """Write the state of the model: at the ports, or a whole step further."""
     followed, model = memory.group.motion.network, memory.paid.model
     if world.tables.moving or not state.group.motion.located:
         for i in range(len(model)):

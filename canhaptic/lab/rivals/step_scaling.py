@@ -1,10 +1,10 @@
-"""The scalar balance of a scaled step: how much of a state change the energy of a hold pays for.
+"""The scalar balance of a scaled step: the share of a state change that the energy of a hold pays for.
 
     H(x + l s) - H(x) + l L = H_m
 
 H is convex along most steps but not along all (double wells), so the root is bracketed first and then found by Newton
-steps that fall back to halving the bracket. In every case at most `_EVALUATIONS` evaluations are made; the energy
-that the answer leaves over is booked by the caller, so that an early end costs fidelity and never energy.
+steps that fall back to halving the bracket. In every case at most `_EVALUATIONS` evaluations are made; the caller books
+the remaining energy, so that an early end costs fidelity and never energy.
 """
 
 from math import inf, isnan, sqrt
@@ -35,7 +35,7 @@ class StepScaling(NamedTuple):
 
 
 class LineMemory(NamedTuple):
-    """A line of states x + l s, and room for what is asked of it; shapes (states,)."""
+    """A line of states x + l s, and its work arrays; shapes (states,)."""
 
     state: Buffer  # x
     step: Buffer  # s
@@ -109,10 +109,10 @@ def solve_scale(
     Args:
         tables: The network.
         functions: Energies given as functions.
-        line: Along which its state moves.
-        energy: H_m, what the model received [J].
+        line: Line along which its state moves.
+        energy: H_m, the energy that the model received [J].
         loss: L, what its dissipators take with l = 1 [J].
-        limit: Of |l|.
+        limit: Largest |l|.
     """
     stiffness = stiffness_along(tables, line)
     if stiffness < 0.0:
@@ -174,7 +174,7 @@ def bracket_downwards(
     """Returns a place that gives at least -energy, from 0 towards the lowest place before `far`.
 
     Returns:
-        The place, or the one that gives the most; whether it gives enough; evaluations.
+        The place, or the one of the largest release; whether it suffices; evaluations.
     """
     near, here, least, best, evaluations = 0.0, far, 0.0, 0.0, 0
     for _ in range(_SEARCH):

@@ -1,7 +1,7 @@
 """`energy_tank` of an admittance display: no command gives out more than a tank holds.
 
-The tank takes F u T of each command and gives it back; it holds `capacity` at most. A command that would take more than
-is in it is scaled down. As the observer, it takes the drive for perfect. Franken et al., IEEE Trans. Robotics 27, 2011;
+The tank receives F u T of each command and supplies it; it holds `capacity` at most. A command that would overdraw it
+is scaled down. As the observer, it assumes a perfect drive. Franken et al., IEEE Trans. Robotics 27, 2011;
 Schindlbeck and Haddadin, ICRA 2015.
 """
 
@@ -40,7 +40,7 @@ def respond(environment: DisplayEnvironment, run: DisplayRun[TankDisplayParamete
 
 
 class TankDisplay(DisplayController):
-    """A virtual mass that moves by what is in its tank."""
+    """A virtual mass that moves by the energy in its tank."""
 
     parameters_type = TankDisplayParameters
     kernel = display_kernel(respond, first_energy)

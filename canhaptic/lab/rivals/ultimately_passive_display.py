@@ -1,4 +1,4 @@
-"""`ultimately_passive` of an admittance display: what was created is dissipated by and by, as eq. 19 of the paper does.
+"""`ultimately_passive` of an admittance display: created energy is dissipated gradually, as by eq. 19 of the paper.
 
 Energy that the hold created goes into a surplus H. A series slip u_pas = C F with C = alpha H takes F u_pas T of it in
 each hold, so that the sum becomes passive in the end, not at each instant. C is capped by the
@@ -38,7 +38,7 @@ def respond(
 
 
 class UltimatelyPassiveDisplay(DisplayController):
-    """A virtual mass whose surplus is dissipated by and by."""
+    """A virtual mass whose surplus is dissipated gradually."""
 
     parameters_type = UltimatelyPassiveDisplayParameters
     kernel = display_kernel(respond)

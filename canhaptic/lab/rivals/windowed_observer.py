@@ -1,7 +1,7 @@
 """`windowed_observer`: a passivity observer that forgets what was dissipated long ago.
 
-An observer that sums from the start saves up what the environment dissipates, and then lets it be drawn for as long as
-it lasts. Here energy that came in more than `window` holds ago is taken off the sum, while the sum stays above zero
+An observer that sums from the start saves up the environment's dissipation, and then lets it be drawn until it is used
+up. Here energy that came in more than `window` holds ago is subtracted from the sum, while the sum stays above zero
 without it (the equations of `computePOPCForce` in `src/POPCBilateralTeleoperation.cpp` of
 github.com/manips-sai-org/sai-primitives, which was read; the passivity controller is that of Hannaford and Ryu 2002,
 doi:10.1109/70.988969).

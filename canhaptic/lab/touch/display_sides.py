@@ -90,7 +90,7 @@ def _side(passivity: ComponentSpec, axes: tuple[str, ...], group: str = "") -> S
 def _held(axis: AxisScene, side: Side, port: str) -> AxisScene:
     """Returns an axis of one side, held by the pointer.
 
-    A simulated sensor without noise shows one count while the pointer rests: nothing here takes it for frozen.
+    A simulated sensor without noise shows one count while the pointer rests: the check for a frozen sensor is off here.
     """
     display = axis.parameters.admittance
     if display is not None:
@@ -113,7 +113,7 @@ def _hand_of(axis: AxisScene) -> tuple[UserParameters, float]:
 
 
 def _guard_of(*axes: AxisScene) -> ComponentSpec:
-    """Returns `guarded` with what the simulated drives tell, for a scene that is unprotected."""
+    """`guarded` with the simulated drives' properties, for a scene that is unprotected."""
     masses, gains, integrals = [0.0], [0.0], [0.0]
     for axis in axes:
         simulation = simulation_of(axis)
@@ -129,7 +129,7 @@ def _guard_of(*axes: AxisScene) -> ComponentSpec:
 
 
 def _walls(environment: DisplayEnvironment, shown: tuple[float, float]) -> tuple[tuple[float, float], ...]:
-    """Returns the walls that are shown [m or rad]."""
+    """Walls on the page [m or rad]."""
     spans = ((shown[0], environment.lower_wall), (environment.upper_wall, shown[1]))
     return tuple((low, high) for low, high in spans if low < high)
 

@@ -31,7 +31,7 @@ _END: Final = 2.0  # [s] until a process that does not end is ended
 
 
 class TouchNews(NamedTuple):
-    """What came since the last look."""
+    """Rows and status since the last poll."""
 
     rows: dict[str, Array]  # by `hand_process.columns`, shapes (n,)
     status: TouchStatus | None  # the last one; None where none came
@@ -41,15 +41,15 @@ class TouchHand:
     """A hand on both sides of a scene.
 
     Args:
-        scene: As loaded; every run lays `changes` over it.
-        axis: That is touched; None for the first.
+        scene: Scene as loaded; `changes` apply to every run.
+        axis: Axis to touch; None for the first.
         pace: "even": late cycles are caught up; "real": they are skipped, as on a rig.
 
     Raises:
         InputError: The scene cannot be touched.
 
     Attributes:
-        touched: What runs now.
+        touched: The scene that runs now.
         changes: Values that replace those of the scene, by key.
     """
 
@@ -74,7 +74,7 @@ class TouchHand:
         """Begins a run anew with changed values; an error in them leaves the old run as it is.
 
         Raises:
-            InputError: Anything is wrong, or the process is no more.
+            InputError: Anything is wrong, or the process has ended.
         """
         laid = (*self._given, *(f"{key}={value}" for key, value in changes.items()))
         job = replace(self._job, number=self._job.number + 1, overrides=laid)
@@ -89,14 +89,14 @@ class TouchHand:
             raise InputError(self._lost()) from error
 
     def move(self, place: tuple[float, ...], token: float = 0.0) -> None:
-        """Puts the pointer at a place [m or rad], kept within what is shown; `token` comes back with the rows."""
+        """Move the pointer to a position [m or rad], kept within the page; `token` comes back with the rows."""
         for direction, (at, (low, high)) in enumerate(zip(place, self.touched.shown, strict=True)):
             self._shared[direction] = min(max(at, low), high)
         self._shared[TOKEN] = token
         self._shared[ARRIVED] = self._clock.now()
 
     def look(self) -> TouchNews:
-        """Returns what came since the last look, of the run that is on."""
+        """Rows and status since the last poll, of the present run."""
         names, parts, status = columns(self.touched), [], None
         is_alive = self._process.is_alive()  # before the last parcel is read: it may say why the process ended
         while _has_more(self._pipe):

@@ -1,8 +1,8 @@
 """The process in which both sides run in real time: places of the hand go in, rows of the cycle come out.
 
 At an even pace master and drives run in lock-step, and each cycle waits for its time on the wall clock. One that comes
-late is caught up, and none is left out: a browser that takes the processor does not turn one hold into two, which no
-algorithm knows of. At real pace late SYNCs are skipped, as on a rig.
+late is caught up, and none is skipped: a browser that takes the processor does not turn one hold into two, which no
+algorithm would know. At real pace late SYNCs are skipped, as on a rig.
 
 What crosses: an array in shared memory with the last place of the pointer (never waited for), and a pipe with rows. A
 pointer that stops sending leaves its last place there, and the hand stays where it is. A reader that does not read
@@ -51,14 +51,14 @@ _BUFFER: Final = 1 << 22  # [bytes]
 
 @dataclass(frozen=True, slots=True)
 class TouchJob:
-    """What to run.
+    """One run of both sides.
 
     Attributes:
-        number: Of the run; another number in shared memory ends it.
-        text: The scene.
-        source: Its file.
+        number: Number of the run; another number in shared memory ends it.
+        text: Text of the scene.
+        source: File of the scene.
         overrides: Values that replace those of the scene.
-        axis: That is touched; None for the first.
+        axis: Axis to touch; None for the first.
         allow_code: Whether files that the scene names may run.
         pace: "even" or "real".
     """
@@ -86,7 +86,7 @@ SharedNumbers = MutableSequence[float]
 
 
 class TouchStatus(NamedTuple):
-    """How a run does; energies in [J], times in [s]."""
+    """Status of a run; energies in [J], times in [s]."""
 
     run: int
     cycles: int
@@ -190,7 +190,7 @@ class _HandRun:
         return drives.drives[axis].servo
 
     def _mover(self, motors: list[Any]) -> Callable[..., None]:
-        """Returns what moves the hand of a side, by its motors."""
+        """Mover of the hand of a side, by its motors."""
         if not isinstance(motors[0], Plant):
             moved: XYMotion = motors[0].shared.mechanism
             return moved.move_hand
@@ -203,7 +203,7 @@ class _HandRun:
         return move
 
     def _after_cycle(self, cycles: int) -> None:
-        """Moves the hands and takes a row; called once per cycle."""
+        """Move the hands and record a row; called once per cycle."""
         place, shared = self._place, self._shared
         for direction, step in enumerate(self._steps):
             gap = (shared[direction] - place[direction]) * self._share
@@ -237,7 +237,7 @@ class _HandRun:
         self._rows.append(tuple(row))
 
     def _keep_time(self, cycles: int) -> None:
-        """Waits for the time of the next cycle, and counts how late this one began."""
+        """Wait for the time of the next cycle, and record the lateness of this one."""
         if self._job.pace == "real":
             late = self._experiment.rig.timing.wakeup_lateness
         else:

@@ -63,8 +63,8 @@ class TouchPage:
 
     Args:
         document: The visitor's Bokeh document.
-        hand: That runs.
-        period: Between two looks [s].
+        hand: The running hand.
+        period: Period of the updates [s].
     """
 
     def __init__(self, document: Document, hand: TouchHand, period: float) -> None:
@@ -91,12 +91,12 @@ class TouchPage:
         self._looking = document.add_periodic_callback(self.update, max(20, round(1000 * period)))
 
     def end(self, text: str) -> None:
-        """Stops looking, and says why."""
+        """Stop the updates, and state the reason."""
         self._document.remove_periodic_callback(self._looking)
         self._document.add_next_tick_callback(lambda: setattr(self._status, "text", html.escape(text)))
 
     def update(self) -> None:
-        """Takes what is new into the page, once it has drawn what it has: a slow browser must not fall behind."""
+        """Draw new rows, once the page has drawn the last ones: a slow browser must not fall behind."""
         self._waited += 1
         if self._drawn.data["frame"][0] != self._frame and self._waited < _MOST_WAITED:
             return
@@ -233,7 +233,7 @@ class _SideView:
         return finished(panel)
 
     def _label(self, name: str) -> str:
-        """Returns what the legend says of a line."""
+        """Legend of a line."""
         vector, *direction = name.split()
         if vector == "energy":
             return "into the display, at the sensor" if self._is_display else "taken in by the wall"
@@ -273,7 +273,7 @@ class _SideView:
         self._verdict.text = f"{verdict} gave out {si(max(0.0, -least), 'J')} more than it took in{allowed}"
 
     def clear(self) -> None:
-        """Forgets the run before."""
+        """Clear the last run."""
         self._lines.data = {name: [] for name in self._lines.data}
         self._waiting = []
 

@@ -1,4 +1,4 @@
-"""What a page of `canhaptic touch` needs to know of the two sides, and what sides of every kind share."""
+"""Description of the two sides for the page of `canhaptic touch`, and common parts of all kinds of sides."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ class Side:
     """One handle.
 
     Attributes:
-        name: Of the side, which is that of its algorithm.
+        name: Name of the side, which is that of its algorithm.
         axes: Names of its axes in the rig.
         group: Name of the group that renders on them; empty where each renders by itself.
         allowance: Energy that its algorithm may give out before any came in [J].
@@ -50,16 +50,16 @@ class TouchSlider(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class TouchScene:
-    """A scene twice.
+    """A scene with two sides.
 
     Attributes:
-        scene: With both sides, to be built.
-        sides: Unprotected first.
-        unit: In which the handle moves.
-        shown: Least and largest place that is shown, of each direction [m or rad].
-        start: Where the handle is at the start [m or rad].
-        solid: Where it is solid: [low, high] along an axis, or what is outside of a box, by direction [m or rad].
-        sliders: What the page can change besides the rate.
+        scene: Scene with both sides, to be built.
+        sides: The two sides, unprotected first.
+        unit: Unit of the handle's motion.
+        shown: Range of positions on the page in each direction [m or rad].
+        start: Position of the handle at the start [m or rad].
+        solid: Solid region: [low, high] along an axis, or the outside of a box, by direction [m or rad].
+        sliders: Values that the page can change besides the rate.
         path: Corners of a path that the handle is led along, in a plane [m or rad]; empty: none.
         is_display: Whether the sides are admittance displays: force in, velocity out.
     """
@@ -86,12 +86,12 @@ class TouchScene:
 
 
 def sliders_of(section: str, values: Parameters, names: Sequence[str], unit: str) -> tuple[TouchSlider, ...]:
-    """Returns sliders for those parameters of a section that are there.
+    """Sliders for those of the given parameters that a section has.
 
     Args:
         section: Path of the section in the scene.
         values: Its parameters.
-        names: Of the parameters.
+        names: Names of the parameters.
         unit: "m" or "rad".
     """
     kinds = {
@@ -114,7 +114,7 @@ def pointer_hand(user: UserParameters, start: float) -> PointerHand:
 
 
 def reach(motion: Any, rest: float, start: float) -> tuple[float, float]:
-    """Returns what is shown of a direction [m or rad]: half as much again as the hand of the scene would move."""
+    """Range on the page in a direction [m or rad]: half as much again as the hand of the scene would move."""
     middle = rest + (motion.offset if motion else 0.0)
     half = 1.5 * motion.amplitude if motion else _ROOM
     return min(middle - half, start), max(middle + half, start)

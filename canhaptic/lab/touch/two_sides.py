@@ -38,8 +38,8 @@ def two_sides(scene: Scene, axis: str | None = None) -> TouchScene:
     """Returns a scene twice in one rig.
 
     Args:
-        scene: Simulated on one bus.
-        axis: Name of the axis that is touched; None for the first, or for the mechanism that has it.
+        scene: Scene simulated on one bus.
+        axis: Name of the axis to touch; None for the first, or for its mechanism.
 
     Raises:
         InputError: Nothing is simulated, there are several buses, or a group that is no box in a plane renders.
@@ -101,7 +101,7 @@ def _name_of(axis: AxisScene) -> str:
 
 
 def _solid(environment: Any, shown: tuple[float, float]) -> tuple[tuple[float, float], ...]:
-    """Returns where an environment is felt, within what is shown [m or rad]; nothing where it is felt everywhere."""
+    """Region where an environment is felt, within the page [m or rad]; nothing where it is felt everywhere."""
     low, high = shown
     step = (high - low) / 2000
     places = [low + step * k for k in range(2001)]
