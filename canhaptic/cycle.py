@@ -33,8 +33,8 @@ _UNEVEN: Final = (
     "void; measure again (canhaptic commission)"
 )
 _UNCHANGED: Final = (
-    "position, torque and statusword were the same to the bit for 1 s, with a torque: a handle held still, a stuck "
-    "encoder, or TPDOs that the drive does not make anew"
+    "position, torque and statusword were identical for 1 s, with a torque: a handle held still, a stuck "
+    "encoder, or TPDOs that the drive does not update"
 )
 
 

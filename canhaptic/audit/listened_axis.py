@@ -181,12 +181,12 @@ class ListenedAxis:
             if rated is not None and abs(rated - stated) > _DISAGREES * stated:
                 raise InputError(
                     f"{drive.name}: the frames state a rated torque (0x6076) of {stated:g} and the scene {rated:g}; "
-                    "it is not the scene of these frames"
+                    "use the scene of these frames"
                 )
             rated = stated
         if rated is None:
             raise InputError(
-                f"{drive.name}: neither the frames nor the scene say the rated torque; record the bring-up too, or "
+                f"{drive.name}: neither the frames nor the scene state the rated torque; record the bring-up too, or "
                 "set rated_torque of the axis"
             )
         of_1000_counts = rated * round(1000.0 * _of(_TORQUE_COUNTS, drive.quirks), 9)

@@ -184,7 +184,7 @@ def scene_of(log: EnergyLog, config: Path | None = None, *, allow_code: bool = F
         overrides = overrides_now(overrides)
     path = config or Path(str(log.attributes.get("config_source", "")))
     if not path.is_file():
-        raise InputError(f"{log.path}: its scene {str(path)!r} is not there; name it with --config")
+        raise InputError(f"{log.path}: its scene {str(path)!r} does not exist; name it with --config")
     scene = load_scene(path, overrides, allow_code=allow_code)
     resolved = log.decoded("config_resolved", dict[str, dict[str, str]]())
     require_same_code(scene.own_code, resolved.get("own_code", {}), str(log.path))

@@ -38,7 +38,7 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
         metavar="PATH=VALUE",
         action="append",
         default=[],
-        help="lay a value over the scene, as in axes.0.node_id=5 or environment.stiffness='500 N/m'; repeatable",
+        help="override a value of the scene, as in axes.0.node_id=5 or environment.stiffness='500 N/m'; repeatable",
     )
 
 

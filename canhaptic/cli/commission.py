@@ -111,8 +111,8 @@ def _dialogue(scene: Scene, *, yes: bool) -> Dialogue:
     if yes:
         if not scene.simulated:
             raise InputError(
-                f"{scene.source}: --yes is for drives that are simulated in this process; at a real one somebody must "
-                "stand at the machine and answer"
+                f"{scene.source}: --yes is for drives that are simulated in this process; at a real one a person at "
+                "the machine must answer"
             )
         return Unattended(write_note)
     if not sys.stdin.isatty():

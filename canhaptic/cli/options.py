@@ -86,7 +86,7 @@ def _decode(parser: argparse.ArgumentParser) -> None:
 def _drive(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `drive`."""
     add_scene(parser)
-    parser.add_argument("--duration", metavar="S", type=seconds, help="how long to live [s]; by default until stopped")
+    parser.add_argument("--duration", metavar="S", type=seconds, help="duration [s]; by default until stopped")
 
 
 def _inspect(parser: argparse.ArgumentParser) -> None:
@@ -119,7 +119,7 @@ def _inspect(parser: argparse.ArgumentParser) -> None:
         "--bus-log",
         type=Path,
         metavar="FILE",
-        help="derive the account again from the frames alone; exit with 1 unless it is that of the log bit for bit",
+        help="derive the account again from the frames alone; exit with 1 unless it equals that of the log bit for bit",
     )
     parser.add_argument("--repair", type=Path, metavar="FILE", help="save all that can be read into a clean log")
 
@@ -194,7 +194,7 @@ def _run(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--no-torque", action="store_true",
-        help="dry run: the drives are enabled and every torque that is sent is 0; the log holds what was asked for",
+        help="dry run: the drives are enabled and every torque that is sent is 0; the log holds the requests",
     )  # fmt: skip
     parser.add_argument("--log", metavar="FILE.h5", type=Path, help="energy log (HDF5)")
     parser.add_argument("--bus-log", metavar="FILE.log", type=Path, help="bus log (candump text)")
@@ -214,7 +214,7 @@ def _scope(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `scope`."""
     parser.add_argument("log", type=Path, nargs="?", metavar="LOG", help="energy log that a run writes or will write")
     parser.add_argument("--config", type=Path, metavar="CONFIG", help="scene file that names the log (log.energy)")
-    parser.add_argument("--port", type=PORT, default=5006, metavar="N", help="of the page; 0 for any that is free")
+    parser.add_argument("--port", type=PORT, default=5006, metavar="N", help="port of the page; 0: any free one")
     parser.add_argument("--window", type=float, default=10.0, metavar="S", help="seconds shown")
     parser.add_argument("--open", action="store_true", help="open the page in a browser")
 

@@ -31,7 +31,7 @@ def execute(arguments: argparse.Namespace) -> int:
 def _print(findings: list[PreflightFinding], interfaces: list[str]) -> None:
     console = make_console()
     if not findings:
-        console.print(f"nothing to look at: {', '.join(interfaces)} is not SocketCAN")
+        console.print(f"nothing to check: {', '.join(interfaces)} is not SocketCAN")
         return
     table = plain_table("SocketCAN", "interface", "item", "", "seen", "what to do")
     for finding in findings:

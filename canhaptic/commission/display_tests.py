@@ -94,7 +94,7 @@ def _rest(session: Session, axis: int) -> None:
         session.propose(axis, "admittance.force.offset_counts", counts, "", "tare: nothing pushed on the sensor")
         largest = float(abs(force - offset).max())
     if largest > declared.error:
-        session.propose(axis, "admittance.force.error", _SAFE * largest, unit, "1.1 times what is left at rest")
+        session.propose(axis, "admittance.force.error", _SAFE * largest, unit, "1.1 times the residual at rest")
 
 
 def _loop(session: Session, axis: int) -> None:
@@ -166,8 +166,8 @@ def _judge(session: Session, axis: int, fit: _Fit) -> None:
     if given is None:
         return
     if fit.doubt > _SURE:
-        text = "push and pull harder and slower while it shakes: the forces of the hand tell mass and gain apart"
-        session.found(axis, "velocity loop", "", f"unsure by {fit.doubt:.0%}", StepVerdict.UNKNOWN, text)
+        text = "push and pull harder and slower while it shakes: the hand's forces separate mass from gain"
+        session.found(axis, "velocity loop", "", f"uncertain by {fit.doubt:.0%}", StepVerdict.UNKNOWN, text)
         return
     right = fit.gain > 0.0
     session.judged(
@@ -177,7 +177,7 @@ def _judge(session: Session, axis: int, fit: _Fit) -> None:
     if not right:
         session.propose(axis, "admittance.force.per_count", -given.force.per_count, "N" if linear else "N*m")
         return
-    late, text = given.force.latency, "a force that is booked with another hold is no energy"
+    late, text = given.force.latency, "the force would be booked with the motion of another hold"
     found = f"{fit.latency} samples"
     session.judged(axis, "latency of the force", f"{late} samples", found, good=late == fit.latency, text=text)
     if late != fit.latency:
@@ -208,7 +208,7 @@ def _judge_drive(session: Session, axis: int, fit: _Fit, mass_unit: str, gain_un
         session.judged(axis, item, configured, f"{value:.4g} {unit}", good=good, text="not an over-estimate")
         if not good:
             times = max(_SAFE, 1.0 + SURE * fit.doubt)
-            comment = f"{times:.3g} times what was measured{of_group}"
+            comment = f"{times:.3g} times the measured value{of_group}"
             session.propose(axis, f"passivity.{key}", times * value, unit, comment)
 
 

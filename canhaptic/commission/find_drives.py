@@ -60,7 +60,7 @@ def identify(session: Session) -> None:
         known = [session.drives[n].axis.node_id for n in on_link]
         strangers = _scan(link, known, session.scene.bus.master_id)
         found = ", ".join(str(node) for node in sorted([*known, *strangers]))
-        text = f"node {', '.join(map(str, strangers))} is not in the configuration: what is it, and who feeds it?"
+        text = f"node {', '.join(map(str, strangers))} is not in the configuration: identify it before you go on"
         expected = ", ".join(map(str, sorted(known)))
         session.judged(on_link[0], "nodes on the bus", expected, found, good=not strangers, text=text)
     for axis, drive in enumerate(session.drives):

@@ -128,7 +128,7 @@ def _propose(session: Session, axis: int, lag: float | None, known: Mapping[str,
     scene = session.axes[axis]
     window = scene.loop.torque_window or 0.0
     session.propose(axis, "passivity.torque_window", window, "s", "by the bus; the rest is in the lag")
-    comment = f"{_OVER:g} times what was measured at most" if lag is not None else "more than this test resolves"
+    comment = f"{_OVER:g} times the measured upper end" if lag is not None else "more than this test resolves"
     session.propose(axis, "passivity.current_lag", lag, "s", comment)
     if lag is None or not _is_lost(session, axis, lag, known):
         return

@@ -40,11 +40,11 @@ _MASS_UNITS: Final = {"m": "kg", "rad": "kg*m^2"}
 _UNDER: Final = 0.9
 _OVER: Final = 2.0
 _COMMENTS: Final = {
-    "moving_mass": f"{_UNDER:g} of what was measured, less two standard deviations",
-    "device_damping_bound": f"{_OVER:g} times what was measured at most",
-    "device_friction_bound": f"{_OVER:g} times what was measured at most",
-    "device_damping": f"{_DERATING:g} of what was measured at least: grease and temperature change it",
-    "device_friction": f"{_DERATING:g} of what was measured at least: warmth, grease and wear take friction away",
+    "moving_mass": f"{_UNDER:g} of the measured value, less two standard deviations",
+    "device_damping_bound": f"{_OVER:g} times the measured upper end",
+    "device_friction_bound": f"{_OVER:g} times the measured upper end",
+    "device_damping": f"{_DERATING:g} of the measured lower end: grease and temperature change it",
+    "device_friction": f"{_DERATING:g} of the measured lower end: warmth, grease and wear take friction away",
 }
 """Values of the device, and how far they are on the safe side."""
 
@@ -166,7 +166,7 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
             break
         session.dialogue.tell(f"  {parameters.name}: moving mass, friction: not known well enough for the wall")
     if found is None or found.mass <= SURE * found.mass_error:
-        text = f"too little motion to tell it from friction; raise {limit}, which limits the torque of the sweep"
+        text = f"too little motion to separate it from friction; raise {limit}, which limits the torque of the sweep"
         session.found(axis, "moving mass", "", "unclear", StepVerdict.UNKNOWN, text)
         return
     rigid = _of_rotor(session, axis, found)
@@ -300,7 +300,7 @@ def _report_least_friction(session: Session, axis: int, found: Dynamics, curve: 
     """Report the least dry friction over every speed that occurred."""
     item, motion = "dry friction, least", session.axes[axis].parameters.unit
     if curve is None or curve.falls_at_its_end(SURE):
-        text = "too little motion both ways" if curve is None else "it still falls at the fastest speed that was seen"
+        text = "too little motion both ways" if curve is None else "it still falls at the fastest measured speed"
         session.found(axis, item, "", "unclear", StepVerdict.UNKNOWN, f"{text}; raise --torque or --travel")
         return
     least, unit = curve.least(_sure_damping(found), SURE), effort_unit(motion)
@@ -327,7 +327,7 @@ def _scale(session: Session, axis: int, found: Dynamics) -> None:
         return
     ratio = found.mass / known
     same = abs(ratio - 1.0) <= _SCALE_TOLERANCE
-    text = "torques are not what they say"
+    text = "every torque is wrong by this ratio"
     session.judged(axis, "torque scale", "1", f"{1.0 / ratio:.4g}", good=same, text=text)
     torque = None if same else parameters.rated_torque / ratio
     session.propose(axis, "rated_torque", torque, unit, "by the mass that you gave")

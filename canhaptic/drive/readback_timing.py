@@ -75,7 +75,7 @@ def _text(errors: tuple[float, float], rpdo: str) -> str:
     if min(errors) > _CLEAR:
         return (
             f"{seen}, expected one at most {_CLEAR:g}; the torque is filtered, noisy or not followed: a larger probe "
-            "or a lower rate may tell, else take the vendor's word"
+            "or a lower rate may help, else ask the vendor"
         )
     if rpdo == "event":
         if after <= _CLEAR:

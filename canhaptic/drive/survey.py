@@ -271,7 +271,7 @@ def _read_back(dictionary: ObjectDictionary, axis_map: AxisMap | None) -> Survey
             "0x6077 in the TPDO: a measured torque at one instant of the hold; its difference from the torque that "
             "was sent bounds the error of the energy",
         ),
-        "none": (Verdict.UNKNOWN, "no torque can be mapped: the energy is that of the torque sent, and believed"),
+        "none": (Verdict.UNKNOWN, "no torque can be mapped: the energy is that of the torque sent, without read-back"),
     }
     if axis_map is None:
         return SurveyRow("read-back", "torque read back", stated, Verdict.FIT, "no map was found, see below")
@@ -370,7 +370,7 @@ def _manual_keys(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Ma
     needs: tuple[tuple[str, str, Callable[[], bool]], ...] = (
         (
             "rated_torque",
-            "torque of the axis at 1000 per mille; 0x6076 does not tell it",
+            "torque of the axis at 1000 per mille; 0x6076 does not state it",
             lambda: axis.rated_torque is None and not stated_value(dictionary, od.RATED_TORQUE),
         ),
         ("transmission", "gear ratio, where 0x6076 is the motor's torque", lambda: od.RATED_TORQUE in dictionary),

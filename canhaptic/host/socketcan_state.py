@@ -223,7 +223,7 @@ def _least_restart(bus: BusSettings) -> int:
 
 def _judge_restart(restart: object, bus: BusSettings, judged: _Judged) -> None:
     if not isinstance(restart, int):
-        judged.note("restart-ms", "not reported", "cannot be checked; `restart-ms 0` is what a rig wants")
+        judged.note("restart-ms", "not reported", "cannot be checked; set `restart-ms 0`")
         return
     if restart == 0:
         judged.well("restart-ms", "0 (by hand)")

@@ -52,7 +52,7 @@ def in_own_process(path: Path, work: Callable[[], _Result]) -> _Result:
             os.kill(child, signal.SIGKILL)  # after an interrupt; of one that has crashed nothing is left to end
         _, status = os.waitpid(child, 0)
     if not content and _exit(status) == signal.SIGXCPU.name:
-        raise LogFormatError(f"{path}: too damaged: the HDF5 library reads on and on in it (for {seconds} s)")
+        raise LogFormatError(f"{path}: too damaged: the HDF5 library does not finish reading it (for {seconds} s)")
     if not content:
         raise LogFormatError(f"{path}: too damaged: the HDF5 library crashes on it (exit status {_exit(status)})")
     result, error = pickle.loads(content)

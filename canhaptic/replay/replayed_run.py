@@ -85,8 +85,8 @@ def replay_bus_log(
     joins = from_sync or not recording.has_boot
     if joins and recording.first_sync < 0:
         raise InputError(
-            f"{bus_log}: neither the start of the drives is in there nor a SYNC that every axis of {scene.source} "
-            "answered in OPERATION ENABLED; there is nowhere to begin"
+            f"{bus_log}: the log has no bring-up and no SYNC that every axis of {scene.source} "
+            "answered in OPERATION ENABLED; replay needs one of them"
         )
     with ExitStack() as stack:
         return _Replay(recording, scene, joins, realtime, dry_run, stack).run()

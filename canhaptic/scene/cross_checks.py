@@ -84,8 +84,8 @@ def _check_loss_limits(scene: Scene, entries: list[MarkedMapping], faults: Diagn
     for axis, entry in zip(scene.axes, entries, strict=True):
         if axis.parameters.energy_loss_limit == "none" and not scene.simulated:
             message = (
-                "got 'none', but the drives may be real; expected a limit, or nothing for 10 mJ: a run that gives out "
-                "energy again and again must end"
+                "got 'none', but the drives may be real; expected a limit, or no entry for 10 mJ: a run that "
+                "keeps giving out energy must end"
             )
             faults.add(entry.value_at("energy_loss_limit"), message)
 

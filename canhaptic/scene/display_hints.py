@@ -23,8 +23,8 @@ def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
     name, effort, speed_unit = given.name, effort_unit(given.unit), f"{given.unit}/s"
     time = properties.longest_hold
     doubt = properties.force_error + (0.0 if properties.sampling != "point" else 0.25 * properties.force_slew * time)
-    text = "acts on the account like so much dry friction; slew T / 4 for point samples, and the error of a value"
-    hints = [Hint(name, "force doubt of the account", doubt, None, effort, text)]
+    text = "acts on the account like dry friction of this size; slew T / 4 for point samples, and the error of a value"
+    hints = [Hint(name, "force uncertainty of the account", doubt, None, effort, text)]
     group = next((group for group in scene.groups if group.name == axis.group), None)
     chosen = (axis.passivity, axis.environment) if group is None else (group.passivity, group.network)
     known, rendered = (part.parameters for part in chosen)

@@ -47,7 +47,7 @@ class Remedy(NamedTuple):
     @property
     def text(self) -> str:
         """The declaration and the remedy, in words."""
-        return f"{self.key} {self.value:.3g} {self.unit} keeps it away, {self.enough:.2g} {self.unit} would not"
+        return f"{self.key} {self.value:.3g} {self.unit} prevents it, {self.enough:.2g} {self.unit} would not"
 
 
 def can_be_tried(axis: AxisScene) -> bool:

@@ -157,7 +157,7 @@ def _quantisation_hint(axis: AxisScene) -> Hint:
     limit = quantisation_bound(axis)
     text = "no Coulomb friction known" if friction is None else f"friction {friction:.3g} of the simulated plant"
     if stiffness is not None:
-        text += f"; needs {0.5 * stiffness * count:.3g} of Coulomb friction for what is asked"
+        text += f"; needs {0.5 * stiffness * count:.3g} of Coulomb friction for the requested wall"
     return _of_plain_wall(axis, "stiffness, quantisation bound 2 f_c / count", "stiffness", limit, stiffness, text)
 
 
@@ -293,4 +293,4 @@ def _held_stiffness(axis: AxisScene, held: dict[str, tuple[float, str]]) -> list
 def _share(limit: float, asked: float | None) -> str:
     if not asked:
         return ""
-    return f"; holds {100.0 * min(1.0, limit / asked):.3g} % of what is asked"
+    return f"; holds {100.0 * min(1.0, limit / asked):.3g} % of the request"

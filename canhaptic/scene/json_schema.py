@@ -39,7 +39,7 @@ _OF_GROUP: Final = {
     "axes": "The motor axes, in the order of the kinematics.",
     "kinematics": "From motor axes to task space.",
     "network": "What is rendered in task space.",
-    "passivity": "The algorithm of the group, and what is known of the loops of all its axes.",
+    "passivity": "The algorithm of the group, and the properties of the loops of all its axes.",
 }
 _OF_SIMULATION: Final = {
     "admittance": "Velocity loop, grip and force sensor of an admittance display.",

@@ -449,7 +449,7 @@ def test_check_prints_what_a_user_wants_before_the_first_touch(capsys: pytest.Ca
     assert hints["mass felt, at least"] == pytest.approx(mass + gain * time)
     assert hints["mass from which the guard never acts"] == pytest.approx(mass + 1.5 * gain * time)
     assert hints["speed at which motion starts"] == pytest.approx((4e-3 / (2.0 * gain * time)) ** 0.5)
-    assert hints["force doubt of the account"] == pytest.approx(5e3 * time / 4.0 + 0.05)
+    assert hints["force uncertainty of the account"] == pytest.approx(5e3 * time / 4.0 + 0.05)
     assert hints["least force that moves it"] == pytest.approx(3.0 * 1e-6 / time)
     assert hints["stalled master"] == pytest.approx(0.25 * gain * 0.1)
     assert hints["frozen sensor"] == pytest.approx(0.25 * gain * 0.05)

@@ -96,5 +96,5 @@ def test_the_rated_torque_of_the_frames_counts_and_must_be_that_of_the_scene() -
         axis.sample(0)
     axis = listened(rated_torque=None)
     axis.take(tpdo(0, 100))
-    with pytest.raises(InputError, match="neither the frames nor the scene say the rated torque"):
+    with pytest.raises(InputError, match="neither the frames nor the scene state the rated torque"):
         axis.sample(0)

@@ -92,7 +92,7 @@ def test_a_scene_that_is_gone_is_asked_for(logs: tuple[Path, Path], tmp_path: Pa
     moved.write_bytes(logs[0].read_bytes())
     with h5py.File(moved, "r+") as file:
         file.attrs["config_source"] = str(tmp_path / "gone.yaml")
-    with pytest.raises(InputError, match=r"its scene '.*gone\.yaml' is not there; name it with --config"):
+    with pytest.raises(InputError, match=r"its scene '.*gone\.yaml' does not exist; name it with --config"):
         typed.inspect(moved, "--recompute")
 
 

@@ -236,4 +236,4 @@ def test_the_largest_certificate_says_how_much_of_the_wall_it_holds(tmp_path: Pa
     assert hints["stiffness, certified by hand speed"].limit == pytest.approx(20 / (2 * 50 * 2e-3))
     largest = max(h.limit for name, h in hints.items() if name.startswith("stiffness, certified by"))  # type: ignore[type-var]
     assert hints["stiffness, certified"].limit == largest
-    assert f"holds {largest / 1e3:.3g} % of what is asked" in hints["stiffness, certified"].text  # type: ignore[operator]
+    assert f"holds {largest / 1e3:.3g} % of the request" in hints["stiffness, certified"].text  # type: ignore[operator]

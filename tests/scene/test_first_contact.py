@@ -58,7 +58,7 @@ def test_no_wall_names_the_declaration_that_keeps_it_away_and_a_value_that_does_
     assert allowed is not None
     assert is_felt(axis(*LATE, f"passivity.energy_allowance={allowed} J"), 0.1)
     assert not is_felt(axis(*LATE, f"passivity.energy_allowance={0.1 * allowed} J"), 0.1)
-    assert advice(late).startswith("no approach starts this wall; current_lag 0.002 s keeps it away")
+    assert advice(late).startswith("no approach starts this wall; current_lag 0.002 s prevents it")
 
 
 def test_check_and_run_say_that_there_is_no_wall_and_strict_fails(capsys: pytest.CaptureFixture[str]) -> None:

@@ -157,7 +157,7 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
             if getattr(parameters, key):
                 raise ParameterError(
                     f"guarded: {key}: got {getattr(parameters, key):g}, expected 0 for several axes: "
-                    "what such a hand can take is proved for one axis only"
+                    "such a hand is proved for one axis only"
                 )
         environment.require(len(properties))
         self.axes = len(properties)

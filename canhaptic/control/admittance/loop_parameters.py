@@ -52,8 +52,8 @@ def loop_settings(parameters: GuardedDisplayParameters, properties: DisplayPrope
     _require_what_a_hand_needs(parameters, properties)
     refused = {
         "max_consecutive_losses": "a command that is lost leaves the integral of the drive unknown",
-        "largest_hand_force": "what such a hand can take from an integral is not proved",
-        "hand_stiffness": "what such a hand can take from an integral is not proved",
+        "largest_hand_force": "no proof covers such a hand with an integral",
+        "hand_stiffness": "no proof covers such a hand with an integral",
     }
     for key, why in refused.items():
         if parameters.integral_gain and getattr(parameters, key):
@@ -82,7 +82,7 @@ def _require_what_a_hand_needs(parameters: GuardedDisplayParameters, properties:
     if parameters.drive_friction is None:
         raise ParameterError(
             "guarded: drive_friction: got none, expected an over-estimate with hand_stiffness, and of drive_damping: "
-            "friction changes what such a hand can take"
+            "the proof for such a hand needs them"
         )
     why = "the motion that the commands make must be known"
     if parameters.max_consecutive_losses:

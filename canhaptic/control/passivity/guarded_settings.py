@@ -217,7 +217,7 @@ def hand_response(parameters: GuardedParameters, loop: LoopProperties) -> Displa
     if loop.device_damping_bound is None:
         raise ParameterError(
             "guarded: got hand_force without device_damping_bound, expected the largest damping that the device can "
-            "have: it turns an inward motion sooner than was counted on; measure it (canhaptic commission), or declare "
+            "have: more damping would stop an inward motion earlier; measure it (canhaptic commission), or declare "
             "hand_force: null and another certificate"
         )
     friction, push = loop.device_friction_bound or 0.0, parameters.hand_push

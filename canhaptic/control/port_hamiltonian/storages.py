@@ -63,7 +63,7 @@ class QuadraticForm(Parameters):
 
     @model_validator(mode="after")
     def _positive(self) -> "QuadraticForm":
-        symmetric_positive(self.matrix, "matrix", "an energy below 0 could be drawn on for ever")
+        symmetric_positive(self.matrix, "matrix", "a negative energy could be extracted without limit")
         return self
 
 

@@ -147,7 +147,9 @@ def _ways_out(bus: BusParameters, maps: Sequence[AxisMap]) -> list[str]:
     ways = [f"rate: {round_rate(most):g} (at most {most:.0f} Hz)"]
     smaller = _without_read_back(budget, maps)
     if smaller is not None and smaller <= budget.sample_time:
-        ways.append(f"read_back: none on every axis ({smaller * 1e6:.0f} us; the energy is then believed, not exact)")
+        ways.append(
+            f"read_back: none on every axis ({smaller * 1e6:.0f} us; the energy is then as commanded, not exact)"
+        )
     for bitrate in _BIT_RATES:
         if bitrate > bus.bitrate and bus_budget(bus.model_copy(update={"bitrate": bitrate}), maps).fits:
             ways.append(f"bitrate: {bitrate}")

@@ -98,7 +98,11 @@ def _map(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters 
     ]
     if axis.admittance is not None:
         return Finding("PDO map", Verdict.FIT, "; ".join(parts))
-    note = {"demand": "", "actual": "; energy from the measured torque 0x6077", "none": "; energy is believed"}
+    note = {
+        "demand": "",
+        "actual": "; energy from the measured torque 0x6077",
+        "none": "; energy from the commands, not exact",
+    }
     return Finding("PDO map", Verdict.FIT, "; ".join(parts) + note[chosen.read_back])
 
 

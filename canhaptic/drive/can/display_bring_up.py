@@ -13,7 +13,7 @@ _SLOW_DOWN: Final = 2  # value of 0x605A: along the quick stop ramp, then switch
 _NO_TARE: Final = "check power and node ID of the sensor, or leave admittance.force.node.tare out"
 _NOT_AT_REST: Final = (
     "let go of the handle; then correct force.offset_counts (canhaptic commission measures it), tare the sensor, or "
-    "raise force.error, with which the account reckons"
+    "raise force.error, which the account assumes"
 )
 _REMEDY: Final = "set the object with the vendor's tool, or correct its limits in the dictionary"
 

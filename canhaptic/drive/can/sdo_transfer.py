@@ -96,6 +96,6 @@ def abort(index: int, subindex: int, code: int) -> bytes:
 
 def _require(answer: bytes, specifier: int, toggle: int | None = None) -> None:
     if answer[0] & _SPECIFIER != specifier:
-        raise ProtocolError(f"the answer {answer.hex(' ')} is none to this request")
+        raise ProtocolError(f"the answer {answer.hex(' ')} does not fit this request")
     if toggle is not None and answer[0] & _TOGGLE != toggle:
         raise ProtocolError(f"the toggle bit of the answer {answer.hex(' ')} is wrong")

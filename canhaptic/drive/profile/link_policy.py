@@ -156,7 +156,7 @@ STOP_TABLE: Final[dict[StopReason, _StopRule]] = {
     StopReason.ENERGY_LOST: _StopRule(
         "a port gave out more energy than was declared",
         EnergyLostError,
-        "look for SYNCs skipped, frames lost, and a moving_mass or hand_force that is not so; raise energy_loss_limit "
+        "look for SYNCs skipped, frames lost, and a wrong moving_mass or hand_force; raise energy_loss_limit "
         "of the axis only where a person may be given that energy",
     ),
     StopReason.FORCE_CONTRADICTED: _StopRule(
@@ -178,14 +178,14 @@ READ_BACK_TABLE: Final[dict[str, tuple[str, str, str]]] = {
     "demand": (
         "0x6074 stays as it was for `bus.stop_cycles` SYNCs although another torque was sent",
         "stop after more than `bus.hold_cycles` SYNCs in a row",
-        "recorded: the torque that was given is read back, and the account is exact; one that is larger than the "
+        "recorded: the applied torque is read back, and the account is exact; one that is larger than the "
         "command, or turned, is no limit and counts as an old torque",
     ),
     "actual": (
         "0x6077 stays within `torque_tolerance` of an old command for `bus.stop_cycles` SYNCs although commands more "
         "than twice as far from it were sent; nearer ones cannot be distinguished from noise",
         "stop after more than `bus.hold_cycles` SYNCs in a row",
-        "recorded: the torque that was given is read back; one that is larger than the command, or turned, is no limit",
+        "recorded: the applied torque is read back; one that is larger than the command, or turned, is no limit",
     ),
     "none": (
         "cannot be detected by the master; the drive's own deadline of the RPDO (0x1400:05) ends it after "

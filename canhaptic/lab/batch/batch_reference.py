@@ -29,7 +29,7 @@ _MOST_STEPS: Final = 4096
 
 
 def why_not_continuous(case: BatchCase) -> str:
-    """"" where continuous runs can be followed along with their loops, else the reason."""
+    """Reason why continuous runs cannot be followed along with their loops; empty where they can."""
     if not isinstance(case.environment, CLOSED_FORM):
         return f"{type(case.environment).__name__} has no flow in closed form"
     return "" if f"rate.1.{case.size - 2}" in case.numbers else "the plant has effects that are not in arrays"
@@ -102,7 +102,7 @@ def continuous_modes(
 
 
 def _flows(rates: Array, step: Array) -> Array:
-    """y after a step of y' = F y in many scenes, shape (n, k, k); computed once for equal scenes."""
+    """State y after a step of y' = F y in many scenes, shape (n, k, k); computed once for equal scenes."""
     if (rates == rates[0]).all():
         step, which = np.unique(step, return_inverse=True)
         return _flows_of_each(rates[: len(step)], step)[which]

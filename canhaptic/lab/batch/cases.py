@@ -62,7 +62,7 @@ def why_not_compiled(case: LoopCase) -> str:
 
 
 def why_not_compared(scene: Scene, metrics: Sequence[str]) -> str:
-    """"" when a batch has the quantities that metrics compare a scene with, else the reason."""
+    """Reason why a batch lacks the quantities that metrics compare a scene with; empty where it has them."""
     if set(metrics).isdisjoint(CONTINUOUS) or is_linear(simulation_of(scene.axes[0])):
         return ""
     return "a plant with events has its continuous run by itself"

@@ -46,7 +46,7 @@ def execute(arguments: argparse.Namespace) -> int:
         progress = stack.enter_context(scene_progress("cases"))
         found = run_arena(plan, store, executor, progress, stop.requested)
     if found is None or stop.requested():
-        write_note(f"  stopped     what is finished is kept in {out / STORE}; the same command goes on")
+        write_note(f"  stopped     finished work is kept in {out / STORE}; the same command continues")
         return stop.exit_status
     _write(found, out)
     if arguments.json:

@@ -37,7 +37,7 @@ def _accuracy(parser: argparse.ArgumentParser) -> None:
         "--budget", metavar="S", type=budget, default=BUDGET, help="time to spend on timing [s]; 0: none"
     )
     parser.add_argument(
-        "--engine", choices=("auto", "numba", "python"), default="auto", help="of the loops; numba compiles"
+        "--engine", choices=("auto", "numba", "python"), default="auto", help="engine of the loops; numba compiles"
     )
     parser.add_argument("--tables", action="store_true", help="show every row, not the answer only")
     parser.add_argument(
@@ -58,15 +58,17 @@ def _arena(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--rates", metavar="HZ,HZ,...", type=rates, help="by default 100, 300, 1000, 3000, 8000")
     parser.add_argument("--delays", metavar="0,1", type=delays, help="whole holds; by default both")
-    parser.add_argument("--duration", metavar="S", type=seconds, help="of a run at most [s]; 2 by default")
+    parser.add_argument("--duration", metavar="S", type=seconds, help="longest run [s]; 2 by default")
     parser.add_argument("--rig", metavar="CONFIG", type=Path, help="scene of the K-B plot; configs/arena_rig.yaml")
-    parser.add_argument("--walls", metavar="N", type=_COUNT, help="of the K-B plot a decade; 12 by default, 0: no plot")
+    parser.add_argument(
+        "--walls", metavar="N", type=_COUNT, help="walls a decade in the K-B plot; default 12, 0: no plot"
+    )
     parser.add_argument(
         "--workers", metavar="N", type=_WORKERS, help="processes on this machine; by default one a core"
     )
     parser.add_argument(
         "--out", metavar="FOLDER", type=Path, default=Path("arena"),
-        help="page, pictures, result and finished cases; the same command goes on with those (default: arena)",
+        help="page, pictures, result and finished cases; the same command continues with those (default: arena)",
     )  # fmt: skip
     parser.add_argument("--force", action="store_true", help="run finished cases again")
     add_allow_code(parser)
@@ -84,7 +86,7 @@ def _compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--can", action="store_true", help="over the whole CAN path instead of without a bus")
     parser.add_argument(
         "--engine", choices=("auto", "numba", "python"), default="python",
-        help="of runs without a bus; python (default) has the bits of the CAN path, numba differs by rounding; groups "
+        help="engine without a bus; python (default) has the bits of the CAN path, numba differs by rounding; groups "
         "go over CAN with python, and without a bus with numba",
     )  # fmt: skip
     parser.add_argument("--png", metavar="FILE", type=Path, help="picture of the comparison (.png, .svg, .pdf)")
@@ -102,21 +104,21 @@ def _design(parser: argparse.ArgumentParser) -> None:
         help="how much larger both could be, as a part; default 0.2",
     )
     parser.add_argument(
-        "--tolerance", metavar="PART", type=float, default=TOLERANCE, help="between asked and rendered; default 0.05"
+        "--tolerance", metavar="PART", type=float, default=TOLERANCE, help="error of the rendered wall; default 0.05"
     )
-    parser.add_argument("--engine", choices=("auto", "numba", "python"), default="auto", help="of the trials")
+    parser.add_argument("--engine", choices=("auto", "numba", "python"), default="auto", help="engine of the trials")
     add_json(parser)
 
 
 def _map(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `map`."""
-    parser.add_argument("file", metavar="FILE.h5", type=Path, help="of canhaptic sweep, finished or not")
+    parser.add_argument("file", metavar="FILE.h5", type=Path, help="result of canhaptic sweep, finished or not")
     parser.add_argument("--png", metavar="FILE", type=Path, help="picture (.png, .svg, .pdf)")
     parser.add_argument("--html", metavar="FILE", type=Path, help="self-contained page")
-    parser.add_argument("--x", metavar="KEY", help="across; by default the rate, or the first key that was varied")
-    parser.add_argument("--y", metavar="KEY", help="upwards, or one line per value")
+    parser.add_argument("--x", metavar="KEY", help="key across; by default the rate, or the first varied key")
+    parser.add_argument("--y", metavar="KEY", help="key upwards, or one line per value")
     parser.add_argument("--metric", metavar="NAME", help="one map of this figure, instead of the usual ones")
-    parser.add_argument("--axis", metavar="NAME", help="of a scene with several; by default the first")
+    parser.add_argument("--axis", metavar="NAME", help="axis of a scene with several; by default the first")
     parser.add_argument(
         "--by", choices=JUDGEMENTS, help="what a wall must be to count; by default stable for unprotected"
     )
@@ -139,9 +141,9 @@ def _sweep(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sample", metavar="lhs:N", type=samples, default=0, help="N points of a Latin hypercube, no grid"
     )
-    parser.add_argument("--seed", metavar="N", type=_COUNT, default=0, help="of the hypercube")
+    parser.add_argument("--seed", metavar="N", type=_COUNT, default=0, help="seed of the hypercube")
     length = parser.add_mutually_exclusive_group()
-    length.add_argument("--duration", metavar="S", type=seconds, help="of every scene [s]; by default the scene's")
+    length.add_argument("--duration", metavar="S", type=seconds, help="length of every run [s]; by default the scene's")
     length.add_argument("--cycles", metavar="N", type=_SOME, help="SYNCs of every scene, at any rate")
     parser.add_argument(
         "--metrics",
@@ -150,7 +152,7 @@ def _sweep(parser: argparse.ArgumentParser) -> None:
         help="fewer are faster; by default all that need no continuous run; a wrong name lists all",
     )
     parser.add_argument(
-        "--engine", choices=("auto", "numba", "python"), default="auto", help="of scenes that fit a batch"
+        "--engine", choices=("auto", "numba", "python"), default="auto", help="engine of batched scenes"
     )
     parser.add_argument("--beyond-bus", action="store_true", help="judge rates that the bus could not carry, too")
     where = parser.add_mutually_exclusive_group()
@@ -168,7 +170,7 @@ def _touch(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `touch`."""
     add_scene(parser)
     parser.add_argument("--axis", metavar="NAME", help="which axis or group; by default the first")
-    parser.add_argument("--port", type=PORT, default=5007, metavar="N", help="of the page; 0 for any that is free")
+    parser.add_argument("--port", type=PORT, default=5007, metavar="N", help="port of the page; 0: any free one")
     parser.add_argument(
         "--pace",
         choices=("even", "real"),

@@ -93,5 +93,5 @@ def _note(out: Path | None, state: Progress, stopped: bool) -> None:
     if out is not None:
         note_file("results", out)
     if stopped:
-        kept = f"; what is finished is kept: --resume goes on with {out}" if out is not None else ""
+        kept = f"; finished work is kept: --resume goes on with {out}" if out is not None else ""
         write_note(f"  stopped     {state.done} of {state.total} scenes are finished{kept}")

@@ -40,7 +40,7 @@ FIELD_FIGURES: Final[dict[str, FieldFigure]] = {
         'Lawrence et al., "Rate-hardness: a new performance metric for haptic interfaces", IEEE TRA 16, 2000',
     ),
     "impedance spectrum": FieldFigure(
-        "force over velocity at a frequency, and what is asked for", "N*s/m",
+        "force over velocity at a frequency, and the requested one", "N*s/m",
         "figures.field_figures.rendered_impedance",
         'Lawrence, "Stability and transparency in bilateral teleoperation", IEEE TRA 9, 1993 (cited in what was read)',
     ),

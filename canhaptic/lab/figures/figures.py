@@ -34,7 +34,7 @@ METRICS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     ),
     "margin": ("least true sum(h_i) less booked sum(h_r) after any hold, eq. 4 [J]", ("margin",)),
     "believed_margin": ("the same as booked [J]", ("believed_margin",)),
-    "believed_error": ("largest |believed - true| sum(h_i) after any hold [J]", ("believed_error",)),
+    "believed_error": ("largest |accounted - true| sum(h_i) after any hold [J]", ("believed_error",)),
     "surplus_end": ("h_dis at the end [J]", ("surplus",)),
     "torque_peak": ("largest |torque| held [N or N*m]", ("torque_peak",)),
     "force_variation": ("total variation of the torque held, the first step included [N or N*m]", ("variation",)),

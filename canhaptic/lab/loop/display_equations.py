@@ -22,7 +22,7 @@ _TOLERANCE = 1e-11
 
 
 def why_no_equations(simulation: AxisSimulation) -> str:
-    """"" where these equations are those of the plant, else the missing part."""
+    """Part of the plant that these equations leave out; empty where they are complete."""
     display, user = simulation.admittance, simulation.user
     if display is None:
         return "no admittance display"

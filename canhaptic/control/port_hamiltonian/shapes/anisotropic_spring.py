@@ -22,7 +22,7 @@ class AnisotropicSpring(Parameters):
 
     @model_validator(mode="after")
     def _passive(self) -> "AnisotropicSpring":
-        symmetric_positive(self.stiffness, "stiffness", "an energy below 0 could be drawn on for ever")
+        symmetric_positive(self.stiffness, "stiffness", "a negative energy could be extracted without limit")
         if self.damping is not None:
             symmetric_positive(self.damping, "damping", "a damper that gives energy is not rendered")
         return self
