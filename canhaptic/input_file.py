@@ -24,7 +24,7 @@ def kind_of(mode: int) -> str:
 
 
 def require_regular(path: str | Path) -> os.stat_result:
-    """Returns the status of a regular file, of which a symbolic link may lead to it.
+    """Status of a regular file, reached directly or through a symbolic link.
 
     Raises:
         OSError: It does not exist or is not regular; `strerror` says which.

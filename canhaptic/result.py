@@ -81,7 +81,7 @@ _OF_AN_AXIS: Final = (
 
 _WORST_LAST: Final[tuple[Verdict, ...]] = ("yes", "in doubt", "no")
 _HEADLINES: Final[tuple[Headline, ...]] = ("no contact", "dry run", "yes", "in doubt", "nothing rendered", "no")
-"""The words that are shown, worst last; one handle without a contact does not make a run of several doubtful."""
+"""The displayed words, worst last; one handle without a contact does not make a run of several doubtful."""
 
 
 class Verdicts(TypedDict):

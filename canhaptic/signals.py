@@ -37,7 +37,7 @@ class Measured(NamedTuple):
     """Figures of a port besides the balances of its holds; all but the effort are sums since SYNC 0."""
 
     energy_resolution: float  # largest |booked - true| sum of interaction [J]
-    device_dissipated: float  # by what is declared of the device, at least [J]
+    device_dissipated: float  # by the declared properties of the device, at least [J]
     effort_asked: float  # of the environment's storage at this position; 0 out of contact, and of a group [N or N*m]
     longest_hold: int  # the most sample times for which one torque was held
     uncommanded: int  # holds whose torque was never commanded

@@ -183,7 +183,7 @@ class Unit:
 
 
 class Quantity:
-    """Annotation of a number: reads units before pydantic, sets pydantic's own limits, tells the JSON schema."""
+    """Annotation of a number: reads units before pydantic, sets pydantic's own limits, and extends the JSON schema."""
 
     def __init__(self, unit: Unit, limits: Mapping[str, float]) -> None:
         self.unit = unit
@@ -249,7 +249,7 @@ class _ParametersMeta(_ModelMetaclass):
 
 
 def _describe(model: type[BaseModel], error: ValidationError) -> str:
-    """Returns one line per fault of a pydantic error: where, the value seen, what was expected."""
+    """One line per fault of a pydantic error: place, value seen, expected value."""
     return "\n".join(
         f"{model.__name__}.{'.'.join(map(str, fault['loc'])) or 'value'}: {_described(model, fault)}"
         for fault in error.errors()
@@ -276,7 +276,7 @@ def parts_of(annotation: object) -> Iterator[object]:
 
 
 def fault_text(fault: ErrorDetails, seen: object, expected: str = "") -> str:
-    """Returns one fault of pydantic in words: the value seen and what was expected.
+    """One fault of pydantic in words: the value seen and the expected one.
 
     Args:
         fault: Error of pydantic.

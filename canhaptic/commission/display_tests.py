@@ -27,7 +27,7 @@ _CHIRP: Final = (2.0, 40.0, 8.0)  # from [Hz], to [Hz], for [s]
 _AMPLITUDE: Final = 0.02  # of the chirp [m/s or rad/s], if the limits allow it
 _TRAVELS: Final = 3.0  # of the limit: it is the hand that pushes the drive away
 _HALF: Final = 5e-3  # half the width of the hat [s]
-_LATEST: Final = 4  # samples by which a force may be late
+_LATEST: Final = 4  # latest a force may be [samples]
 REQUIRED: Final = ("force at rest", "mass of the drive", "gain of the velocity loop")
 """What must have been verified of every display before its scene is one to run."""
 _SAFE: Final = 1.1  # over what was measured, for what is to be declared over
@@ -45,7 +45,7 @@ class _Fit(NamedTuple):
     integral: float
     friction: float  # dry, at most, with half the damping of the bearings at the speed of the chirp [N or N*m]
     doubt: float  # larger standard deviation of mass and gain, as a part of them
-    square: float  # of what is left, on average [N^2 or N^2*m^2]
+    square: float  # mean square of the residual [N^2 or N^2*m^2]
     latency: int
 
 

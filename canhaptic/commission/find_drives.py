@@ -20,7 +20,7 @@ _MODES: Final = ("pp", "vl", "pv", "tq", "", "hm", "ip", "csp", "csv", "cst")
 
 
 def _scan(link: Link, known: Sequence[int], master: int) -> list[int]:
-    """Returns the node IDs that answer on a bus besides those of the configuration, by asking every one for 0x1000.
+    """Node IDs that answer on a bus besides those of the configuration; each is asked for 0x1000.
 
     Args:
         link: The bus.

@@ -54,7 +54,7 @@ class Value(NamedTuple):
 _SHOWN_IN: Final = {"s": (1e6, "us"), "1": (100.0, "%")}
 """Units of the package -> factor to those in which small values are written, and their names."""
 _MENDED: Final = ("moving mass", "dry friction, least")
-"""Findings of which a failure is a wrong declaration, which the value found replaces."""
+"""Findings whose failure is a wrong declaration, which the measured value replaces."""
 _COLOURS: Final = {
     StepVerdict.AGREES: "green",
     StepVerdict.DIFFERS: "yellow",

@@ -64,7 +64,7 @@ class Session:
             with build(scene) as self._experiment:
                 for drive in self.drives:
                     if isinstance(drive, DisplayDrive):
-                        drive.checks_rest = False  # the offset is what is to be measured
+                        drive.checks_rest = False  # the offset is to be measured
                 yield
         finally:
             self._experiment = None

@@ -94,7 +94,7 @@ def _lateness(session: Session, axis: int, law: OpenLoop, half_base: int) -> tup
     """Returns lateness and standard deviation [s], against the torques sent: a measured one is late itself."""
     parameters, ahead = session.axes[axis].parameters, 1 + session.axes[axis].loop.delay
     acted = np.concatenate([np.zeros(ahead), law.sent])[: len(law.positions)]
-    if parameters.torque_rate_limit or parameters.power_limit:  # which change what was sent
+    if parameters.torque_rate_limit or parameters.power_limit:  # which alter the commands
         acted = np.array(law.applied)
     positions = np.array(law.positions) / session.encoder_ratios[axis]
     return estimate_lateness(positions, acted, session.sample_time, half_base)

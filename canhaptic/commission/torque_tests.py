@@ -223,7 +223,7 @@ def _is_dear(session: Session, axis: int, found: Dynamics, curve: FrictionCurve 
 def _of_rotor(session: Session, axis: int, found: Dynamics) -> Dynamics | None:
     """Dynamics of the mass that moves within the shortest time that the encoder resolves.
 
-    Where that is clearly less than what a slow sweep moves, a shaft lies between: what is rigid with the encoder is the
+    Where that is clearly less than a slow sweep's mass, a shaft lies between: the mass rigid with the encoder is the
     rotor (`mass_within`). Where it is neither, a resonance is near, and no mass is reported (None). A resonance far
     above a quarter of 1 / (that time) is not seen.
     """

@@ -7,7 +7,7 @@ from canhaptic.scene.first_contact import ALLOWANCES, can_be_tried, rendered_sha
 from canhaptic.scene.models import AxisScene
 
 SURE: Final = 2.0
-"""Standard deviations: what is beyond them is taken to be impossible."""
+"""Standard deviations beyond which a value counts as impossible."""
 _KEPT: Final = 0.9
 """Part of the wall that the uncertainty of a measurement must leave."""
 _SPEEDS: Final = (1.0, 0.5, 0.25, 0.125)  # of the fastest

@@ -53,7 +53,7 @@ def _judge(session: Session, axis: int) -> None:
 
 
 def _end(session: Session) -> None:
-    """Disables what is still enabled, and resets the faults that this test has made, if the person agrees."""
+    """Disable the drives that are still enabled, and reset the faults that this test caused, if the person agrees."""
     try:
         session.rig.stop(ramp=False)
     except RigError as error:

@@ -43,16 +43,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """Largest errors of what is booked of an axis, and what its device dissipates for certain."""
+    """Largest errors of an axis's booked energy, and its device's certain dissipation."""
 
-    sample_time: float = 1e-3  # longest that a period may be [s]
+    sample_time: float = 1e-3  # longest period [s]
     position: float = 0.0  # error of a position, a constant part left out [m or rad]
     torque_share: float = 0.0  # error of the torque, of the torque
     torque_offset: float = 0.0  # error of the torque [N or N*m]
-    torque_limit: float = inf  # what more is booked of a torque may not have acted [N or N*m]
+    torque_limit: float = inf  # part of the booked torque that may not have acted [N or N*m]
     late: float = 0.0  # time after a SYNC for which the torque before may act, where the algorithm counts none [s]
     late_speed: float | None = None  # of the axis in that time; None: estimated [m/s or rad/s]
-    counts_losses: bool = True  # whether the algorithm leaves what lost positions leave open to this meter
+    counts_losses: bool = True  # whether the algorithm leaves the uncertainty of lost positions to this meter
     largest_speed: float = inf  # of the axis [m/s or rad/s]
     largest_torque: float = inf  # that is ever sent [N or N*m]
     device_damping: float | None = None  # at least [N*s/m or N*m*s/rad]; None: not declared
@@ -128,7 +128,7 @@ class AxisMeter:
         self._damping, self._friction = accuracy.device_damping or 0.0, accuracy.device_friction or 0.0
         self._blur, self._sample_time = 2.0 * accuracy.position, accuracy.sample_time
         self._booked_at = -1.0
-        self._lazy: tuple[float, float]  # where the laziest motion may be, from the first position on
+        self._lazy: tuple[float, float]  # position of the shortest motion, from the first position on
         self.position = self._torque = self._changes = self._uneven = self._speed = 0.0
         self.resolution = self.dissipated = self.asked = 0.0
 

@@ -34,13 +34,13 @@ class Branch(IntEnum):
     STICKY = 3  # eq. 8 solved by the other root: moving out while injecting
     FALLBACK = 4  # no exact solution; dissipation of the last velocity (eq. 18)
     DEPLETED = 5  # the store is empty and more was taken: deficit
-    EXIT = 6  # contact ended; what was left in the store is leaked
+    EXIT = 6  # contact ended; the remaining store is leaked
     HELD = 7  # no position arrived: the command is repeated, and the hold is booked with the next
     GROUP = 8  # of an axis in a group: h_i is its part, and the account is the group's
 
 
 class Certificate(IntEnum):
-    """Which promise bounded the torque of the next hold; the numbers are those of the logs, see `WEAKEST_LAST`."""
+    """Promise that bounded the torque of the next hold; the numbers are those of the logs, see `WEAKEST_LAST`."""
 
     EXACT = 0  # no bound was active
     DEVICE_DAMPING = 1  # by what the device dissipates, in dry friction too: for every hand
@@ -74,7 +74,7 @@ class EnergyBalance(NamedTuple):
     h_s: float  # stored after this step, from the state, never accumulated
     h_dis: float  # surplus still to be dissipated after this step
     gen: float  # created by a first-order start (or by an unprotected algorithm)
-    deficit: float  # taken out beyond what was stored
+    deficit: float  # taken out beyond the store
     leak: float  # stored energy removed
     paid: float  # part of leak that pays surplus
     branch: int  # Branch

@@ -6,8 +6,8 @@ falling over the second, the equation of motion m a = tau + u - s F gives by par
     m s (v_2 - v_1) = integral of w (s tau + s u - F).
 
 With m at least `moving_mass`, F at least the declared f_c, and the hand's force within its declared bounds (in contact:
-F_h out of it, a push into it), an axis that gains speed by more than the right side can gain contradicts what is
-declared, of the device or of the hand: either way the certificates rest on something false. Taken against the
+F_h out of it, a push into it), an axis that gains speed by more than the right side can gain contradicts the
+declarations of the device or of the hand: either way the certificates rest on something false. Subtracted from the
 contradiction are errors of the positions (half a count each), of the times (jitter), and of a torque that comes late;
 an error of its size is not.
 

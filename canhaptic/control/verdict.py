@@ -13,9 +13,9 @@ from math import inf
 from typing import Final, Literal, NotRequired, TypedDict
 
 Verdict = Literal["yes", "no", "in doubt"]
-"""Whether a port was passive; "in doubt" where energy that is not known for certain decides."""
+"""Whether a port was passive; "in doubt" where uncertain energy decides."""
 Headline = Literal["yes", "no", "in doubt", "nothing rendered", "no contact", "dry run"]
-"""The word that is shown of a port: the verdict of its simulated plant, else of its account, or why there is none."""
+"""Displayed word of a port: the verdict of its simulated plant, else of its account, or why there is none."""
 
 PASSIVE_TOLERANCE: Final = 1e-6
 """Energy below zero that still counts as zero, for counts of the encoder, where its resolution is not known [J]."""
@@ -26,9 +26,9 @@ ACTIVE_AT_MOTOR: Final = 1
 ACTIVE_AT_HANDLE: Final = 2
 """The same of the sum at the handle."""
 _LARGEST_DOUBT: Final = 0.1
-"""Resolution over the energy that came in beyond which nothing is said of a port without certificates."""
+"""Resolution over the energy that came in beyond which a port without certificates gets no verdict."""
 _LEAST_RENDERED: Final = 0.1
-"""Part of the torque asked for in contact below which nothing was rendered."""
+"""Part of the requested torque in contact below which nothing counts as rendered."""
 _SUSPECTS: Final[Mapping[str, tuple[str, ...]]] = {
     "hand_force": ("moving_mass", "hand_force"),
     "hand_speed": ("hand_speed",),
@@ -38,9 +38,9 @@ _SUSPECTS: Final[Mapping[str, tuple[str, ...]]] = {
     "largest_hand_force": ("largest_hand_force",),
     "declared_hand": ("hand_stiffness", "hand_mass"),
 }
-"""Declarations that each certificate rests on, the likeliest to be wrong first."""
+"""Declarations behind each certificate, the likeliest to be wrong first."""
 _OF_EVERY_TORQUE: Final = ("current_lag", "torque_window", "delay")
-"""Declarations that the account itself rests on."""
+"""Declarations behind the account itself."""
 
 
 class Extremes(TypedDict):
@@ -124,7 +124,7 @@ class PortResult(_Flows, total=False):
     supplied: float
     unsure: float
     limits: dict[str, int]
-    dry_run: bool  # only of one: nothing is claimed
+    dry_run: bool  # one torque alone: nothing is claimed
     withheld_torque: float  # the largest that a dry run did not send [N or N*m]
     group: str
     axes: list[str]
@@ -133,14 +133,14 @@ class PortResult(_Flows, total=False):
     active_at_handle_since: float  # the same of the sum at the handle [s]
     active_before: bool  # of a part of a log: that was before the part
     contradicted: list[str]  # certificates that this refutes
-    suspects: list[str]  # declarations of which one is wrong then
+    suspects: list[str]  # declarations of which one is then wrong
     passive: Verdict
     passive_at_handle: Verdict
     passive_at_sensor: Verdict  # of an admittance display while it is touched
     plant_passive: Verdict  # by the energy of the simulated plant
     plant_passive_at_handle: Verdict
     verdict: Headline
-    advice: str  # where nothing was rendered: what keeps the torque away, and what would help
+    advice: str  # where nothing was rendered: the cause and the remedy
 
 
 def passive_verdict(
@@ -219,7 +219,7 @@ def _verdict_of(account: PortResult, least: float, resolution: float, is_promise
         allowance=account.get("energy_allowance", 0.0),
         is_estimated=account.get("resolution_is_estimated", False),
     )
-    is_other = account.get("uncommanded_cycles", 0) > 0  # what is read back may be of another hold than is declared
+    is_other = account.get("uncommanded_cycles", 0) > 0  # the read-back may be of another hold than declared
     return "in doubt" if is_other and found == "yes" else found
 
 

@@ -53,7 +53,7 @@ class BusParameters(Parameters):
     stop_cycles: Annotated[int, quantity("count", ge=1, le=10_000)] = 20
     """Missed cycles after which the rig stops; between hold and stop the torque ramps to zero."""
     tpdo_timeout: Annotated[float, quantity("1", gt=0.0, le=0.95)] = 0.5
-    """Part of the sample time after SYNC in which the TPDOs must arrive; what comes later counts as late."""
+    """Part of the sample time after SYNC in which the TPDOs must arrive; later ones count as late."""
     compute_latency: Annotated[float, quantity("s", ge=0.0, le=0.1)] = 20e-6
     """Time between the last TPDO and the first RPDO that the bus budget reserves for the host."""
     emcy_reserve: Annotated[int, quantity("count", ge=0, le=128)] = 1

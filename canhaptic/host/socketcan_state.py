@@ -35,7 +35,7 @@ class PreflightFinding(NamedTuple):
     item: str
     seen: str
     severity: _Severity
-    text: str  # what is expected and what to do; empty when all is well
+    text: str  # expected value and remedy; empty when all is well
 
 
 def preflight(scene: RigSettings, run: Runner | None = None) -> list[PreflightFinding]:

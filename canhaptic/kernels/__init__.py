@@ -7,7 +7,7 @@ methods of an environment only. Its data come in four forms:
 * state, kept from SYNC to SYNC: a dataclass of numbers, changed in place;
 * memory, sequences whose length the configuration chooses: buffers, changed in place; lists where Python runs the
   kernel, arrays where it is compiled;
-* what it returns: numbers and NamedTuples.
+* results: numbers and NamedTuples.
 
 Compiled, settings and state are NumPy records of the same fields. A state that is returned anew by every kernel was
 tried: it is as fast compiled, but costs the cycle 1.3 to 2 times the step, as CPython makes a NamedTuple in 0.1 to
@@ -90,7 +90,7 @@ class Run(NamedTuple, Generic[SettingsT, StateT, MemoryT]):
 class Kernel(NamedTuple):
     """A passivity algorithm of one axis as functions."""
 
-    settings: Callable[..., Any]  # (environment, parameters, loop) -> what is fixed for a run
+    settings: Callable[..., Any]  # (environment, parameters, loop) -> constants of a run
     state: Callable[[], Any]  # () -> state at rest
     memory: Callable[..., Any]  # (settings, make_buffer) -> buffers
     step: Callable[..., Any]  # (environment, Run, position, torque applied) -> balance

@@ -232,7 +232,7 @@ class LogDescription(NamedTuple):
 
 
 def open_file(path: str | Path) -> tuple[Hdf5File, LogDescription]:
-    """Opens the file of a log of which columns may be damaged.
+    """Open the file of a log whose columns may be damaged.
 
     Raises:
         LogFormatError: Missing, empty, truncated, foreign or written by a newer version.

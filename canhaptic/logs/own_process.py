@@ -26,7 +26,7 @@ def in_own_process(path: Path, work: Callable[[], _Result]) -> _Result:
 
     Args:
         path: The file that is read, for the error.
-        work: Returns or raises something that can be pickled; what it changes in memory is lost.
+        work: Returns or raises something that can be pickled; its changes in memory are lost.
 
     Raises:
         LogFormatError: There is no file, or the copy crashed or took more CPU time than any log of this size needs.

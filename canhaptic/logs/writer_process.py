@@ -132,7 +132,7 @@ class WriterProcess:
         if process.stdin is not None:
             with suppress(BrokenPipeError):  # it has ended already: its status says why
                 process.stdin.write(json.dumps({**self._job, "restart": restart}))
-            with suppress(BrokenPipeError):  # what is buffered is written now
+            with suppress(BrokenPipeError):  # buffered output is written now
                 process.stdin.close()
 
     def _await_ready(self) -> None:

@@ -28,7 +28,7 @@ class _Departure(NamedTuple):
 
 
 class RecordedSide:
-    """Plays the frames that the master did not send (a `SimulatedPeer`), and compares what it sends but its heartbeats.
+    """Plays the frames that the master did not send (a `SimulatedPeer`), and compares its frames but its heartbeats.
 
     Order and times are those of the recording: a frame comes once the master has sent everything that was recorded
     before it. Recorded frames of the drives that precede a frame of the master have reached the master when it sends
@@ -68,7 +68,7 @@ class RecordedSide:
                     sent.append(message)
 
     def process(self, now: int) -> None:
-        """Compares every frame that the master has sent, and sends what is due up to `now` [ns].
+        """Compare every frame that the master has sent, and send the frames due up to `now` [ns].
 
         Raises:
             ReplayOverError: The recording is at its end, or the master departed from it.

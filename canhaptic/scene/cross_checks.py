@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, beyond_bus: bool = False) -> None:
-    """Notes what is wrong between the sections of a scene whose sections are right on their own.
+    """Note errors between the sections of a scene whose sections are right on their own.
 
     Args:
         scene: As read.

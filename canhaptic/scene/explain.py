@@ -67,7 +67,7 @@ class _KeyLocation(NamedTuple):
 
 
 def _find(model: type, section: MarkedMapping, fault: ErrorDetails) -> _KeyLocation:
-    """Walks models and values to a fault; what is missing takes its owner's place, and its value from pydantic."""
+    """Walk models and values to a fault; a missing value takes its owner's place, and its value from pydantic."""
     is_key = fault["type"] in {"missing", READY}
     owner: type | None = model
     container: object = section
@@ -126,7 +126,7 @@ def _is_number(key: str, number: int) -> bool:
 
 
 def _fields(owner: type | None) -> dict[str, object]:
-    """Returns the annotation of each field of a model or dataclass, with what it is annotated with."""
+    """Annotation of each field of a model or dataclass, with its metadata."""
     if owner is None:
         return {}
     if issubclass(owner, BaseModel):

@@ -31,7 +31,7 @@ _SPEEDS: Final = tuple(3.0**-power for power in range(9))
 _STEPS: Final = 6
 """Bisections of a speed or of a value."""
 _TO_BLAME: Final = ("current_lag", "torque_window", "hand_force", "device_friction_bound", "device_damping_bound")
-"""Declarations that may keep a torque away; less of each is better."""
+"""Declarations that may keep the wall from being rendered; less of each is better."""
 ALLOWANCES: Final = tuple(10.0**power for power in range(-9, -2))
 """Energies that are tried as an allowance [J]."""
 
@@ -51,7 +51,7 @@ class Remedy(NamedTuple):
 
 
 def can_be_tried(axis: AxisScene) -> bool:
-    """Whether a contact can be computed: one impedance axis, of which everything is read, with an outside."""
+    """Whether a contact can be computed: one impedance axis, fully read, with a wall that has an outside."""
     if axis.group or axis.parameters.admittance is not None or not axis.is_read:
         return False
     return _inward(_environment(axis)) is not None
@@ -90,7 +90,7 @@ def rendered_share(axis: AxisScene, speed: float) -> float:
         for effort, torque in _contact(axis, speed):
             asked += abs(effort)
             sent += min(abs(torque), abs(effort))
-    except ParameterError:  # the algorithm refuses what is declared, as a window that is as long as a hold
+    except ParameterError:  # the algorithm refuses the declaration, as a window that is as long as a hold
         return 0.0
     return sent / asked if asked else 0.0
 

@@ -119,7 +119,7 @@ def _check_members(members: Iterable[Members], known: Sequence[str], what: str, 
 
 
 def _moving(value: object, motion: Motion | None) -> object:
-    """Returns a section whose values are in the units of a motion; what is no mapping as it is."""
+    """Section whose values are in the units of a motion; unchanged if it is no mapping."""
     if not isinstance(value, MarkedMapping):
         return value
     section = value.copy()

@@ -8,8 +8,8 @@
     simulation: {seed, bus, mechanisms, ...}  simulation, bus_effects, mechanisms
     accuracy, log, duration                   accuracy or auto_accuracy, log, run
 
-Every value keeps its place in the file; what is wrong with the layout itself is noted here, the values are validated
-by `Scene`.
+Every value keeps its place in the file; errors of the layout itself are noted here, the values are validated by
+`Scene`.
 """
 
 from collections.abc import Sequence

@@ -277,7 +277,7 @@ LATER_LOOP_KEYS: Final = (
     *("device_friction", "device_friction_bound", "sync_jitter", "torque_window", "current_lag"),
     *("torque_rate_limit", "power_limit"),
 )
-"""The same of what is known of its loop."""
+"""The same for the loop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,7 +297,7 @@ class Scene:
     further_buses: tuple[FurtherBus, ...] = ()
     accuracy: AccuracyParameters = field(default_factory=AccuracyParameters)  # of every simulated plant
     auto_accuracy: AutoAccuracy | None = None  # in its place
-    accuracy_choices: Mapping[str, object] = field(default_factory=dict)  # axis -> what was chosen for it, and why
+    accuracy_choices: Mapping[str, object] = field(default_factory=dict)  # axis -> the choice for it, and why
     groups: tuple[GroupScene, ...] = ()
     mechanisms: tuple[MechanismScene, ...] = ()
     own_code: Mapping[str, str] = field(default_factory=dict)  # file or plug-in -> SHA-256 of what ran
@@ -420,7 +420,7 @@ def _resolved_axis(axis: dict[str, Any]) -> dict[str, Any]:
         (simulation and simulation["drive"], "display"),
     ):
         if section and section.get(key, 0) is None:
-            del section[key]  # keys of admittance displays: without them the configuration is what it was before
+            del section[key]  # keys of admittance displays: without them the configuration is unchanged
     return {**parameters, **axis, "simulation": simulation, **({"bus": bus} if bus else {})}
 
 

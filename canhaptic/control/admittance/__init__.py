@@ -39,7 +39,7 @@ DISPLAY_NETWORKS: Final[dict[str, str]] = {
     "virtual_mass": f"{_HERE}.group_environment:GroupMass",
     "guided_path": f"{_HERE}.group_environment:PathMass",
 }
-"""The same of what several displays render together."""
+"""The same for environments of several displays."""
 
 DISPLAY_GROUP_ALGORITHMS: Final[dict[str, str]] = {
     "unprotected": f"{_HERE}.sampled_group:UnprotectedDisplayGroup",
@@ -47,7 +47,7 @@ DISPLAY_GROUP_ALGORITHMS: Final[dict[str, str]] = {
     "energy_tank": f"{_RIVALS}.tank_display:TankDisplayGroup",
     "guarded": f"{_HERE}.display_group:GuardedDisplayGroup",
 }
-"""The same of the algorithms of several displays; every class takes (environment, parameters, properties of each)."""
+"""The same for algorithms of several displays; every class takes (environment, parameters, properties of each)."""
 
 
 def build_display_controller(

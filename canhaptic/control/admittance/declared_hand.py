@@ -11,7 +11,7 @@ adds. With D = (c - M / l) (r - g), M s' = F - f - c s + D, so that for A = E - 
     A' = F g + c s^2 + f s - D s        and        f s >= -f_d abs(g) - d_d g^2 / 4                                (1)
 
 At a SYNC all commands are known, and with them g, the distance y that it covers until a later time, and the longest
-way P that is left to it at any time. F is known there, and what it says of the spring: F + m a + b v, with a = v'. The
+distance P still to go at any time. F is known there, and what it shows of the spring: F + m a + b v, with a = v'. The
 hand of that moment changes by the spring's motion, by the arm's and by the axis's, so that integration by parts gives
 
     int F g  >=  (F + m a + b v) y - K_e y^2 / 2 - b int g^2 - m (g_1^2 - g_0^2) / 2 + m (s_0 g_0 - s_1 g_1)
@@ -39,7 +39,7 @@ from canhaptic.control.admittance.port import PortSettings
 from canhaptic.control.admittance.velocity_loop import VelocityLoopSettings
 from canhaptic.kernels import Buffer, MakeBuffer
 
-_STEPS: Final = 5  # of the search for the largest speed; each halves what it leaves at least
+_STEPS: Final = 5  # of the search for the largest speed; each halves the remaining gap at least
 _OF_COMMANDS, _OF_WAY = 0.3125, 2.5
 """(x + y)^2 / 4 <= 0.3125 x^2 + 1.25 y^2, and (y + z)^2 <= 2 y^2 + 2 z^2."""
 
@@ -56,7 +56,7 @@ class DeclaredHandSettings:
     viscous: float  # d_d [N*s/m or N*m*s/rad]
     holds: int  # from the SYNC of the last force to the one at which a new command acts
     lag: float  # l [s]
-    decay: float  # part of a difference to the command that a hold leaves
+    decay: float  # part of the difference to the command that remains after a hold
     moved: float  # least mass of the drive [kg or kg*m^2]
     unsure: float  # largest of abs(c - M / l) [N*s/m or N*m*s/rad]
 
@@ -68,7 +68,7 @@ class DeclaredHand:
     known: float = 0.0  # A, at least [J]
     speed: float = 0.0  # g now [m/s or rad/s]
     before: float = 0.0  # g at that SYNC [m/s or rad/s]
-    place: int = 0  # of this SYNC in the ring
+    place: int = 0  # place of this SYNC in the ring
     waiting: int = 0  # SYNCs since
     slowest: float = 0.0  # least v there [m/s or rad/s]
     fastest: float = 0.0  # largest v there
@@ -92,7 +92,7 @@ class HeardForce(NamedTuple):
 def declared_hand_settings(
     known: GuardedDisplayParameters, loop: VelocityLoopSettings, latency: int
 ) -> DeclaredHandSettings:
-    """Returns what is fixed for a run."""
+    """Constants of a run."""
     lag = loop.mass / loop.gain
     return DeclaredHandSettings(
         known.hand_stiffness, known.hand_speed, known.hand_mass, known.hand_damping,
@@ -132,7 +132,7 @@ def hear(
     hand.slowest, hand.fastest = mean - off, mean + off
     slip = max(hand.fastest - hand.before, hand.before - hand.slowest)
     least = heard.energy - 0.5 * loop.mass * slip * slip
-    if samples > 1:  # what the force was in between is not known
+    if samples > 1:  # the force in between is unknown
         hand.known = least
         hand.up = hand.down = hand.up_with_mass = hand.down_with_mass = -inf
         return

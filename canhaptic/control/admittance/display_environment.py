@@ -13,14 +13,14 @@ from canhaptic.units import Parameters, quantity
 
 
 class DisplayEnvironment(Parameters):
-    """Parameters and methods of what is rendered on one axis."""
+    """Parameters and methods of an environment on one axis."""
 
     display: ClassVar[Literal["admittance"]] = "admittance"
     states: ClassVar[int] = 0
-    """How many numbers it remembers from SYNC to SYNC: `inner` of its methods, zeros at first."""
+    """Number of states kept from SYNC to SYNC: `inner` of its methods, zeros at first."""
 
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
-    """To ground."""
+    """Damping to ground."""
     lower_wall: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = -1e3
     """Lower limit of the position."""
     upper_wall: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 1e3

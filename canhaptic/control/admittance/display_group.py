@@ -42,7 +42,7 @@ from canhaptic.errors import ForceContradictedError, ParameterError
 from canhaptic.kernels import list_of_zeros
 from canhaptic.units import Parameters
 
-_CHORDS: Final = 6  # each leaves a part of the gap to the largest factor only
+_CHORDS: Final = 6  # each leaves only a part of the gap to the largest factor
 _CLOSE: Final = 0.999  # of the budget used: near enough
 
 
@@ -174,7 +174,7 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         self._margin = LateMargin()
         self._memory = margin_memory(self._properties[0].latency, list_of_zeros)
         self._h_s = self._surplus = self._taken = 0.0
-        uneven = any(of.jitter > 0.0 for of in self._properties)  # what fills an integral is then not known
+        uneven = any(of.jitter > 0.0 for of in self._properties)  # the integral of the drive is then unknown
         self._is_unsure, self._started = uneven and self._parameters.integral_gain > 0.0, False
         self._last = group_at_rest(self.axes)
 

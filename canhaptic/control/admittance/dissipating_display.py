@@ -32,7 +32,7 @@ from canhaptic.kernels import new
 def settings_of(
     environment: DisplayMass, parameters: NothingToChoose, properties: DisplayProperties
 ) -> DisplaySettings[Any]:
-    """Returns what is fixed for a run.
+    """Constants of a run.
 
     Raises:
         ParameterError: What is rendered is no virtual mass, for which alone the balance is solved.

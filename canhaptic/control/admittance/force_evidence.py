@@ -13,7 +13,7 @@ from canhaptic.control.admittance.velocity_loop import VelocityLoopSettings, res
 from canhaptic.kernels import list_of_zeros
 
 ROUNDING: Final = 1e-9
-"""What two sums of the same energy may differ by [J]."""
+"""Largest difference of two sums of the same energy [J]."""
 
 
 @dataclass(slots=True)
@@ -21,7 +21,7 @@ class ForceEvidence:
     """Both sums for one axis of a group.
 
     Args:
-        latency: Samples by which a force is late.
+        latency: Delay of a force in samples.
     """
 
     latency: int

@@ -19,9 +19,9 @@ class GroupMass(Parameters):
     display: ClassVar[Literal["admittance"]] = "admittance"
 
     mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
-    """Felt in every direction."""
+    """Mass felt in every direction."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
-    """To ground, in every direction."""
+    """Damping to ground, in every direction."""
     lower: Coordinates = ()
     """Walls below, one for each axis [m or rad]; empty: none."""
     upper: Coordinates = ()

@@ -1,7 +1,7 @@
 """`guarded` of an admittance display: a virtual mass whose every command is certified by the drive's own velocity loop.
 
 The promise: E, the energy that came in through the sensor, never falls below -energy_allowance, for every hand. It
-rests on what is declared of the drive (`velocity_loop`) and of the sensor (`port`), and on nothing about the hand.
+rests on the declarations of the drive (`velocity_loop`) and of the sensor (`port`), and on nothing about the hand.
 
 Each SYNC: the hold that a force belongs to is booked with its uncertainty; W, what the drive can still give out safely,
 is updated by force and encoder, whichever proves more; the virtual mass moves on under the last force; its speed is
@@ -87,7 +87,7 @@ def step(
     inner, time = memory.display.inner, settings.motion.sample_time
     if not state.axis.started:
         begin_port(state.axis, memory.display.positions, position, force)
-        state.unsure = settings.loop.integral > 0.0 and settings.port.jitter > 0.0  # what fills it is then not known
+        state.unsure = settings.loop.integral > 0.0 and settings.port.jitter > 0.0  # its integral is then unknown
         return AT_REST
     h_i, velocity = _take(settings, state, memory, position, force)
     before = motion.speed
@@ -155,7 +155,7 @@ def miss(
 ) -> float:
     """Handle a SYNC without a sample; return the command [m/s or rad/s].
 
-    Without an integral the last command goes on as long as it is certified without knowing what it did; with one the
+    Without an integral the last command goes on as long as it is certified for any motion in the hold; with one the
     command is 0 at once, and all that was under way counts as lost.
     """
     motion, loop, commands = state.motion, state.loop, memory.display.commands
@@ -349,7 +349,7 @@ class GuardedDisplay(DisplayController):
             skip(self._environment, self._settings, self._state, self._memory, round(periods) - 1)
 
     def hold(self) -> EnergyBalance:
-        """Answers a SYNC of which no sample came; see `Controller.hold`."""
+        """Answer a SYNC without a sample; see `Controller.hold`."""
         balance = super().hold()
         return balance._replace(certificate=_NONE) if self._state.unsure else balance
 

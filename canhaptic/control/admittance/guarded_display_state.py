@@ -32,7 +32,7 @@ class GuardedDisplaySettings:
     hand: HandForceSettings
     declared: DeclaredHandSettings
     allowance: float  # [J]
-    may_be_limited: bool  # a torque at its limit would end what is proved
+    may_be_limited: bool  # a torque at its limit would void the proof
 
 
 @dataclass(slots=True)
@@ -60,14 +60,14 @@ class GuardedMemory(NamedTuple):
     display: DisplayMemory
     margin: MarginMemory
     hand: MarginMemory
-    leads: Buffer  # a ring as those of the margins [m or rad]
+    leads: Buffer  # a ring like those of the margins [m or rad]
     speeds: Buffer  # another, of the motion that the commands make [m/s or rad/s]
 
 
 def settings_of(
     environment: DisplayEnvironment, parameters: GuardedDisplayParameters, properties: DisplayProperties
 ) -> GuardedDisplaySettings:
-    """Returns what is fixed for a run.
+    """Constants of a run.
 
     Raises:
         ParameterError: A hand or losses are declared where their proof does not hold.

@@ -18,7 +18,7 @@ class GuardedDisplayParameters(Parameters):
     integral_gain: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e12)] = 0.0
     """OVER-estimate of the loop's integral gain; of a position loop: its gain times `loop_gain`. 0: no integral."""
     spread: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.2
-    """The gains are at least 1 - spread of what is declared; with a `drive_friction` the mass too."""
+    """The gains are at least (1 - spread) times the declared ones; with a `drive_friction` the mass too."""
     energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
     """Energy that may be given out before any came in: the promise becomes E >= -energy_allowance."""
     max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
@@ -36,7 +36,7 @@ class GuardedDisplayParameters(Parameters):
     Not with an integral, lost commands or jitter; drive_mass too must then be at least 1 - spread of what is declared.
     """
     hand_speed: Annotated[float, quantity("m/s", "rad/s", ge=0.0, le=1e3)] = 0.0
-    """OVER-estimate of the speed of what holds the grip; with hand_stiffness."""
+    """OVER-estimate of the speed of the arm behind the grip; with hand_stiffness."""
     hand_mass: Annotated[float, quantity("kg", "kg*m^2", ge=0.0, le=1e6)] = 0.0
     """OVER-estimate of the mass behind the sensor that is rigid with it; with hand_stiffness."""
     hand_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0

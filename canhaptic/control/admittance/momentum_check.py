@@ -2,7 +2,7 @@
 
     F = M v' + c (v - r) - k lead + friction
 
-Encoder and commands say the right side, up to what is declared of the drive; the sensor says the left. Both are
+Encoder and commands give the right side, up to the declared bounds of the drive; the sensor gives the left. Both are
 averaged with a hat, which rises for a time H and falls for H. The mean of v' is then (q_2 - 2 q_1 + q_0) / H^2, so that
 no encoder is differentiated twice. With abs(F') <= L, abs(v') <= A and an encoder count e, the means differ by at most
 
@@ -37,7 +37,7 @@ class MovedHold(NamedTuple):
     moved: float  # [m or rad]
     command: float  # that acted [m/s or rad/s]
     unsure: float  # largest difference of the command that acted, where RPDOs were lost [m/s or rad/s]
-    lead: float  # at its end: way commanded less way moved [m or rad]
+    lead: float  # at its end: commanded less actual displacement [m or rad]
 
 
 class Disagreement(NamedTuple):
@@ -69,7 +69,7 @@ class _Half:
     rising_slip: float = 0.0
     lead: float = 0.0
     rising_lead: float = 0.0
-    loose: float = 0.0  # what is unsure in each hold [N or N*m]
+    loose: float = 0.0  # uncertainty of each hold [N or N*m]
     rising_loose: float = 0.0
     is_limited: bool = False
     command_change: float = 0.0  # sum of abs(change of the command) [m/s or rad/s]

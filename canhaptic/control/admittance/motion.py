@@ -24,7 +24,7 @@ class DisplayMotionSettings:
     step: float  # largest rise of the speed in a hold [m/s or rad/s]
     low: float  # least position [m or rad]
     high: float  # largest position [m or rad]
-    lag: float  # of the drive: way that it goes on per speed [s]
+    lag: float  # of the drive: overshoot per speed [s]
     states: int  # of the environment
 
 
@@ -47,7 +47,7 @@ class DisplayMotion:
 def motion_settings(
     environment: DisplayEnvironment, properties: DisplayProperties, lag: float = 0.0
 ) -> DisplayMotionSettings:
-    """Returns what is fixed for a run; `lag` is the drive's moving mass over its gain [s]."""
+    """Constants of a run; `lag` is the drive's moving mass over its gain [s]."""
     time = properties.sample_time
     return DisplayMotionSettings(
         time, properties.delay, properties.speed_quantum, properties.speed_limit, properties.acceleration_limit * time,

@@ -32,7 +32,7 @@ class PortSettings:
     sample_time: float  # [s]
     is_mean: bool  # one force is the mean over a hold, and not its value at the SYNC
     is_impulse: bool  # the mean is that since the last force that came, however many were lost
-    latency: int  # whole samples by which a force is late
+    latency: int  # delay of a force in whole samples
     slew: float  # largest of the force [N/s or N*m/s]
     acceleration: float  # largest of the handle [m/s^2 or rad/s^2]
     error: float  # largest of one force [N or N*m]
@@ -54,7 +54,7 @@ class Port:
     force: float = 0.0  # force there [N or N*m]
     waiting: int = 0  # samples since
     mean: float = 0.0  # force with which the hold before was booked [N or N*m]
-    doubt: float = 0.0  # sum of what was unsure [J]
+    doubt: float = 0.0  # sum of the uncertain energies [J]
 
 
 class BookedHold(NamedTuple):
@@ -69,7 +69,7 @@ class BookedHold(NamedTuple):
 
 
 def port_settings(properties: DisplayProperties) -> PortSettings:
-    """Returns what is fixed for a run."""
+    """Constants of a run."""
     lag = 1.0 / (2.0 * pi * properties.filter) if properties.filter else 0.0
     return PortSettings(
         properties.sample_time, properties.sampling != "point", properties.sampling == "impulse", properties.latency,

@@ -17,7 +17,7 @@ class DisplayProperties(Parameters):
     sampling: Literal["point", "mean", "impulse"] = "point"
     """What one force is: its value at a SYNC, its mean since the one before, or since the last that came (impulse)."""
     latency: Annotated[int, quantity("count", ge=0, le=16)] = 0
-    """Whole samples by which a force is late."""
+    """Delay of a force in whole samples."""
     filter: Annotated[float, quantity("Hz", ge=0.0, le=1e6)] = 0.0
     """Corner of the sensor's first-order filter; 0: none."""
     force_slew: Annotated[float, quantity("N/s", "N*m/s", gt=0.0)]

@@ -52,7 +52,7 @@ class DisplayState:
     motion: DisplayMotion = field(default_factory=DisplayMotion)
     h_s: float = 0.0  # [J]
     energy: float = 0.0  # of the algorithm's own: observed, in the tank, or still to be dissipated [J]
-    created: float = 0.0  # what sampling created in the last hold; below 0 it was lost [J]
+    created: float = 0.0  # created by sampling in the last hold; below 0 it was lost [J]
     slip: float = 0.0  # speed in the last command that dissipates [m/s or rad/s]
 
 
@@ -82,7 +82,7 @@ class DisplayReply(NamedTuple):
 def settings_of(
     environment: DisplayEnvironment, parameters: Parameters, properties: DisplayProperties
 ) -> DisplaySettings[Any]:
-    """Returns what is fixed for a run."""
+    """Constants of a run."""
     return DisplaySettings(plain(parameters), port_settings(properties), motion_settings(environment, properties))
 
 

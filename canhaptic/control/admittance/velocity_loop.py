@@ -51,7 +51,7 @@ class VelocityLoopSettings:
 class LoopState:
     """Motion of the drive from encoder and commands."""
 
-    lead: float = 0.0  # way commanded less way moved: f_I = k lead [m or rad]
+    lead: float = 0.0  # commanded less actual displacement: f_I = k lead [m or rad]
     velocity: float = 0.0  # mean of the hold of the last sample that came [m/s or rad/s]
     holds: int = 1  # that this mean is taken over
 
@@ -77,7 +77,7 @@ def may_limit(settings: VelocityLoopSettings, loop: LoopState, command: float, m
     time, speed = settings.sample_time, abs(loop.velocity)
     span, unseen = (settings.delay + 1 + settings.losses) * time, missed * time
     change = settings.acceleration * (span + unseen + 0.5 * time * loop.holds)
-    change += speed * (1.0 / settings.evenness - 1.0)  # the way of the last hold may have taken less time
+    change += speed * (1.0 / settings.evenness - 1.0)  # the last hold may have taken less time
     ahead = (abs(command) + speed + change) * span + (speed + change) * unseen
     torque = settings.gain * (abs(command - loop.velocity) + change)
     torque += settings.integral * (abs(loop.lead) + settings.count + ahead)

@@ -36,7 +36,7 @@ def by_hand_force(declared: Declared, bound: TorqueBound, memory: BoundMemory, s
     It is that of `largest_in_sum` where nothing else is declared. `energy` [J] is the budget.
     """
     response, before, hand = declared.response, sign * bound.torque, hand_along(declared, bound, sign)
-    if hand == inf:  # nothing is known of the hand along it
+    if hand == inf:  # the hand is unknown along it
         return 0.0
     if declared.encoder_count > 0.0:
         displacement = outward(declared, bound, memory, sign)

@@ -18,7 +18,7 @@ from canhaptic.control.certificates.torque_bound import Declared
 class LateMotion(NamedTuple):
     """Largest displacement along the torque by the end of a hold, and the torques that act in the hold."""
 
-    displacement: float  # in that hold; infinite: nothing is known of the hand [m or rad]
+    displacement: float  # in that hold; infinite: the hand is unknown [m or rad]
     counted: float  # torque that counts as held in it, >= 0 [N or N*m]
     highest: float  # torque along that acts at its end at most, >= 0 [N or N*m]
     lowest: float  # at least, >= 0; 0 where one acts against
@@ -46,7 +46,7 @@ def by_reach_of_late(declared: Declared, hand: float, motion: LateMotion, fricti
 def own_share(
     declared: Declared, hand: float, motion: LateMotion, friction: float
 ) -> tuple[float, float, float, float]:
-    """Returns start and gain of n (start + gain n), what a torque takes by itself, its base, and what comes late of it.
+    """Start and gain of n (start + gain n), the energy that a torque takes by itself, its base, and its late part.
 
     It takes n D + (n - l) x and its tail n X, with D = base + during F the displacement in its hold and F = n + f_c.
     The tail counts the displacement where it is outward: `start` is without that.
@@ -153,7 +153,7 @@ def sum_of_displacements(
         holds: Number of holds.
 
     Returns:
-        Without the torque, per torque, and of the first only what is outward [m or rad, m/N or rad/(N*m), m or rad].
+        Without the torque, per torque, and the outward part of the first [m or rad, m/N or rad/(N*m), m or rad].
     """
     start, more, ahead = base, gain, max(0.0, base)
     for _ in range(1, holds):

@@ -31,8 +31,8 @@ class Gap(NamedTuple):
     holds: int
     moved: float  # in all of them [m or rad]
     start: float  # in the hold before [m or rad]
-    error: float  # by which `moved` is unsure [m or rad]
-    blur: float  # by which `start` is [m or rad]
+    error: float  # uncertainty of `moved` [m or rad]
+    blur: float  # uncertainty of `start` [m or rad]
     step: float  # how far a hold may go beyond the hold before [m or rad]
     lost: float  # largest share of a motion that friction takes from the next hold
 

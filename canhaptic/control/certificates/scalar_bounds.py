@@ -44,13 +44,13 @@ class DisplacementResponse:
     hand: float  # [m] by the hand pulling out with its declared force in both holds
     push: float = 0.0  # [m] the same by the hand pushing in, along a torque that sticks; infinite: not declared
     growth: float = 1.0  # largest share of an outward displacement that the next hold repeats
-    late: float = 0.0  # share of what an older torque exceeds a new one by that counts in the hold of the new one
+    late: float = 0.0  # counted part of an older torque's excess over a new one, in the hold of the new one
     share: float = 0.0  # of a hold in which an older torque acts: theta / T
-    behind: float = 0.0  # the same of an inward displacement, of which no more is repeated than `retained`
+    behind: float = 0.0  # the same of an inward displacement, never more than `retained`
     tail_before: float = 0.0  # [m/N] of `tail_reach`, per torque in the hold before
     tail_during: float = 0.0  # [m/N] per torque in the hold itself
     tail_hand: float = 0.0  # per displacement by the hand
-    swing: float = 1.0  # by which friction lengthens the way back inside a hold
+    swing: float = 1.0  # factor by which friction lengthens the way back inside a hold
 
 
 NO_RESPONSE: Final = DisplacementResponse(1.0, 0.0, 0.0, 0.0)

@@ -33,12 +33,12 @@ class TorqueBound:
 
     displacement: float = 0.0  # [m or rad]
     torque: float = 0.0  # [N or N*m]
-    blur: float = 0.0  # by which the displacement is unsure beyond a count [m or rad]
-    changes: float = 0.0  # energy that the encoder leaves unsure, up to the last change of torque [J]
-    unsure: float = 0.0  # how much less than booked may have come in so far [J]: encoder counts and lost samples
+    blur: float = 0.0  # uncertainty of the displacement beyond a count [m or rad]
+    changes: float = 0.0  # uncertain energy due to the encoder, up to the last change of torque [J]
+    unsure: float = 0.0  # largest shortfall of the energy that came in so far [J]: encoder counts and lost samples
     dissipated: float = 0.0  # by the device for certain, and not forgotten [J]
-    certain: float = 0.0  # the same, less what more is in doubt for a hand of which nothing is known [J]
-    slack: float = 0.0  # of the laziest motion that the encoder's positions leave open, behind them [m or rad]
+    certain: float = 0.0  # the same, less the further uncertainty for an arbitrary hand [J]
+    slack: float = 0.0  # of the shortest motion within the encoder's resolution, behind them [m or rad]
     kept: int = 0  # holds in the history
     newest: int = 0  # their newest place
     first: int = 0  # place of the torque that acts next in `BoundMemory.under_way`
@@ -50,7 +50,7 @@ class TorqueBound:
     lowest: float = 0.0  # the same, at least
     most: float = 0.0  # that counts as held in the hold that ended, along + [N or N*m]
     least: float = 0.0  # the same, along -
-    resolution: float = 0.0  # width of what is known of the energy: torques that came late, lost samples [J]
+    resolution: float = 0.0  # width of the energy's uncertainty [J]: torques that came late, lost samples
 
 
 class BoundMemory(NamedTuple):
@@ -238,7 +238,7 @@ def doubt_of_late(declared: Declared, bound: TorqueBound, displacement: float, t
         bound.resolution += damped if declared.damping == 0.0 else 2.0 * damped
         return damped
     bound.resolution += less + more
-    if declared.damping > 0.0:  # what is promised to every hand rests on no hand
+    if declared.damping > 0.0:  # a promise to every hand rests on no hand
         bound.certain += less - damped
     return less
 
@@ -304,7 +304,7 @@ def end_gap(
         if certain > 0.0:
             dissipate(bound, stiffness * certain * certain / holds)
         damped = missed * apart * ((abs(displacement) + count) / holds + apart / (4.0 * stiffness))
-    if declared.friction > 0.0:  # the way of the gap: what is left out here would be counted again on the way back
+    if declared.friction > 0.0:  # the way of the gap: an omission here would be counted again on the way back
         dissipate(bound, declared.friction * certain_path(bound, displacement, count))
     if declared.by_hand_force:
         doubt = missed * apart * excursion_unseen(declared, bound, displacement, holds, largest)
@@ -312,7 +312,7 @@ def end_gap(
         doubt = missed * apart * declared.hand_speed * declared.sample_time
     else:
         doubt = damped
-    if declared.damping > 0.0:  # what is promised to every hand rests on no hand
+    if declared.damping > 0.0:  # a promise to every hand rests on no hand
         bound.certain += doubt - damped
     bound.resolution += 2.0 * doubt
     bound.changes += holds * count * largest

@@ -32,6 +32,6 @@ class CoulombSurface(LinearSpring):
         return state
 
     def relaxed(self, state: float, sample_time: float) -> float:
-        """Returns the state, or the strain at which the bristle yields; what it gives up is friction heat."""
+        """The state, or the strain at which the bristle yields; the released energy is friction heat."""
         limit = self.friction / self.stiffness
         return min(max(state, -limit), limit)

@@ -64,7 +64,7 @@ class Environment(Protocol):
         """
 
     def relaxed(self, state: float, sample_time: float) -> float:
-        """Returns what is left of a state after one hold of internal relaxation or yield; never stores more.
+        """State after one hold of internal relaxation or yield; never stores more.
 
         The energy lost is dissipated, not leaked. The identity where `relaxes` is False.
         """

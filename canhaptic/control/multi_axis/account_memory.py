@@ -12,13 +12,13 @@ class AccountMemory(NamedTuple):
 
     displacement: Buffer  # of the hold that ended [rad or m]
     torques: Buffer  # held in it [N*m or N]
-    blur: Buffer  # by which its displacement is unsure beyond a count [rad or m]
+    blur: Buffer  # uncertainty of its displacement beyond a count [rad or m]
     before: Acting  # at the SYNC at which it began, where torques come late
-    now: Acting  # room for that of a later SYNC
-    coming: Matrix  # motion of a mover in the holds to come as one of the motors, (holds, axes) [rad or m]
-    passing: Buffer  # room for that of one hold
+    now: Acting  # buffer for the range at a later SYNC
+    coming: Matrix  # motion of a mover in future holds as one of the motors, (holds, axes) [rad or m]
+    passing: Buffer  # buffer for the motion in one hold
     nothing: Buffer  # zeros
-    sized: Buffer  # room for a part of torques
+    sized: Buffer  # buffer for a part of torques
     apart: PerAxisMemory
 
 

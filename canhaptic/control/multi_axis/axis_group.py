@@ -21,7 +21,7 @@ _LIMIT_TEXTS = {
     Limit.SINGULAR.value: "the pose is closer to a singular one than declared: no torque until it is away",
     Limit.UNSOLVED.value: "the network's equation did not converge: no torque until it does",
 }
-"""Limit -> what it means for the user, for logs."""
+"""Limit -> its meaning for the user, for logs."""
 
 
 class AxisGroup:
@@ -119,7 +119,7 @@ class GroupedControllers:
     Args:
         controllers: One for each axis that is in no group, in the order of the rig.
         groups: Each axis of the rig is in one of them or has a controller.
-        dry_run: Whether no torque is sent. No lost sample then leaves energy in doubt.
+        dry_run: Whether no torque is sent. No lost sample then makes energy uncertain.
     """
 
     def __init__(self, controllers: Sequence[Controller], groups: Sequence[AxisGroup], dry_run: bool = False) -> None:

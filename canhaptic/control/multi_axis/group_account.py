@@ -20,8 +20,8 @@ class GroupAccount:
     h_s: float = 0.0  # stored energy that the network may still give [J]
     h_dis: float = 0.0  # surplus still to be dissipated [J]
     dissipated: float = 0.0  # by the devices for certain, and not forgotten [J]
-    changes: float = 0.0  # energy that encoders leave unsure, up to the last change of torque [J]
-    unsure: float = 0.0  # how much less than booked may have come in so far [J]: encoder counts and lost samples
+    changes: float = 0.0  # uncertain energy due to encoders, up to the last change of torque [J]
+    unsure: float = 0.0  # largest shortfall of the energy that came in so far [J]: encoder counts and lost samples
     kept_back: float = 0.0  # dissipated or leaked, and not paid [J]
 
 
@@ -43,7 +43,7 @@ def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: Acc
     doubt = 0.0
     if not axes.timing.is_ideal:
         doubt, damped = doubt_of_late_group(axes, memory, ended.displacement, ended.applied)
-        if axes.by_damping:  # what is promised to every hand rests on no hand
+        if axes.by_damping:  # a promise to every hand rests on no hand
             account.dissipated += doubt - damped
     unsure = 0.0
     for i in range(len(ended.applied)):

@@ -56,11 +56,11 @@ class GroupTiming(NamedTuple):
     is_ideal: bool  # whether every hold is exact, and no torque late
     growth: float  # longest hold over the shortest
     share: Buffer  # theta over the shortest hold
-    counted: Buffer  # of it what an older torque counts as held throughout
+    counted: Buffer  # part of it for which an older torque counts as held throughout
     left: Buffer  # c: share of older torques that is left after a hold
     roots: Buffer  # T m^(-1/2): a force of norm 1 in `before` + `during` moves an axis so far, without damping
     hand: float  # F_h |1|, in the norm of `roots`
-    swing: Buffer  # by which friction lengthens the way back inside a hold
+    swing: Buffer  # factor by which friction lengthens the way back inside a hold
     tail: Buffer  # theta / (T + theta)
     tail_path: float  # v_max theta [m or rad]
 
@@ -108,7 +108,7 @@ class AxisLimits(NamedTuple):
     path: float  # v_max T [m or rad]; 0: the hand-speed certificate is not declared
     counts: Buffer  # encoder counts [m or rad]
     coarse: bool  # whether any of them is above 0
-    squares: Buffer  # 4 b / (T + theta): square of a torque over what it needs of the damping [N^2/J]; 0: not known
+    squares: Buffer  # 4 b / (T + theta): square of a torque over its need of the damping [N^2/J]; 0: not known
     timing: GroupTiming
 
 

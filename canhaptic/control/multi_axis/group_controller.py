@@ -21,9 +21,9 @@ class GroupBalance(NamedTuple):
     torques: tuple[float, ...]  # command for the next free hold, one per motor axis [N*m or N]
     account: EnergyBalance  # of the whole group
     interactions: tuple[float, ...]  # h_i of each motor axis
-    supplied: float = 0.0  # came in at ports of the network that no motor drives, as by the mover of a moving wall
-    unsure: float = 0.0  # taken off h_i because lost samples leave it open
-    limit: int = 0  # `kinematics.Limit`: why the torques are zero although they might not be
+    supplied: float = 0.0  # energy that came in at ports that no motor drives, as by the mover of a moving wall
+    unsure: float = 0.0  # uncertainty due to lost samples, subtracted from h_i
+    limit: int = 0  # `kinematics.Limit`: reason for zero torques
 
 
 def group_at_rest(axes: int) -> GroupBalance:

@@ -36,7 +36,7 @@ class GroupLoop(NamedTuple):
     least_cap: float
     most_cap: float
     largest: Buffer  # torques that limiters and drives let act, (axes,) [N*m or N]
-    rises: Buffer  # by which a torque may grow from SYNC to SYNC, (axes,) [N*m or N]
+    rises: Buffer  # largest rise of a torque from SYNC to SYNC, (axes,) [N*m or N]
     powers: Buffer  # that it may put into the user's side, (axes,) [W]
     motion: MotionSettings
 
@@ -64,7 +64,7 @@ class GroupHold(NamedTuple):
     account: EnergyBalance
     supplied: float
     unsure: float
-    further: float  # how much more than what was not taken off may have come in [J]
+    further: float  # largest excess of the energy beyond the subtracted uncertainty [J]
     limit: int
     place: int  # of the torques that it sent, in the rings of the commands
 
@@ -72,14 +72,14 @@ class GroupHold(NamedTuple):
 class GroupKernel(NamedTuple):
     """A passivity algorithm of a group as functions; see `canhaptic.kernels.Kernel`."""
 
-    settings: Callable[..., Any]  # (world, parameters, loops) -> what is fixed for a run; has `loop`
+    settings: Callable[..., Any]  # (world, parameters, loops) -> constants of a run; has `loop`
     state: Callable[[], Any]  # () -> state at rest
     memory: Callable[..., Any]  # (world, settings) -> buffers; has `group`
     step: Callable[..., GroupHold]  # (world, settings, state, memory, samples lost before, positions, torques applied)
 
 
 def group_loop(world: World, loops: tuple[LoopProperties, ...]) -> GroupLoop:
-    """Returns what is fixed for a run."""
+    """Constants of a run."""
     sample_time, delay = loops[0].sample_time, loops[0].delay
     caps = [min(_NO_CAP, damping_cap(delay, loop.moving_mass, sample_time)) for loop in loops]
     largest = [loop.torque_limit or inf for loop in loops]

@@ -55,10 +55,10 @@ class GroupMotion:
 
     located: bool = False  # whether the mechanism is inside its limits
     began: bool = True  # whether the last positions were the first inside the limits
-    limit: int = _WORKSPACE  # why nothing is rendered
-    engaged: bool = False  # whether anything can be felt
+    limit: int = _WORKSPACE  # reason why nothing is rendered
+    engaged: bool = False  # whether any contact is possible
     energy: float = 0.0  # stored in the network at its state [J]; 0 while a limit holds
-    internal: float = 0.0  # dissipated inside it in the last step, beyond what was taken at the ports [J]
+    internal: float = 0.0  # dissipated inside it in the last step, beyond the ports' part [J]
     entered: float = 1.0  # share of the last motion that was inside a contact just entered, else 1
     sample: int = 0
     holds: int = 1  # of the last motion
@@ -93,7 +93,7 @@ class Ahead(NamedTuple):
     lead: float  # holds until then
     way: Buffer  # [rad or m]
     step: Buffer  # motion in a hold there [rad or m]
-    is_predicted: bool  # whether the dampers have that motion too; else the one of the last hold
+    is_predicted: bool  # whether the dampers have that motion too; else that of the last hold
 
 
 class RequestedEfforts(NamedTuple):
@@ -130,7 +130,7 @@ def why_not_world(world: World) -> str:
 
 
 def motion_settings(world: World, loops: tuple[LoopProperties, ...]) -> MotionSettings:
-    """Returns what is fixed for a run."""
+    """Constants of a run."""
     counts = [loop.encoder_count for loop in loops]
     return MotionSettings(loops[0].sample_time, counts, any(counts), world.mover.half != 0.0)
 

@@ -59,7 +59,7 @@ class GuardedGroupMemory(NamedTuple):
     wish: RequestedEfforts
     damper: Buffer  # efforts to be sent, (axes,) [N*m or N]
     modulated: Buffer
-    torques: Buffer  # asked for
+    torques: Buffer  # requested
     sent: Buffer
     asked: Buffer  # as far as no limiter cuts them
     scaled: Buffer

@@ -26,8 +26,8 @@ class PerAxisMemory(NamedTuple):
 
     sent: Matrix  # torques held in the hold that ended, and those under way, (delay + 1, axes) [N*m or N]
     largest: Buffer  # size of any of them on each axis, (axes,)
-    starts: Matrix  # displacement of the hold that ended along + and -, encoder and blur included, (axes, 2) [m or rad]
-    lost: Matrix  # what friction takes of it in a hold, (axes, 2)
+    starts: Matrix  # displacement of the hold that ended along + and -, uncertainty included, (axes, 2) [m or rad]
+    lost: Matrix  # its part lost to friction in a hold, (axes, 2)
     along: Matrix  # largest torque along + that may act in each hold, >= 0, (holds, axes) [N*m or N]
     against: Matrix  # the same along -
     ends: Indices  # of each cell in the parabolas; a cell is one axis in one hold, (cells,)
@@ -35,7 +35,7 @@ class PerAxisMemory(NamedTuple):
     linear: Buffer  # B
     square: Buffer  # C
     old: Buffer  # sums over the holds by the torques under way, (axes,)
-    new: Buffer  # and what new ones add
+    new: Buffer  # sums added by new ones
     nothing: Buffer  # zeros, (axes,)
     alone: Buffer  # a torque of one axis, (axes,)
     others: Buffer  # of all others

@@ -28,7 +28,7 @@ class LoopProperties(Parameters):
     sync_jitter: Annotated[float, quantity("1", ge=0.0, le=0.5)] | None = None
     """Every hold, from position to position, lasts T (1 +- jitter). None: not known; 0 in a bare loop."""
     torque_window: Annotated[float, quantity("s", ge=0.0, le=1.0)] | None = None
-    """Time after a SYNC by which its torque acts at the latest (event RPDO, wire time). None: not known, as above."""
+    """Latest time after a SYNC at which its torque acts (event RPDO, wire time). None: not known, as above."""
     current_lag: Annotated[float, quantity("s", ge=0.0, le=1.0)] | None = None
     """Largest time constant with which the motor's torque follows. None: not known, as above."""
     encoder_count: Annotated[float, quantity("m", "rad", ge=0.0)] = 0.0

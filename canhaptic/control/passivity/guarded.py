@@ -10,14 +10,14 @@ that was applied, never negative, never more than what the torques under way lea
 contact: the store begins empty and pushing on fills it. What the account does not cover is not rendered:
 
 * the spring effort stays below that of a spring with the energy in the account, as stiff as the certificate holds;
-* beyond it, only while moving inward, a damper brings in what is missing and all of that is stored; and a spring whose
+* beyond it, only while moving inward, a damper brings in the missing energy, all of it stored; and a spring whose
   account is short is led as if no torque slowed the axis down;
 * and the torque stays below what the declared certificates hold together (`sum_of_certificates`): that is the proof.
 
 What came in beyond the store (a drag in free motion, a wall left behind) or was dissipated by the device for certain is
 kept for contacts to come as far as `earned_energy`. From no energy at all no torque begins below an inward speed of
 (1 + delay) F_h T / m: a hand of F_h could turn every slower motion outward before the torque ends, so that energy would
-come out first. Only what is certain of the device begins slower.
+come out first. Only certain dissipation of the device allows a slower start.
 
 For every user without exception, sum(h_i) >= 0 admits no torque at all: a larger promise relies on something known
 of the hand or of the device. A hand force of 0 is the usual setting: it covers every hand that does not pull the axis

@@ -67,19 +67,19 @@ class GuardedSettings:
 
     sample_time: float  # [s]
     credit: float  # [J]
-    earned: float  # energy kept for contacts to come [J]
+    earned: float  # energy kept for later contacts [J]
     drag: float  # in free motion [N or N*m]
     outside: float  # direction away from the environment, 1 or -1; 0 where it has none
     alpha: float  # [s/m^2 or s/rad^2]
     torque_limit: float  # largest torque that limiter and drive let act [N or N*m]
     least_limit: float  # torque up to which no limit cuts [N or N*m]
-    torque_step: float  # by which it may rise from SYNC to SYNC [N or N*m]
+    torque_step: float  # largest rise from SYNC to SYNC [N or N*m]
     power_limit: float  # that the torque may put into the user's side [W]
     quantum: float  # of the torque command; 0: ideal [N or N*m]
     lead: float  # prediction [holds]
     cap: float  # of the damping [N*s/m or N*m*s/rad]
-    damping: float  # rendered where nothing is short [N*s/m or N*m*s/rad]
-    calm: float  # stiffness of the largest spring that the rate renders, by which a prediction counts at most
+    damping: float  # rendered where no energy is short [N*s/m or N*m*s/rad]
+    calm: float  # stiffness of the largest spring that the rate renders; a prediction counts for no more
     calm_stiffness: float  # of the energy-permitted spring; 0 without a hand force [N/m or N*m/rad]
     damped_stiffness: float  # of the same, by the damping of the device; 0 where it is not declared
     path: float  # of the hand in the holds that a torque takes; 0 without a hand speed [m or rad]
@@ -89,7 +89,7 @@ class GuardedSettings:
 
 
 def settings_of(environment: Environment, parameters: GuardedParameters, loop: LoopProperties) -> GuardedSettings:
-    """Returns what is fixed for a run.
+    """Constants of a run.
 
     Raises:
         ParameterError: No declared property certifies any torque, or too few do; a drag that earns nothing.

@@ -20,7 +20,7 @@ class HoldSettings:
     torque_limit: float  # largest torque that limiter and drive let act [N or N*m]
     tolerance: float  # of the velocity's window [m or rad]; 0: the damper uses the velocity of the last hold
     longest_window: int  # of the velocity, in samples; 0 without one
-    certificate: int  # what the algorithm promises (`Certificate`)
+    certificate: int  # promise of the algorithm (`Certificate`)
 
 
 @dataclass(slots=True)
@@ -68,7 +68,7 @@ class HoldAccount(NamedTuple):
 
 
 def hold_settings(parameters: DamperVelocity, loop: LoopProperties, certificate: Certificate) -> HoldSettings:
-    """Returns what is fixed for a run.
+    """Constants of a run.
 
     Raises:
         ParameterError: A windowed velocity without an encoder count.

@@ -14,7 +14,7 @@ Where the printed equations are departed from, and why:
 - eq. 14 takes the velocity from the displacement, and only once the user pushes inward: switched on deep inside a wall,
   x / T is no velocity. A store emptied inside the contact is the same deadlock, left in the same way.
 - the state never crosses to the other side of the contact: there is no tension spring behind a wall.
-- the hold in which the contact ends, and those whose torque was still under way, are booked; what is left is leaked.
+- the hold in which the contact ends, and those whose torque was still under way, are booked; the rest is leaked.
 
 Kept as printed: every start creates k x^2 / 2, and the state creeps away from the true penetration under tremor.
 """

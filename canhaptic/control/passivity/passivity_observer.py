@@ -50,7 +50,7 @@ class ObserverState(SampledState):
 def observer_settings(
     algorithm: str, environment: Environment, parameters: PassivityObserverParameters, loop: LoopProperties
 ) -> SampledSettings[Any]:
-    """Returns what is fixed for a run of an algorithm with a passivity controller, whose damping it limits.
+    """Constants of a run of an algorithm with a passivity controller, whose damping it limits.
 
     Raises:
         ParameterError: Nothing bounds the damper.

@@ -22,11 +22,11 @@ from canhaptic.kernels import Buffer
 PREDICTION_HOLDS: Final = 0.75
 """Prediction beyond the delay [holds]: 0.5 aims at the middle of the hold, and what is more calms a spring."""
 _LEARNT: Final = 0.0625
-"""Share of an error of prediction by which the force of the hand is corrected in a hold."""
+"""Share of a prediction error that corrects the force of the hand in a hold."""
 _RISE_LEARNT: Final = _LEARNT * _LEARNT / 4.0
-"""The same of its rise."""
+"""The same for its rate of change."""
 _QUIET: Final = 0.25
-"""Share of an error by which the velocity is corrected where counts of the encoder can explain it."""
+"""Share of an error that corrects the velocity where counts of the encoder can explain it."""
 _COUNTS: Final = 4.0
 """Error that counts of the encoder can explain [counts]."""
 
@@ -47,14 +47,14 @@ class PredictedMotion:
     """Motion at the last SYNC."""
 
     step: float = 0.0  # velocity [m or rad per hold]
-    push: float = 0.0  # what forces other than the motor's add to it in a hold
-    rise: float = 0.0  # of that in a hold
+    push: float = 0.0  # increase of it in a hold by forces other than the motor's
+    rise: float = 0.0  # increase of that in a hold
 
 
 def prediction_settings(
     mass: float | None, damping: float, sample_time: float, delay: int, beyond: float, count: float
 ) -> PredictionSettings:
-    """Returns what is fixed for a run.
+    """Constants of a run.
 
     Args:
         mass: Moving mass [kg or kg*m^2]; None: unknown.

@@ -68,7 +68,7 @@ def begin_model(environment: Environment, axis: Axis, model: SampledModel, memor
 
 
 def follow(environment: Environment, model: SampledModel, position: float, hold: Hold) -> Asked:
-    """Follows one hold and returns what it dissipated and the efforts for the next; `settle` must follow.
+    """Follow one hold; return its dissipation and the efforts for the next. `settle` must follow.
 
     Args:
         environment: The environment sampled.
@@ -162,7 +162,7 @@ def sampled_settings(
     limit: float = inf,
     certificate: Certificate = Certificate.NONE,
 ) -> SampledSettings[Any]:
-    """Returns what is fixed for a run.
+    """Constants of a run.
 
     Raises:
         ParameterError: A windowed velocity without an encoder count.
@@ -204,7 +204,7 @@ def sampled_kernel(
     Args:
         respond_as: Step function of the algorithm, in the place of `respond`.
         state: Makes the state at rest.
-        settings: (environment, parameters, loop) -> what is fixed for a run.
+        settings: (environment, parameters, loop) -> constants of a run.
         kept: Length of the algorithm's own buffer.
     """
 

@@ -19,8 +19,8 @@ class Wording(NamedTuple):
 
     effort: str  # in addition to the position
     command: str
-    sensors: str  # to check where what it takes is no number
-    values: str  # to check where what it computes is none
+    sensors: str  # advice where an input is not finite
+    values: str  # advice where an output is not finite
 
 
 class SteppedController:

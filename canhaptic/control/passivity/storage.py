@@ -98,7 +98,7 @@ def move(
         elapsed: Time of the hold [s].
         h_r: Energy dissipated with it [J].
         h_m: Energy received [J].
-        limited: True when the change takes up less than was received; what is left over leaks.
+        limited: True when the change takes up less than was received; the remainder leaks.
     """
     before = storage.h_s
     moved = storage.state + change

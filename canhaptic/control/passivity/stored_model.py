@@ -63,7 +63,7 @@ class StoredModelState:
 def stored_model_settings(
     environment: Environment, parameters: StoredModelParameters, loop: LoopProperties
 ) -> StoredModelSettings[Any]:
-    """Returns what is fixed for a run.
+    """Constants of a run.
 
     Raises:
         ParameterError: A windowed velocity without an encoder count.

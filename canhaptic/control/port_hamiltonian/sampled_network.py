@@ -22,7 +22,7 @@ class NetworkState:
     """Result of the last step."""
 
     energy: float = 0.0  # H(x) [J]
-    internal: float = 0.0  # dissipated on the states in the last step, without what was taken at the ports [J]
+    internal: float = 0.0  # dissipated on the states in the last step, without the ports' part [J]
     engaged: bool = False  # whether any storage that can be left is engaged, or there is one that cannot
     evaluations: int = 0  # of the equation in the last step; negative where it did not converge
 

@@ -97,7 +97,7 @@ def choose_map(dictionary: ObjectDictionary, axis: AxisParameters) -> AxisMap:
     """Returns the PDOs to use for one axis.
 
     Raises:
-        DictionaryError: No map carries what cyclic torque needs; names what is missing.
+        DictionaryError: No map carries the objects of cyclic torque; names the missing ones.
     """
     target = _TARGETS[axis.target]
     for needed in (_CONTROLWORD, target, _STATUSWORD, _POSITION):

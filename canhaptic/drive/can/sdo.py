@@ -37,7 +37,7 @@ class _Client:
         self._timeout = timeout
         self._attempts = attempts
         self._object = b"\0\0\0"  # index and subindex of the transfer, as on the wire
-        self._request = b""  # that an answer is awaited for; empty while none is
+        self._request = b""  # awaited for an answer; empty while none is
         self._answer: bytes | None = None
         self.listen()
 

@@ -79,7 +79,7 @@ def initiates(request: bytes) -> bool:
 
 
 def may_answer(answer: bytes | bytearray, request: bytes, of_object: bytes) -> bool:
-    """Whether a frame of a server may answer a request: of the same kind, and of the same object if it says of which.
+    """Whether a frame of a server may answer a request: of the same kind, and of the same object if it names one.
 
     The first answer names its object and those to segments do not; an abort always does.
     """

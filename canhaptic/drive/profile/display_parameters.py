@@ -34,9 +34,9 @@ class ForceParameters(Parameters):
     range: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
     """Largest force that the sensor can show; beyond it the rig stops."""
     sampling: Literal["point", "mean", "impulse"] = "point"
-    """What one value is: the force at the SYNC, its mean since the last, or its integral, modulo its bits."""
+    """Meaning of one value: the force at the SYNC, its mean since the last, or its integral, modulo its bits."""
     latency: Annotated[int, quantity("count", ge=0, le=16)] = 0
-    """Whole SYNCs by which a value is late."""
+    """Delay of a value in whole SYNCs."""
     filter: Annotated[float, quantity("Hz", ge=0.0, le=1e6)] = 0.0
     """Corner of a first-order filter before the sample; 0: none."""
     slew: Annotated[float, quantity("N/s", "N*m/s", gt=0.0, le=1e9)]

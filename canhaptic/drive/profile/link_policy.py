@@ -75,7 +75,7 @@ class _StopRule(NamedTuple):
     """One reason of a stop."""
 
     meaning: str
-    error: type[RigError]  # what is raised
+    error: type[RigError]  # the exception
     remedy: str
 
 

@@ -79,7 +79,7 @@ def _enter_operational(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -
 
 
 def _exchange_zero_torque(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
-    """Cycles until every drive answers SYNC, then asks it what target torque arrived and what it applies."""
+    """Cycle until every drive answers SYNC, then read back its target torque and its torque demand."""
     _cycle_until(exchange, bring_ups, lambda bring_up: bring_up.process_data())
     _cycle(exchange, bring_ups)  # a synchronous RPDO acts only now
     for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):

@@ -1,6 +1,6 @@
 """One axis in cyclic synchronous torque mode: samples in, torques out, reasons to stop. Knows objects, no frames.
 
-A fieldbus derives from `TorqueAxis`: it fills in what the drive sent, and sends what `write` is given.
+A fieldbus derives from `TorqueAxis`: it fills in the received values, and sends the arguments of `write`.
 """
 
 from abc import ABC, abstractmethod
@@ -264,7 +264,7 @@ class TorqueAxis(ABC):
         self._acting = self._commanded
         if not self.is_complete:
             self.unheard += 1
-            self._reported = self._acting  # what it would have shown where `_shows_next`
+            self._reported = self._acting  # its value where `_shows_next`
         elif self._shows_next:
             self._reported = self._values[2]
         self._last = self._last._replace(sync_index=sync_index, fresh=False)

@@ -48,8 +48,9 @@ class TorqueAxisParameters(Parameters):
     """Largest speed of the position between two SYNCs; beyond it the rig stops. By default 10 m/s or 100 rad/s, faster
     than a hand."""
     energy_loss_limit: Annotated[float, quantity("J", gt=0.0, le=10.0)] | Literal["none"] | None = None
-    """Energy that the port may give out beyond what was declared; then the rig stops. In a group the least of all axes
-    counts. By default 10 mJ, in simulation for algorithms that promise passivity alone; `none` in simulation alone."""
+    """Energy that the port may give out beyond the declared amount; then the rig stops. In a group the least of all
+    axes counts. By default 10 mJ, in simulation for algorithms that promise passivity alone; `none` in simulation
+    alone."""
     read_back: Literal["auto", "demand", "actual", "none"] = "auto"
     """Torque in the TPDO: 0x6074, 0x6077, nothing; auto takes the first that the dictionary allows."""
     torque_tolerance: Annotated[float, quantity("1", gt=0.0, le=1.0)] = 0.05

@@ -59,7 +59,7 @@ class Losses:
     """Frames that a bus loses, singly or in runs (two states, good and lossy, for each direction)."""
 
     exists: bool = False
-    after_heard: float = 0.0  # share that is lost behind a frame that was heard
+    after_heard: float = 0.0  # share that is lost behind a received frame
     after_lost: float = 0.0  # behind one that was lost
     to_drive: bool = False  # SYNCs and torques
     to_master: bool = False  # positions
@@ -91,7 +91,7 @@ class Interruption:
     interaction: float = 0.0  # true energy that came in [J]
     temperature: float = 0.0  # of the winding [K]
     command: float = 0.0  # last of the controller [N or N*m]
-    is_synced: bool = True  # whether the drive heard the last SYNC,
+    is_synced: bool = True  # whether the drive received the last SYNC,
     is_heard: bool = True  # the master its position,
     is_sent: bool = True  # and the drive the command after it
     lost_to_drive: bool = False  # last frame in that direction
@@ -113,7 +113,7 @@ class LinearPlant(NamedTuple):
 
     flow: Sequence[Sequence[float]]  # over one hold, shape (states, states + 2)
     state: Buffer  # [states..., torque, 1]; the first state is the position [m or rad]
-    moved: Buffer  # room for the states, shape (states,)
+    moved: Buffer  # buffer for the states, shape (states,)
 
 
 class LinearPlants(NamedTuple):

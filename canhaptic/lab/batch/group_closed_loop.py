@@ -47,7 +47,7 @@ class LinearMotors(NamedTuple):
 
     flow: Matrix  # over one hold, shape (states, states + motors + 1)
     state: Buffer  # [states..., torques..., 1]
-    moved: Buffer  # room for the states
+    moved: Buffer  # buffer for the states
     places: Indices  # of the positions of the motors in the state
 
 
@@ -75,10 +75,10 @@ class GroupMeter:
     figures: Meter = field(default_factory=Meter)
     supplied: float = 0.0  # by a mover [J]
     work: float = 0.0  # of all motors [J]
-    spring_spring: float = 0.0  # sums of products of what was asked for, over holds that began and ended in contact
+    spring_spring: float = 0.0  # sums of products of the requested efforts, over holds that began and ended in contact
     spring_damper: float = 0.0
     damper_damper: float = 0.0
-    held_spring: float = 0.0  # of what was held with what was asked for
+    held_spring: float = 0.0  # of the held with the requested efforts
     held_damper: float = 0.0
     damping_asked: float = 0.0  # along the motion, as `Meter.damping` is what was rendered [N*s/m or N*m*s/rad]
 

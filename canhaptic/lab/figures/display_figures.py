@@ -27,7 +27,7 @@ DISPLAY_METRICS: Final[dict[str, str]] = {
     "travel": "largest less least true position, of the axis that moves most [m or rad]",
     "certificate": "weakest of any hold, by its number in the log: 0 exact, 4 none, 5 velocity loop, 6 hand force",
 }
-"""Name -> what it is."""
+"""Name -> meaning."""
 
 
 def display_figures(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) -> dict[str, float]:

@@ -66,7 +66,7 @@ FIELD_FIGURES: Final[dict[str, FieldFigure]] = {
 }  # fmt: skip
 """Name -> definition."""
 NEAR: Final = 0.05
-"""Part by which a stiffness that is rendered near may miss the one asked for."""
+"""Largest relative error of a stiffness that counts as rendered accurately."""
 
 _WINDOW: Final = 0.02
 """After the first contact, in which the force rises [s]."""
@@ -159,7 +159,7 @@ def asked_impedance(stiffness: float, damping: float, frequency: float) -> compl
 
 
 class StiffestWalls(NamedTuple):
-    """The borders of a K-B plot; each of the shape of what was tried without its first dimension."""
+    """The borders of a K-B plot; each of the shape of the trials without their first dimension."""
 
     passive: Array  # the largest stiffness that is passive as all smaller ones are; 0 where not even the least is
     near: Array  # the largest of these whose stiffness is rendered within `NEAR`; 0 where none is

@@ -59,7 +59,7 @@ METRICS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "branches.depleted": ("holds that took more than was stored", ("depleted",)),
     "branches.exit": ("holds that ended a contact", ("exit",)),
 }  # fmt: skip
-"""Name -> (what it is, the sums that it is made of, see `_sums_of_run`)."""
+"""Name -> (meaning, the sums that it is made of, see `_sums_of_run`)."""
 
 CONTINUOUS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "position_error.rms": (f"against the continuous environment, {_NO_REFERENCE} [m or rad]",

@@ -51,7 +51,7 @@ def settling_time(mass: float, damping: float) -> float:
 class Held(NamedTuple):
     """Outcome of a trial of one wall."""
 
-    share: float  # mean torque over what was asked at the mean depth
+    share: float  # mean torque over the requested one at the mean depth
     ripple: float  # way to and fro over the mean depth
     least: float  # least true sum of h_i [J]
     passed: bool

@@ -24,7 +24,7 @@ _LONGEST_STEP: Final = 2.5e-4
 _MOST_CHANGES: Final = 10_000
 """Changes of mode in one hold."""
 _STRETCH: Final = 0.02
-"""[s] that are solved at once, so that memory stays small and a request to stop is heard."""
+"""[s] that are solved at once, so that memory stays small and a request to stop is noticed."""
 _CHAIN: Final = 16
 """Changes of mode without time between them."""
 

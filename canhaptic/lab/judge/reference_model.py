@@ -39,7 +39,7 @@ _COMMANDS: Final = ("torque_saturation", "torque_quantisation", "thermal_deratin
 _ONCE: Final = ("current_loop", "shaft_compliance", "backlash", "lugre_friction", "thermal_derating", *_DRY)
 _OFTEN: Final = ("torque_ripple", "viscous_friction", "cogging", "hard_stop", "grasp_change", "tremor", *_COMMANDS[:2])
 _OF_THE_ENCODER: Final = ("encoder_noise", "encoder_quantisation")
-"""Effects on what is measured, which the motion does not depend on."""
+"""Effects on measured values, on which the motion does not depend."""
 
 
 class Model:

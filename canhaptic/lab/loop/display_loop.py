@@ -31,7 +31,7 @@ _COLUMNS: Final = 3  # of one axis in `DisplayRun.motion`
 _FREE_MASS: Final = "virtual_mass"
 _FIRST: Final = 20  # SYNCs at the beginning that are left out of the mass felt
 _BRAKING: Final = 10e-3  # time that a drive takes to stop at a wall, at most [s]
-_FEWEST: Final = 30  # SYNCs of which the mass felt is taken
+_FEWEST: Final = 30  # SYNCs from which the felt mass is computed
 
 
 def is_display(scene: Scene) -> bool:
@@ -50,7 +50,7 @@ class DisplayRun:
     least_interaction: float = 0.0  # true, after any hold
     believed: float = 0.0
     believed_error: float = 0.0
-    resolution: float = 0.0  # width of what is known of the energy [J]
+    resolution: float = 0.0  # uncertainty of the energy [J]
     surplus: float = 0.0  # at the end
     moving: int = 0  # holds with a command, or with one that was cut to nothing
     cut: int = 0  # holds that a certificate cut

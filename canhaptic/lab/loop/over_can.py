@@ -13,7 +13,7 @@ from canhaptic.scene.parts import build_axis_controllers
 from canhaptic.signals import CycleTiming, Sample, Truth
 
 _Take = Callable[[int, Sample, EnergyBalance, Truth], None]
-"""Takes one cycle of one axis: its place, what its drive reported, what was booked, and what truly happened."""
+"""Takes one cycle of one axis: its place, the drive's report, the booked balance, and the true values."""
 
 
 class _Tap:

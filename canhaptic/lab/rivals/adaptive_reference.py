@@ -1,7 +1,7 @@
 """`adaptive_reference`: a passivity controller that follows a reference energy of its own making.
 
 The energy that came in is compared with E_ref = k x^2, x the depth in the environment. While it rises, k is the one
-that fits it best, k = max(0, E / x^2); while it falls, a damper wins back what it is below E_ref (equations of the
+that fits it best, k = max(0, E / x^2); while it falls, a damper recovers its shortfall below E_ref (equations of the
 public implementation `AdaptivTDPA.cpp` of github.com/nafi3rad/PassivityControlOfHapticRobot, which was read; no paper
 of it was found). So the damper acts early and gently, where the observer of Hannaford and Ryu
 (doi:10.1109/70.988969) waits until more was drawn than ever put in.

@@ -1,6 +1,6 @@
 """`bounded_observer`: a passivity controller whose force stays bounded at rest and never turns the model's force round.
 
-With D what was drawn beyond what was put in, the passivity controller adds the force
+With D the energy drawn beyond the energy put in, the passivity controller adds the force
 
     (D / T + z) / (v + sign(v) delta),   z <- z + (D / T - (that force) v) / n,
 
@@ -43,7 +43,7 @@ class BoundedObserverParameters(DamperVelocity):
     speed_offset: Annotated[float, quantity("m/s", "rad/s", gt=0.0, le=10.0)] = 0.01
     """delta: keeps the force bounded where the motion comes to rest."""
     integral_holds: Annotated[float, quantity("count", ge=1.0, le=1e6)] = 10.0
-    """n: holds over which what was not won back is added to the force."""
+    """n: holds over which the unrecovered energy is added to the force."""
     force_limit: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)] | None = None
     """Largest force of the passivity controller; without it only the drive's limit holds."""
 
@@ -59,7 +59,7 @@ class _BoundedObserverState(ObserverState):
 def settings_of(
     environment: Environment, parameters: BoundedObserverParameters, loop: LoopProperties
 ) -> SampledSettings[Any]:
-    """Returns what is fixed for a run; the limit is that of the force."""
+    """Constants of a run; the limit is that of the force."""
     limit = inf if parameters.force_limit is None else parameters.force_limit
     return sampled_settings(environment, parameters, loop, limit)
 

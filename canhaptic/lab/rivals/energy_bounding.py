@@ -3,7 +3,7 @@
 Device damping b takes at least (b / T) dx^2 out of every hold. With the account E_n = E_(n-1) + (b/T) dx^2 - F dx the
 next hold ends with E_n + (b/T) dx^2 - F dx >= 0 for EVERY motion dx exactly when F^2 <= 4 E_n b / T. A torque f that is
 already under way may cost up to f^2 T / 4b first, so with delay its square is taken off. This is the device-damping
-certificate; what it renders is limited to a stiffness of about 2 b / T.
+certificate; it limits rendering to a stiffness of about 2 b / T.
 
 T is the longest duration of a hold, and E_n is reduced by the encoder's uncertainty: a position is uncertain by half a
 count e, so that dx counts as |dx| - 2e in the dissipated energy, and e (|F_n| + sum |F_k - F_(k-1)|) of the energy may
@@ -61,7 +61,7 @@ class _EnergyBoundingState(SampledState):
 def settings_of(
     environment: Environment, parameters: EnergyBoundingParameters, loop: LoopProperties
 ) -> SampledSettings[Device]:
-    """Returns what is fixed for a run.
+    """Constants of a run.
 
     Raises:
         ParameterError: No certain damping is known.

@@ -62,7 +62,7 @@ class ScaledGroupSettings(NamedTuple):
 def settings_of(
     world: World, parameters: ScaledGroupParameters, loops: tuple[LoopProperties, ...]
 ) -> ScaledGroupSettings:
-    """Returns what is fixed for a run."""
+    """Constants of a run."""
     return ScaledGroupSettings(group_loop(world, loops), parameters.alpha)
 
 

@@ -76,7 +76,7 @@ def paid_memory(tables: NetworkTables) -> PaidMemory:
 
 
 def begin_state(world: World, state: ScaledGroupState, memory: ScaledGroupMemory) -> None:
-    """Takes the first coordinates: what is strained there stores energy that no port supplied, and is let go."""
+    """Take the first coordinates: strain there stores energy that no port supplied, and is released."""
     paid, motion, followed = state.paid, state.group.motion, memory.group.motion.network
     paid.h_s, paid.engaged, paid.pace, paid.blind, paid.touched = 0.0, False, 0.0, 0, False
     if not motion.located:

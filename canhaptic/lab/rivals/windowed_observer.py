@@ -1,4 +1,4 @@
-"""`windowed_observer`: a passivity observer that forgets what was dissipated long ago.
+"""`windowed_observer`: a passivity observer that forgets old dissipation.
 
 An observer that sums from the start saves up the environment's dissipation, and then lets it be drawn until it is used
 up. Here energy that came in more than `window` holds ago is subtracted from the sum, while the sum stays above zero
@@ -51,7 +51,7 @@ def respond(run: SampledRun[WindowedObserverParameters, _WindowedObserverState],
 
 
 def remember(state: _WindowedObserverState, recent: Buffer, h_i: float) -> None:
-    """Adds the energy of a hold [J] to what is remembered, and forgets the hold that leaves the window."""
+    """Add the energy of a hold [J] to the window, and forget the hold that leaves it."""
     place = state.place
     leaving, recent[place] = recent[place], h_i
     state.place = place + 1 if place + 1 < len(recent) else 0

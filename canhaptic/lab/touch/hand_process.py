@@ -42,10 +42,10 @@ SHARED: Final = 5
 _SETTLING: Final = (
     0.006  # [s] time constant with which the hand follows the pointer: pages send some 60 places a second
 )
-_FASTEST: Final = 10.0  # widths of what is shown, per second
+_FASTEST: Final = 10.0  # widths of the displayed range, per second
 _BATCH: Final = 0.01  # [s] between two parcels of rows
 _MOST_ROWS: Final = 4000  # kept for a reader that does not read
-_GIVEN_UP: Final = 100_000_000  # [ns] behind the wall clock: what is more is not caught up any more
+_GIVEN_UP: Final = 100_000_000  # [ns] behind the wall clock: a longer delay is not caught up
 _BUFFER: Final = 1 << 22  # [bytes]
 
 
@@ -100,7 +100,7 @@ class TouchStatus(NamedTuple):
 
 
 def no_run(number: int, ended: str) -> TouchStatus:
-    """Returns the status of a run that did no cycle, or of which nothing more is known."""
+    """Status of a run without a cycle, or of which nothing more is known."""
     return TouchStatus(number, 0, 0, 0, 0.0, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), ended)
 
 

@@ -279,7 +279,7 @@ class _SideView:
 
 
 class _Controls:
-    """Sliders of what is rendered and of the loop; a change begins a run anew."""
+    """Sliders of environment and loop; a change begins a run anew."""
 
     def __init__(self, hand: TouchHand, begin: Callable[[dict[str, str]], object]) -> None:
         self._begin = begin

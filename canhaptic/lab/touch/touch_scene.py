@@ -18,7 +18,7 @@ _LOST_CYCLES: Final = 2000
 HAND: Final = {"stiffness": 300.0, "damping": 3.0}
 """Hand of a scene without one [N/m, N*s/m] or [N*m/rad, N*m*s/rad]."""
 _ROOM: Final = 0.1
-"""Half of what is shown of a scene whose hand does not move [m or rad]."""
+"""Half of the displayed range of a scene whose hand does not move [m or rad]."""
 
 
 @dataclass(frozen=True, slots=True)

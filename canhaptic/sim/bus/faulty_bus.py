@@ -132,7 +132,7 @@ class FaultyBus(can.BusABC):
         return _FaultyFarSide(self, far_side)
 
     def advance(self, now: int) -> None:
-        """Delivers what is due up to `now` [ns], each at its own time."""
+        """Deliver the frames due up to `now` [ns], each at its own time."""
         while (due := self.next_due()) <= now:
             if self._foreign is not None and self._foreign.due <= due:
                 self._let_in(self._foreign.take(), due)

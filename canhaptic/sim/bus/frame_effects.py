@@ -40,7 +40,7 @@ def _with_data(message: can.Message, data: bytearray) -> can.Message:
 
 
 class _Drop:
-    """Loses frames, each on its own or in runs (Gilbert, 1960: two states, lost and heard)."""
+    """Loses frames, each on its own or in runs (Gilbert, 1960: two states, lost and received)."""
 
     def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
         share, burst = effects.drop, effects.drop_burst

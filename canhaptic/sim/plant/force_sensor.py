@@ -31,7 +31,7 @@ class SimulatedForceSensor(Parameters):
     quantum: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] = 0.0
     """Step of the values, in addition to that of the object that carries them."""
     latency: Annotated[int, quantity("count", ge=0, le=16)] = 0
-    """Whole samples by which a value is late."""
+    """Delay of a value in whole samples."""
     freeze_at: Annotated[float, quantity("s", ge=0.0, le=1e6)] | None = None
     """Time from which the value stays as it is; None: never."""
     fault_offset: Annotated[float, quantity("N", "N*m", ge=-1e6, le=1e6)] = 0.0

@@ -7,7 +7,7 @@ the change of x over T per unit torque, the starts of the holds are
 
 So a guard c is at least c Phi^k w(0) - U (sum over j < k of |c Phi^j b| + |c_u|) at both ends of a hold, c_u its factor
 of the torque. Inside a hold it is below neither end by more than slack * |y|, y the scaled rates of the state
-(`guard_bounds.py`), and |y| has a bound of the same form. A hold in which what is left is positive has no event and may
+(`guard_bounds.py`), and |y| has a bound of the same form. A hold with a positive remainder has no event and may
 be taken in one step. The bound is strict up to rounding, for which a part of the largest value is taken off.
 """
 

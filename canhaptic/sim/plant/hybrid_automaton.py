@@ -137,7 +137,7 @@ class HybridAutomaton:
         return list(map(add, sums, map(add, carries, totals)))
 
     def accounts(self) -> list[float]:
-        """Returns the work of the motor, of the user, and what was dissipated, since the start [J]."""
+        """Work of the motor, of the user, and dissipation, since the start [J]."""
         if self._is_plain:  # written out, as `works`
             a, b, c = self._books[0].totals.tolist()
             (d, e, f), (g, h, i) = self._sums, self._carries

@@ -83,7 +83,7 @@ class PlantParameters(Parameters):
 class Plant:
     """One simulated axis, moved by a torque that is constant from call to call.
 
-    The plant stands still until `begin(now)`; from then on its clock never stops.
+    The plant is at rest until `begin(now)`; from then on its clock never stops.
 
     Args:
         parameters: Mass and bearings.
@@ -212,7 +212,7 @@ class Plant:
         for name, value in values.items():
             self._machine.state[self.scene.names.index(name)] = value
         if self._looks_ahead:
-            self._free_torque = -1.0  # what was known ahead rested on the old place
+            self._free_torque = -1.0  # the look-ahead rested on the old place
 
     def move_hand(self, place: float) -> None:
         """Moves a `PointerHand` to a position [m or rad] for the following holds; allowed between two holds only."""

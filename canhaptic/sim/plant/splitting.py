@@ -19,7 +19,7 @@ _CLOSE: Final = 1e-13  # of the largest force seen in the substep
 _JUMP: Final = 1e-9  # what the grid of ticks may leave over; more is a jump
 _SECANT_STEPS: Final = 12  # then bisection
 _LARGEST_COUNT: Final = 90
-_SETTLED: Final = 1e-12  # of a step of the torque: what is left then says no more how fast it went
+_SETTLED: Final = 1e-12  # of a step of the torque: the rest then shows no more how fast it went
 _FLATTEST: Final = -0.05  # a residual flatter than that is taken as this steep
 
 
