@@ -68,7 +68,7 @@ class Activity:
         limits: Constants.
 
     Attributes:
-        limits: As given.
+        limits: Constants, as given.
         active: Bits of the log's column `active`.
         since: Sample times from the first SYNC to the first such hold, at the motor; None: there was none.
         at_handle_since: The same at the handle.
@@ -206,7 +206,7 @@ class GroupPort:
 
     Attributes:
         activity: First times at which the group was active, by the sum of its axes, never by one of them.
-        drives: As given.
+        drives: Torque records, as given.
         least_at_handle: As for an axis, where damping is declared for every axis.
         contacts: As for an axis.
         silent: As for an axis.
@@ -264,7 +264,7 @@ class RunMeters:
         groups: Axes that render together.
 
     Attributes:
-        axes: As given.
+        axes: Axes, as given.
         of_axes: Figures of each axis.
         ports: The same, then figures of each group.
         deadline: Sample times since the first SYNC; ahead of its index where SYNCs were skipped.

@@ -69,7 +69,7 @@ class PortAccount:
             ("nothing rendered", "no contact", "dry run").
         plant_passive: Verdict by the plant's own energy.
         active_since: First time at which energy had gone out for certain [s]; None: never.
-        advice: Where nothing was rendered: the cause and the remedy; empty otherwise.
+        advice: Cause and remedy where nothing was rendered; empty otherwise.
         group: The group that the axis belongs to, whose account counts; empty otherwise.
     """
 

@@ -69,7 +69,7 @@ def serve_page(page: Callable[[Any], object], port: int, title: str, *, show: bo
 
     Args:
         page: Fills the Bokeh document of a visitor.
-        port: From `usable_port`.
+        port: Port from `usable_port`.
         title: Content of the page, for the line with the address.
         show: Whether to open it in a browser.
     """

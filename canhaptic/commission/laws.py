@@ -35,7 +35,7 @@ class OpenLoop:
         largest_step: Largest displacement in one sample time [m or rad].
 
     Attributes:
-        positions: At every SYNC since `reset` [m or rad].
+        positions: Position at every SYNC since `reset` [m or rad].
         applied: Torque of the hold that ended there [N or N*m].
         sent: Torque returned there [N or N*m].
         tripped: Reason why the torque was removed; "" if it was not.
@@ -113,7 +113,7 @@ def reversals(torque: float, longest: int, count: int) -> list[float]:
     Args:
         torque: Size of the torque [N or N*m].
         longest: First part of the longest doublet, in cycles; the shortest is half as long.
-        count: How many doublets.
+        count: Number of doublets.
     """
     drawn = np.random.default_rng(1)
     lengths, signs = drawn.integers(longest // 2, longest + 1, count), drawn.choice([-1.0, 1.0], count)

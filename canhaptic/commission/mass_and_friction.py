@@ -46,7 +46,7 @@ def estimate(positions: _Array, applied: _Array, sample_time: float, half_base: 
     """Least-squares estimate, or None when too little moved.
 
     Args:
-        positions: At each SYNC, shape (n,) [m or rad].
+        positions: Position at each SYNC, shape (n,) [m or rad].
         applied: Torque of the hold that ended there, shape (n,) [N or N*m].
         sample_time: Sample time [s].
         half_base: Half the base of the triangle, in sample times; longer is quieter and smooths fast motion.
@@ -115,9 +115,9 @@ def _one_way(
     """Starts of the windows in which the axis moves one way in every part, and that direction, 1 or -1.
 
     Args:
-        positions: At each SYNC, shape (n,) [m or rad].
+        positions: Position at each SYNC, shape (n,) [m or rad].
         half_base: Half the length of a window, in sample times.
-        stride: From window to window, in sample times.
+        stride: Distance from window to window, in sample times.
         count: Parts of a window.
         slowest: Least motion in a part, as a share of the fastest tenth of all.
     """

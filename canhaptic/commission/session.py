@@ -152,7 +152,7 @@ class Session:
             torques: One per cycle [N or N*m].
             cycles: Largest number of cycles.
             ready: Ends it earlier when true.
-            limits: In place of those of the session.
+            limits: Limits in place of those of the session.
 
         Raises:
             RigError: Drive or link failed; torque is zero.

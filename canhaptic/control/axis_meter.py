@@ -86,8 +86,8 @@ class AxisMeter:
         watch: Comparison of the motion with declared friction; None where nothing can be compared.
 
     Attributes:
-        accuracy: As given.
-        watch: As given.
+        accuracy: Accuracy, as given.
+        watch: Comparison, as given.
         resolution: Largest |booked - true| sum of interaction so far, by sensors and drive [J]; never falls.
         dissipated: Dissipated by the device so far, at least [J].
         damping_asked: Damping of the environment [N*s/m or N*m*s/rad].

@@ -8,7 +8,7 @@ def claim_nothing(account: PortResult) -> None:
     """Remove from a port's account what needs a sent torque: certificates and rendered shares.
 
     Args:
-        account: Changed.
+        account: Account of the port; changed.
     """
     account["dry_run"] = True
     account["certificate"], account["certificates"] = Certificate.NONE.name.lower(), []

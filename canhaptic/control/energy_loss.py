@@ -18,7 +18,7 @@ class EnergyLossMeter:
         limit: Energy that may be given out beyond the allowance [J].
         allowance: Energy that may be given out by declaration [J].
         damping: Certain damping of the device, one value per axis [N*s/m or N*m*s/rad].
-        sample_time: [s]
+        sample_time: Sample time [s].
 
     Attributes:
         energy: Energy that came in so far; negative where more was given out [J].

@@ -35,7 +35,7 @@ def least_oscillating_damping(delay: int, mass: float, sample_time: float) -> fl
     Args:
         delay: Whole holds between computation and action.
         mass: Inertia rigid with the encoder [kg or kg*m^2]; an under-estimate is safe.
-        sample_time: [s].
+        sample_time: Sample time [s].
     """
     n = 1 + delay
     z = (math.sqrt(1.0 + n * n) - 1.0) / n
@@ -75,7 +75,7 @@ def modulated_damping(
         model_damping: Damping that the model itself has inside the same torque [N*s/m or N*m*s/rad].
         cap: Largest total damping [N*s/m or N*m*s/rad].
         displacement: Motion of the hold that ended [m or rad]; 0 for no limit by the surplus.
-        sample_time: [s].
+        sample_time: Sample time [s].
     """
     if surplus <= 0.0:
         return 0.0

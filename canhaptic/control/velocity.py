@@ -74,10 +74,10 @@ def update(window: VelocityWindow, ring: Buffer, tolerance: float, sample_time: 
     """Takes the position one sample later.
 
     Args:
-        window: Changed.
+        window: The window; changed.
         ring: Its samples, one more than the longest window [m or rad]; changed.
         tolerance: Largest distance of a sample from the line [m or rad]: one encoder count.
-        sample_time: [s].
+        sample_time: Sample time [s].
         position: The new sample [m or rad].
     """
     newest, size = window.newest + 1, len(ring)

@@ -42,7 +42,7 @@ def detect_read_back(
     Args:
         commanded: Target torque (0x6071) sent in answer to SYNC k, for each k.
         reported: Torque (0x6074 or 0x6077) in the TPDO of SYNC k; None where none came.
-        rpdo: When a torque acts, as `bus.rpdo` says.
+        rpdo: Time at which a torque acts, as in `bus.rpdo`.
     """
     before = after = change = 0.0
     changes = 0

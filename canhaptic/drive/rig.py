@@ -60,7 +60,7 @@ class Rig:
         sync_index: Index of the last SYNC; 0 is the first that found every drive enabled, -1 before it.
         deadline_index: Sample times since SYNC 0: ahead of `sync_index` where SYNCs were skipped.
         periods: Sample times between the last two SYNCs; more than 1 where some were skipped.
-        uneven: By how much the hold that ended was longer or shorter than its sample times [ns].
+        uneven: Deviation of the hold that ended from its sample times [ns].
         stop_reason: Reason why the rig stopped; NONE while it runs.
         records: The last cycles, newest last.
         realtime: Real-time settings that the operating system granted to the thread that called `start`.

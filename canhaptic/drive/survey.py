@@ -122,7 +122,7 @@ def survey(dictionary: ObjectDictionary, axis: AxisParameters) -> Survey:
 
     Args:
         dictionary: Dictionary as read from its EDS or DCF.
-        axis: From `unconfigured_axis`, perhaps with the keys of a drive profile.
+        axis: Axis from `unconfigured_axis`, perhaps with the keys of a drive profile.
     """
     device = dictionary.device_information
     findings = {finding.item.split()[0]: finding for finding in check_dictionary(dictionary, axis, _BUS)}

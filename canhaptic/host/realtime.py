@@ -38,7 +38,7 @@ class Realtime:
         parameters: Requested settings.
 
     Attributes:
-        report: By name of the parameter: "granted", or "refused: " and why. Empty before `begin`.
+        report: Result by name of the parameter: "granted", or "refused: " and why. Empty before `begin`.
     """
 
     def __init__(self, parameters: RealtimeParameters) -> None:

@@ -30,7 +30,7 @@ class BusSink:
         channels: Name of each bus in the lines of its frames.
         area: Shared memory with one ring of frames.
         file_size: Bytes after which the file is renamed to NAME.00001.log, NAME.00002.log, ...; 0 for no limit.
-        files: How many files are kept in all, the one being written included; the oldest is deleted.
+        files: Number of files kept in all, the one being written included; the oldest is deleted.
         convert_to: A .blf, .trc or .asc file to turn the text into in the end; None to leave it.
     """
 

@@ -193,7 +193,7 @@ def _bounded_memory(needed: int = 0) -> Iterator[None]:
     """Bound the library's allocations, on Linux: it trusts damaged lengths, and would allocate gigabytes.
 
     Args:
-        needed: What an undamaged item takes [B], besides texts and chunks.
+        needed: Size of an undamaged item [B], besides texts and chunks.
     """
     pages = Path("/proc/self/statm")
     if not pages.exists():

@@ -26,9 +26,9 @@ class Recording:
         path: The log.
         frames: All other data frames, in the order of the log.
         skipped: Frames that were left out, by kind.
-        buses: For each frame, the place of its bus among those of the scene.
+        buses: Place of each frame's bus among those of the scene.
         heartbeat: COB-ID of the master's heartbeat.
-        is_master: For each frame, whether the master sent it.
+        is_master: Whether the master sent each frame.
         has_boot: Whether the start of the drives is in the log.
         first_sync: Index of the frame that is SYNC 0, on the first bus; -1 when no SYNC found every axis enabled.
 

@@ -131,7 +131,7 @@ class Experiment:
         """Closes logs and buses; a second call does nothing.
 
         Args:
-            status: How the run ended, for the logs.
+            status: Status of the run, for the logs.
 
         Raises:
             LogWriteError: A log is not complete.
@@ -160,7 +160,7 @@ def build(
     """Returns the scene built and ready to run; nothing is sent yet.
 
     Args:
-        scene: From `load_scene`.
+        scene: Scene from `load_scene`.
         pace: "real" or "free"; by default free where the drives are simulated in this process, else real.
         energy_log: Energy log (HDF5) to write, over an earlier one; by default none: the paths under `log` of a scene
             are

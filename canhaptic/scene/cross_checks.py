@@ -28,9 +28,9 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
     """Note errors between the sections of a scene whose sections are right on their own.
 
     Args:
-        scene: As read.
+        scene: Scene as read.
         sections: The sections it was read from.
-        faults: Where they are noted.
+        faults: Receives the faults.
         beyond_bus: Whether a rate beyond its bus is accepted.
     """
     _check_unique(scene, sections["axes"], faults)

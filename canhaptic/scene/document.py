@@ -135,7 +135,7 @@ def parse_yaml(text: str, source: str, faults: Diagnostics, path: tuple[str, ...
         text: The document.
         source: Named in every fault.
         faults: Receives syntax errors, duplicate keys and anything else that is not plain data.
-        path: Where the value belongs in the scene.
+        path: Place of the value in the scene.
         lined: False for text without lines of its own, such as an override.
     """
     top = SourceLocation(source, int(lined), int(lined), path)

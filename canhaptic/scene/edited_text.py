@@ -27,7 +27,7 @@ def edited_scene(scene: Scene, changes: Sequence[Change], place: str, *, allow_c
     """Returns the text of a scene with its overrides and some changes written into it.
 
     Args:
-        scene: As loaded.
+        scene: Scene as loaded.
         changes: Changes, applied in their order.
         place: File that the text is for; relative paths start from it.
         allow_code: As for `load_scene`.

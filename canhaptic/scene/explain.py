@@ -29,7 +29,7 @@ def note_errors(model: type, section: MarkedMapping, error: ValidationError, fau
 
     Args:
         model: Class that was validated: a parameter model, or a dataclass of such.
-        section: What it was validated from.
+        section: Section that it was validated from.
         error: Error of pydantic.
         faults: Receives one line per error.
     """

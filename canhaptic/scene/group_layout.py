@@ -87,8 +87,8 @@ def check_group_axes(
     """Notes names of axes that are none or taken, and names of groups that are taken.
 
     Args:
-        groups: From `members_of`.
-        mechanisms: From `members_of`.
+        groups: Groups from `members_of`.
+        mechanisms: Mechanisms from `members_of`.
         names: Names of all axes.
         faults: Receives one line per fault.
     """

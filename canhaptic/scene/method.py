@@ -11,7 +11,7 @@ def method_line(scene: Scene, plants: Sequence[Plant] = (), periods: int = 0, pr
     """Returns the line that every run prints under `method`; empty with real drives.
 
     Args:
-        scene: What is run.
+        scene: Scene that ran.
         plants: Plants of its axes after the run, with their counts of events and products.
         periods: Number of sample times they were moved for.
         prices: Time and estimated error of each plant.

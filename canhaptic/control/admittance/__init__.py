@@ -56,10 +56,10 @@ def build_display_controller(
     """Returns the controller of one admittance display, at rest.
 
     Args:
-        environment: What is rendered.
+        environment: Environment to render.
         algorithm_name: A name of `DISPLAY_ALGORITHMS`.
         parameters: The algorithm's own `parameters_type`; None for its defaults.
-        properties: What is declared of loop, sensor and limits.
+        properties: Declared properties of loop, sensor and limits.
 
     Raises:
         ParameterError: Unknown name, parameters of another algorithm, or a value that the algorithm cannot do without.
@@ -79,7 +79,7 @@ def build_display_group(
     """Returns the controller of several admittance displays with one account, at rest.
 
     Args:
-        environment: What is rendered, a class of `DISPLAY_NETWORKS`.
+        environment: Environment to render, a class of `DISPLAY_NETWORKS`.
         algorithm_name: A name of `DISPLAY_GROUP_ALGORITHMS`.
         parameters: The algorithm's own `parameters_type`.
         properties: Declared properties of each axis.

@@ -134,8 +134,8 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
     """A mass on several axes, with the certificate of their velocity loops; a `GroupController`.
 
     Args:
-        environment: What is rendered.
-        parameters: For every axis: over-estimates of the largest.
+        environment: Environment to render.
+        parameters: Parameters of every axis: over-estimates of the largest.
         properties: Declared properties of each axis; sample time, delay and latency are the same for all.
 
     Attributes:

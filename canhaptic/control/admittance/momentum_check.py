@@ -96,7 +96,7 @@ class MomentumCheck:
     """The comparison for one axis.
 
     Args:
-        parameters: With a `drive_friction`.
+        parameters: Parameters with a `drive_friction`.
         port: Settings of the force sensor.
         loop: Declared velocity loop of the drive.
     """

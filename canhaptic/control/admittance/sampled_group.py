@@ -171,7 +171,7 @@ class UnprotectedDisplayGroup(DisplayGroup[_SampledAxis]):
     """A mass on several axes as it is; a `GroupController`.
 
     Args:
-        environment: What is rendered.
+        environment: Environment to render.
         parameters: Parameters of the algorithm.
         properties: Declared properties of each axis; sample time, delay and latency are the same for all.
 

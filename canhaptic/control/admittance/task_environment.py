@@ -24,7 +24,7 @@ class TaskEnvironment:
 
     Args:
         environment: Environment in task space.
-        kinematics: Between motor axes and task space, of equally many coordinates.
+        kinematics: Map between motor axes and task space, of equally many coordinates.
         time_ahead: Longest time for which the last command goes on [s].
 
     Raises:

@@ -149,7 +149,7 @@ def sum_of_displacements(
         base: Displacement in the first hold without the torque [m or rad].
         gain: Displacement in the first hold per unit torque.
         hand: Displacement by the hand in two holds [m or rad].
-        friction: What friction adds to an inward displacement in a hold at most [m or rad].
+        friction: Largest increase of an inward displacement in a hold by friction [m or rad].
         holds: Number of holds.
 
     Returns:

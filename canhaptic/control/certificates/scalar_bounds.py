@@ -73,7 +73,7 @@ def displacement_response(
     which its undamped value is used.
 
     Args:
-        sample_time: [s].
+        sample_time: Sample time [s].
         mass: UNDER-estimate of the inertia rigid with the encoder [kg or kg*m^2].
         hand_force: Largest outward force of the hand [N or N*m].
         damping_least: Certain viscous damping of the device [N*s/m or N*m*s/rad].

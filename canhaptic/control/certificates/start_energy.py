@@ -58,7 +58,7 @@ def energy_for_any_hand(
     Args:
         damping: Certain viscous damping of the device, > 0 [N*s/m or N*m*s/rad].
         friction: Certain dry friction of the device [N or N*m].
-        sample_time: [s].
+        sample_time: Sample time [s].
         delay: Delay in whole holds.
         stiffness: Stiffness of the wall [N/m or N*m/rad].
         push: Largest force at rest [N or N*m].

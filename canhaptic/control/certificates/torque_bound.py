@@ -281,7 +281,7 @@ def end_gap(
 
     Args:
         declared: Declared properties of axis and hand.
-        bound: Changed.
+        bound: State of the axis's torque bound; changed.
         displacement: Total displacement [m or rad].
         torque: Torque held in the last hold [N or N*m].
         holds: Number of holds.

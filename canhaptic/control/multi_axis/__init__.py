@@ -50,8 +50,8 @@ def build_group_controller(
     """Returns a controller of a group of axes, at rest and without stored energy.
 
     Args:
-        environment: What is rendered; a class of `NETWORKS`, or anything with `build`.
-        kinematics: Between the motor axes and its task space.
+        environment: Environment to render; a class of `NETWORKS`, or anything with `build`.
+        kinematics: Map between the motor axes and its task space.
         algorithm_name: A name of `GROUP_ALGORITHMS`.
         parameters: The algorithm's own `parameters_type`; None for its defaults.
         loops: Properties of the loop of each motor axis; sample time and delay are the same for all.

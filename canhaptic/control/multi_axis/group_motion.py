@@ -196,8 +196,8 @@ def move(
     Args:
         world: Network and kinematics of the group.
         settings: Constants of the run.
-        motion: Changed.
-        memory: Changed.
+        motion: Motion of the group; changed.
+        memory: Buffers of the motion; changed.
         positions: Positions of the motor axes [rad or m].
         displacement: Displacement of the motor axes since the last ones [rad or m].
         holds: Sample times since then.

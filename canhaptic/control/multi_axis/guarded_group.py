@@ -168,7 +168,7 @@ def book(
 
     Args:
         settings: Constants of the run.
-        state: Changed.
+        state: State of the group; changed.
         memory: Buffers of the group.
         under_way: Torques that act before the next command.
         h_i: Interaction energy of the hold, supplied energy included [J].

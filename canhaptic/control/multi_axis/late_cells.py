@@ -25,7 +25,7 @@ def write_late_cells(
     Args:
         axes: Properties of the motor axes.
         limits: Per-axis limits of the group.
-        memory: After `take_sent`.
+        memory: Buffers of the certificates, after `take_sent`.
         torques: W, (axes,).
         fixed: Torques sent for every l, (axes,).
         norm: N_0 + h.

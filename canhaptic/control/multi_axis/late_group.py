@@ -105,7 +105,7 @@ def given_early(
         held: Torques of the hold, (axes,) [N*m or N], of which fixed + l size are held.
         fixed: 1 where they are sent for every l, else 0.
         size: 0 then, else the share that l = 1 replaces.
-        hold: From now, the next being 1.
+        hold: Index of the hold from now, the next being 1.
         norms: Norms of the acting torques and of the hand.
     """
     constant = linear = square = 0.0

@@ -59,7 +59,7 @@ def take_sent(
     Args:
         axes: Properties of the motor axes.
         limits: Per-axis limits of the group.
-        memory: Written.
+        memory: Buffers of the certificates; written.
         displacement: Displacement in the hold that ended, (axes,) [rad or m].
         blur: Uncertainty of each displacement (axes,).
         torques: Torques held in it, (axes,) [N*m or N].
@@ -123,7 +123,7 @@ def write_cells(
     Args:
         axes: Properties of the motor axes.
         limits: Per-axis limits of the group.
-        memory: Written.
+        memory: Buffers of the certificates; written.
         coming: Motion of a mover in future holds, (holds, axes) [m or rad].
         torques: W, (axes,), of which the share l is to be found.
         fixed: Torques sent at every l, on axes without W, (axes,).
@@ -260,7 +260,7 @@ def share_by_hand(
     Args:
         axes: Properties of the motor axes.
         limits: Per-axis limits of the group.
-        memory: After `take_sent`.
+        memory: Buffers of the certificates, after `take_sent`.
         coming: Motion of a mover in future holds, (holds, axes) [m or rad].
         torques: W, (axes,) [N*m or N].
         budget: Energy budget [J].
@@ -282,7 +282,7 @@ def inward_first(
     Args:
         axes: Properties of the motor axes.
         limits: Per-axis limits of the group.
-        memory: After `take_sent`.
+        memory: Buffers of the certificates, after `take_sent`.
         coming: Motion of a mover in future holds, (holds, axes) [m or rad].
         torques: W, (axes,) [N*m or N].
         quanta: Torque quanta of the drives; torques are rounded towards 0, (axes,).
@@ -341,7 +341,7 @@ def taken_at_most(limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, 
 
     Args:
         limits: Per-axis limits of the group.
-        memory: After `take_sent`.
+        memory: Buffers of the certificates, after `take_sent`.
         coming: Motion of a mover in future holds, (holds, axes) [m or rad].
         torques: W, (axes,); zeros for those under way alone.
     """

@@ -40,7 +40,7 @@ def build_controller(
     """Returns a controller of one axis, at rest and without stored energy.
 
     Args:
-        environment: What is rendered.
+        environment: Environment to render.
         algorithm_name: A name of `ALGORITHMS`.
         parameters: The algorithm's own `parameters_type`; None for its defaults.
         loop: Sample time, delay and other properties of the loop.

@@ -117,7 +117,7 @@ def book(
 
     Args:
         settings: Constants of the run.
-        state: Changed.
+        state: State of the axis; changed.
         memory: Buffers of the axis.
         h_i: Interaction energy of the hold [J].
         h_pas: Part of it taken by the modulated damper [J].

@@ -59,7 +59,7 @@ def prediction_settings(
     Args:
         mass: Moving mass [kg or kg*m^2]; None: unknown.
         damping: Certain damping of the device [N*s/m or N*m*s/rad].
-        sample_time: [s].
+        sample_time: Sample time [s].
         delay: Whole holds between computation and action.
         beyond: Additional holds of prediction beyond those under way.
         count: Encoder count [m or rad]; 0: ideal.

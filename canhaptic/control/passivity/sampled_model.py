@@ -73,7 +73,7 @@ def follow(environment: Environment, model: SampledModel, position: float, hold:
     Args:
         environment: The environment sampled.
         model: Its true state moves.
-        position: At the end of the hold [m or rad].
+        position: Position at the end of the hold [m or rad].
         hold: The hold as it was opened.
     """
     before, displacement, damper = model.true, hold.displacement, hold.damper

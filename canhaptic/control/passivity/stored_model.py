@@ -147,7 +147,7 @@ def close(
         settings: Constants of the run.
         axis: Its surplus and commands change.
         memory: Buffers of the axis.
-        storage: After the hold.
+        storage: Storage after the hold.
         hold: The hold as it was opened.
         account: Account of the hold by the algorithm.
     """

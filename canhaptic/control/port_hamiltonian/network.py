@@ -41,8 +41,8 @@ class Network:
 
     Attributes:
         tables: The network as data; a structure that depends on the state is filled in at every sample.
-        states: How many.
-        ports: How many.
+        states: Number of states.
+        ports: Number of ports.
         functions: Energies and structure given as functions.
     """
 

@@ -76,8 +76,8 @@ def advance_network(
     Args:
         tables: The network.
         functions: Energies and structure given as functions.
-        network: Changed.
-        memory: Changed.
+        network: State of the network; changed.
+        memory: Buffers of the network; changed.
         coordinates: Coordinates of the ports at its end [m or rad].
         displacement: Motion of the ports, less the mover's [m or rad].
         elapsed: One sample time, or several [s].

@@ -16,7 +16,7 @@ def own_frames(link: Link, drives: Sequence[ServoDrive], bus: BusParameters) -> 
     Args:
         link: The bus.
         drives: Drives of the rig; those on other buses are left out.
-        bus: With the node ID of the master.
+        bus: Bus with the node ID of the master.
     """
     names = {
         od.NMT_COB_ID: "NMT",
@@ -38,7 +38,7 @@ def budget_of(drives: Sequence[ServoDrive], bus: BusParameters) -> BusBudget:
 
     Args:
         drives: Drives on this bus.
-        bus: With the node ID of the master; the rates of the bus where it has no drive.
+        bus: Bus with the node ID of the master; its rates count where the bus has no drive.
 
     Raises:
         InputError: Two nodes have one node ID.

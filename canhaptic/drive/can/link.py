@@ -46,7 +46,7 @@ class Link:
 
     Args:
         bus: The bus; it stays the caller's to shut down.
-        clock: Where waiting is done.
+        clock: Clock for every wait.
         recorder: Called with every frame, for the bus log.
         echoes: Whether the interface returns the frames it was sent (`udp_multicast` does).
 

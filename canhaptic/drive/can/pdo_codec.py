@@ -45,7 +45,7 @@ def codec(entries: Sequence[MappedObject], wanted: Sequence[int]) -> struct.Stru
     """Returns the struct of a PDO that yields, in the order of the PDO, the values of the wanted indices.
 
     Args:
-        entries: What is mapped, in order.
+        entries: Mapped objects, in order.
         wanted: Indices to decode; the bytes of others are skipped.
 
     Raises:

@@ -65,7 +65,7 @@ class TorqueAxis(ABC):
         alive_at: Time of the drive's last sign of life [ns].
         answers: Whether the drive answered an SDO since the last start.
         left_out: Objects that the start leaves out, as an older master did whose run is replayed.
-        controlword: Sent with the next torque.
+        controlword: Controlword sent with the next torque.
         unheard: SYNCs since the last `reset` whose process data did not come in their window.
         read_back_bound: Error bound of a torque that is measured (0x6077): sum over the holds of its largest difference
             from

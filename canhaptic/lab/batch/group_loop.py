@@ -54,7 +54,7 @@ def _run_group_loop(
         scene: Scene with one group, alone.
         cycles: SYNCs.
         take: Called at every SYNC; may raise to end the run.
-        controller: At rest; None: that of the scene.
+        controller: Controller at rest; None: that of the scene.
 
     Raises:
         InputError: The motors of the group are not simulated, or move with others.

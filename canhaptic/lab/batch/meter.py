@@ -97,10 +97,10 @@ def take(
     Args:
         environment: The rendered environment.
         settings: Settings of the run.
-        meter: Changed.
+        meter: Meter of the run; changed.
         cycle: Index of the SYNC.
         position: Position as the controller read it [m or rad].
-        true_position: [m or rad].
+        true_position: True position [m or rad].
         torque: Torque applied in the hold that ended [N or N*m].
         interaction: True energy that came in since the start [J].
         balance: Balance booked by the controller.
@@ -163,10 +163,10 @@ def compare(meter: Meter, position: float, torque: float, continuous_position: f
     """Compare one SYNC with that of the continuous environment.
 
     Args:
-        meter: Changed.
+        meter: Meter of the run; changed.
         position: True position [m or rad].
         torque: Torque applied in the hold that ended [N or N*m].
-        continuous_position: [m or rad].
+        continuous_position: Position in the continuous environment [m or rad].
         continuous_torque: Mean continuous torque over the hold that ended [N or N*m].
     """
     error = position - continuous_position

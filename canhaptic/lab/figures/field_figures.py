@@ -140,7 +140,7 @@ def rendered_impedance(run: LoopRun, sample_time: float, frequency: float) -> co
 
     Args:
         run: Run of a hand that moves with this frequency, always in contact.
-        sample_time: [s].
+        sample_time: Sample time [s].
         frequency: Frequency [Hz]; below half of the rate.
     """
     omega, count = 2.0 * math.pi * frequency, len(run.position)

@@ -96,7 +96,7 @@ def figures(
         environment: Rendered environment.
         run: Run of one algorithm.
         reference: The continuous run of the same user; None where there is none.
-        sample_time: [s].
+        sample_time: Sample time [s].
     """
     margin = run.interaction - run.dissipated
     found = _RunMetrics(_sums_of_run(environment, run, reference, sample_time))
@@ -151,7 +151,7 @@ def _sums_of_run(
         environment: Rendered environment.
         run: Run of one algorithm.
         reference: The continuous run of the same user; None leaves out the comparison with it.
-        sample_time: [s].
+        sample_time: Sample time [s].
     """
     damping, touching = run.damping[np.isfinite(run.damping)], np.isfinite(run.damping)
     sums = {

@@ -118,7 +118,7 @@ class Recorder:
 
     Args:
         furthest: Distance from `centre` that counts as divergence [m or rad].
-        centre: [m or rad].
+        centre: Centre of the permitted range [m or rad].
     """
 
     def __init__(self, furthest: float = FURTHEST, centre: float = 0.0) -> None:
@@ -139,7 +139,7 @@ class Recorder:
 
         Args:
             position: Position as the controller read it [m or rad].
-            true_position: [m or rad].
+            true_position: True position [m or rad].
             torque: Torque applied in the hold that ended [N or N*m].
             balance: Balance booked by the controller.
             motor: True work of the motor on the moving mass since the start [J].

@@ -77,10 +77,10 @@ class _Wall(PlainPart):
 
     Args:
         name: Name of the part and of its work.
-        surface: [m or rad].
+        surface: Position of the surface [m or rad].
         below: Whether it is solid below the surface.
-        stiffness: [N/m or N*m/rad].
-        damping: [N*s/m or N*m*s/rad].
+        stiffness: Stiffness of the spring [N/m or N*m/rad].
+        damping: Damping of the damper [N*s/m or N*m*s/rad].
     """
 
     modes: tuple[str, ...] = ("outside", "inside")

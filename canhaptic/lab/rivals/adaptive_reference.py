@@ -58,7 +58,7 @@ def below_reference(state: _AdaptiveReferenceState, observed: float, h_i: float)
     Args:
         state: State of the axis; its coefficient changes.
         observed: Energy that came in so far [J].
-        h_i: In this hold [J].
+        h_i: Energy that came in in this hold [J].
     """
     square = state.model.true * state.model.true
     if h_i > 0.0:

@@ -68,7 +68,7 @@ def augmented_force(
     Args:
         given: Parameters of the run.
         state: State of the contact; changed.
-        depth: In the environment, not below 0 [m or rad].
+        depth: Depth in the environment, not below 0 [m or rad].
         full: Size of the force of the environment there [N or N*m].
     """
     if depth <= 0.0:

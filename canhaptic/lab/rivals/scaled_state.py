@@ -103,7 +103,7 @@ def exchange(
 
     Args:
         world: Network and kinematics of the group.
-        state: Changed.
+        state: State of the group; changed.
         memory: Buffers of the group.
         delay: Whole holds between computation and action.
         h_m: Energy that the model received [J].

@@ -32,7 +32,7 @@ class Wire:
     """A medium that carries one frame at a time; of those that wait when it falls free, the lowest COB-ID goes first.
 
     Args:
-        bitrate: [bit/s].
+        bitrate: Bit rate of the wire [bit/s].
     """
 
     def __init__(self, bitrate: int) -> None:
@@ -52,7 +52,7 @@ class Wire:
 
         Args:
             now: Time [ns].
-            frozen_until: When a freeze ends before which no frame begins [ns]; not later than `now` without one.
+            frozen_until: End of a freeze, before which no frame begins [ns]; not later than `now` without one.
         """
         if self._current is not None and self._end <= now:
             (message, deliver), self._current, self._end = self._current, None, NEVER
@@ -74,7 +74,7 @@ class Foreign:
     """Frames of other devices, at random times.
 
     Attributes:
-        due: When the next one is sent [ns]; `NEVER` before `begin`.
+        due: Time of the next frame [ns]; `NEVER` before `begin`.
     """
 
     def __init__(self, effects: BusEffects, seed: int) -> None:

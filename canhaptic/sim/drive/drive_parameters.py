@@ -63,7 +63,7 @@ class SimulatedDriveParameters(Parameters):
         torque_limit: Limit of the drive besides 0x6072 [N or N*m]; none when not given.
         objects: Object -> value, for what the dictionary lists without a value, or in place of its value. Keys are
             `0x6502` or `"0x1018.1"` (index.subindex, hexadecimal).
-        encoder: How the position becomes counts: to the nearest, or down to the last line passed.
+        encoder: Rounding of the position to counts: to the nearest, or down to the last line passed.
         torque_read_back: Whether 0x6074 and 0x6077 of a SYNC show the hold that ended, or already the next torque.
         torque_resolution: Part of the rated torque per count of 0x6071, 0x6072, 0x6074 and 0x6077.
         torque_lag: Time constant with which 0x6077 follows the motor's torque, as a filter of the drive; none at 0.

@@ -38,7 +38,7 @@ class GuardBounds(NamedTuple):
         slack: |y| * slack[level, guard] is at least the distance of the guard from its chord; shape (levels + 1, c).
         chord: The same, tighter: sum of |y_j| * chord[level, guard, j]; shape (levels + 1, c, m).
         bend: Second derivative of the guard at the start of a step: bend[guard] . y; shape (c, m).
-        spread: How far it moves in the step: sum of |y_j| * spread[level, guard, j]; shape (levels + 1, c, m).
+        spread: Bound of its change in the step: sum of |y_j| * spread[level, guard, j]; shape (levels + 1, c, m).
     """
 
     scaled: Array

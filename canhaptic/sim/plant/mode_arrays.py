@@ -88,7 +88,7 @@ def flat_tables(modes: Sequence[Mode], targets: Sequence[Sequence[int]], works: 
 
     Args:
         modes: Compiled modes.
-        targets: By mode and guard, the mode it leads to.
+        targets: Mode behind each guard, by mode and guard.
         works: Number of works.
     """
     size, count = len(modes[0].storage), max(len(mode.exits) for mode in modes)

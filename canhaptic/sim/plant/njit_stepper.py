@@ -106,7 +106,7 @@ class CompiledMachine(HybridAutomaton):
 
         Args:
             torques: Shape (n_holds,) [N or N*m].
-            positions: Written, shape (n_holds,) [m or rad].
+            positions: Receives the positions, shape (n_holds,) [m or rad].
 
         Raises:
             EventLimitError: One of them has more events than allowed.

@@ -53,7 +53,7 @@ def radial(row: Buffer, radius: float, sign: float) -> float:
 
     Args:
         row: Offset from the centre, or from the nearest point of the axis [m or rad]; the gradient afterwards.
-        radius: [m or rad].
+        radius: Radius of the surface [m or rad].
         sign: 1 where free space is outside, else -1.
     """
     square = 0.0

@@ -77,7 +77,7 @@ class Servo:
 
     Args:
         store: The objects.
-        motor: At rest until the first SYNC that finds operation enabled.
+        motor: Motor of the drive; at rest until the first SYNC that finds operation enabled.
         parameters: Scales and limits.
 
     Attributes:

@@ -122,7 +122,7 @@ def advance_five_bar(
 
     Args:
         settings: Properties of links and hand.
-        state: Changed in place.
+        state: State of the motion; changed in place.
         stack: Buffer for the halvings.
         place: Place of the state.
         begin: Tick at which the motion begins.

@@ -77,7 +77,7 @@ def mean_pull(hand: HandForce, before: Pair, after: Pair, time: float, step: flo
         before: Handle at `time` [m].
         after: Handle at `time + step` [m].
         time: Since the start [s].
-        step: [s]
+        step: Duration of the substep [s].
     """
     middle = (0.5 * (before[0] + after[0]), 0.5 * (before[1] + after[1]))
     speed = ((after[0] - before[0]) / step, (after[1] - before[1]) / step)

@@ -18,7 +18,7 @@ class SharedMechanism:
         axes: Number of its motors.
 
     Attributes:
-        mechanism: As given.
+        mechanism: Mechanism, as given.
         motors: One per axis, each for one drive; connect every one before the first SYNC.
     """
 
