@@ -100,7 +100,7 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
-    """Imports a public name on its first use (PEP 562)."""
+    """Import a public name on its first use (PEP 562)."""
     if name in _MODULES:
         return importlib.import_module(f"canhaptic.{name}")
     if name not in _PUBLIC:

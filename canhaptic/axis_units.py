@@ -7,20 +7,20 @@ Motion = Literal["m", "rad"]
 
 
 def effort_unit(motion: str) -> str:
-    """Returns the unit of force or torque of an axis whose position is in "m" or in "rad"."""
+    """Return the unit of force or torque of an axis whose position is in "m" or in "rad"."""
     return "N" if motion == "m" else "N*m"
 
 
 def damping_unit(motion: str) -> str:
-    """Returns the unit of damping of an axis whose position is in "m" or in "rad"."""
+    """Return the unit of damping of an axis whose position is in "m" or in "rad"."""
     return "N*s/m" if motion == "m" else "N*m*s/rad"
 
 
 def stiffness_unit(motion: str) -> str:
-    """Returns the unit of stiffness of an axis whose position is in "m" or in "rad"."""
+    """Return the unit of stiffness of an axis whose position is in "m" or in "rad"."""
     return "N/m" if motion == "m" else "N*m/rad"
 
 
 def mass_unit(motion: str) -> str:
-    """Returns the unit of mass or inertia of an axis whose position is in "m" or in "rad"."""
+    """Return the unit of mass or inertia of an axis whose position is in "m" or in "rad"."""
     return "kg" if motion == "m" else "kg*m^2"

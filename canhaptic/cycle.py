@@ -51,7 +51,7 @@ class _CycleLog(Protocol):
         deadline: int = 0,
         measured: Sequence[Measured] = (),
     ) -> None:
-        """Takes one cycle."""
+        """Take one cycle."""
 
     def event(self, sync_index: int, kind: str, port: str, text: str) -> None:
         """Take a single event."""
@@ -122,7 +122,7 @@ class Cycle:
         self._frozen_after = max(_FEWEST_UNCHANGED, round(1.0 / rig.bus.sample_time))
 
     def step(self) -> None:
-        """Walks the route once.
+        """Walk the route once.
 
         Raises:
             RigError: Drive, link or controller failed, or a port gave out more energy than was declared.
@@ -223,7 +223,7 @@ class Cycle:
     def _account_groups(
         self, samples: Sequence[Sample], balances: Sequence[EnergyBalance], truths: Sequence[Truth] | None
     ) -> tuple[list[Sample], list[EnergyBalance], list[Truth] | None]:
-        """Books the accounts of the groups, and returns the rows of the log: the axes first, then the groups."""
+        """Book the accounts of the groups, and return the rows of the log: the axes first, then the groups."""
         rows, accounts = list(samples), list(balances)
         for group in self.groups:
             balance = group.balance
@@ -257,7 +257,7 @@ class _FailedLog:
         self._reason = reason
 
     def append(self, *_cycle: object) -> None:
-        """Ends the run.
+        """End the run.
 
         Raises:
             LogWriteError: Always.

@@ -15,7 +15,7 @@ class DurationHistogram:
         self.maximum = 0
 
     def add(self, duration: int) -> None:
-        """Counts one duration [ns]; a negative one counts as zero."""
+        """Count one duration [ns]; a negative one counts as zero."""
         index = duration // _BIN
         self._counts[0 if index < 0 else index if index < _BINS else _BINS] += 1
         self.total += 1
@@ -23,7 +23,7 @@ class DurationHistogram:
             self.maximum = duration
 
     def quantile(self, fraction: float) -> float:
-        """Returns the duration [s] that `fraction` of all entries do not exceed, rounded up to a bin; 0 when empty."""
+        """Return the duration [s] that `fraction` of all entries do not exceed, rounded up to a bin; 0 when empty."""
         if not self.total:
             return 0.0
         needed = fraction * self.total
@@ -35,7 +35,7 @@ class DurationHistogram:
         return 0.0
 
     def summary(self) -> dict[str, float]:
-        """Returns p50, p99, p99.9 and the maximum [s]."""
+        """Return p50, p99, p99.9 and the maximum [s]."""
         return {
             "p50": self.quantile(0.5),
             "p99": self.quantile(0.99),

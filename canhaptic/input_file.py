@@ -41,7 +41,7 @@ def require_regular(path: str | Path) -> os.stat_result:
 
 
 def read_regular(path: str | Path, most: int) -> bytes:
-    """Returns the content of a regular file.
+    """Return the content of a regular file.
 
     Args:
         path: Path of the file.

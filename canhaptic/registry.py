@@ -12,7 +12,7 @@ from canhaptic.errors import ParameterError
 
 
 def load(table: Mapping[str, str], name: str, kind: str) -> Any:
-    """Returns the class that `table` lists as "module:Class" under `name`.
+    """Return the class that `table` lists as "module:Class" under `name`.
 
     Args:
         table: Name -> "module:Class".
@@ -30,7 +30,7 @@ def load(table: Mapping[str, str], name: str, kind: str) -> Any:
 
 
 def load_algorithm(table: Mapping[str, str], name: str, kind: str, parameters: object | None) -> tuple[Any, Any]:
-    """Returns an algorithm and the parameters to build it with.
+    """Return an algorithm and the parameters to build it with.
 
     Args:
         table: As for `load`; every class has a `parameters_type`.
@@ -53,7 +53,7 @@ def load_algorithm(table: Mapping[str, str], name: str, kind: str, parameters: o
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """Returns `; did you mean 'stiffness'?` for the end of a message, or nothing when no name is near."""
+    """Return `; did you mean 'stiffness'?` for the end of a message, or nothing when no name is near."""
     near = difflib.get_close_matches(name, list(names), n=1)
     return f"; did you mean {near[0]!r}?" if near else ""
 

@@ -95,7 +95,7 @@ class Verdicts(TypedDict):
 
 
 def overall(ports: Mapping[str, PortResult]) -> Verdicts:
-    """Returns the worst verdicts of all accounts; "in doubt" where there is none, as of a run without a cycle."""
+    """Return the worst verdicts of all accounts; "in doubt" where there is none, as of a run without a cycle."""
     accounts = [account for account in ports.values() if "passive" in account]
     found: Verdicts = {
         "verdict": max((of.get("verdict", of["passive"]) for of in accounts), key=_HEADLINES.index, default="in doubt"),
@@ -112,7 +112,7 @@ def overall(ports: Mapping[str, PortResult]) -> Verdicts:
 def run_result(
     cycle: Cycle, ports: Sequence[tuple[str, str]], *, status: str, config_hash: str, sample_time: float, method: str
 ) -> RunResult:
-    """Returns the account of a run; energies in [J], times in [s].
+    """Return the account of a run; energies in [J], times in [s].
 
     Args:
         cycle: Cycle after its run, completed or not.
@@ -144,7 +144,7 @@ def run_result(
 def _accounts(
     cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float, truth: Mapping[str, TruthResult]
 ) -> dict[str, PortResult]:
-    """Returns the account of each axis, then of each group."""
+    """Return the account of each axis, then of each group."""
     drives, grouped = cycle.rig.drives, {axis for group in cycle.groups for axis in group.axes}
     alone, known = iter(cycle.controllers), cycle.meters.ports
     accounts: dict[str, PortResult] = {}
@@ -174,7 +174,7 @@ def _accounts(
 
 
 def port_account(port: AxisPort | GroupPort, ledger: Ledger, promise: Promise, sample_time: float) -> PortResult:
-    """Returns the account of a port without its verdicts.
+    """Return the account of a port without its verdicts.
 
     Args:
         port: Figures of the port in addition to its ledger.

@@ -57,7 +57,7 @@ class SimulatedPeer(Protocol):
     """A simulated drive (or several) that shares a bus with the master and is driven by the master's clock."""
 
     def process(self, now: int) -> None:
-        """Handles every frame waiting on its bus and every timer due up to `now` [ns], in order."""
+        """Handle every frame waiting on its bus and every timer due up to `now` [ns], in order."""
 
     def next_due(self) -> int:
-        """Returns the time [ns] of its next timer; a very large number when it has none."""
+        """Return the time [ns] of its next timer; a very large number when it has none."""

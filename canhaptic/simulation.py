@@ -173,7 +173,7 @@ class SimulationResult:
         return EnergyLog.open(self._path)
 
     def to_numpy(self) -> dict[str, NDArray[np.float64]]:
-        """Returns every sampled quantity of every port as an array of shape (n_cycles,), in SI.
+        """Return every sampled quantity of every port as an array of shape (n_cycles,), in SI.
 
         The name is `PORT.QUANTITY`, such as `handle.position`; `true.PORT.QUANTITY` is the plant's value.
 
@@ -183,7 +183,7 @@ class SimulationResult:
         return {name: values for name, _, values in self._columns()}
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Returns the quantities of `to_numpy` as a table over time [s].
+        """Return the quantities of `to_numpy` as a table over time [s].
 
         Raises:
             InputError: pandas is not installed.
@@ -198,7 +198,7 @@ class SimulationResult:
         return pandas.DataFrame(self.to_numpy(), index=pandas.Index(self.time, name="time [s]"))
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Returns the quantities of `to_numpy` as a dataset over `time` [s], each with its unit as an attribute.
+        """Return the quantities of `to_numpy` as a dataset over `time` [s], each with its unit as an attribute.
 
         Raises:
             InputError: xarray is not installed.
@@ -215,7 +215,7 @@ class SimulationResult:
         return xarray.Dataset(arrays, coords={"time": time}, attrs={"status": self.status})
 
     def plot(self, *others: "SimulationResult") -> "Figure":
-        """Returns a figure of position, torque and energy over time; `others` are drawn over it in dashed lines.
+        """Return a figure of position, torque and energy over time; `others` are drawn over it in dashed lines.
 
         Raises:
             InputError: matplotlib is not installed, or the run ended before its first cycle.
@@ -231,7 +231,7 @@ class SimulationResult:
         return figure
 
     def save(self, path: str | PathLike[str]) -> Path:
-        """Writes the energy log (HDF5) of the run, for `canhaptic inspect` and `EnergyLog.open`; returns its path.
+        """Write the energy log (HDF5) of the run, for `canhaptic inspect` and `EnergyLog.open`; return its path.
 
         Raises:
             InputError: The file exists already, or cannot be written.
@@ -252,7 +252,7 @@ class SimulationResult:
         return f"<SimulationResult {self.scene.source}: {self.status}, {cycles} cycles, passive {self.account.verdict}>"
 
     def _repr_html_(self) -> str:
-        """Returns the verdict, the energies and the picture for a notebook."""
+        """Return the verdict, the energies and the picture for a notebook."""
         rows = "".join(
             f"<tr><th>{html.escape(name)}</th><td>{port.verdict}</td><td>{port.energy_in:.4g}</td>"
             f"<td>{port.energy_out:.4g}</td><td>{port.dissipated:.4g}</td><td>{html.escape(port.certificate)}</td></tr>"
@@ -291,7 +291,7 @@ def simulate(
     allow_code: bool = False,
     no_torque: bool = False,
 ) -> SimulationResult:
-    """Simulates a scene on the virtual bus, as fast as this machine allows, and returns what happened.
+    """Simulate a scene on the virtual bus, as fast as this machine allows, and return what happened.
 
     Args:
         scene: A scene file, a mapping with the keys of one, or a scene that was loaded.
@@ -365,7 +365,7 @@ def _override(path: str, value: object) -> str:
 
 
 def _plain(value: object) -> object:
-    """Returns a number or array of NumPy, or a path, as a plain value."""
+    """Return a number or array of NumPy, or a path, as a plain value."""
     return value.tolist() if isinstance(value, np.generic | np.ndarray) else fspath(cast("PathLike[str]", value))
 
 

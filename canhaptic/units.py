@@ -116,7 +116,7 @@ def _base_unit(symbol: str) -> tuple[float, _Dimension]:
 
 @lru_cache(maxsize=256)  # the same few units, at every number of every scene
 def parse_unit(text: str) -> tuple[float, _Dimension]:
-    """Returns (factor to SI, dimension exponents) of a unit such as `N*s/m` or `kg*m^2`.
+    """Return (factor to SI, dimension exponents) of a unit such as `N*s/m` or `kg*m^2`.
 
     Raises:
         ValueError: The text is not a product of known units.
@@ -150,12 +150,12 @@ class Unit:
         return (self.linear if motion == "m" else self.rotary,)
 
     def words(self, motion: Motion | None) -> str:
-        """Returns `[N/m]`, `[N/m or N*m/rad]`, or nothing for a pure number."""
+        """Return `[N/m]`, `[N/m or N*m/rad]`, or nothing for a pure number."""
         accepted = self.accepted(motion)
         return "" if accepted in {("1",), ("count",)} else f"[{' or '.join(accepted)}]"
 
     def read(self, value: object, motion: Motion | None = None) -> object:
-        """Returns a number in SI from a number or a string with a unit; other types pass to the validator behind.
+        """Return a number in SI from a number or a string with a unit; other types pass to the validator behind.
 
         Raises:
             ValueError: The string is no number, or its unit has another dimension.
@@ -190,7 +190,7 @@ class Quantity:
         self.limits = limits
 
     def expected(self, name: str, motion: Motion | None = None) -> str:
-        """Returns `0 < stiffness <= 1e8 [N/m]`."""
+        """Return `0 < stiffness <= 1e8 [N/m]`."""
         low = next((f"{_short(self.limits[key])} {_SYMBOLS[key]} " for key in ("gt", "ge") if key in self.limits), "")
         high = next((f" {_SYMBOLS[key]} {_short(self.limits[key])}" for key in ("lt", "le") if key in self.limits), "")
         subject = f"{low}{name}{high}" if low or high else f"a finite number for {name}"
@@ -222,7 +222,7 @@ def _short(value: float) -> str:
 
 
 def quantity(linear: str, rotary: str | None = None, **limits: float) -> Any:
-    """Returns the pydantic annotation of a finite number with a unit and limits.
+    """Return the pydantic annotation of a finite number with a unit and limits.
 
     Args:
         linear: Unit on a linear axis, SI or the unit that the field keeps (`N/m`); "1" for a pure number.
@@ -268,7 +268,7 @@ def _described(model: type[BaseModel], fault: ErrorDetails) -> str:
 
 
 def parts_of(annotation: object) -> Iterator[object]:
-    """Yields an annotation, or a tuple of such, and the types and annotations inside it."""
+    """Yield an annotation, or a tuple of such, and the types and annotations inside it."""
     yield annotation
     parts = annotation if isinstance(annotation, tuple) else get_args(annotation)
     for part in (*parts, *getattr(annotation, "__metadata__", ())):
@@ -311,7 +311,7 @@ _LONGEST_SHOWN: Final = 200  # bits
 
 
 def shown(value: object) -> str:
-    """Returns a value as a message shows it: short, on one line."""
+    """Return a value as a message shows it: short, on one line."""
     if value is None:
         return "nothing"
     if isinstance(value, Mapping):
@@ -355,7 +355,7 @@ class Parameters(BaseModel, metaclass=_ParametersMeta):
 
     @classmethod
     def validated(cls, values: Mapping[str, Any], motion: Motion | None = None) -> Self:
-        """Returns the parameters of an axis that moves in metres or radians.
+        """Return the parameters of an axis that moves in metres or radians.
 
         Raises:
             ParameterError: A value is missing or wrong; names each.

@@ -9,7 +9,7 @@ from canhaptic.logs.hdf5 import Array
 
 
 def rows_between(log: EnergyLog, start: float | None, stop: float | None) -> slice:
-    """Returns the rows from time `start` [s] on and before `stop` [s]; None: from the beginning, to the end.
+    """Return the rows from time `start` [s] on and before `stop` [s]; None: from the beginning, to the end.
 
     Raises:
         InputError: No cycle lies between them.
@@ -37,7 +37,7 @@ def rows_to_draw(log: EnergyLog, start: float | None, stop: float | None) -> sli
 
 
 def contacts(branch: Array) -> list[tuple[int, int]]:
-    """Returns (first, last) row of every stretch in which a hold was booked by another branch than `free`.
+    """Return (first, last) row of every stretch in which a hold was booked by another branch than `free`.
 
     A contact continues across a hold whose sample was lost.
     """

@@ -24,7 +24,7 @@ class ImpossibleValue(TypedDict):
 
 
 def impossible_values(log: EnergyLog) -> list[ImpossibleValue]:
-    """Returns each column with such values.
+    """Return each column with such values.
 
     Raises:
         LogFormatError: A column cannot be read.

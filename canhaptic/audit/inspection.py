@@ -78,7 +78,7 @@ class Inspection(_Inspected):
 
 
 def inspect(log: EnergyLog, start: float | None = None, stop: float | None = None) -> Inspection:
-    """Returns the account of a run, or of a part of it.
+    """Return the account of a run, or of a part of it.
 
     Args:
         log: An open energy log.
@@ -129,7 +129,7 @@ def _running(values: Array) -> Array:
 
 
 def _least(running: Array) -> tuple[float, int]:
-    """Returns the least value of a running sum that starts at 0, and the row where it is reached."""
+    """Return the least value of a running sum that starts at 0, and the row where it is reached."""
     if not len(running) or running.min() >= 0.0:
         return 0.0, 0
     row = int(running.argmin())
@@ -244,7 +244,7 @@ def _truth(log: EnergyLog, name: str, rows: slice) -> TruthResult:
 
 
 def _taken_in(log: EnergyLog, name: str, rows: slice) -> Array:
-    """Returns the true energy that came in since the row before the first, or since the first row of the log [J]."""
+    """Return the true energy that came in since the row before the first, or since the first row of the log [J]."""
     motor = log.truth[name].read("motor", max(0, rows.start - 1), rows.stop)
     return (motor[:1] - motor)[1 if rows.start else 0 :]
 
@@ -260,7 +260,7 @@ def _timing(log: EnergyLog, rows: slice) -> dict[str, int | dict[str, float]]:
 
 
 def _quantiles(durations: Array) -> dict[str, float]:
-    """Returns p50, p99, p99.9 and the maximum [s] of durations [ns]."""
+    """Return p50, p99, p99.9 and the maximum [s] of durations [ns]."""
     if not len(durations):
         return dict.fromkeys((*_QUANTILES, "max"), 0.0)
     values = np.quantile(durations, list(_QUANTILES.values()), method="higher")

@@ -82,7 +82,7 @@ class ListenedAxis:
         self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
 
     def take(self, frame: Frame) -> None:
-        """Takes any frame of the bus."""
+        """Take any frame of the bus."""
         if frame.can_id == od.SDO_REQUEST_BASE + self._drive.node_id:
             self._sdo.request(frame.data)
         elif frame.can_id == od.SDO_RESPONSE_BASE + self._drive.node_id:
@@ -101,7 +101,7 @@ class ListenedAxis:
                 self._fields.setdefault(field.object_index, self._signed(field))
 
     def _signed(self, field: PdoField) -> int:
-        """Returns the value of a field; the force is a signed integer in every object."""
+        """Return the value of a field; the force is a signed integer in every object."""
         force = self._drive.force
         if force is not None and field.object_index == force.object_index and field.raw >> (field.bits - 1) == 1:
             return field.raw - (1 << field.bits)

@@ -30,7 +30,7 @@ class LogComparison(TypedDict):
 
 
 def compare(first: EnergyLog, second: EnergyLog) -> LogComparison:
-    """Returns how two runs differ; times of the cycles are left out, they differ in every run.
+    """Return how two runs differ; times of the cycles are left out, they differ in every run.
 
     Args:
         first: An open energy log.

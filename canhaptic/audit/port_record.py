@@ -52,7 +52,7 @@ class PortRecord:
         return float(log.ports[self._name].read(column, row, row + 1)[0]) if self._is_measured else 0.0
 
     def take(self, log: EnergyLog, start: int, stop: int) -> None:
-        """Takes the next rows."""
+        """Take the next rows."""
         port = log.ports[self._name]
         if stop <= start:
             return

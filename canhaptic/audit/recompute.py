@@ -120,7 +120,7 @@ def periods_of(log: EnergyLog) -> list[int]:
 
 
 def logged_rows(log: EnergyLog, port: str, columns: Sequence[str]) -> Iterator[tuple[float, ...]]:
-    """Yields some columns of a port row by row; a block of them is in memory at a time."""
+    """Yield some columns of a port row by row; a block of them is in memory at a time."""
     for start in range(0, log.rows, _BLOCK):
         block = (log.ports[port].read(column, start, start + _BLOCK).tolist() for column in columns)
         yield from zip(*block, strict=True)
@@ -131,7 +131,7 @@ def _differ(left: float, right: float) -> bool:
 
 
 def recompute_all(log: EnergyLog, config: Path | None = None, *, allow_code: bool = False) -> list[Recomputed]:
-    """Returns the outcome for every port, recomputed with the controllers of the run's own scene.
+    """Return the outcome for every port, recomputed with the controllers of the run's own scene.
 
     Args:
         log: An open energy log that holds the run from its first cycle.
@@ -165,7 +165,7 @@ def recompute_all(log: EnergyLog, config: Path | None = None, *, allow_code: boo
 
 
 def scene_of(log: EnergyLog, config: Path | None = None, *, allow_code: bool = False) -> "Scene":
-    """Returns the scene of the run that a log holds, with the overrides of that run.
+    """Return the scene of the run that a log holds, with the overrides of that run.
 
     Args:
         log: An open energy log.

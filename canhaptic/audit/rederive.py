@@ -42,7 +42,7 @@ class _Heard:
     open_torque: float = 0.0
 
     def take(self, sample: Sample, periods: int, shows_demand: bool) -> None:
-        """Takes the next SYNC."""
+        """Take the next SYNC."""
         self.longest_gap = max(self.longest_gap, periods)
         if not sample.fresh or periods > 1 or not shows_demand:
             self.read_back_bound = inf
@@ -228,7 +228,7 @@ class _Judge:
         self.difference: Departure | None = None
 
     def compare(self, cycle: int, values: tuple[float, ...]) -> None:
-        """Takes the next cycle."""
+        """Take the next cycle."""
         for name, logged, found in zip(self._NAMES, next(self._rows), values, strict=False):
             if logged != found and self.difference is None:
                 self.difference = {

@@ -81,7 +81,7 @@ def check(result: Checked, expression: str) -> list[Outcome]:
 
 
 def _verdicts(result: Checked, expression: str) -> list[Outcome]:
-    """Returns whether each account that the expression names was passive.
+    """Return whether each account that the expression names was passive.
 
     Raises:
         InputError: It names none.

@@ -164,7 +164,7 @@ def emcy_remedy(code: int, silence: float, skipped: int) -> str:
 
 
 def _of_code_or_group(texts: Mapping[int, str], code: int) -> str:
-    """Returns the text of a code, else of the narrowest group that has one, else ""; 0 is a code of its own."""
+    """Return the text of a code, else of the narrowest group that has one, else ""; 0 is a code of its own."""
     groups = (code & mask for mask in _EMCY_MASKS)
     return next((texts[group] for group in groups if group in texts and (group or not code)), "")
 
@@ -175,7 +175,7 @@ def sdo_abort_text(code: int) -> str:
 
 
 def controlword_text(controlword: int) -> str:
-    """Returns the command that a controlword (0x6040) gives."""
+    """Return the command that a controlword (0x6040) gives."""
     for mask, value, command in _CONTROLWORD_TEXTS:
         if controlword & mask == value:
             return command

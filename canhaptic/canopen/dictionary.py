@@ -37,17 +37,17 @@ class Dictionary(Protocol):
         """Whether an object is listed."""
 
     def __iter__(self) -> Iterator[int]:
-        """Yields the indices."""
+        """Yield the indices."""
 
     def __getitem__(self, index: int, /) -> Any:
         """An object: a `Variable`, or an entry with `subindices`."""
 
     def get_variable(self, index: int, subindex: int = 0) -> Variable | None:
-        """Returns an object or one of its subindices; None where it is not listed."""
+        """Return an object or one of its subindices; None where it is not listed."""
 
 
 def variables(dictionary: Dictionary) -> Iterator[Variable]:
-    """Yields every object without subindices, and every subindex of the others."""
+    """Yield every object without subindices, and every subindex of the others."""
     for index in dictionary:
         item = dictionary[index]
         members = getattr(item, "subindices", None)

@@ -56,7 +56,7 @@ class _Source(NamedTuple):
 
 
 def read_dictionary(path: str | Path, node_id: int) -> ObjectDictionary:
-    """Returns the object dictionary of a drive as its EDS or DCF states it, for one node ID.
+    """Return the object dictionary of a drive as its EDS or DCF states it, for one node ID.
 
     `value` of a variable is the ParameterValue of a DCF, `default` its DefaultValue; both are None when not given.
     Repeated reads of the same content return the same object: do not change it.
@@ -97,7 +97,7 @@ def _read(path: Path, content: bytes, node_id: int) -> ObjectDictionary:
 
 
 def _parse(path: Path, content: bytes) -> _Sections:
-    """Returns the entries of each section, names and keys in lower case; comments and stray lines left out."""
+    """Return the entries of each section, names and keys in lower case; comments and stray lines left out."""
     sections: _Sections = {}
     entries: _Entries | None = None
     for line in _text(path, content).splitlines():
@@ -111,7 +111,7 @@ def _parse(path: Path, content: bytes) -> _Sections:
 
 
 def dictionary_content(path: Path) -> bytes:
-    """Returns the bytes of an EDS or DCF.
+    """Return the bytes of an EDS or DCF.
 
     Raises:
         DictionaryError: It is no regular file, is larger than any dictionary, or cannot be read.
@@ -136,7 +136,7 @@ def _text(path: Path, content: bytes) -> str:
 
 
 def _integer(text: str) -> int | None:
-    """Returns the number of a text as CiA 306 writes it (decimal, 0x, octal with leading 0) or as vendors do.
+    """Return the number of a text as CiA 306 writes it (decimal, 0x, octal with leading 0) or as vendors do.
 
     None if unreadable. Letters without prefix count only where they begin with a digit or fill 1, 2, 4 or 8 bytes, so
     that a word is no number.
@@ -177,7 +177,7 @@ def _read_device(source: _Source, dictionary: ObjectDictionary) -> None:
 
 
 def _read_dummies(source: _Source, dictionary: ObjectDictionary) -> None:
-    """Adds the data types that an RPDO may map to skip bytes (CiA 301, 7.4.7)."""
+    """Add the data types that an RPDO may map to skip bytes (CiA 301, 7.4.7)."""
     entries = source.sections.get("dummyusage", {})
     for data_type in range(1, 8):
         if _integer(entries.get(f"dummy{data_type:04}", "")) == 1:
@@ -205,7 +205,7 @@ def _read_object(source: _Source, section: str, index: int) -> ODVariable | ODRe
 
 
 def _read_compact(source: _Source, section: str, holder: ODRecord, count: int) -> None:
-    """Adds the subindices 1..count that `CompactSubObj` describes in one entry (CiA 306, 4.6.4)."""
+    """Add the subindices 1..count that `CompactSubObj` describes in one entry (CiA 306, 4.6.4)."""
     _add_count(holder, "ro", count)
     names = source.sections.get(f"{section}name", {})
     values = source.sections.get(f"{section}value", {})
@@ -268,7 +268,7 @@ def _read_variable(source: _Source, section: str, index: int, subindex: int, nam
 
 
 def _set_limits(variable: ODVariable, low: Any, high: Any) -> None:
-    """Sets the limits of a number; those that contradict each other or what the object holds are left out."""
+    """Set the limits of a number; those that contradict each other or what the object holds are left out."""
     if variable.data_type not in datatypes.NUMBER_TYPES or (low is not None and high is not None and low > high):
         return
     held = [value for value in (variable.default, variable.value) if value is not None]
@@ -281,7 +281,7 @@ def _set_limits(variable: ODVariable, low: Any, high: Any) -> None:
 
 
 def _data_type(source: _Source, section: str) -> int:
-    """Returns the CiA 301 data type; DOMAIN (opaque bytes) for a vendor type that the file does not define."""
+    """Return the CiA 301 data type; DOMAIN (opaque bytes) for a vendor type that the file does not define."""
     entries = source.sections[section]
     data_type = _integer(entries.get("datatype", ""))
     if data_type is None:
@@ -296,7 +296,7 @@ def _data_type(source: _Source, section: str) -> int:
 
 
 def _value(source: _Source, variable: ODVariable, text: str) -> Any:
-    """Returns the value of a text as the variable's type has it (int, float, str, bytes); None if unreadable."""
+    """Return the value of a text as the variable's type has it (int, float, str, bytes); None if unreadable."""
     data_type = variable.data_type
     if not text:
         return None

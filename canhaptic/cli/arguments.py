@@ -16,7 +16,7 @@ _PICTURES: Final = (".png", ".svg", ".pdf")
 
 
 def add_scene(parser: argparse.ArgumentParser, *, runs: bool = True) -> None:
-    """Declares the scene file and its overrides, and for a command that runs the scene `--allow-code`."""
+    """Declare the scene file and its overrides, and for a command that runs the scene `--allow-code`."""
     parser.add_argument("config", metavar="CONFIG", type=Path, help="scene file (YAML)")
     add_overrides(parser)
     if runs:
@@ -24,14 +24,14 @@ def add_scene(parser: argparse.ArgumentParser, *, runs: bool = True) -> None:
 
 
 def add_allow_code(parser: argparse.ArgumentParser) -> None:
-    """Declares `--allow-code`."""
+    """Declare `--allow-code`."""
     parser.add_argument(
         "--allow-code", action="store_true", help="run the program files that the scene names (type: my_wall.py:MyWall)"
     )
 
 
 def add_overrides(parser: argparse.ArgumentParser) -> None:
-    """Declares `--set`."""
+    """Declare `--set`."""
     parser.add_argument(
         "--set",
         dest="overrides",
@@ -43,12 +43,12 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
 
 
 def add_json(parser: argparse.ArgumentParser, what: str = "one JSON object instead of tables") -> None:
-    """Declares `--json`."""
+    """Declare `--json`."""
     parser.add_argument("--json", action="store_true", help=f"print {what}")
 
 
 def scene_of(arguments: argparse.Namespace, *, beyond_bus: bool = False) -> "Scene":
-    """Returns the scene that the arguments name; `beyond_bus` as for `load_scene`.
+    """Return the scene that the arguments name; `beyond_bus` as for `load_scene`.
 
     A command without `--allow-code` runs no scene, and leaves own code unread.
 
@@ -117,7 +117,7 @@ def require_new(*logs: Path) -> None:
 
 
 def seconds(text: str) -> float:
-    """Returns a duration [s] from `10`, `10 s`, `500 ms` or `2 min`.
+    """Return a duration [s] from `10`, `10 s`, `500 ms` or `2 min`.
 
     Raises:
         argparse.ArgumentTypeError: It is none, or not above zero.
@@ -126,7 +126,7 @@ def seconds(text: str) -> float:
 
 
 def number(text: str, units: tuple[str, str]) -> float:
-    """Returns a number in SI from a text; `units` and errors as for `positive_number`."""
+    """Return a number in SI from a text; `units` and errors as for `positive_number`."""
     from canhaptic.units import Unit
 
     try:
@@ -136,7 +136,7 @@ def number(text: str, units: tuple[str, str]) -> float:
 
 
 def positive_number(text: str, units: tuple[str, str], name: str, most: float) -> float:
-    """Returns a number above zero, SI, from a text with or without its unit.
+    """Return a number above zero, SI, from a text with or without its unit.
 
     Args:
         text: The text as typed.
@@ -155,7 +155,7 @@ def positive_number(text: str, units: tuple[str, str], name: str, most: float) -
 
 
 def names(text: str) -> list[str]:
-    """Returns names that commas separate.
+    """Return names that commas separate.
 
     Raises:
         argparse.ArgumentTypeError: There is none.

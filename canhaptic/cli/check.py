@@ -34,7 +34,7 @@ _COLOURS: Final = {Verdict.FIT: "green", Verdict.UNKNOWN: "yellow", Verdict.REFU
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Prints one line of verdict, the bus budget, the fitness of each drive, stability hints and the host.
+    """Print one line of verdict, the bus budget, the fitness of each drive, stability hints and the host.
 
     Returns 1 when values are marked as guesses and the drives are real: a run would be refused.
     """

@@ -31,7 +31,7 @@ _UNFIT: Final = 1
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Prints the verdict with its reasons; returns 1 when the drive cannot serve."""
+    """Print the verdict with its reasons; return 1 when the drive cannot serve."""
     found, profile = survey_of(arguments.file, arguments.display, arguments.force_object)
     if arguments.json:
         write_json({**_as_json(found), "profile": profile})

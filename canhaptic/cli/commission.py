@@ -32,7 +32,7 @@ _YES: Final = ("y", "yes")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Walks the steps; returns 0 when all agrees or was written, 1 when something is to be done, 130 or 143 stopped."""
+    """Walk the steps; return 0 when all agrees or was written, 1 when something is to be done, 130 or 143 stopped."""
     scene = scene_of(arguments)
     limits = CommissioningLimits(torque=arguments.torque, travel=arguments.travel, speed=arguments.speed)
     place = _place(scene, arguments)
@@ -134,11 +134,11 @@ class _Terminal:
         write_note(text)
 
     def confirm(self, question: str) -> bool:
-        """Returns whether the person typed yes; anything else, and the end of the input, is no."""
+        """Return whether the person typed yes; anything else, and the end of the input, is no."""
         return self._ask(f"{question} [y/N] ").lower() in _YES
 
     def number(self, question: str, unit: str, truth: float | None) -> float | None:
-        """Asks until the answer is a number or nothing."""
+        """Ask until the answer is a number or nothing."""
         while text := self._ask(f"{question} [{unit}] "):
             try:
                 return float(text.removesuffix(unit).strip())

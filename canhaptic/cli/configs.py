@@ -36,7 +36,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _about(path: Path) -> str:
-    """Returns the first sentence of the comment that a scene begins with."""
+    """Return the first sentence of the comment that a scene begins with."""
     lines: list[str] = []
     for line in path.read_text(encoding="utf-8").splitlines():
         text = line.removeprefix(_COMMENT).strip()
@@ -47,7 +47,7 @@ def _about(path: Path) -> str:
 
 
 def _copy(target: Path) -> None:
-    """Copies both folders.
+    """Copy both folders.
 
     Raises:
         InputError: One of them already exists, or cannot be written.

@@ -17,7 +17,7 @@ from canhaptic.scene.node_names import describe_nodes
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Prints the frames and returns 0.
+    """Print the frames and return 0.
 
     Raises:
         InputError: The log or the scene cannot be used.
@@ -43,7 +43,7 @@ def _decode_log(
     stop: float | None = None,
     skipped: Counter[SkippedKind] | None = None,
 ) -> Iterator[dict[str, Any]]:
-    """Yields `{time, channel, direction, id, data, kind, node, text}` of every frame between two times [s].
+    """Yield `{time, channel, direction, id, data, kind, node, text}` of every frame between two times [s].
 
     Frames before `start` are decoded too, since the PDO maps are learnt from the bring-up. Each bus is decoded on its
     own: the same node ID on two of them is two nodes.
@@ -72,7 +72,7 @@ def _decode_log(
 
 
 def line(frame: dict[str, Any]) -> str:
-    """Returns one decoded frame as a line of text."""
+    """Return one decoded frame as a line of text."""
     return (
         f"{frame['time']:14.6f} {frame['channel']} {frame['direction']} {frame['id']:03X} {frame['data']:<16} "
         f"{frame['kind']:<9} {frame['node']:<10} {frame['text']}"

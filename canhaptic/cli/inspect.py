@@ -82,7 +82,7 @@ def _is_good(result: Inspection) -> bool:
 
 
 def _check_files(arguments: argparse.Namespace) -> None:
-    """Refuses files that could not be written, before anything is read."""
+    """Refuse files that could not be written, before anything is read."""
     for suffix in _EXPORTS:
         path = getattr(arguments, suffix)
         if path is not None:

@@ -46,7 +46,7 @@ _BROKEN_PIPE: Final = 1
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command line and returns the exit status.
+    """Run the command line and return the exit status.
 
     `add_options` declares the arguments of a subcommand. The module of its name has `execute`, which takes them
     and returns the exit status; it is imported once the arguments are right.
@@ -77,7 +77,7 @@ def _run(words: list[str], name: str) -> int:
 
 
 def add_options(name: str, parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of a subcommand."""
+    """Declare the arguments of a subcommand."""
     module = "canhaptic.lab.commands.lab_options" if name in _LABORATORY else "canhaptic.cli.options"
     importlib.import_module(module).OPTIONS[name](parser)
 

@@ -10,7 +10,7 @@ from canhaptic.scene.starter import starter_scene
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Writes the scene; returns 0.
+    """Write the scene; return 0.
 
     Raises:
         DictionaryError: The drive cannot serve.

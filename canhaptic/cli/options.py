@@ -13,14 +13,14 @@ TORQUE, TRAVEL, SPEED = 0.1, 0.02, 0.5
 
 
 def _check(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `check`."""
+    """Declare the arguments of `check`."""
     add_scene(parser, runs=False)
     parser.add_argument("--resolved", action="store_true", help="print every value in effect, as YAML")
     add_json(parser)
 
 
 def _check_eds(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `check-eds`."""
+    """Declare the arguments of `check-eds`."""
     parser.add_argument("file", metavar="FILE", type=Path, help="object dictionary of the drive (EDS or DCF)")
     _add_display(parser)
     add_json(parser)
@@ -39,7 +39,7 @@ def _add_display(parser: argparse.ArgumentParser) -> None:
 
 
 def _commission(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `commission`."""
+    """Declare the arguments of `commission`."""
     add_scene(parser)
     parser.add_argument(
         "--yes", action="store_true", help="agree to every step; only where all drives are simulated in this process"
@@ -66,7 +66,7 @@ def _commission(parser: argparse.ArgumentParser) -> None:
 
 
 def _configs(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `configs`."""
+    """Declare the arguments of `configs`."""
     parser.add_argument(
         "--copy", metavar="FOLDER", type=Path, help="put configs/ and eds/ into FOLDER; nothing there is overwritten"
     )
@@ -74,7 +74,7 @@ def _configs(parser: argparse.ArgumentParser) -> None:
 
 
 def _decode(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `decode`."""
+    """Declare the arguments of `decode`."""
     parser.add_argument("bus_log", type=Path, metavar="BUSLOG", help="candump text, BLF, TRC or ASC")
     parser.add_argument("--config", type=Path, metavar="CONFIG", help="scene file, for names, units and dictionaries")
     parser.add_argument("--from", dest="start", type=moment, metavar="S", help="from this time on [s]")
@@ -84,13 +84,13 @@ def _decode(parser: argparse.ArgumentParser) -> None:
 
 
 def _drive(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `drive`."""
+    """Declare the arguments of `drive`."""
     add_scene(parser)
     parser.add_argument("--duration", metavar="S", type=seconds, help="duration [s]; by default until stopped")
 
 
 def _inspect(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `inspect`."""
+    """Declare the arguments of `inspect`."""
     parser.add_argument("log", type=Path, help="an energy log (.h5), or a bus log together with --config")
     parser.add_argument("--from", dest="start", type=moment, metavar="S", help="count from this time on [s]")
     parser.add_argument("--to", dest="stop", type=moment, metavar="S", help="count up to this time [s]")
@@ -125,7 +125,7 @@ def _inspect(parser: argparse.ArgumentParser) -> None:
 
 
 def _inspect_files(parser: argparse.ArgumentParser) -> None:
-    """Declares the files that `inspect` writes."""
+    """Declare the files that `inspect` writes."""
     parser.add_argument(
         "--overlay", type=Path, action="append", default=[], metavar="OTHER",
         help="draw another log over this one in pictures and page; repeatable",
@@ -139,7 +139,7 @@ def _inspect_files(parser: argparse.ArgumentParser) -> None:
 
 
 def _new(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `new`."""
+    """Declare the arguments of `new`."""
     parser.add_argument("file", metavar="EDS", type=Path, help="object dictionary of the drive (EDS or DCF)")
     parser.add_argument(
         "--out",
@@ -155,13 +155,13 @@ def _new(parser: argparse.ArgumentParser) -> None:
 
 
 def _preflight(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `preflight`."""
+    """Declare the arguments of `preflight`."""
     add_scene(parser, runs=False)
     add_json(parser)
 
 
 def _replay(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `replay`."""
+    """Declare the arguments of `replay`."""
     parser.add_argument("bus_log", type=Path, metavar="BUSLOG", help="candump text, BLF, TRC or ASC")
     parser.add_argument("--config", type=Path, metavar="CONFIG", required=True, help="scene of the recorded run")
     add_overrides(parser)
@@ -184,7 +184,7 @@ def _replay(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `run`."""
+    """Declare the arguments of `run`."""
     add_scene(parser)
     parser.add_argument("--duration", metavar="S", type=seconds, help="length of the run [s]; by default the scene's")
     parser.add_argument(
@@ -207,11 +207,11 @@ def _run(parser: argparse.ArgumentParser) -> None:
 
 
 def _schema(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `schema`: none."""
+    """Declare the arguments of `schema`: none."""
 
 
 def _scope(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `scope`."""
+    """Declare the arguments of `scope`."""
     parser.add_argument("log", type=Path, nargs="?", metavar="LOG", help="energy log that a run writes or will write")
     parser.add_argument("--config", type=Path, metavar="CONFIG", help="scene file that names the log (log.energy)")
     parser.add_argument("--port", type=PORT, default=5006, metavar="N", help="port of the page; 0: any free one")

@@ -13,17 +13,17 @@ from canhaptic.view.terminal import visible
 
 
 def write_json(value: Any) -> None:
-    """Writes one JSON object to standard output; numbers that JSON lacks (inf, nan) become null."""
+    """Write one JSON object to standard output; numbers that JSON lacks (inf, nan) become null."""
     sys.stdout.write(json.dumps(_finite(value), indent=2, allow_nan=False) + "\n")
 
 
 def write_line(text: str = "") -> None:
-    """Writes one line to standard output, made `visible`."""
+    """Write one line to standard output, made `visible`."""
     sys.stdout.write(visible(text) + "\n")
 
 
 def write_note(text: str) -> None:
-    """Writes one line to standard error, made `visible`."""
+    """Write one line to standard error, made `visible`."""
     sys.stderr.write(visible(text) + "\n")
     sys.stderr.flush()
 
@@ -34,7 +34,7 @@ def note_file(what: str, path: Path) -> None:
 
 
 def write_file(path: Path, text: str) -> None:
-    """Writes a text as UTF-8.
+    """Write a text as UTF-8.
 
     Raises:
         InputError: The file cannot be written.
@@ -47,20 +47,20 @@ def write_file(path: Path, text: str) -> None:
 
 
 def print_failure(error: CanHapticError, *, as_json: bool) -> None:
-    """Writes an error to standard error, and as an object to standard output when JSON was asked for."""
+    """Write an error to standard error, and as an object to standard output when JSON was asked for."""
     if as_json:
         write_json(failure(error))
     write_failure(error)
 
 
 def write_failure(error: CanHapticError) -> None:
-    """Writes an error to standard error: one line, or one line per fault."""
+    """Write an error to standard error: one line, or one line per fault."""
     text = str(error)
     write_note(f"canhaptic: errors:\n{text}" if "\n" in text else f"canhaptic: error: {text}")
 
 
 def failure(error: CanHapticError) -> dict[str, Any]:
-    """Returns an error as plain values."""
+    """Return an error as plain values."""
     faults = list(error.faults) if isinstance(error, SceneError) else [str(error)]
     return {
         "status": "error",

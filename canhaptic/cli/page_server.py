@@ -65,7 +65,7 @@ def usable_port(arguments: argparse.Namespace) -> int:
 
 
 def serve_page(page: Callable[[Any], object], port: int, title: str, *, show: bool) -> int:
-    """Serves a page until the process is interrupted; returns 130 after SIGINT and 143 after SIGTERM.
+    """Serve a page until the process is interrupted; return 130 after SIGINT and 143 after SIGTERM.
 
     Args:
         page: Fills the Bokeh document of a visitor.

@@ -102,7 +102,7 @@ class RunProgress:
 
 
 def _write_if_free(text: str) -> None:
-    """Writes to standard error unless that would wait (a terminal stopped with Ctrl-S)."""
+    """Write to standard error unless that would wait (a terminal stopped with Ctrl-S)."""
     descriptor = sys.stderr.fileno()
     if select.select([], [descriptor], [], 0.0)[1]:
         os.write(descriptor, text.encode())

@@ -7,6 +7,6 @@ from canhaptic.scene.json_schema import scene_schema
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Prints the schema."""
+    """Print the schema."""
     write_json(scene_schema())
     return 0

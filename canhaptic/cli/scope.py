@@ -13,7 +13,7 @@ _PERIOD: Final = 0.2  # [s] between two looks, about what the writer puts into o
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Serves the page until the process is interrupted; returns 130 after SIGINT and 143 after SIGTERM.
+    """Serve the page until the process is interrupted; return 130 after SIGINT and 143 after SIGTERM.
 
     Raises:
         InputError: No log is named, Bokeh is not installed, or the port is taken.

@@ -20,7 +20,7 @@ class StopSignal:
         self._before: dict[int, Any] = {}
 
     def requested(self) -> bool:
-        """Returns whether to stop."""
+        """Return whether to stop."""
         return self.number != 0
 
     @property

@@ -12,27 +12,27 @@ _DIGITS: Final = re.compile(r"[0-9]{1,12}")
 
 
 def length(text: str) -> float:
-    """Returns a tolerance [m or rad]."""
+    """Return a tolerance [m or rad]."""
     return positive_number(text, ("m", "rad"), "tolerance", 1.0)
 
 
 def budget(text: str) -> float:
-    """Returns a time to spend [s], 0 for none."""
+    """Return a time to spend [s], 0 for none."""
     return 0.0 if text.strip() == "0" else seconds(text)
 
 
 def rate(text: str) -> float:
-    """Returns a rate [Hz]."""
+    """Return a rate [Hz]."""
     return positive_number(text, ("Hz", "Hz"), "rate", _FASTEST)
 
 
 def rates(text: str) -> list[float]:
-    """Returns rates [Hz] that commas separate, each once."""
+    """Return rates [Hz] that commas separate, each once."""
     return list(dict.fromkeys(rate(one) for one in names(text)))
 
 
 def delays(text: str) -> list[int]:
-    """Returns delays, 0 or 1 hold, that commas separate, each once."""
+    """Return delays, 0 or 1 hold, that commas separate, each once."""
     given = list(dict.fromkeys(names(text)))
     if not set(given) <= {"0", "1"}:
         raise argparse.ArgumentTypeError(f"got {text!r}, expected 0 (event), 1 (synchronous) or 0,1")
@@ -40,7 +40,7 @@ def delays(text: str) -> list[int]:
 
 
 def moment(text: str) -> float:
-    """Returns a time of a log [s]."""
+    """Return a time of a log [s]."""
     return number(text, ("s", "s"))
 
 
@@ -56,7 +56,7 @@ def whole(least: int, most: int) -> Callable[[str], int]:
 
 
 def samples(text: str) -> int:
-    """Returns the points of a Latin hypercube from `lhs:N`."""
+    """Return the points of a Latin hypercube from `lhs:N`."""
     kind, _, points = text.partition(":")
     if kind != "lhs":
         raise argparse.ArgumentTypeError(f"got {text!r}, expected lhs:N with N from 1 to 10^8")

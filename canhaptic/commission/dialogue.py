@@ -14,7 +14,7 @@ class Dialogue(Protocol):
         """State the present action."""
 
     def confirm(self, question: str) -> bool:
-        """Returns whether the person agrees; no answer is no."""
+        """Return whether the person agrees; no answer is no."""
 
     def number(self, question: str, unit: str, truth: float | None) -> float | None:
         """Number in `unit`, or None without an answer."""
@@ -45,7 +45,7 @@ class Unattended:
         return truth
 
     def until_ready(self, text: str, cycles: int) -> Callable[[], bool]:
-        """Waits for a number of cycles."""
+        """Wait for a number of cycles."""
         self.tell(text)
         left = iter(range(cycles))
         return lambda: next(left, None) is None

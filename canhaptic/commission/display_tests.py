@@ -50,7 +50,7 @@ class _Fit(NamedTuple):
 
 
 def commission_displays(session: Session) -> None:
-    """Walks every step for scenes of admittance displays; the findings are in `session.report`.
+    """Walk every step for scenes of admittance displays; the findings are in `session.report`.
 
     Raises:
         InputError: Some axes are impedance displays.
@@ -98,7 +98,7 @@ def _rest(session: Session, axis: int) -> None:
 
 
 def _loop(session: Session, axis: int) -> None:
-    """Measures mass and gains of a drive, sign and latency of its sensor."""
+    """Measure mass and gains of a drive, sign and latency of its sensor."""
     given, bus = session.axes[axis].parameters, session.scene.bus
     lowest, highest, seconds = _CHIRP
     amplitude = min(_AMPLITUDE, 0.5 * (given.speed_limit or _AMPLITUDE), session.limits.speed)
@@ -156,7 +156,7 @@ def _fitted(law: OpenLoop, commands: Array, time: float, *, is_mean: bool) -> _F
 
 
 def _weighted(values: Array, weights: Array) -> Array:
-    """Returns the mean of each stretch of values under weights, shape (n - len(weights) + 1,)."""
+    """Return the mean of each stretch of values under weights, shape (n - len(weights) + 1,)."""
     return np.convolve(values, weights[::-1], mode="valid")
 
 

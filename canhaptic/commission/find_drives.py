@@ -50,7 +50,7 @@ def _scan(link: Link, known: Sequence[int], master: int) -> list[int]:
 
 
 def identify(session: Session) -> None:
-    """Scans every bus and compares each drive with the configuration and its dictionary.
+    """Scan every bus and compare each drive with the configuration and its dictionary.
 
     Raises:
         StartError: A drive of the configuration does not answer.

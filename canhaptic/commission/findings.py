@@ -72,11 +72,11 @@ class Report:
         self.values: list[Value] = []
 
     def add(self, finding: StepFinding) -> None:
-        """Takes a row."""
+        """Take a row."""
         self.findings.append(finding)
 
     def propose(self, value: Value) -> None:
-        """Takes a value."""
+        """Take a value."""
         self.values.append(value)
 
     @property
@@ -90,7 +90,7 @@ class Report:
         return any(finding.verdict is StepVerdict.DIFFERS for finding in self.findings)
 
     def changes(self, scene: Scene) -> list[Change]:
-        """Returns the values as changes of a scene; of several axes of a group, the largest of what all share."""
+        """Return the values as changes of a scene; of several axes of a group, the largest of what all share."""
         values: dict[tuple[str, ...], Value] = {}
         for value in self.values:
             path = _path(scene, value)
@@ -115,7 +115,7 @@ class Report:
         ]
 
     def as_json(self) -> dict[str, Any]:
-        """Returns the report as plain values."""
+        """Return the report as plain values."""
         return {
             "status": "failed" if self.failed else "differs" if self.differs else "ok",
             "findings": [{**row._asdict(), "verdict": row.verdict.value} for row in self.findings],
@@ -123,7 +123,7 @@ class Report:
         }
 
     def table(self) -> Table:
-        """Returns the rows as a table for a terminal."""
+        """Return the rows as a table for a terminal."""
         table = plain_table("commissioning", "axis", "what", "configured", "found", "verdict", "")
         for row in self.findings:
             verdict = f"[{_COLOURS[row.verdict]}]{row.verdict.value}[/]"
@@ -131,7 +131,7 @@ class Report:
         return table
 
     def values_table(self, written: str) -> Table:
-        """Returns the values, with where they were written, as a table for a terminal."""
+        """Return the values, with where they were written, as a table for a terminal."""
         table = plain_table(written, "axis", "key", "value", "")
         for value in self.values:
             table.add_row(*map(escape, (value.axis, value.key, value.text or "as it is", value.comment)))

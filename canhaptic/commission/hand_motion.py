@@ -17,7 +17,7 @@ _DRIFT: Final = 0.25  # part of the travel that an axis without torque may move 
 
 
 def stand_still(session: Session, axis: int) -> bool:
-    """Enables the drive with zero torque; returns False when the axis moves by itself.
+    """Enable the drive with zero torque; return False when the axis moves by itself.
 
     Raises:
         RigError: Drive or link failed.

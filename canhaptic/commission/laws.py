@@ -65,7 +65,7 @@ class OpenLoop:
         return self._last
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Records the hold that ended and returns the next torque.
+        """Record the hold that ended and return the next torque.
 
         Raises:
             ControlError: The position or torque is not finite.
@@ -103,12 +103,12 @@ class OpenLoop:
 
 
 def doublet(torque: float, cycles: int) -> list[float]:
-    """Returns +, -, -, + of a torque, `cycles` each: a free mass comes back to where and how it was."""
+    """Return +, -, -, + of a torque, `cycles` each: a free mass comes back to where and how it was."""
     return [torque] * cycles + [-torque] * (2 * cycles) + [torque] * cycles
 
 
 def reversals(torque: float, longest: int, count: int) -> list[float]:
-    """Returns doublets of a torque [N or N*m] of both signs and many lengths, the same with every call.
+    """Return doublets of a torque [N or N*m] of both signs and many lengths, the same with every call.
 
     Args:
         torque: Size of the torque [N or N*m].
@@ -123,7 +123,7 @@ def reversals(torque: float, longest: int, count: int) -> list[float]:
 
 
 def sweep(amplitude: float, lowest: float, highest: float, duration: float, sample_time: float) -> list[float]:
-    """Returns a cosine whose frequency rises exponentially: a free mass swings about where it was, and ends at rest.
+    """Return a cosine whose frequency rises exponentially: a free mass swings about where it was, and ends at rest.
 
     Args:
         amplitude: Size of the torque [N or N*m].

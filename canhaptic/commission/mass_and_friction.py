@@ -71,7 +71,7 @@ class FrictionCurve(NamedTuple):
     errors: _Array  # shape (n,)
 
     def least(self, damping: float, sure: float) -> float:
-        """Returns the dry friction [N or N*m] that every range has besides a damping, less some standard deviations."""
+        """Return the dry friction [N or N*m] that every range has besides a damping, less some standard deviations."""
         return max(0.0, float((self.frictions - sure * self.errors - damping * self.speeds).min()))
 
     def falls_at_its_end(self, sure: float) -> bool:
@@ -134,7 +134,7 @@ def _one_way(
 def estimate_lateness(
     positions: _Array, applied: _Array, sample_time: float, half_base: int
 ) -> tuple[float, float] | None:
-    """Returns the delay of the torque after its SYNC, and one standard deviation [s].
+    """Return the delay of the torque after its SYNC, and one standard deviation [s].
 
     It is the time for which the previous torque still acts in every hold: window and lag together. In a hold whose
     torque changes by d the mean torque is less by late d / T, so that one more column of `estimate` finds it.
@@ -153,7 +153,7 @@ def estimate_lateness(
 
 
 def mass_within(positions: _Array, applied: _Array, sample_time: float, half_base: int) -> tuple[float, float] | None:
-    """Returns the mass that a torque moves within a short time, and one standard deviation [kg or kg*m^2].
+    """Return the mass that a torque moves within a short time, and one standard deviation [kg or kg*m^2].
 
     A torque that changes faster than a shaft twists moves the rotor alone: with a spring k between rotor m and load M,
     acceleration over torque at the angular frequency w is 1 / (m - k M / (M w^2 - k)), so that above the resonance
@@ -187,7 +187,7 @@ def _equations(
 
 
 def _triangle(half_base: int) -> _Array:
-    """Returns the mean weight of each hold under a triangle that rises and falls over `half_base` holds each."""
+    """Return the mean weight of each hold under a triangle that rises and falls over `half_base` holds each."""
     rising = np.arange(half_base) + 0.5
     return np.concatenate([rising, rising[::-1]]) / half_base**2
 

@@ -14,7 +14,7 @@ REQUIRED: Final = (STANDSTILL, "torque sign", "moving mass", "mass on a shaft", 
 
 
 def commission(session: Session, timing_duration: float) -> None:
-    """Walks every step that the person agrees to; the findings are in `session.report`.
+    """Walk every step that the person agrees to; the findings are in `session.report`.
 
     Args:
         session: Rig, dialogue and limits.
@@ -51,7 +51,7 @@ def commission(session: Session, timing_duration: float) -> None:
 
 
 def _stands_still(session: Session) -> bool:
-    """Returns whether every drive is the one of the configuration, and is at rest at zero torque."""
+    """Return whether every drive is the one of the configuration, and is at rest at zero torque."""
     session.dialogue.tell("1 of 6: who is on the bus (no torque, nothing enabled)")
     identify(session)
     if session.report.failed or session.stop_requested():

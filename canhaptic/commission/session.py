@@ -54,7 +54,7 @@ class Session:
 
     @contextmanager
     def rig_of(self, *, with_hand: bool) -> Iterator[None]:
-        """Builds the rig for the steps inside; nothing is sent before one of them does.
+        """Build the rig for the steps inside; nothing is sent before one of them does.
 
         Args:
             with_hand: Whether the simulated hand is on the handle; a person was asked to hold it, or to let go.
@@ -167,7 +167,7 @@ class Session:
         return laws[axis]
 
     def run(self, laws: Sequence[OpenLoop], cycles: int, ready: Callable[[], bool] = lambda: False) -> Cycle:
-        """Runs the rig with one law per axis and stops it; returns the cycle with its timing.
+        """Run the rig with one law per axis and stop it; return the cycle with its timing.
 
         Raises:
             RigError: Drive or link failed; torque is zero.
@@ -183,7 +183,7 @@ class Session:
         return cycle
 
     def truth(self, axis: int) -> float | None:
-        """Returns the true position of a simulated axis at the last SYNC of the last run; None with a real one."""
+        """Return the true position of a simulated axis at the last SYNC of the last run; None with a real one."""
         return self.truths[axis].position if self.truths else None
 
     def cycles(self, seconds: float) -> int:
@@ -228,7 +228,7 @@ class Session:
 
 
 def _without_hand(scene: Scene) -> Scene:
-    """Returns the scene without a hand at its simulated handles."""
+    """Return the scene without a hand at its simulated handles."""
     axes = [
         dataclasses.replace(axis, simulation=axis.simulation and dataclasses.replace(axis.simulation, user=None))
         for axis in scene.axes

@@ -75,13 +75,13 @@ def _is_resolved(session: Session, axis: int, late: tuple[float, float], known: 
 
 
 def _is_lost(session: Session, axis: int, lag: float, known: Mapping[str, float]) -> bool:
-    """Returns whether a lag [s] costs more of the wall than it may."""
+    """Return whether a lag [s] costs more of the wall than it may."""
     without, lagging = ({**known, "current_lag": value} for value in (0.0, lag))
     return is_dear(session.axes[axis], session.limits.speed, without, lagging)
 
 
 def _reversal(session: Session, axis: int, most: float, mass: float) -> tuple[float, int]:
-    """Returns the torque of the test [N or N*m], and the cycles of its longest part, within half of the limits."""
+    """Return the torque of the test [N or N*m], and the cycles of its longest part, within half of the limits."""
     travel, speed, time = 0.25 * session.limits.travel, 0.5 * session.limits.speed, session.sample_time
     wanted = min(math.sqrt(travel * mass / most), speed * mass / most) / time
     cycles = max(_SHORTEST, min(_LONGEST, round(wanted)))
@@ -91,7 +91,7 @@ def _reversal(session: Session, axis: int, most: float, mass: float) -> tuple[fl
 
 
 def _lateness(session: Session, axis: int, law: OpenLoop, half_base: int) -> tuple[float, float] | None:
-    """Returns lateness and standard deviation [s], against the torques sent: a measured one is late itself."""
+    """Return lateness and standard deviation [s], against the torques sent: a measured one is late itself."""
     parameters, ahead = session.axes[axis].parameters, 1 + session.axes[axis].loop.delay
     acted = np.concatenate([np.zeros(ahead), law.sent])[: len(law.positions)]
     if parameters.torque_rate_limit or parameters.power_limit:  # which alter the commands

@@ -105,7 +105,7 @@ def pulse(session: Session, axis: int) -> float | None:
 
 
 def time_the_read_back(session: Session) -> None:
-    """Finds out whether each drive reports its torque just before or just after the update at a SYNC.
+    """Find out whether each drive reports its torque just before or just after the update at a SYNC.
 
     Raises:
         RigError: Drive or link failed.
@@ -142,7 +142,7 @@ def _first_motion(law: OpenLoop, cycles: int) -> float:
 
 
 def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
-    """Sweeps a torque through frequencies and reports mass, friction and the scale of the torque.
+    """Sweep a torque through frequencies and report mass, friction and the scale of the torque.
 
     Raises:
         RigError: Drive or link failed.
@@ -287,7 +287,7 @@ def _report_friction(session: Session, axis: int, found: Dynamics) -> None:
 
 
 def _unit_of(session: Session, axis: int, key: str) -> str:
-    """Returns the unit of a value of `_COMMENTS`."""
+    """Return the unit of a value of `_COMMENTS`."""
     motion = session.axes[axis].parameters.unit
     return _MASS_UNITS[motion] if "mass" in key else damping_unit(motion) if "damping" in key else effort_unit(motion)
 

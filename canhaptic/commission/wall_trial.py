@@ -30,14 +30,14 @@ def share_of_wall(axis: AxisScene, fastest: float, declared: Mapping[str, float]
 
 
 def is_dear(axis: AxisScene, fastest: float, best: Mapping[str, float], ends: Mapping[str, float]) -> bool:
-    """Returns whether the ends of measured intervals cost more of the wall than they may, compared with the best."""
+    """Return whether the ends of measured intervals cost more of the wall than they may, compared with the best."""
     return share_of_wall(axis, fastest, ends) < _KEPT * share_of_wall(axis, fastest, best)
 
 
 def needed_allowance(
     axis: AxisScene, fastest: float, best: Mapping[str, float], ends: Mapping[str, float]
 ) -> float | None:
-    """Returns the energy allowance [J] with which the ends of measured intervals leave enough of the wall.
+    """Return the energy allowance [J] with which the ends of measured intervals leave enough of the wall.
 
     It is twice the least of `ALLOWANCES`, as a contact may begin with part of it given out. None: none suffices.
     """

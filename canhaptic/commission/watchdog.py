@@ -63,7 +63,7 @@ def _end(session: Session) -> None:
 
 
 def time_the_cycle(session: Session, seconds: float) -> None:
-    """Runs the whole rig at zero torque and reports frames and, at real pace, times.
+    """Run the whole rig at zero torque and report frames and, at real pace, times.
 
     Raises:
         RigError: Drive or link failed.

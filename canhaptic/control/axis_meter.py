@@ -235,5 +235,5 @@ class SilentMeter(AxisMeter):
         """No-op."""
 
     def take(self, position: float, torque: float, deadline: float, touches: bool) -> None:
-        """Takes the position [m or rad]."""
+        """Take the position [m or rad]."""
         self.position = position

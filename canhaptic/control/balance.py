@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 
 def interaction_energy(torque: float, displacement: float) -> float:
-    """Returns the energy [J] that entered the environment during one hold of constant torque (eq. 2): exact.
+    """Return the energy [J] that entered the environment during one hold of constant torque (eq. 2): exact.
 
     The sign is written here, once: energy INTO the virtual environment is positive (eq. 1). A torque is the one that
     the actuator applies to the user's side, so a wall that pushes back against motion in -q has a positive torque and
@@ -120,5 +120,5 @@ def residual(balance: EnergyBalance, stored_before: float) -> float:
 
 
 def certificates_of(bits: int) -> tuple[Certificate, ...]:
-    """Returns the certificates of a set in which each is one bit, weakest last."""
+    """Return the certificates of a set in which each is one bit, weakest last."""
     return tuple(certificate for certificate in WEAKEST_LAST if bits & 1 << certificate)

@@ -46,7 +46,7 @@ class EnergyLossMeter:
         self._booked_at = -1
 
     def take(self, samples: Sequence[Sample], deadline: int) -> bool:
-        """Counts the hold that ended; returns whether more was given out than the floor allows.
+        """Count the hold that ended; return whether more was given out than the floor allows.
 
         Args:
             samples: Samples of the whole rig; where one of the port's is not fresh, the next fresh one counts for all

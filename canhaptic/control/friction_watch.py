@@ -75,7 +75,7 @@ class FrictionWatch:
         self._now, self._before = _Stretch(), _Stretch()
 
     def take(self, position: float, torque: float, deadline: int, asked: float) -> None:
-        """Takes a hold; after a gap the motion begins anew.
+        """Take a hold; after a gap the motion begins anew.
 
         Args:
             position: Position at its end [m or rad].
@@ -106,7 +106,7 @@ class FrictionWatch:
             self._before, self._now, self._taken = now, _Stretch(), 0
 
     def _compare(self, first: _Stretch, second: _Stretch) -> None:
-        """Compares two stretches that follow each other, each of as many holds."""
+        """Compare two stretches that follow each other, each of as many holds."""
         way, of = second.way, self._declared
         if way == 0.0 or first.way != way:
             return

@@ -39,7 +39,7 @@ class LedgerSummary(NamedTuple):
         return self.certificates[-1] if self.certificates else Certificate.EXACT
 
     def as_json(self, sample_time: float) -> PortResult:
-        """Returns the account of a port as `run --json` prints it.
+        """Return the account of a port as `run --json` prints it.
 
         Args:
             sample_time: Turns the cycle of the least margin into a time [s].
@@ -80,7 +80,7 @@ class Ledger:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets every hold."""
+        """Forget every hold."""
         self._interaction, self._in, self._dissipated = RunningSum(), RunningSum(), RunningSum()
         self._recovered, self._leaked, self._paid, self._deficit, self._generated = (RunningSum() for _ in range(5))
         self._branches = [0] * len(Branch)
@@ -91,7 +91,7 @@ class Ledger:
         self._damping_least, self._damping_most = float("inf"), 0.0
 
     def add(self, balance: EnergyBalance, cycle: int, deadline: int | None = None) -> None:
-        """Adds the account of the hold that ended at SYNC `cycle`.
+        """Add the account of the hold that ended at SYNC `cycle`.
 
         Args:
             balance: Account of the hold.
@@ -139,7 +139,7 @@ class Ledger:
             self._least_margin_cycle, self._least_margin_deadline = cycle, deadline
 
     def summary(self) -> LedgerSummary:
-        """Returns the account so far."""
+        """Return the account so far."""
         energy_in = self._in.value
         return LedgerSummary(
             energy_in=energy_in,

@@ -25,7 +25,7 @@ Alpha = Annotated[float, quantity("s/m^2", "s/rad^2", ge=0.0), BeforeValidator(_
 
 
 def least_oscillating_damping(delay: int, mass: float, sample_time: float) -> float:
-    """Returns the damping [N*s/m or N*m*s/rad] above which a sampled damper makes a free mass ripple.
+    """Return the damping [N*s/m or N*m*s/rad] above which a sampled damper makes a free mass ripple.
 
     A mass under zero-order-held damping with a velocity from the last displacement has the characteristic equation
     (z - 1) z^n + g (z + 1) = 0 with n = 1 + delay, g = d T / 2m. Its roots leave the real axis where
@@ -43,7 +43,7 @@ def least_oscillating_damping(delay: int, mass: float, sample_time: float) -> fl
 
 
 def largest_stable_damping(delay: int, mass: float, sample_time: float) -> float:
-    """Returns the damping [N*s/m or N*m*s/rad] above which a sampled damper makes a free mass diverge.
+    """Return the damping [N*s/m or N*m*s/rad] above which a sampled damper makes a free mass diverge.
 
     On z = exp(i theta) the equation above has (z - 1) / (z + 1) = i tan(theta / 2), so theta = pi / 2n and
     d T / m = 2 tan(pi / 4n): 2, 0.828, 0.536 for delay 0, 1, 2.
@@ -52,7 +52,7 @@ def largest_stable_damping(delay: int, mass: float, sample_time: float) -> float
 
 
 def damping_cap(delay: int, mass: float | None, sample_time: float) -> float:
-    """Returns the largest total damping to render [N*s/m or N*m*s/rad]; infinite when the moving mass is not known."""
+    """Return the largest total damping to render [N*s/m or N*m*s/rad]; infinite when the moving mass is not known."""
     return math.inf if mass is None else least_oscillating_damping(delay, mass, sample_time)
 
 
@@ -64,7 +64,7 @@ def modulated_damping(
     displacement: float = 0.0,
     sample_time: float = 1.0,
 ) -> float:
-    """Returns d_pas of eq. 19 [N*s/m or N*m*s/rad]: in proportion to the surplus, the total not above the cap.
+    """Return d_pas of eq. 19 [N*s/m or N*m*s/rad]: in proportion to the surplus, the total not above the cap.
 
     Nor is it more than dissipates the surplus in one hold like the last: eq. 19 alone would take out more than there
     is where alpha is large, and set up an oscillation of its own.

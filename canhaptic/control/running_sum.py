@@ -17,7 +17,7 @@ class RunningSum:
 
 
 def add(running: RunningSum, term: float) -> float:
-    """Adds a term and returns the value of the sum."""
+    """Add a term and return the value of the sum."""
     before = running.total
     total = before + term
     part = total - before

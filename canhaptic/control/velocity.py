@@ -29,7 +29,7 @@ class DamperVelocity(Parameters):
     """Longest window of `windowed`."""
 
     def window_tolerance(self, encoder_count: float) -> float:
-        """Returns the tolerance of the window [m or rad]; 0 for `last`.
+        """Return the tolerance of the window [m or rad]; 0 for `last`.
 
         Raises:
             ParameterError: `windowed` without an encoder count.
@@ -44,7 +44,7 @@ class DamperVelocity(Parameters):
         return encoder_count
 
     def longest_window(self, sample_time: float) -> int:
-        """Returns the longest window of `windowed`, in samples of a sample time [s]."""
+        """Return the longest window of `windowed`, in samples of a sample time [s]."""
         return max(2, round(self.velocity_window / sample_time))
 
 
@@ -62,7 +62,7 @@ class VelocityWindow:
 
 
 def restart(window: VelocityWindow, ring: Buffer, position: float) -> None:
-    """Begins anew at a position [m or rad], at rest."""
+    """Begin anew at a position [m or rad], at rest."""
     for place in range(len(ring)):
         ring[place] = position
     window.newest = window.length = window.scanned = 0
@@ -71,7 +71,7 @@ def restart(window: VelocityWindow, ring: Buffer, position: float) -> None:
 
 
 def update(window: VelocityWindow, ring: Buffer, tolerance: float, sample_time: float, position: float) -> None:
-    """Takes the position one sample later.
+    """Take the position one sample later.
 
     Args:
         window: The window; changed.
@@ -102,7 +102,7 @@ def update(window: VelocityWindow, ring: Buffer, tolerance: float, sample_time: 
 
 
 def search(window: VelocityWindow, ring: Buffer, tolerance: float, furthest: int) -> None:
-    """Takes the longest window of at most `furthest` samples, or of one, that fits.
+    """Take the longest window of at most `furthest` samples, or of one, that fits.
 
     It then admits only slopes that pass each of its samples within the tolerance.
     """

@@ -147,7 +147,7 @@ def passive_verdict(
     least: float, resolution: float = 0.0, *, energy_in: float = inf, is_promised: bool = False,
     has_open_hold: bool = False, allowance: float = 0.0, is_estimated: bool = False,
 ) -> Verdict:  # fmt: skip
-    """Returns whether a sum of energy stayed at minus the allowance or above.
+    """Return whether a sum of energy stayed at minus the allowance or above.
 
     Without certificates it may have fallen by the resolution: "yes" only where that is small.
 
@@ -170,7 +170,7 @@ def passive_verdict(
 
 
 def is_certified(account: PortResult) -> bool:
-    """Returns whether every torque of a port had a certificate, none of them withdrawn or refuted."""
+    """Return whether every torque of a port had a certificate, none of them withdrawn or refuted."""
     names = account.get("certificates", [account["certificate"]])
     return bool(names) and "none" not in names
 
@@ -193,7 +193,7 @@ def account_verdict(account: PortResult) -> Verdict:
 
 
 def handle_verdict(account: PortResult) -> Verdict | None:
-    """Returns whether a port was passive at the handle: with what the device itself dissipated for certain.
+    """Return whether a port was passive at the handle: with what the device itself dissipated for certain.
 
     None without a declared damping of the device. It may have dissipated more: a sum below zero proves nothing.
 
@@ -239,7 +239,7 @@ def contradict(account: PortResult) -> None:
 
 
 def plant_verdict(least: float, allowance: float) -> Verdict:
-    """Returns whether the energy of a simulated plant stayed at minus the allowance or above; both in [J]."""
+    """Return whether the energy of a simulated plant stayed at minus the allowance or above; both in [J]."""
     return "yes" if least >= -(allowance + PASSIVE_TOLERANCE) else "no"
 
 
@@ -265,7 +265,7 @@ def headline(account: PortResult) -> Headline:
 
 
 def _is_silent(account: PortResult, contact: ContactHolds) -> bool:
-    """Returns whether less than a tenth was rendered: of the efforts asked for, else of the damping.
+    """Return whether less than a tenth was rendered: of the efforts asked for, else of the damping.
 
     The request is unknown for a group, or an admittance display: there no torque at all is silence.
     """

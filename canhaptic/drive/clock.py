@@ -22,13 +22,13 @@ class Clock(Protocol):
     """Time as the master sees it."""
 
     def now(self) -> int:
-        """Returns the time [ns] since an epoch of the clock's own."""
+        """Return the time [ns] since an epoch of the clock's own."""
 
     def wait_until(self, deadline: int) -> None:
-        """Returns when `deadline` [ns] has come; at once when it has passed."""
+        """Return when `deadline` [ns] has come; at once when it has passed."""
 
     def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
-        """Returns the next frame of `bus`, or None when none came until `deadline` [ns]."""
+        """Return the next frame of `bus`, or None when none came until `deadline` [ns]."""
 
 
 class WallClock:
@@ -44,7 +44,7 @@ class WallClock:
         self._margin = round(spin_margin * 1e9)
 
     def now(self) -> int:
-        """Returns CLOCK_MONOTONIC [ns]."""
+        """Return CLOCK_MONOTONIC [ns]."""
         return time.monotonic_ns()
 
     def wait_until(self, deadline: int) -> None:
@@ -56,7 +56,7 @@ class WallClock:
             now = time.monotonic_ns()
 
     def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
-        """Returns the next frame, or None at `deadline` [ns]: blocks, then polls, then spins."""
+        """Return the next frame, or None at `deadline` [ns]: blocks, then poll, then spin."""
         now = time.monotonic_ns()
         while True:
             idle = self._process(deadline, now)
@@ -89,12 +89,12 @@ class _FarSides:
         self._far_sides = far_sides
 
     def process(self, now: int) -> None:
-        """Lets all act up to `now` [ns]."""
+        """Let all act up to `now` [ns]."""
         for far_side in self._far_sides:
             far_side.process(now)
 
     def next_due(self) -> int:
-        """Returns when the first of them is due [ns]."""
+        """Return when the first of them is due [ns]."""
         earliest = _NEVER
         for far_side in self._far_sides:
             due = far_side.next_due()
@@ -119,7 +119,7 @@ class VirtualClock:
         self._process, self._next_due = only.process, only.next_due
 
     def now(self) -> int:
-        """Returns virtual time [ns]."""
+        """Return virtual time [ns]."""
         return self._now
 
     def wait_until(self, deadline: int) -> None:
@@ -129,7 +129,7 @@ class VirtualClock:
             self._now = min(deadline, self._next_event(self._now))
 
     def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
-        """Returns the next frame; virtual time moves, up to `deadline` [ns], only while there is none."""
+        """Return the next frame; virtual time moves, up to `deadline` [ns], only while there is none."""
         while True:
             now = self._now
             self._process(now)

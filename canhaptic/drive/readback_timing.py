@@ -37,7 +37,7 @@ class ReadBackTiming(NamedTuple):
 def detect_read_back(
     commanded: Sequence[int], reported: Sequence[int | None], rpdo: Literal["synchronous", "event"]
 ) -> ReadBackTiming:
-    """Returns when a drive samples the torque that it reports.
+    """Return when a drive samples the torque that it reports.
 
     Args:
         commanded: Target torque (0x6071) sent in answer to SYNC k, for each k.
@@ -61,7 +61,7 @@ def detect_read_back(
 
 
 def _judged(before: float, after: float, rpdo: str) -> tuple[Reported | None, float, float]:
-    """Returns the alignment that explains the torques, and both errors."""
+    """Return the alignment that explains the torques, and both errors."""
     if after <= _CLEAR:
         return ("after" if rpdo == "synchronous" else "before"), before, after
     if before <= _CLEAR and rpdo == "synchronous":
@@ -85,7 +85,7 @@ def _text(errors: tuple[float, float], rpdo: str) -> str:
 
 
 def probe_torques(amplitude: float, cycles: int) -> list[float]:
-    """Returns torques [N*m or N] that change often and push the axis nowhere.
+    """Return torques [N*m or N] that change often and push the axis nowhere.
 
     Each pair is +a, -a or -a, +a, in an order that does not repeat within 126 cycles, so that no delay of the drive is
     mistaken for another and the momentum never exceeds a times two sample times.
@@ -101,7 +101,7 @@ def probe_torques(amplitude: float, cycles: int) -> list[float]:
 
 
 def measure_read_back(rig: Rig, amplitude: float, cycles: int = 64) -> list[ReadBackTiming]:
-    """Probes a rig that runs with a small alternating torque on every axis; returns the timing of each.
+    """Probe a rig that runs with a small alternating torque on every axis; return the timing of each.
 
     The rig stays enabled with its last torque at zero; the caller stops it.
 

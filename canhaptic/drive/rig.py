@@ -139,7 +139,7 @@ class Rig:
     # --- the cycle ----------------------------------------------------------------------------------------------------
 
     def sync(self) -> list[Sample]:
-        """Waits for the next deadline, sends SYNC, takes the TPDOs and returns one sample per axis.
+        """Wait for the next deadline, send SYNC, take the TPDOs and return one sample per axis.
 
         The first call after `start` returns the samples of SYNC 0, which `start` has sent.
 
@@ -184,7 +184,7 @@ class Rig:
             samples.append(drive.sample(self.sync_index, self.periods, is_whole=is_whole))
 
     def _count_skips(self, periods: int) -> None:
-        """Stops where more SYNCs were skipped than sent, for long: a drive goes on with its last torque meanwhile."""
+        """Stop where more SYNCs were skipped than sent, for long: a drive goes on with its last torque meanwhile."""
         self._behind = max(0, self._behind + periods - 2)
         limit = max(self.bus.stop_cycles, round(_LONGEST_BEHIND / self.bus.sample_time))
         if self._behind > limit:
@@ -203,7 +203,7 @@ class Rig:
                 raise self._stopped(reason, text)
 
     def write_torques(self, torques: Sequence[float]) -> None:
-        """Sends one torque [N*m or N] per axis, after link policy and limiter, and the master's heartbeat when due.
+        """Send one torque [N*m or N] per axis, after link policy and limiter, and the master's heartbeat when due.
 
         Raises:
             ControlError: A torque is not finite; zero was sent and the rig has stopped.
@@ -281,7 +281,7 @@ class Rig:
     # --- stop ---------------------------------------------------------------------------------------------------------
 
     def stop(self, *, ramp: bool = True, reason: StopReason = StopReason.EXCEPTION) -> None:
-        """Ends the run: torque to zero (along a ramp, or at once), drives disabled and pre-operational, confirmed.
+        """End the run: torque to zero (along a ramp, or at once), drives disabled and pre-operational, confirmed.
 
         Args:
             ramp: True for an operator's stop; False when something is wrong.
@@ -310,7 +310,7 @@ class Rig:
             )
 
     def end(self, reason: StopReason, what: str) -> RigError:
-        """Sends zero torque and stops at once for a reason that the caller has found; returns the exception.
+        """Send zero torque and stop at once for a reason that the caller has found; return the exception.
 
         Args:
             reason: Reason of the stop.
@@ -321,7 +321,7 @@ class Rig:
         return self._stopped(reason, text)
 
     def _stopped(self, reason: StopReason, text: str, axis: str = "") -> RigError:
-        """Stops at once and returns the exception with the reason."""
+        """Stop at once and return the exception with the reason."""
         self.stop_reason = reason
         self._is_running = False
         error = STOP_TABLE[reason].error
@@ -331,7 +331,7 @@ class Rig:
         return error(f"{text} [{reason.name}]", self.records, axis)
 
     def _disable(self, trust: Trust) -> list[str]:
-        """Sends zero and disables every drive, then gives back what the operating system granted."""
+        """Send zero and disable every drive, then give back what the operating system granted."""
         try:
             for line in self._sdo_lines:
                 line.close()
@@ -365,7 +365,7 @@ class Rig:
         return emcy_remedy(code, self.bus.master_silence_ns * 1e-9, self.skipped_syncs)
 
     def reset_faults(self) -> None:
-        """Resets the faults of all drives for the operator; leaves every drive disabled, and never enables one.
+        """Reset the faults of all drives for the operator; leave every drive disabled, and never enables one.
 
         Raises:
             RigError: The rig is running.
@@ -394,7 +394,7 @@ class Rig:
         return self.deadline_index - max(0, self.sync_index)
 
     def link_statistics(self) -> dict[str, float]:
-        """Returns the counts of all links, the SYNCs skipped and the part of SYNCs that every axis answered."""
+        """Return the counts of all links, the SYNCs skipped and the part of SYNCs that every axis answered."""
         counts: dict[str, float] = {"skipped_syncs": self.skipped_syncs}
         for link in self.links:
             for name, count in link.statistics.as_dict().items():

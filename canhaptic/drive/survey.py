@@ -172,14 +172,14 @@ def _variable(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> OD
 
 
 def stated_value(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> int | None:
-    """Returns the value of a DCF, else the default; None when the dictionary gives neither."""
+    """Return the value of a DCF, else the default; None when the dictionary gives neither."""
     variable = _variable(dictionary, index, subindex)
     values = () if variable is None else (variable.value, variable.default)
     return next((value for value in values if isinstance(value, int)), None)
 
 
 def _describe(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> str:
-    """Returns `UNSIGNED16 rw, default 1000, mappable`."""
+    """Return `UNSIGNED16 rw, default 1000, mappable`."""
     variable = _variable(dictionary, index, subindex)
     if variable is None:
         return "not listed"
@@ -209,7 +209,7 @@ def _row(
 
 
 def _judged(dictionary: ObjectDictionary, group: Group, finding: Finding, mode: int = 0) -> SurveyRow:
-    """Returns the row of a finding of `fitness`; the value saved in a DCF counts where there is no default."""
+    """Return the row of a finding of `fitness`; the value saved in a DCF counts where there is no default."""
     index = int(finding.item[:6], 16)
     verdict, text = finding.verdict, finding.text
     saved = stated_value(dictionary, index)
@@ -228,7 +228,7 @@ def _is_right(index: int, saved: int, mode: int) -> bool:
 
 
 def _as_found(dictionary: ObjectDictionary, group: Group, finding: Finding) -> SurveyRow:
-    """Returns the row of a finding as it is: a saved value does not change it."""
+    """Return the row of a finding as it is: a saved value does not change it."""
     return SurveyRow(
         group, finding.item, _describe(dictionary, int(finding.item[:6], 16)), finding.verdict, finding.text
     )
@@ -252,7 +252,7 @@ def _command(dictionary: ObjectDictionary, axis: AxisParameters, findings: dict[
 
 
 def _measured(dictionary: ObjectDictionary, axis: AxisParameters, axis_map: AxisMap | None) -> list[SurveyRow]:
-    """Returns the torque read back, or the force and the limits of an admittance display."""
+    """Return the torque read back, or the force and the limits of an admittance display."""
     display = axis.admittance
     if display is None:
         return [_read_back(dictionary, axis_map)]
@@ -348,7 +348,7 @@ def _pdos(dictionary: ObjectDictionary, findings: dict[str, Finding]) -> list[Su
 
 
 def _counted(capabilities: list[PdoCapability]) -> str:
-    """Returns `25: 1 writable (8 entries), 24 fixed`."""
+    """Return `25: 1 writable (8 entries), 24 fixed`."""
     if not capabilities:
         return "none"
     writable = [c for c in capabilities if c.fixed is None]

@@ -26,7 +26,7 @@ def why_not_written(path: Path) -> str:
 
 
 def require_writable_place(path: Path) -> None:
-    """Returns if the path is free or a regular file.
+    """Return if the path is free or a regular file.
 
     Raises:
         InputError: The path is something else.

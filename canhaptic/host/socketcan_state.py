@@ -163,7 +163,7 @@ class _Judged:
 
 
 def _judge_queue(link: Mapping[str, object], axes: int, judged: _Judged) -> None:
-    """Judges the transmit queue: one that is shorter than two cycles refuses frames (ENOBUFS) at the first delay."""
+    """Judge the transmit queue: one that is shorter than two cycles refuses frames (ENOBUFS) at the first delay."""
     length, needed = link.get("txqlen"), 2 * (axes + _FRAMES_BESIDE_RPDOS)
     if not isinstance(length, int):
         return
@@ -217,7 +217,7 @@ def _judge_modes(modes: list[str], judged: _Judged) -> None:
 
 
 def _least_restart(bus: BusSettings) -> int:
-    """Returns the shortest automatic restart after a bus-off [ms] that finds the rig stopped."""
+    """Return the shortest automatic restart after a bus-off [ms] that finds the rig stopped."""
     return math.ceil(bus.stop_cycles * bus.sample_time * 1e3)
 
 

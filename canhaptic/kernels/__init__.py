@@ -42,12 +42,12 @@ new: Final = tuple.__new__
 
 
 def list_of_zeros(length: int) -> Buffer:
-    """Returns a buffer for kernels that Python runs."""
+    """Return a buffer for kernels that Python runs."""
     return [0.0] * length
 
 
 def zeros(rows: int, columns: int) -> Matrix:
-    """Returns a matrix of zeros for kernels that Python runs."""
+    """Return a matrix of zeros for kernels that Python runs."""
     return [list_of_zeros(columns) for _ in range(rows)]
 
 

@@ -73,7 +73,7 @@ class CheckedCache(caching.FunctionCache):
 
 
 def _is_whole(content: bytes, version: str = "") -> bool:
-    """Returns whether the digest at the end is that of the rest, without the version in front of an index."""
+    """Return whether the digest at the end is that of the rest, without the version in front of an index."""
     start = len(pickle.dumps(version, protocol=-1)) if version else 0
     return content[-_DIGEST:] == hashlib.sha256(content[start:-_DIGEST]).digest()
 
@@ -99,7 +99,7 @@ def kept_code(sources: Iterable[str]) -> Iterator[bool]:
 
 
 def _place_of(sources: Iterable[str]) -> Path | None:
-    """Returns the folder for the code of these sources, marked as used now; None where none can be written."""
+    """Return the folder for the code of these sources, marked as used now; None where none can be written."""
     folder = cache_folder()
     if folder is None:
         return None
@@ -116,7 +116,7 @@ def _place_of(sources: Iterable[str]) -> Path | None:
 
 @cache
 def _delete_unused(folder: Path) -> None:
-    """Deletes what no process has used for 30 days, once in a process.
+    """Delete what no process has used for 30 days, once in a process.
 
     A folder is renamed first, so that no process finds half of it. Code that a process misses because of that is
     compiled again.
@@ -157,7 +157,7 @@ def cache_folder() -> Path | None:
 
 
 def code_key(sources: Iterable[str]) -> str:
-    """Returns the name of the folder for code made of these sources, here."""
+    """Return the name of the folder for code made of these sources, here."""
     digest = hashlib.sha256()
     features = sorted(name for name, there in binding.get_host_cpu_features().items() if there)
     where = (sys.version, platform.machine(), binding.get_host_cpu_name(), features)

@@ -77,7 +77,7 @@ def compiled(
     parts: Iterable[type] = (),
     calls: Collection[Callable[..., object]] | None = None,
 ) -> _Function:
-    """Returns a kernel as a function that is compiled at its first call.
+    """Return a kernel as a function that is compiled at its first call.
 
     Args:
         function: The kernel.
@@ -122,7 +122,7 @@ class _Compiling(Binding):
         self.sources.append(repr(calls and sorted(cast(FunctionType, function).__name__ for function in calls)))
 
     def rebound(self, function: Callable[..., object]) -> FunctionType:
-        """Returns the same code with compiled functions in the place of its global names."""
+        """Return the same code with compiled functions in the place of its global names."""
         function = cast(FunctionType, function)
         self.sources.append(_text_of(function.__code__) + repr(function.__defaults__))
         made = super().rebound(function)

@@ -38,14 +38,14 @@ def record_type(value: object) -> np.dtype[np.void]:
 
 
 def _parts_of(value: object) -> list[tuple[str, object]]:
-    """Returns the fields of a dataclass; of the plain object of a parameter model those that are numbers."""
+    """Return the fields of a dataclass; of the plain object of a parameter model those that are numbers."""
     if is_dataclass(value):
         return [(field.name, getattr(value, field.name)) for field in fields(value)]
     return [(name, part) for name, part in vars(value).items() if isinstance(part, _NUMBER)]
 
 
 def records_of(values: Iterable[object]) -> Records:
-    """Returns dataclasses of one kind as records, shape (n,)."""
+    """Return dataclasses of one kind as records, shape (n,)."""
     values = list(values)
     kind = record_type(values[0])
     parts = list(_flat(kind))
@@ -71,7 +71,7 @@ def number_in(state: object, name: str) -> float:
 
 
 def _flat(kind: _Kind, path: str = "", offset: int = 0) -> Iterable[_Part]:
-    """Yields the numbers of a record type, by their dotted names."""
+    """Yield the numbers of a record type, by their dotted names."""
     for name, (part, at, *_) in (kind.fields or {}).items():
         if part.fields:
             yield from _flat(part, f"{path}{name}.", offset + at)
@@ -80,7 +80,7 @@ def _flat(kind: _Kind, path: str = "", offset: int = 0) -> Iterable[_Part]:
 
 
 def arrays_of(value: _Value) -> _Value:
-    """Returns a NamedTuple of buffers, and of such, with arrays of its own in their place.
+    """Return a NamedTuple of buffers, and of such, with arrays of its own in their place.
 
     The kind of a field follows from its annotation: `Buffer`, `Indices`, `Matrix`, or anything else.
     """
@@ -99,7 +99,7 @@ def arrays_of(value: _Value) -> _Value:
 
 
 def record_of(value: object) -> Records:
-    """Returns a NamedTuple of buffers, of such and of dataclasses, as one record of arrays, shape (1,).
+    """Return a NamedTuple of buffers, of such and of dataclasses, as one record of arrays, shape (1,).
 
     Compiled code takes it by its address, where a tuple of arrays would come apart into hundreds of arguments; and it
     knows the lengths.
@@ -126,7 +126,7 @@ def _record_type(value: object) -> np.dtype[np.void]:
 
 
 def _form(annotation: object, value: Buffer | Matrix | Indices) -> tuple[type[np.generic], tuple[int, ...]]:
-    """Returns type and shape of the array of a buffer."""
+    """Return type and shape of the array of a buffer."""
     inner = (len(cast(Matrix, value)[0]) if len(value) else 0,) if annotation == Matrix else ()
     return _ARRAYS[annotation], (len(value), *inner)
 

@@ -79,7 +79,7 @@ class BusLogWriter:
         return self._process.pid
 
     def __call__(self, timestamp_ns: int, can_id: int, data: bytes | bytearray, is_rx: bool) -> None:
-        """Takes one frame of classic CAN (at most 8 bytes of data).
+        """Take one frame of classic CAN (at most 8 bytes of data).
 
         Raises:
             LogWriteError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
@@ -102,7 +102,7 @@ class BusLogWriter:
             self.dropped += 1
 
     def close(self, status: str = "complete") -> None:
-        """Writes everything that is still in the ring and waits for it. A second call does nothing.
+        """Write everything that is still in the ring and wait for it. A second call does nothing.
 
         Args:
             status: Status of the run; with `last`, anything but complete, completed or stopped is a bad end.

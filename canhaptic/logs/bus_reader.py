@@ -29,7 +29,7 @@ class _Lines(TextIOWrapper):
     """A text with lines of bounded length: a file without line ends would be read into one."""
 
     def readline(self, size: int | None = -1) -> str:  # type: ignore[override]
-        """Returns the next line; empty at the end.
+        """Return the next line; empty at the end.
 
         Raises:
             LogFormatError: It is longer than any of a bus log.
@@ -40,7 +40,7 @@ class _Lines(TextIOWrapper):
         return line
 
     def __next__(self) -> str:  # type: ignore[override]
-        """Returns the next line."""
+        """Return the next line."""
         if line := self.readline():
             return line
         raise StopIteration
@@ -58,7 +58,7 @@ class Frame(NamedTuple):
 
 
 def read_bus_log(path: str | Path, skipped: Counter[SkippedKind] | None = None) -> Iterator[Frame]:
-    """Yields the data frames of a bus log in the order of the file.
+    """Yield the data frames of a bus log in the order of the file.
 
     Args:
         path: The log.
@@ -149,7 +149,7 @@ def _messages(path: Path) -> Iterator[can.Message]:
 
 
 def convert(source: Path, target: Path) -> None:
-    """Writes a bus log in the format that the target's suffix names: .blf, .trc or .asc.
+    """Write a bus log in the format that the target's suffix names: .blf, .trc or .asc.
 
     These formats number the buses: from 0, in the order in which they appear.
     """

@@ -76,7 +76,7 @@ class BusSink:
         os.truncate(self._descriptor, self._size)
 
     def drain(self, heads: list[int], final: bool) -> None:
-        """Writes all frames up to `heads[0]`."""
+        """Write all frames up to `heads[0]`."""
         while self._next < heads[0]:
             count = min(_BLOCK, heads[0] - self._next)
             self._write(format_frames(self._frames.read(self._next, count), self._channels))
@@ -88,7 +88,7 @@ class BusSink:
             os.fsync(self._descriptor)
 
     def check(self) -> None:
-        """Returns while the file is as it was written; raises LogWriteError."""
+        """Return while the file is as it was written; raise LogWriteError."""
         require_same_file(self._path, self._descriptor, self._size)
 
     def _write(self, text: bytes) -> None:
@@ -119,7 +119,7 @@ class BusSink:
 
 
 def format_frames(frames: bytes, channels: Sequence[str]) -> bytes:
-    """Returns the candump lines of packed records."""
+    """Return the candump lines of packed records."""
     lines = []
     for timestamp, identifier, length, is_rx, bus, data in _RECORD.iter_unpack(frames):
         name = f"{identifier:03X}" if identifier <= _LAST_STANDARD_ID else f"{identifier:08X}"

@@ -37,7 +37,7 @@ def checked_rows(path: Path, file: Hdf5File, ports: Sequence[str], status: str) 
 
 
 def found_columns(path: Path, file: Hdf5File, ports: Sequence[str]) -> tuple[FoundColumns, FoundColumns]:
-    """Returns the columns of the rows and those of the events, by path.
+    """Return the columns of the rows and those of the events, by path.
 
     The format of an older version has fewer.
 

@@ -106,7 +106,7 @@ class LogSchema:
     version: int = FORMAT_VERSION  # of the format
 
     def columns(self) -> list[_LogColumn]:
-        """Returns the columns in the order in which the ring's record holds them."""
+        """Return the columns in the order in which the ring's record holds them."""
         columns = [_LogColumn("timing/dropped_before", "1", "u4"), _LogColumn("timing/sync_index", "1", "i8")]
         columns += [_LogColumn(f"timing/{name}", "ns", "i8") for name in CycleTiming._fields]
         if self.version > 1:
@@ -122,21 +122,21 @@ class LogSchema:
         return columns
 
     def ring(self, capacity: int) -> RingShape:
-        """Returns the shape of the ring: every field takes 8 bytes, an integer or a float."""
+        """Return the shape of the ring: every field takes 8 bytes, an integer or a float."""
         return RingShape(self.record_format(), capacity)
 
     def record_format(self) -> str:
-        """Returns the struct format of one row in the ring."""
+        """Return the struct format of one row in the ring."""
         return "=" + "".join("d" if column.dtype == "f8" else "q" for column in self.columns())
 
     def to_json(self) -> str:
-        """Returns the schema as text for the writer process."""
+        """Return the schema as text for the writer process."""
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
         return json.dumps(fields)
 
     @staticmethod
     def from_json(text: str) -> "LogSchema":
-        """Returns the schema that `to_json` wrote."""
+        """Return the schema that `to_json` wrote."""
         fields = json.loads(text)
         fields["ports"] = tuple(PortDescription(*port) for port in fields["ports"])
         return LogSchema(**fields)

@@ -131,7 +131,7 @@ class _Node:
         self.sdo = SdoDecoder(self.object_name, self._value)
 
     def object_name(self, index: int, subindex: int) -> str:
-        """Returns `0x6040 Controlword`, with the words of the dictionary where there is one."""
+        """Return `0x6040 Controlword`, with the words of the dictionary where there is one."""
         number = f"0x{index:04X}" + (f".{subindex}" if subindex else "")
         entry = (self._description.dictionary or {}).get(index)
         if entry is None:

@@ -86,7 +86,7 @@ class EnergyLogWriter:
         deadline: int | None = None,
         measured: Sequence[Measured] = (),
     ) -> None:
-        """Takes one cycle.
+        """Take one cycle.
 
         Args:
             sync_index: Index k of the SYNC.

@@ -53,7 +53,7 @@ class Quantities(Mapping[str, Array]):
         return len(self._names)
 
     def read(self, name: str, start: int = 0, stop: int | None = None) -> Array:
-        """Returns rows `start` to `stop` of one quantity without keeping them in memory."""
+        """Return rows `start` to `stop` of one quantity without keeping them in memory."""
         path = f"{self._group}/{name}"
         try:
             return self._file[path].read(start, self._rows if stop is None else min(stop, self._rows))
@@ -61,7 +61,7 @@ class Quantities(Mapping[str, Array]):
             raise LogFormatError(f"{path}: the data is damaged ({error}); `inspect --repair` saves the rest") from error
 
     def unit(self, name: str) -> str:
-        """Returns the unit of a quantity; "1" for a pure number."""
+        """Return the unit of a quantity; "1" for a pure number."""
         path = f"{self._group}/{name}"
         try:
             return str(_plain(self._file[path].attributes.get("unit", "1")))
@@ -102,7 +102,7 @@ class EnergyLog:
 
     @staticmethod
     def open(path: str | Path) -> "EnergyLog":
-        """Opens a log.
+        """Open a log.
 
         Raises:
             LogFormatError: Missing, empty, truncated, foreign or written by a newer version; or a column of it is
@@ -127,11 +127,11 @@ class EnergyLog:
         self.close()
 
     def close(self) -> None:
-        """Closes the file; arrays already loaded stay valid."""
+        """Close the file; arrays already loaded stay valid."""
         self._file.close()
 
     def number(self, name: str, default: float = 0.0) -> float:
-        """Returns an attribute that is a number, or the default where the log has none.
+        """Return an attribute that is a number, or the default where the log has none.
 
         Raises:
             LogFormatError: It is no finite number.
@@ -144,7 +144,7 @@ class EnergyLog:
         return value
 
     def decoded(self, name: str, default: _Json) -> _Json:
-        """Returns an attribute that was written as JSON, or the default where the log has none.
+        """Return an attribute that was written as JSON, or the default where the log has none.
 
         Raises:
             LogFormatError: It is no JSON, or not of the type of the default.
@@ -192,7 +192,7 @@ class EnergyLog:
         return np.asarray(self.deadlines() * (self.sample_time_ns * 1e-9))
 
     def deadlines(self, start: int = 0, stop: int | None = None) -> Array:
-        """Returns the sample times from the first SYNC to that of each row; of an older log the index of the SYNC."""
+        """Return the sample times from the first SYNC to that of each row; of an older log the index of the SYNC."""
         return self.timing.read("deadline_index" if "deadline_index" in self.timing else "sync_index", start, stop)
 
     def time_of(self, sync_index: int) -> float:

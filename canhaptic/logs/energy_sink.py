@@ -38,7 +38,7 @@ class EnergySink:
         self._lost = 0
 
     def open(self, restart: bool) -> None:
-        """Makes the file; after a restart continues the one that a killed writer left, from its first missing row."""
+        """Make the file; after a restart continues the one that a killed writer left, from its first missing row."""
         if restart and self._recover():
             return
         self._next_row = self._lost = self._rows.tail
@@ -97,7 +97,7 @@ class EnergySink:
         return True
 
     def drain(self, heads: list[int], final: bool) -> None:
-        """Writes the whole chunks of rows up to `heads[0]` (with `final` the rest too) and the events."""
+        """Write the whole chunks of rows up to `heads[0]` (with `final` the rest too) and the events."""
         chunk = self._schema.chunk_rows
         while heads[0] - self._next_row >= chunk or (final and heads[0] > self._next_row):
             self._write_rows(min(chunk, heads[0] - self._next_row))
@@ -130,11 +130,11 @@ class EnergySink:
             os.fsync(self._descriptor)
 
     def check(self) -> None:
-        """Returns while the file is as it was written; raises LogWriteError."""
+        """Return while the file is as it was written; raise LogWriteError."""
         require_same_file(self._path, self._descriptor, self._size)
 
     def finish(self, status: str) -> None:
-        """Closes the file and packs it."""
+        """Close the file and pack it."""
         self.check()
         self._file.close()
         os.close(self._descriptor)

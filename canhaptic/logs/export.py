@@ -17,7 +17,7 @@ _BLOCK: Final = 65_536  # rows held in memory at a time
 
 
 def export(log: EnergyLog, path: str | Path) -> None:
-    """Writes a log as a table; the suffix says which kind: .csv, .parquet, .mat or .mcap.
+    """Write a log as a table; the suffix says which kind: .csv, .parquet, .mat or .mcap.
 
     Floats in CSV are the shortest text that reads back to the same bits.
 
@@ -51,7 +51,7 @@ def require_library(path: Path) -> None:
 
 
 def _columns(log: EnergyLog) -> Iterator[tuple[str, str, Quantities, str]]:
-    """Yields (title, unit, group, name) of every quantity, the timing first."""
+    """Yield (title, unit, group, name) of every quantity, the timing first."""
     for name in log.timing:
         yield name, log.timing.unit(name), log.timing, name
     for prefix, groups in (("", log.ports), ("true.", log.truth)):
@@ -160,6 +160,6 @@ def _write_events(writer: _McapWriter, log: EnergyLog) -> None:
 
 
 def _add_message(writer: _McapWriter, channel: int, time: int, values: Mapping[str, float | str]) -> None:
-    """Adds one message; numbers that JSON lacks (inf, nan) are left out."""
+    """Add one message; numbers that JSON lacks (inf, nan) are left out."""
     finite = {name: value for name, value in values.items() if not isinstance(value, float) or math.isfinite(value)}
     writer.add_message(channel, time, json.dumps(finite, separators=(",", ":")).encode(), time)

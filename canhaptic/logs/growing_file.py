@@ -11,7 +11,7 @@ _REMEDY: Final = "the rows from then on are lost; keep other programs away from 
 
 
 def open_regular(path: Path, flags: int) -> int:
-    """Returns a descriptor of a regular file; neither a symbolic link nor a pipe is opened.
+    """Return a descriptor of a regular file; neither a symbolic link nor a pipe is opened.
 
     Raises:
         LogWriteError: It is something else.

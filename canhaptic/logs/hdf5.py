@@ -40,12 +40,12 @@ class Dataset:
         return int(self._dataset.chunks[0]) if self._dataset.chunks else 1
 
     def refreshed_length(self) -> int:
-        """Returns its length now, while another process writes it."""
+        """Return its length now, while another process writes it."""
         self._dataset.refresh()
         return len(self)
 
     def read_tables(self) -> None:
-        """Reads its type, its attributes and the places of its chunks, but no element."""
+        """Read its type, its attributes and the places of its chunks, but no element."""
         self._dataset.dtype, self.attributes  # noqa: B018 - for what the library does to find them
         with _bounded_memory():
             if self._dataset.chunks:
@@ -64,22 +64,22 @@ class Dataset:
             return dict(self._dataset.attrs)
 
     def set_attribute(self, name: str, value: Attribute) -> None:
-        """Sets one attribute."""
+        """Set one attribute."""
         self._dataset.attrs[name] = value
 
     def read(self, start: int = 0, stop: int | None = None) -> Array:
-        """Returns elements `start` to `stop` (all by default)."""
+        """Return elements `start` to `stop` (all by default)."""
         with _bounded_memory(2 * len(range(*slice(start, stop).indices(len(self)))) * self.dtype.itemsize):
             return np.asarray(self._dataset[start:stop])
 
     def append(self, values: Array) -> None:
-        """Adds elements at the end."""
+        """Add elements at the end."""
         length = len(self)
         self._dataset.resize((length + len(values),))
         self._dataset[length:] = values
 
     def truncate(self, length: int) -> None:
-        """Keeps the first `length` elements."""
+        """Keep the first `length` elements."""
         self._dataset.resize((length,))
 
 
@@ -112,7 +112,7 @@ class Hdf5File:
         self.close()
 
     def close(self) -> None:
-        """Closes the file."""
+        """Close the file."""
         self._file.close()
 
     @property
@@ -122,11 +122,11 @@ class Hdf5File:
             return {name: _text(value) if isinstance(value, str) else value for name, value in self._file.attrs.items()}
 
     def set_attribute(self, name: str, value: Attribute) -> None:
-        """Sets one attribute of the root."""
+        """Set one attribute of the root."""
         self._file.attrs[name] = value
 
     def create(self, path: str, dtype: str | np.dtype[np.generic], chunk: int, compressed: bool = True) -> Dataset:
-        """Returns a new empty column that can grow."""
+        """Return a new empty column that can grow."""
         options = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if compressed else {}
         return Dataset(self._file.create_dataset(path, (0,), maxshape=(None,), dtype=dtype, chunks=(chunk,), **options))
 
@@ -138,12 +138,12 @@ class Hdf5File:
         return Dataset(found)
 
     def names(self, group: str) -> list[str]:
-        """Returns the names inside a group; none when the group is missing."""
+        """Return the names inside a group; none when the group is missing."""
         with _bounded_memory():
             return list(self._file[group]) if isinstance(self._file.get(group), h5py.Group) else []
 
     def datasets(self) -> Iterator[tuple[str, Dataset]]:
-        """Yields path and column of everything in the file that is one."""
+        """Yield path and column of everything in the file that is one."""
         found: list[tuple[str, Dataset]] = []
 
         def visit(path: str | bytes, item: h5py.Dataset | h5py.Group) -> None:  # h5py leaves a damaged name as bytes
@@ -155,7 +155,7 @@ class Hdf5File:
         yield from found
 
     def read_tables(self) -> None:
-        """Reads what the library keeps: the root's attributes, and of every column name, type, attributes and chunks.
+        """Read what the library keeps: the root's attributes, and of every column name, type, attributes and chunks.
 
         Continues after damaged entries: another reader may come there first.
         """
@@ -166,7 +166,7 @@ class Hdf5File:
                 dataset.read_tables()
 
     def copy_to(self, other: "Hdf5File") -> None:
-        """Copies everything, compressed chunks as they are, and the root's attributes."""
+        """Copy everything, compressed chunks as they are, and the root's attributes."""
         for name in self._file:
             self._file.copy(name, other._file)  # noqa: SLF001 - the same class
         for name, value in self.attributes.items():
@@ -184,7 +184,7 @@ class Hdf5File:
         self._file.swmr_mode = True
 
     def flush(self) -> None:
-        """Hands everything to the operating system."""
+        """Hand everything to the operating system."""
         self._file.flush()
 
 

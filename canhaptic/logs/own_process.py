@@ -69,7 +69,7 @@ def _exit(status: int) -> str:
 
 
 def _answer(writer: int, work: Callable[[], object], seconds: int, parent: int) -> None:
-    """Sends the result or the error of `work` and ends the copy; nothing of the first process is flushed or closed."""
+    """Send the result or the error of `work` and ends the copy; nothing of the first process is flushed or closed."""
     import resource
 
     try:

@@ -13,7 +13,7 @@ _EVENTS: Final = "events/"
 
 
 def _whole_lengths(file: Hdf5File) -> tuple[int, int]:
-    """Returns (rows, events): how many of each every column of a file has."""
+    """Return (rows, events): how many of each every column of a file has."""
     found: tuple[list[int], list[int]] = ([], [])
     for path, dataset in file.datasets():
         found[path.startswith(_EVENTS)].append(len(dataset))
@@ -21,7 +21,7 @@ def _whole_lengths(file: Hdf5File) -> tuple[int, int]:
 
 
 def trim(file: Hdf5File) -> tuple[int, int]:
-    """Cuts all columns of a file to whole rows and events, and returns how many (rows, events) are left."""
+    """Cut all columns of a file to whole rows and events, and return how many (rows, events) are left."""
     rows, events = _whole_lengths(file)
     for path, dataset in file.datasets():
         length = events if path.startswith(_EVENTS) else rows
@@ -40,7 +40,7 @@ def unfinished(path: Path) -> Path:
 def repack(
     source: Path, target: Path, attributes: Mapping[str, Attribute], lengths: tuple[int, int] | None = None
 ) -> None:
-    """Writes a compact copy of a log with large chunks; `target` may be `source`.
+    """Write a compact copy of a log with large chunks; `target` may be `source`.
 
     Args:
         source: Log, also one that a kill left open.

@@ -54,7 +54,7 @@ class PdoMaps:
                 self._set(index, subindex, value)
 
     def learn(self, access: Access) -> bool:
-        """Takes a confirmed SDO; returns whether it configures a PDO."""
+        """Take a confirmed SDO; return whether it configures a PDO."""
         if not (_is_communication(access.object_index) or _is_mapping(access.object_index)):
             return False
         self._set(access.object_index, access.subindex, int.from_bytes(access.value, "little"))
@@ -67,7 +67,7 @@ class PdoMaps:
             self._cob_ids[index] = value
 
     def cob_ids(self) -> Iterator[tuple[int, str, int]]:
-        """Yields (COB-ID, name such as `TPDO1`, mapping index) of every PDO that exists."""
+        """Yield (COB-ID, name such as `TPDO1`, mapping index) of every PDO that exists."""
         named = set()
         for index, cob_id in self._cob_ids.items():
             named.add(index)
@@ -79,7 +79,7 @@ class PdoMaps:
                     yield base + self._node_id, _name(first + number), first + number + 0x200
 
     def tpdos(self) -> dict[int, int]:
-        """Returns COB-ID -> mapping index of every PDO that the node sends."""
+        """Return COB-ID -> mapping index of every PDO that the node sends."""
         return {cob_id: mapping for cob_id, _, mapping in self.cob_ids() if mapping >= od.TPDO_MAPPING}
 
     def fields(self, mapping_index: int, data: bytes) -> list[PdoField] | str:

@@ -19,7 +19,7 @@ _BLOCK: Final = 1 << 18  # rows read at a time
 
 
 def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
-    """Copies every whole row up to the first that is damaged or that a column lacks into a clean, packed log.
+    """Copy every whole row up to the first that is damaged or that a column lacks into a clean, packed log.
 
     Args:
         source: The log; it is not changed.
@@ -91,7 +91,7 @@ def _lost(source: Path, error: Exception) -> LogFormatError:
 
 
 def _readable(columns: FoundColumns) -> int:
-    """Returns how many rows at the start every column has and can be read."""
+    """Return how many rows at the start every column has and can be read."""
     rows = min(len(dataset) for dataset in columns.values())  # a damaged column may claim any length
     for dataset in columns.values():
         for start in range(0, rows, _STEP):

@@ -78,18 +78,18 @@ class SharedArea:
         self._cells[_MARK_CELL] = mark
 
     def text(self, name: str) -> str:
-        """Returns the text left under `name` ("failure" or "status"), empty when none was."""
+        """Return the text left under `name` ("failure" or "status"), empty when none was."""
         start = _TEXT_OFFSETS[name]
         (size,) = struct.unpack_from("=Q", self._map, start)
         return bytes(self._map[start + 8 : start + 8 + size]).decode("utf-8", "replace")
 
     def set_text(self, name: str, text: str) -> None:
-        """Leaves a text of at most 1000 bytes under `name`; a longer one is cut."""
+        """Leave a text of at most 1000 bytes under `name`; a longer one is cut."""
         encoded = text.encode()[:_TEXT_SIZE]
         struct.pack_into(f"=Q{len(encoded)}s", self._map, _TEXT_OFFSETS[name], len(encoded), encoded)
 
     def close(self) -> None:
-        """Unmaps the memory."""
+        """Unmap the memory."""
         for ring in self.rings:
             ring.detach()
         self._cells.release()
@@ -112,7 +112,7 @@ class Ring:
         self._limit = cells[self._tail_cell] + self.capacity
 
     def push(self, values: Record) -> bool:
-        """Writes one record; returns False, and writes nothing, when the ring is full."""
+        """Write one record; return False, and write nothing, when the ring is full."""
         number = self._next
         if number >= self._limit:
             # The tail is read only here: reading shared memory for every record would cost more than packing it.
@@ -157,7 +157,7 @@ class Ring:
         return self._cells[self._tail_cell]
 
     def read(self, first: int, count: int) -> bytes:
-        """Returns `count` records from number `first` on, as bytes; all must lie between tail and head."""
+        """Return `count` records from number `first` on, as bytes; all must lie between tail and head."""
         index = first % self.capacity
         until_end = min(count, self.capacity - index)
         start = self._start + index * self._size
@@ -167,7 +167,7 @@ class Ring:
         return piece
 
     def release(self, tail: int) -> None:
-        """Frees all records before number `tail` for the producer."""
+        """Free all records before number `tail` for the producer."""
         self._cells[self._tail_cell] = tail
 
     def detach(self) -> None:
@@ -176,7 +176,7 @@ class Ring:
 
 
 def size_of(shapes: Iterable[RingShape]) -> int:
-    """Returns the bytes of shared memory that the rings need."""
+    """Return the bytes of shared memory that the rings need."""
     return _HEADER + sum(struct.calcsize(shape.record) * shape.capacity for shape in shapes)
 
 
@@ -191,7 +191,7 @@ def _fill(descriptor: int, size: int) -> None:
 
 
 def allocate(size: int) -> int:
-    """Returns the descriptor of an unlinked file of `size` bytes, every page of it really there.
+    """Return the descriptor of an unlinked file of `size` bytes, every page of it really there.
 
     A memory file system is preferred: pages of a file on a disk stall the control thread while they are written back.
     """

@@ -20,7 +20,7 @@ _LADDER: Final = StatusBit.READY_TO_SWITCH_ON | StatusBit.SWITCHED_ON | StatusBi
 
 
 def state_text(statusword: int) -> str:
-    """Returns the name of the state in the words of the standard; "UNKNOWN" where no state has these bits."""
+    """Return the name of the state in the words of the standard; "UNKNOWN" where no state has these bits."""
     bits = StatusBit(statusword & 0xFF)
     step = _STEPS.get(bits & _LADDER)
     if step is None:

@@ -30,13 +30,13 @@ class _Sink(Protocol):
         """Prepare the file; after a restart, continue the one that a killed writer left."""
 
     def drain(self, heads: list[int], final: bool) -> None:
-        """Writes records up to `heads`; may keep an incomplete block for later unless `final`."""
+        """Write records up to `heads`; may keep an incomplete block for later unless `final`."""
 
     def check(self) -> None:
-        """Returns while the file is as it was written; raises LogWriteError."""
+        """Return while the file is as it was written; raise LogWriteError."""
 
     def finish(self, status: str) -> None:
-        """Completes and closes the file."""
+        """Complete and close the file."""
 
 
 def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, _Sink]:
@@ -60,7 +60,7 @@ def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, _Sink]:
 
 
 def _serve(area: SharedArea, sink: _Sink, parent: int) -> None:
-    """Writes until the producer closes or is gone.
+    """Write until the producer closes or is gone.
 
     A head is acted on one poll after it was first seen: by then the record behind it has reached this processor too, on
     machines that reorder stores as on those that do not.
@@ -82,7 +82,7 @@ def _serve(area: SharedArea, sink: _Sink, parent: int) -> None:
 
 
 def _become_ordinary(patient: bool) -> None:
-    """Gives up real-time priority and processor pinning inherited from the controlling process.
+    """Give up real-time priority and processor pinning inherited from the controlling process.
 
     Args:
         patient: Whether to yield to ordinary processes too, as for a cycle at wall-clock pace.
@@ -95,7 +95,7 @@ def _become_ordinary(patient: bool) -> None:
 
 
 def _open(job: dict[str, Any], sink: _Sink) -> LogLock:
-    """Locks and opens the log.
+    """Lock and open the log.
 
     Raises:
         LogWriteError: Another run writes it, it is no regular file, or it cannot be created.
@@ -115,7 +115,7 @@ def _open(job: dict[str, Any], sink: _Sink) -> LogLock:
 
 
 def main() -> None:
-    """Reads the job, says `ready` once the file is open, and serves."""
+    """Read the job, say `ready` once the file is open, and serve."""
     job = json.load(sys.stdin)
     _become_ordinary(patient=job["pace"] == "real")
     area, sink = make_sink(job, int(sys.argv[1]))

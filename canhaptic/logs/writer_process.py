@@ -182,7 +182,7 @@ class WriterProcess:
 
 
 def _trusted_folders() -> list[str]:
-    """Returns where this process imports from, without the working folder, in which others may write."""
+    """Return where this process imports from, without the working folder, in which others may write."""
     working = Path.cwd().resolve()
     return [folder for folder in sys.path if os.path.isabs(folder) and Path(folder).resolve() != working]
 

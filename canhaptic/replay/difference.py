@@ -47,7 +47,7 @@ class FirstDifference(_FramePlace):
 
 
 def describe(recording: Recording, side: RecordedSide, scene: Scene) -> FirstDifference | None:
-    """Returns the first difference; None when the master sent all that was recorded."""
+    """Return the first difference; None when the master sent all that was recorded."""
     departure = side.departure
     index = side.unsent if departure is None else departure.place
     if index < 0:
@@ -77,7 +77,7 @@ def describe(recording: Recording, side: RecordedSide, scene: Scene) -> FirstDif
 
 
 def _gap(recording: Recording, index: int, sample_time: float) -> float | None:
-    """Returns the longest silence of the recording in the two cycles before a frame [s]; None for an ordinary one.
+    """Return the longest silence of the recording in the two cycles before a frame [s]; None for an ordinary one.
 
     A difference after such a silence means that frames are missing from the recording: SYNCs that the master itself
     skipped are skipped again in the replay.

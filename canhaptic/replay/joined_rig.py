@@ -12,7 +12,7 @@ class JoinedRig(Rig):
     """A rig whose `start` sends only SYNC 0. Never for real drives: nothing about them is confirmed."""
 
     def start(self) -> None:
-        """Sends SYNC 0 and takes its TPDOs."""
+        """Send SYNC 0 and take its TPDOs."""
         self._reset()
         for drive in self.drives:
             _suppose_enabled(drive)

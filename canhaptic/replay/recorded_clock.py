@@ -26,7 +26,7 @@ class RecordedClock:
         self._lead: int | None = None  # of the pace over the recording, from the first wait on
 
     def now(self) -> int:
-        """Returns the time of the recording [ns]."""
+        """Return the time of the recording [ns]."""
         return self._now
 
     def wait_until(self, deadline: int) -> None:

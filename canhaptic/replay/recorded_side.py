@@ -82,7 +82,7 @@ class RecordedSide:
             self._play()
 
     def next_due(self) -> int:
-        """Returns when the next frame of the drives is due [ns]; never while the master has to send first."""
+        """Return when the next frame of the drives is due [ns]; never while the master has to send first."""
         if self._next == self._end or self._is_master[self._next]:
             return NEVER
         return self._frames[self._next].timestamp_ns

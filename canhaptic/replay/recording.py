@@ -55,7 +55,7 @@ class Recording:
         self.has_boot = any(address in roles.sdo_requests for address in before)
 
     def has_sdo(self, bus: int, node_id: int, index: int) -> bool:
-        """Returns whether a request or an answer of a node names subindex 0 of an object."""
+        """Return whether a request or an answer of a node names subindex 0 of an object."""
         named = struct.pack("<HB", index, 0)
         addresses = {(bus, od.SDO_REQUEST_BASE + node_id), (bus, od.SDO_RESPONSE_BASE + node_id)}
         pairs = zip(self._addresses, self.frames, strict=True)
@@ -86,7 +86,7 @@ class Recording:
 
 
 def _first_sync(addresses: Sequence[Address], frames: Sequence[Frame], roles: Roles) -> int:
-    """Returns the index of the first SYNC that every axis answered in OPERATION ENABLED; -1 when there is none."""
+    """Return the index of the first SYNC that every axis answered in OPERATION ENABLED; -1 when there is none."""
     sync, enabled = -1, set[Address]()
     for index, (address, frame) in enumerate(zip(addresses, frames, strict=True)):
         if address == _SYNC:

@@ -141,7 +141,7 @@ class _Replay:
             self._left_out += [f"{drive.axis.name}: 0x{index:04X}" for index in sorted(drive.left_out)]
 
     def run(self) -> ReplayResult:
-        """Runs to the end of the recording or to the first difference."""
+        """Run to the end of the recording or to the first difference."""
         bus = self._scene.bus
         ramp_cycles = max(1, round(bus.stop_ramp * 1e9) // bus.sample_time_ns)
         begin, ended = self._wall.now(), "at the end of the recording"

@@ -35,13 +35,13 @@ class Roles(NamedTuple):
         return (int(controlword) & _ENABLE_BITS).bit_count() < _ENABLE_BITS.bit_count() // 2
 
     def shows_enabled(self, address: Address, data: bytes) -> bool:
-        """Returns whether a TPDO with a statusword shows OPERATION ENABLED."""
+        """Return whether a TPDO with a statusword shows OPERATION ENABLED."""
         image = self.statuswords[address]
         return len(data) == image.size and is_enabled(int(image.unpack(data)[0]))
 
 
 def roles_of(scene: Scene) -> Roles:
-    """Returns the roles of the COB-IDs of a scene.
+    """Return the roles of the COB-IDs of a scene.
 
     Raises:
         DictionaryError: A dictionary cannot be read or has no fitting PDOs.

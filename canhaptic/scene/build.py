@@ -128,7 +128,7 @@ class Experiment:
         return [motor for motor in motors if isinstance(motor, Plant)]
 
     def close(self, status: str = "completed") -> None:
-        """Closes logs and buses; a second call does nothing.
+        """Close logs and buses; a second call does nothing.
 
         Args:
             status: Status of the run, for the logs.
@@ -157,7 +157,7 @@ def build(
     scene: Scene, pace: _Pace | None = None, energy_log: str | Path | None = None, bus_log: str | Path | None = None,
     *, no_torque: bool = False,
 ) -> Experiment:  # fmt: skip
-    """Returns the scene built and ready to run; nothing is sent yet.
+    """Return the scene built and ready to run; nothing is sent yet.
 
     Args:
         scene: Scene from `load_scene`.

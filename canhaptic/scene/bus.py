@@ -20,17 +20,17 @@ _PRIVATE: Final = itertools.count()
 
 
 def private_channel() -> str:
-    """Returns a channel of the virtual interface that nothing else in this process uses."""
+    """Return a channel of the virtual interface that nothing else in this process uses."""
     return f"canhaptic-{os.getpid()}-{next(_PRIVATE)}"
 
 
 def echoes(bus: BusParameters) -> bool:
-    """Returns whether the interface gives back the frames that were sent through it."""
+    """Return whether the interface gives back the frames that were sent through it."""
     return bus.interface in _ECHOING or bool(bus.options.get("receive_own_messages"))
 
 
 def open_bus(bus: BusParameters, channel: str | int | None) -> can.BusABC:
-    """Returns one connection to the bus.
+    """Return one connection to the bus.
 
     Raises:
         InputError: python-can has no such interface, lacks its driver or library, or refuses an option.
@@ -50,7 +50,7 @@ def open_bus(bus: BusParameters, channel: str | int | None) -> can.BusABC:
 
 
 def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"], index: int = 0) -> "FaultyBus":
-    """Returns a connection with the effects that a scene names on its buses.
+    """Return a connection with the effects that a scene names on its buses.
 
     Args:
         bus: The connection as it was opened.

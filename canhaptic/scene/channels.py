@@ -21,7 +21,7 @@ class Channels:
                 self._places.setdefault(word, place)
 
     def place_of(self, frame: Frame) -> int:
-        """Returns the place of the frame's bus among those of the scene.
+        """Return the place of the frame's bus among those of the scene.
 
         Raises:
             LogFormatError: The log names a bus that the scene has not.

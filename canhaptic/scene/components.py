@@ -57,7 +57,7 @@ class SceneReading(Protocol):
         """Whether the axis being read, or the last one, is an admittance display."""
 
     def moving(self, motion: Motion | None) -> AbstractContextManager[object]:
-        """Reads quantities in the units of this motion until the context ends."""
+        """Read quantities in the units of this motion until the context ends."""
 
 
 class ComponentSpec(NamedTuple):
@@ -68,7 +68,7 @@ class ComponentSpec(NamedTuple):
     own: type | None = None  # the user's own class; None for an entry of the table
 
     def as_plain(self, selector: str) -> dict[str, object]:
-        """Returns the section of a scene, defaults included, as plain values."""
+        """Return the section of a scene, defaults included, as plain values."""
         if isinstance(self.parameters, UnreadParameters):
             return {selector: self.name, **self.parameters.written}
         return {selector: self.name, **self.parameters.model_dump(mode="json")}
@@ -103,12 +103,12 @@ class ComponentOf:
         return f"{self.selector} (one of {', '.join(sorted(self.table))}) and more"
 
     def model_of(self, section: object) -> type[Parameters] | None:
-        """Returns the model of the table that a section names; None when it names none, or a user's own code."""
+        """Return the model of the table that a section names; None when it names none, or a user's own code."""
         name = section.get(self.selector) if isinstance(section, MarkedMapping) else None
         return self._model(name) if isinstance(name, str) and name in self.table else None
 
     def table_for(self, _section: object) -> "ComponentOf":
-        """Returns the table that a section is read from."""
+        """Return the table that a section is read from."""
         return self
 
     def _model(self, name: str) -> type[Parameters]:
@@ -119,7 +119,7 @@ class ComponentOf:
         return core_schema.with_info_plain_validator_function(self.read, serialization=plain)
 
     def read(self, value: object, info: ValidationInfo[SceneReading]) -> ComponentSpec:
-        """Returns what a section names."""
+        """Return what a section names."""
         if isinstance(value, ComponentSpec):
             return value
         if value is None:
@@ -254,7 +254,7 @@ class ComponentByDisplay(ComponentOf):
         return self._admittance if known(self._admittance) > known(self) else self
 
     def read(self, value: object, info: ValidationInfo[SceneReading]) -> ComponentSpec:
-        """Returns what a section names, from the table of the kind of display that the axis is."""
+        """Return what a section names, from the table of the kind of display that the axis is."""
         of_group = info.data.get("axes")
         is_display = info.context.displays >= set(of_group) if of_group else info.context.is_display
         return self._admittance.read(value, info) if is_display else super().read(value, info)
@@ -270,7 +270,7 @@ def _parameters_of(entry: Any) -> type[Parameters]:
 
 
 def _own_parameters(own: object, name: str) -> type[Parameters]:
-    """Returns the parameter model of a user's class.
+    """Return the parameter model of a user's class.
 
     Raises:
         ParameterError: It has none.

@@ -59,7 +59,7 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
 
 
 def _check_unique(scene: Scene, entries: list[MarkedMapping], faults: Diagnostics) -> None:
-    """Notes names used twice in the rig, and node IDs used twice on one bus."""
+    """Note names used twice in the rig, and node IDs used twice on one bus."""
     for key in ("name", "node_id"):
         values = [(getattr(a.parameters, key), a.bus if key == "node_id" else "") for a in scene.axes]
         for value, count in Counter(values).items():
@@ -112,7 +112,7 @@ def _check_demand_reported(scene: Scene, entries: list[MarkedMapping], faults: D
 
 
 def _check_buses(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
-    """Notes buses of one channel, buses that no axis is on, and virtual ones among others."""
+    """Note buses of one channel, buses that no axis is on, and virtual ones among others."""
     names = [bus.name for bus in scene.buses]
     places = [(bus.parameters.interface, str(bus.parameters.channel)) for bus in scene.buses]
     is_virtual = [bus.parameters.interface == "virtual" for bus in scene.buses]
@@ -238,7 +238,7 @@ def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) 
 
 
 def _check_dictionary(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: Diagnostics) -> AxisMap | None:
-    """Notes every reason why the drive's dictionary does not serve; returns the PDO map when it does."""
+    """Note every reason why the drive's dictionary does not serve; return the PDO map when it does."""
     try:
         dictionary = read_dictionary(axis.parameters.eds, axis.parameters.node_id)
     except DictionaryError as error:
@@ -284,7 +284,7 @@ def _check_mechanisms(scene: Scene, sections: MarkedMapping, faults: Diagnostics
 
 
 def _passivity_section(axis: AxisScene, entry: MarkedMapping, sections: MarkedMapping, scene: Scene) -> MarkedMapping:
-    """Returns where a scene speaks of the loop of an axis: the axis's own section, the shared one, or the group's."""
+    """Return where a scene speaks of the loop of an axis: the axis's own section, the shared one, or the group's."""
     owners = [entry, sections]
     if axis.group:
         place = [group.name for group in scene.groups].index(axis.group)

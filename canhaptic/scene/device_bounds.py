@@ -18,7 +18,7 @@ def rests_on_hand_force(scene: Scene, axis: AxisScene) -> bool:
 
 
 def with_device_bounds(scene: Scene) -> Scene:
-    """Returns the scene with the bounds of simulated devices; one that it declares is kept."""
+    """Return the scene with the bounds of simulated devices; one that it declares is kept."""
     axes = []
     for axis in scene.axes:
         found = _bounds(scene, axis) if rests_on_hand_force(scene, axis) else {}
@@ -40,7 +40,7 @@ def _bounds(scene: Scene, axis: AxisScene) -> dict[str, float]:
 
 
 def _damping(effect: Any) -> float:
-    """Returns the largest damping of an effect on the body at the encoder; a stop's and a shaft's are not the device's.
+    """Return the largest damping of an effect on the body at the encoder; a stop's and a shaft's are not the device's.
 
     The bristles of LuGre friction damp as well until they slide.
     """
@@ -51,7 +51,7 @@ def _damping(effect: Any) -> float:
 
 
 def _friction(effect: Any) -> float:
-    """Returns the largest force of an effect at any speed: dry friction, cogging."""
+    """Return the largest force of an effect at any speed: dry friction, cogging."""
     if getattr(effect, "type", "") == "cogging":
         return float(effect.amplitude)
     return float(max(getattr(effect, "static", 0.0), getattr(effect, "kinetic", 0.0)))

@@ -16,7 +16,7 @@ class SourceLocation(NamedTuple):
 
     @property
     def where(self) -> str:
-        """Returns `file:line:column`, or the source alone when it has no lines."""
+        """Return `file:line:column`, or the source alone when it has no lines."""
         return f"{self.source}:{self.line}:{self.column}" if self.line else self.source
 
     @property
@@ -25,7 +25,7 @@ class SourceLocation(NamedTuple):
         return Path(self.source).parent if self.line else Path()
 
     def below(self, *parts: str) -> "SourceLocation":
-        """Returns the same place for an entry below it that the source does not hold."""
+        """Return the same place for an entry below it that the source does not hold."""
         return self._replace(path=(*self.path, *parts))
 
 
@@ -39,7 +39,7 @@ class Diagnostics:
         return len(self._lines)
 
     def add(self, mark: SourceLocation, message: str) -> None:
-        """Notes a fault as `file:line:column: path: message`."""
+        """Note a fault as `file:line:column: path: message`."""
         path = f"{'.'.join(mark.path)}: " if mark.path else ""
         line = "".join(
             letter if letter.isprintable() else letter.encode("unicode_escape").decode()
@@ -48,10 +48,10 @@ class Diagnostics:
         self._lines.setdefault(line, (mark.line, mark.column))
 
     def error(self, kind: type[SceneError] = SceneError) -> SceneError:
-        """Returns the error with every fault noted so far, in the order of the file; overrides come first."""
+        """Return the error with every fault noted so far, in the order of the file; overrides come first."""
         return kind(sorted(self._lines, key=lambda line: self._lines[line]))
 
     def raise_if_any(self, kind: type[SceneError] = SceneError) -> None:
-        """Raises the error if there is any fault."""
+        """Raise the error if there is any fault."""
         if self._lines:
             raise self.error(kind)

@@ -69,7 +69,7 @@ _BETWEEN: Final = Template("""\
 
 
 def display_axis(display: DisplayParameters, counts: float, limit: float, unlimited: str, steepest: float) -> str:
-    """Returns the keys of an axis that make it an admittance display.
+    """Return the keys of an axis that make it an admittance display.
 
     Args:
         display: Findings of the dictionary for a display.
@@ -100,7 +100,7 @@ def display_axis(display: DisplayParameters, counts: float, limit: float, unlimi
 
 
 def display_rendered(display: DisplayParameters, limit: float, sample_time: float, *, simulate: bool) -> str:
-    """Returns environment and passivity for a torque limit [N*m] and a sample time [s]."""
+    """Return environment and passivity for a torque limit [N*m] and a sample time [s]."""
     mass, gain = _INERTIA * limit, _gain(limit)
     is_position = display.mode == "position"
     line = f"  integral_gain: {number(_OVER * 10.0 * gain)} N*m/rad # {TO_SET}: position gain times loop_gain\n"
@@ -119,7 +119,7 @@ def display_rendered(display: DisplayParameters, limit: float, sample_time: floa
 
 
 def display_simulation(display: DisplayParameters, objects: str, rated: float, limit: float) -> str:
-    """Returns the simulated rig; `objects` are lines of `simulation.drive`."""
+    """Return the simulated rig; `objects` are lines of `simulation.drive`."""
     mass, gain = _INERTIA * limit, _gain(limit)
     between = _BETWEEN.substitute(
         gain=number(gain),

@@ -53,22 +53,22 @@ class MarkedMapping(dict[str, Any]):
         self.was: str | None = None
 
     def put(self, key: str, value: Any, key_at: SourceLocation, value_at: SourceLocation) -> None:
-        """Sets one entry with its places."""
+        """Set one entry with its places."""
         self[key] = value
         self.keys_at[key] = key_at
         self.values_at[key] = value_at
 
     def set(self, key: str, value: Any) -> None:
-        """Sets an entry that the document does not have; errors name the place of the value, or that of the mapping."""
+        """Set an entry that the document does not have; errors name the place of the value, or that of the mapping."""
         at = value.mark if isinstance(value, MarkedMapping | MarkedList) else self.mark
         self.put(key, value, at, at)
 
     def value_at(self, key: str) -> SourceLocation:
-        """Returns the place of an entry, or where it would be when it is missing."""
+        """Return the place of an entry, or where it would be when it is missing."""
         return self.values_at.get(key) or self.mark.below(key)
 
     def copy(self) -> "MarkedMapping":
-        """Returns a copy of the entries and their places; nested values are shared."""
+        """Return a copy of the entries and their places; nested values are shared."""
         twin = MarkedMapping(self.mark, self.motion)
         twin.elsewhere, twin.was = self.elsewhere, self.was
         twin.update(self)
@@ -77,7 +77,7 @@ class MarkedMapping(dict[str, Any]):
         return twin
 
     def without(self, *names: str) -> "MarkedMapping":
-        """Returns a copy without some entries, which are read elsewhere."""
+        """Return a copy without some entries, which are read elsewhere."""
         twin = self.copy()
         twin.elsewhere += names
         for name in names:
@@ -85,14 +85,14 @@ class MarkedMapping(dict[str, Any]):
         return twin
 
     def only(self, names: Iterable[str]) -> "MarkedMapping":
-        """Returns a copy with no other entries than these."""
+        """Return a copy with no other entries than these."""
         twin = self.copy()
         for key in self.keys() - set(names):
             del twin[key]
         return twin
 
     def over(self, lower: "MarkedMapping") -> "MarkedMapping":
-        """Returns the entries of both; where both have a key this one's wins, and its place is that of the whole."""
+        """Return the entries of both; where both have a key this one's wins, and its place is that of the whole."""
         twin = self.copy()
         for key, value in lower.items():
             if key not in self:
@@ -109,12 +109,12 @@ class MarkedList(list[Any]):
         self.values_at: list[SourceLocation] = []
 
     def put(self, value: Any, value_at: SourceLocation) -> None:
-        """Appends one entry with its place."""
+        """Append one entry with its place."""
         self.append(value)
         self.values_at.append(value_at)
 
     def items_at(self) -> Iterator[tuple[Any, SourceLocation]]:
-        """Yields every entry with its place."""
+        """Yield every entry with its place."""
         return zip(self, self.values_at, strict=True)
 
 
@@ -129,7 +129,7 @@ for _kind, _pattern, _first in _SCALARS:
 
 
 def parse_yaml(text: str, source: str, faults: Diagnostics, path: tuple[str, ...] = (), lined: bool = True) -> Any:
-    """Returns the value of a YAML document, its mappings and lists marked.
+    """Return the value of a YAML document, its mappings and lists marked.
 
     Args:
         text: The document.
@@ -158,7 +158,7 @@ def parse_yaml(text: str, source: str, faults: Diagnostics, path: tuple[str, ...
 
 @lru_cache(maxsize=32)  # a sweep reads one file for each of its scenes: reading it is most of what loading costs
 def compose(text: str) -> yaml.Node | None:
-    """Returns the nodes of a document with their places; they are only read.
+    """Return the nodes of a document with their places; they are only read.
 
     Raises:
         yaml.YAMLError: It is not valid.
@@ -185,7 +185,7 @@ class _Builder:
         return SourceLocation(self._source, place.line + 1, place.column + 1, path)
 
     def value(self, node: yaml.Node, path: tuple[str, ...]) -> Any:
-        """Returns the value of a node; None, with a fault, when it is not plain data."""
+        """Return the value of a node; None, with a fault, when it is not plain data."""
         self._nodes += 1
         mark = self._mark(node, path)
         if any(node is outer for outer in self._open):
@@ -267,7 +267,7 @@ def _read_scalar(kind: str, text: str) -> Any:
 
 
 def mark_plain(value: Any, source: str, path: tuple[str, ...] = ()) -> Any:
-    """Returns plain Python mappings and sequences as marked ones, for scenes that are made without a file."""
+    """Return plain Python mappings and sequences as marked ones, for scenes that are made without a file."""
     mark = SourceLocation(source, 0, 0, path)
     if isinstance(value, Mapping):
         result = MarkedMapping(mark)

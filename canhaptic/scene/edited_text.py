@@ -24,7 +24,7 @@ class Change(NamedTuple):
 
 
 def edited_scene(scene: Scene, changes: Sequence[Change], place: str, *, allow_code: bool = False) -> str:
-    """Returns the text of a scene with its overrides and some changes written into it.
+    """Return the text of a scene with its overrides and some changes written into it.
 
     Args:
         scene: Scene as loaded.
@@ -47,7 +47,7 @@ def edited_scene(scene: Scene, changes: Sequence[Change], place: str, *, allow_c
 
 
 def edited_text(text: str, changes: Iterable[Change]) -> str:
-    """Returns YAML text with changes made in it, one after the other.
+    """Return YAML text with changes made in it, one after the other.
 
     Raises:
         InputError: A change is not of a single value, or lies below one.
@@ -66,7 +66,7 @@ def edited_text(text: str, changes: Iterable[Change]) -> str:
 
 
 def is_written(text: str, path: Iterable[str]) -> bool:
-    """Returns whether YAML text has an entry."""
+    """Return whether YAML text has an entry."""
     node: yaml.Node | None = compose(text)
     for part in path:
         node = _child(node, part)
@@ -106,14 +106,14 @@ def _replaced(text: str, node: yaml.Node | None, change: Change) -> str:
 
 
 def _after_comment(text: str, end: int, column: int) -> int:
-    """Returns where the lines end that go on with the comment of a line: comments alone, right of a column."""
+    """Return where the lines end that go on with the comment of a line: comments alone, right of a column."""
     while following := re.compile(rf"\n {{{column + 1},}}#.*").match(text, end):
         end = following.end()
     return end
 
 
 def _inserted(text: str, node: yaml.Node | None, path: Sequence[str], change: Change) -> str:
-    """Returns the text with an entry that a mapping did not have, behind its last one."""
+    """Return the text with an entry that a mapping did not have, behind its last one."""
     if not isinstance(node, yaml.MappingNode) or not node.value:
         raise InputError(f"{'.'.join(change.path)}: cannot be written there; give {path[0]} in the scene's file first")
     key, *below = path
@@ -133,7 +133,7 @@ def _inserted(text: str, node: yaml.Node | None, path: Sequence[str], change: Ch
 
 
 def _end(node: yaml.Node) -> int:
-    """Returns where the last value of a node ends; a block ends behind the comments that follow it, for YAML."""
+    """Return where the last value of a node ends; a block ends behind the comments that follow it, for YAML."""
     if not isinstance(node, yaml.CollectionNode) or node.flow_style or not node.value:
         return int(node.end_mark.index)
     last = node.value[-1]

@@ -13,7 +13,7 @@ _SHIPPED: Final = shipped("eds")
 
 
 def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
-    """Returns the axis's section with the path of its EDS or DCF found; a fault when there is no such file.
+    """Return the axis's section with the path of its EDS or DCF found; a fault when there is no such file.
 
     A relative path is looked for next to the scene file (one given in an override: in the current folder), then in
     the `eds/` that comes with the package.
@@ -34,7 +34,7 @@ def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMappin
 
 
 def path_for_scene(dictionary: Path, scene: Path | None) -> str:
-    """Returns the path with which a scene finds a dictionary.
+    """Return the path with which a scene finds a dictionary.
 
     Args:
         dictionary: Its file, as seen from the current folder.

@@ -7,7 +7,7 @@ from canhaptic.scene.models import AxisScene
 
 
 def experiment_account(experiment: Experiment, status: str, elapsed: float) -> RunResult:
-    """Returns what `canhaptic run --json` prints; energies in [J], times in [s].
+    """Return what `canhaptic run --json` prints; energies in [J], times in [s].
 
     Args:
         experiment: The experiment after its run, completed or not.

@@ -25,7 +25,7 @@ _SHAPES: Final = {
 
 
 def note_errors(model: type, section: MarkedMapping, error: ValidationError, faults: Diagnostics) -> None:
-    """Notes every error of a validation at the place of its value; what several types refuse, once.
+    """Note every error of a validation at the place of its value; what several types refuse, once.
 
     Args:
         model: Class that was validated: a parameter model, or a dataclass of such.
@@ -112,7 +112,7 @@ def _entry(container: object, name: str, part: int | str) -> object:
 
 
 def _key_of(container: MarkedMapping, part: int | str) -> str:
-    """Returns the key as it was written; pydantic names a numbered one by its number."""
+    """Return the key as it was written; pydantic names a numbered one by its number."""
     if str(part) in container:
         return str(part)
     return next((key for key in container if isinstance(part, int) and _is_number(key, part)), str(part))
@@ -138,13 +138,13 @@ def _fields(owner: type | None) -> dict[str, object]:
 
 
 def _named(annotation: object, kind: int | str) -> type[BaseModel] | None:
-    """Returns the model of a union whose `type` this is."""
+    """Return the model of a union whose `type` this is."""
     models = (part for part in parts_of(annotation) if isinstance(part, type) and issubclass(part, BaseModel))
     return next((m for m in models if "type" in m.model_fields and m.model_fields["type"].default == kind), None)
 
 
 def _model_in(annotation: object, section: MarkedMapping, owner: type | None) -> tuple[type | None, tuple[str, ...]]:
-    """Returns the model of a section in a field of this annotation, `owner` where it has none; and further keys."""
+    """Return the model of a section in a field of this annotation, `owner` where it has none; and further keys."""
     for part in parts_of(annotation):
         if isinstance(part, ComponentOf):
             table = part.table_for(section)
@@ -185,7 +185,7 @@ def _tag_fault(annotation: object, seen: object) -> str:
 
 
 def _expected(found: _KeyLocation) -> str:
-    """Returns `0 < stiffness <= 1e8 [N/m]` for a number with a unit, what a component needs, else ``."""
+    """Return `0 < stiffness <= 1e8 [N/m]` for a number with a unit, what a component needs, else ``."""
     for item in parts_of(found.annotation):
         if isinstance(item, ComponentOf):
             return item.expected

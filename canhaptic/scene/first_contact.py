@@ -58,7 +58,7 @@ def can_be_tried(axis: AxisScene) -> bool:
 
 
 def slowest_felt(axis: AxisScene) -> float:
-    """Returns the approach speed from which the wall is felt [m/s or rad/s]; infinite where there is no wall."""
+    """Return the approach speed from which the wall is felt [m/s or rad/s]; infinite where there is no wall."""
     speeds = [part * axis.parameters.largest_speed for part in _SPEEDS]
     felt = [is_felt(axis, speed) for speed in speeds]
     if not any(felt):
@@ -74,12 +74,12 @@ def slowest_felt(axis: AxisScene) -> float:
 
 
 def is_felt(axis: AxisScene, speed: float) -> bool:
-    """Returns whether at least half of a wall is rendered in a contact at a speed [m/s or rad/s]."""
+    """Return whether at least half of a wall is rendered in a contact at a speed [m/s or rad/s]."""
     return rendered_share(axis, speed) >= FELT
 
 
 def rendered_share(axis: AxisScene, speed: float) -> float:
-    """Returns the part of the wall's effort that is rendered in a contact, 0 to 1.
+    """Return the part of the wall's effort that is rendered in a contact, 0 to 1.
 
     Args:
         axis: One that can be tried.
@@ -96,7 +96,7 @@ def rendered_share(axis: AxisScene, speed: float) -> float:
 
 
 def with_declared(axis: AxisScene, declared: Mapping[str, float]) -> AxisScene:
-    """Returns the axis with other values of its section `passivity`, in SI."""
+    """Return the axis with other values of its section `passivity`, in SI."""
     of_loop = {key: value for key, value in declared.items() if key in type(axis.loop).model_fields}
     others = {key: value for key, value in declared.items() if key not in of_loop}
     parameters: Any = axis.passivity.parameters
@@ -144,13 +144,13 @@ def _environment(axis: AxisScene) -> Environment:
 
 
 def _inward(environment: Environment) -> tuple[float, float] | None:
-    """Returns where a contact begins [m or rad] and its direction, 1 or -1; None where none is found."""
+    """Return where a contact begins [m or rad] and its direction, 1 or -1; None where none is found."""
     start = float(getattr(environment, "position", 0.0))
     return next(((start, sign) for sign in (1.0, -1.0) if environment.contact(start + sign * 1e-6)), None)
 
 
 def _contact(axis: AxisScene, speed: float) -> Iterator[tuple[float, float]]:
-    """Yields the effort asked for and the torque sent in each hold of a contact [N or N*m]."""
+    """Yield the effort asked for and the torque sent in each hold of a contact [N or N*m]."""
     environment, loop, limit = _environment(axis), axis.loop, axis.parameters.torque_limit
     found = _inward(environment)
     if found is None:

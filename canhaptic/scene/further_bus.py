@@ -25,7 +25,7 @@ class FurtherBus(Parameters):
     """Further keyword arguments of `can.Bus`; None: those of the first bus."""
 
     def over(self, first: BusParameters) -> BusParameters:
-        """Returns all parameters of this bus."""
+        """Return all parameters of this bus."""
         own = {key: value for key, value in self.model_dump(exclude={"name"}).items() if value is not None}
         return first.model_copy(update={"channel": None, **own})
 

@@ -64,7 +64,7 @@ class Members(NamedTuple):
 
 
 def members_of(owner: MarkedMapping | None, key: str, what: str, faults: Diagnostics) -> list[Members]:
-    """Returns the groups or the mechanisms of a scene with the axes that belong to each; faults in these are noted."""
+    """Return the groups or the mechanisms of a scene with the axes that belong to each; faults in these are noted."""
     if owner is None or owner.get(key) is None:
         return []
     entries = read_list(owner[key], owner.value_at(key), faults, what)
@@ -84,7 +84,7 @@ def _names_of_axes(section: MarkedMapping, faults: Diagnostics) -> tuple[str, ..
 def check_group_axes(
     groups: Sequence[Members], mechanisms: Sequence[Members], names: Sequence[str], faults: Diagnostics
 ) -> None:
-    """Notes names of axes that are none or taken, and names of groups that are taken.
+    """Note names of axes that are none or taken, and names of groups that are taken.
 
     Args:
         groups: Groups from `members_of`.
@@ -105,7 +105,7 @@ def check_group_axes(
 
 
 def _check_members(members: Iterable[Members], known: Sequence[str], what: str, faults: Diagnostics) -> None:
-    """Notes every axis that does not exist or is in two groups (or mechanisms)."""
+    """Note every axis that does not exist or is in two groups (or mechanisms)."""
     taken: set[str] = set()
     for section, names in members:
         value = section.get("axes")

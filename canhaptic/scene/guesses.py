@@ -24,7 +24,7 @@ class Guess(NamedTuple):
 
 
 def guesses_left(scene: Scene) -> list[Guess]:
-    """Returns the values of a scene file that are still marked as guesses."""
+    """Return the values of a scene file that are still marked as guesses."""
     found = []
     for number, line in enumerate(scene.text.splitlines(), start=1):
         if marked := _MARKED.match(line):
@@ -48,12 +48,12 @@ def refuses_guesses(scene: Scene, run: "Runner | None" = None) -> bool:
 
 
 def _is_simulated_elsewhere(scene: Scene) -> bool:
-    """Returns whether a scene with simulated drives reaches them over UDP, which carries no real CAN bus."""
+    """Return whether a scene with simulated drives reaches them over UDP, which carries no real CAN bus."""
     return scene.simulation is not None and all(bus.parameters.interface == "udp_multicast" for bus in scene.buses)
 
 
 def require_no_guesses(scene: Scene) -> None:
-    """Returns when no value of a scene for real drives is marked as a guess.
+    """Return when no value of a scene for real drives is marked as a guess.
 
     Raises:
         InputError: Some are; names their lines.

@@ -48,7 +48,7 @@ class Hint(NamedTuple):
 
 
 def stability_hints(axis: AxisScene) -> list[Hint]:
-    """Returns the limits of one axis; none of them is enforced here, the passivity algorithm is what protects."""
+    """Return the limits of one axis; none of them is enforced here, the passivity algorithm is what protects."""
     if axis.group or axis.parameters.admittance is not None:
         return []  # see `group_hints`, `display_hints`
     if not axis.is_read:
@@ -58,7 +58,7 @@ def stability_hints(axis: AxisScene) -> list[Hint]:
 
 
 def group_hints(scene: Scene) -> list[Hint]:
-    """Returns what the certificates of each group hold on each of its axes, alone, in motor coordinates.
+    """Return what the certificates of each group hold on each of its axes, alone, in motor coordinates.
 
     The network's stiffness is in task space; the two are the same where the kinematics are `identity`.
     """
@@ -79,7 +79,7 @@ def group_hints(scene: Scene) -> list[Hint]:
 
 
 def _losses(axis: AxisScene) -> int:
-    """Returns the consecutive cycles without a new torque that the certificates survive."""
+    """Return the consecutive cycles without a new torque that the certificates survive."""
     return int(getattr(axis.passivity.parameters, "max_consecutive_losses", 0))
 
 
@@ -110,7 +110,7 @@ def _hint(axis: AxisScene, what: str, quantity: str, limit: float | None, asked:
 def _of_plain_wall(
     axis: AxisScene, what: str, quantity: str, limit: float | None, asked: float | None, text: str
 ) -> Hint:
-    """Returns a limit that holds for a spring and damper without any algorithm."""
+    """Return a limit that holds for a spring and damper without any algorithm."""
     plain = axis.passivity.name == _UNPROTECTED
     return _hint(axis, what, quantity, limit, asked, text if plain else f"plain wall only: {text}")._replace(
         concerns=plain
@@ -118,7 +118,7 @@ def _of_plain_wall(
 
 
 def _known(axis: AxisScene, key: str, of_plant: str) -> tuple[float | None, str]:
-    """Returns a property of the device and where it comes from: declared, else that of the simulated plant."""
+    """Return a property of the device and where it comes from: declared, else that of the simulated plant."""
     declared = getattr(axis.loop, key)
     if declared is not None:
         return float(declared), f"{key} declared"
@@ -162,7 +162,7 @@ def _quantisation_hint(axis: AxisScene) -> Hint:
 
 
 def quantisation_bound(axis: AxisScene) -> float | None:
-    """Returns 2 f_c / count [N/m or N*m/rad]; None where no Coulomb friction is known, inf for an ideal encoder."""
+    """Return 2 f_c / count [N/m or N*m/rad]; None where no Coulomb friction is known, inf for an ideal encoder."""
     count, friction = axis.loop.encoder_count, _simulated_friction(axis)
     if friction is None:
         return None
@@ -170,7 +170,7 @@ def quantisation_bound(axis: AxisScene) -> float | None:
 
 
 def _simulated_friction(axis: AxisScene) -> float | None:
-    """Returns the least Coulomb friction that the simulated plant has in motion [N or N*m]; None when unknown."""
+    """Return the least Coulomb friction that the simulated plant has in motion [N or N*m]; None when unknown."""
     if axis.simulation is None:
         return None
     frictions = [getattr(effect.parameters, "kinetic", None) for effect in axis.simulation.effects]

@@ -72,7 +72,7 @@ class _WithWords(GenerateJsonSchema):
 
 
 def scene_schema() -> Schema:
-    """Returns the schema (JSON Schema 2020-12) of a scene file."""
+    """Return the schema (JSON Schema 2020-12) of a scene file."""
     whole = scene_adapter().json_schema(schema_generator=_WithWords)
     defined, scene = whole["$defs"], whole["properties"]
     axis, far_side = (defined[name]["properties"] for name in ("AxisScene", "AxisSimulation"))
@@ -103,7 +103,7 @@ def scene_schema() -> Schema:
 
 
 def _references(schema: Any, defined: Schema) -> Iterator[str]:
-    """Yields the name of every definition that a schema refers to, at any depth."""
+    """Yield the name of every definition that a schema refers to, at any depth."""
     for part in schema.values() if isinstance(schema, dict) else schema if isinstance(schema, list) else ():
         yield from _references(part, defined)
     if isinstance(schema, dict) and isinstance(schema.get("$ref"), str):
@@ -126,7 +126,7 @@ def _or_null(schema: Schema) -> Schema:
 
 
 def _optional(schema: Schema, *keys: str) -> Schema:
-    """Returns a schema with some keys no longer required; with any of them where none is named."""
+    """Return a schema with some keys no longer required; with any of them where none is named."""
     left = [key for key in schema.get("required", ()) if keys and key not in keys]
     return {**schema, "required": left}
 
@@ -150,7 +150,7 @@ def _with_loop(choices: Schema, defined: Schema) -> Schema:
 
 
 def _bus(scene: Schema, defined: Schema) -> Schema:
-    """Returns the schema of one bus, or of a list whose first entry has what holds for all."""
+    """Return the schema of one bus, or of a list whose first entry has what holds for all."""
     one = {**defined["BusParameters"], "title": "the only one, or the first"}
     further = {**defined["FurtherBus"], "title": "the second and those behind it"}
     name = further["properties"]["name"]

@@ -46,7 +46,7 @@ SIMULATION_PARTS: Final = ("drive", "plant", "user", "effects", "admittance")
 
 
 def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence[str], faults: Diagnostics) -> Any:
-    """Returns a scene as written in the form of `Scene`, every value with its place; faults of the layout are noted."""
+    """Return a scene as written in the form of `Scene`, every value with its place; faults of the layout are noted."""
     refuse_unknown_keys(written, SECTIONS, faults)
     scene = MarkedMapping(written.mark)
     scene.update(source=source, text=text, overrides=tuple(overrides), simulation=None)
@@ -89,7 +89,7 @@ def _members(
 
 
 def _axis_names(written: MarkedMapping) -> list[str]:
-    """Returns the names of all axes as written, right or wrong otherwise."""
+    """Return the names of all axes as written, right or wrong otherwise."""
     return [str(entry.get("name")) for entry in _entries(written.get("axes"))]
 
 
@@ -118,7 +118,7 @@ def _put_accuracy(scene: MarkedMapping, faults: Diagnostics) -> None:
 
 
 def _bus_names(written: MarkedMapping) -> tuple[str, ...]:
-    """Returns the names of the buses as written; an empty one for the only bus, none where one has no name."""
+    """Return the names of the buses as written; an empty one for the only bus, none where one has no name."""
     value = written.get("bus")
     if not isinstance(value, MarkedList):
         return ("",)
@@ -127,7 +127,7 @@ def _bus_names(written: MarkedMapping) -> tuple[str, ...]:
 
 
 def bus_section(written: MarkedMapping, index: int) -> MarkedMapping:
-    """Returns the section of one bus as written."""
+    """Return the section of one bus as written."""
     value = written["bus"]
     section: MarkedMapping = value[index] if isinstance(value, MarkedList) else value
     return section
@@ -164,7 +164,7 @@ def _further_bus(entry: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
 
 
 def _bus_of_axis(section: MarkedMapping, names: tuple[str, ...], faults: Diagnostics) -> str:
-    """Returns the name of the bus that an axis is on; a fault is noted when it names none of them."""
+    """Return the name of the bus that an axis is on; a fault is noted when it names none of them."""
     named = section.get("bus")
     if named is None and len(names) == 1:
         return names[0]
@@ -249,7 +249,7 @@ def _over_profile(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
 def _own_over_shared(
     shared: MarkedMapping, own: MarkedMapping, name: str, selector: str, faults: Diagnostics, *, is_needed: bool
 ) -> MarkedMapping | None:
-    """Returns a section of an axis: its own keys over the shared ones, unless it names another type in the file.
+    """Return a section of an axis: its own keys over the shared ones, unless it names another type in the file.
 
     None when there is no such section, with a fault where it is needed.
     """
@@ -319,7 +319,7 @@ def _put_far_side(
 
 
 def _own_parts(name: str, simulation: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
-    """Returns the entry of `simulation.axes` of an axis; an empty one where it has none."""
+    """Return the entry of `simulation.axes` of an axis; an empty one where it has none."""
     axes = simulation.get("axes")
     if not isinstance(axes, MarkedMapping) or axes.get(name) is None:
         return MarkedMapping(simulation.mark)
@@ -345,7 +345,7 @@ def _drive(parts: MarkedMapping, axis: MarkedMapping, faults: Diagnostics) -> Ma
 
 
 def _mirror_display(drive: MarkedMapping, axis: MarkedMapping) -> None:
-    """Gives the simulated drive of an admittance display the scales of its axis, unless it has its own."""
+    """Give the simulated drive of an admittance display the scales of its axis, unless it has its own."""
     display = axis.get("admittance")
     own = drive.get("display", MarkedMapping(drive.mark))
     if not isinstance(display, MarkedMapping) or not isinstance(own, MarkedMapping):
@@ -371,7 +371,7 @@ def _mirror_display(drive: MarkedMapping, axis: MarkedMapping) -> None:
 def _check_names(
     written: MarkedMapping, simulation: MarkedMapping | None, groups: "Sequence[Members]", faults: Diagnostics
 ) -> None:
-    """Notes names of axes that are none, and shared sections that no axis reads because groups render on all."""
+    """Note names of axes that are none, and shared sections that no axis reads because groups render on all."""
     names = _axis_names(written)
     if groups and names and all(any(name in group.axes for group in groups) for name in names):
         for key in OWN_SECTIONS:

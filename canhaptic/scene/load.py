@@ -32,7 +32,7 @@ def load_scene(
     leave_code: bool = False,
     beyond_bus: bool = False,
 ) -> Scene:
-    """Returns the validated scene of a YAML file.
+    """Return the validated scene of a YAML file.
 
     Args:
         path: The scene file.
@@ -83,7 +83,7 @@ def _use(allow_code: bool) -> CodeUse:
 def scene_from_mapping(
     values: Mapping[str, Any], source: str = "scene", overrides: Sequence[str] = (), *, allow_code: bool = False
 ) -> Scene:
-    """Returns the validated scene of plain Python values with the keys of a scene file.
+    """Return the validated scene of plain Python values with the keys of a scene file.
 
     Raises:
         SceneError: Anything in it is wrong; lists every fault.

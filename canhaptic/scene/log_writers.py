@@ -71,7 +71,7 @@ def open_bus_log(
 
 
 def _log_channels(scene: Scene) -> list[str]:
-    """Returns the label of each bus in the bus log: the channel of a single bus, the names of several."""
+    """Return the label of each bus in the bus log: the channel of a single bus, the names of several."""
     if scene.further_buses:
         return [bus.name for bus in scene.buses]
     channel = scene.bus.channel
@@ -79,7 +79,7 @@ def _log_channels(scene: Scene) -> list[str]:
 
 
 def _run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, Attribute]:
-    """Returns what belongs to the whole run: configuration, versions, clock, and where the walls are."""
+    """Return what belongs to the whole run: configuration, versions, clock, and where the walls are."""
     attributes: dict[str, Attribute] = {
         "canhaptic_version": version("canhaptic"),
         "config": scene.text,

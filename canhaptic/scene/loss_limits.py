@@ -12,7 +12,7 @@ _PROMISE_PASSIVITY: Final = frozenset({"guarded", "energy_bounding"})
 
 
 def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
-    """Returns a meter for each port of a scene that has a limit."""
+    """Return a meter for each port of a scene that has a limit."""
     meters: list[EnergyLossMeter | None] = []
     for place, axis in enumerate(scene.axes):
         if not axis.group and axis.parameters.admittance is None:

@@ -8,7 +8,7 @@ from canhaptic.sim.plant.plant import Plant
 
 
 def method_line(scene: Scene, plants: Sequence[Plant] = (), periods: int = 0, prices: Sequence[PlantPrice] = ()) -> str:
-    """Returns the line that every run prints under `method`; empty with real drives.
+    """Return the line that every run prints under `method`; empty with real drives.
 
     Args:
         scene: Scene that ran.
@@ -41,7 +41,7 @@ def method_line(scene: Scene, plants: Sequence[Plant] = (), periods: int = 0, pr
 
 
 def _priced(prices: Sequence[PlantPrice]) -> str:
-    """Returns time per period of all plants together and the largest estimated error."""
+    """Return time per period of all plants together and the largest estimated error."""
     text = f"{sum(price.microseconds for price in prices):.3g} us per period"
     errors = [(price.error, price.unit) for price in prices if price.error is not None]
     if not errors:

@@ -20,7 +20,7 @@ _Place = tuple[int, int]
 
 
 def missing_values(found: Survey, sample_time: float) -> dict[str, str]:
-    """Returns `simulation.drive.objects` for a scene made from a dictionary: key and value as written in a scene.
+    """Return `simulation.drive.objects` for a scene made from a dictionary: key and value as written in a scene.
 
     Args:
         found: The survey of the dictionary.
@@ -44,7 +44,7 @@ def _key(place: _Place) -> str:
 
 
 def _absent(found: Survey) -> dict[_Place, int]:
-    """Returns values for objects that have none."""
+    """Return values for objects that have none."""
     needed: dict[_Place, int] = {(od.DEVICE_TYPE, 0): _DEVICE_TYPE}
     if found.vendor_id is not None:
         needed[od.IDENTITY, 1] = found.vendor_id
@@ -57,7 +57,7 @@ def _absent(found: Survey) -> dict[_Place, int]:
 
 
 def _cob_ids(dictionary: ObjectDictionary) -> dict[_Place, int]:
-    """Returns the COB-ID of every PDO as delivered: that of the predefined connection set, or disabled."""
+    """Return the COB-ID of every PDO as delivered: that of the predefined connection set, or disabled."""
     found: dict[_Place, int] = {}
     for first, bases in ((od.RPDO_COMMUNICATION, od.RPDO_BASE), (od.TPDO_COMMUNICATION, od.TPDO_BASE)):
         for index in _indices(dictionary, first):

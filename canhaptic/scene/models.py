@@ -230,7 +230,7 @@ class AxisScene:
         return not any(isinstance(part.parameters, UnreadParameters) for part in parts)
 
     def dictionary_hash(self) -> str:
-        """Returns the SHA-256 of the drive's EDS or DCF."""
+        """Return the SHA-256 of the drive's EDS or DCF."""
         return hashlib.sha256(dictionary_content(self.parameters.eds)).hexdigest()
 
 
@@ -316,19 +316,19 @@ class Scene:
         return (NamedBus(self.bus_name, self.bus), *further)
 
     def axis(self, name: str) -> AxisScene:
-        """Returns the axis of that name."""
+        """Return the axis of that name."""
         return next(axis for axis in self.axes if axis.parameters.name == name)
 
     def axes_on(self, bus: str) -> tuple[AxisScene, ...]:
-        """Returns the axes on one bus, by its name."""
+        """Return the axes on one bus, by its name."""
         return tuple(axis for axis in self.axes if axis.bus == bus)
 
     def bus_of(self, axis: AxisScene) -> BusParameters:
-        """Returns the bus that an axis is on."""
+        """Return the bus that an axis is on."""
         return next(bus.parameters for bus in self.buses if bus.name == axis.bus)
 
     def passivity_of(self, axis: AxisScene) -> ComponentSpec:
-        """Returns the algorithm that renders on an axis: its own, or that of its group."""
+        """Return the algorithm that renders on an axis: its own, or that of its group."""
         return next((group.passivity for group in self.groups if group.name == axis.group), axis.passivity)
 
     @property
@@ -337,7 +337,7 @@ class Scene:
         return self.bus.interface == "virtual" and self.simulation is not None
 
     def resolved(self) -> dict[str, Any]:
-        """Returns the configuration in effect, defaults and overrides included, as plain values."""
+        """Return the configuration in effect, defaults and overrides included, as plain values."""
         plain = scene_adapter().dump_python(self, mode="json")
         groups = {group.pop("name"): group for group in plain["groups"]}
         mechanisms = [{**of.pop("mechanism"), **of} for of in plain["mechanisms"]]
@@ -410,7 +410,7 @@ def _drop_later_of_guarded(passivity: dict[str, Any]) -> None:
 
 
 def _resolved_axis(axis: dict[str, Any]) -> dict[str, Any]:
-    """Returns an axis as it is in the configuration in effect."""
+    """Return an axis as it is in the configuration in effect."""
     parameters, bus, drive = axis.pop("parameters"), axis.pop("bus"), axis.pop("simulated_drive")
     del axis["group"]
     simulation = axis["simulation"] if drive is None else {"drive": drive}

@@ -36,13 +36,13 @@ def apply_overrides(scene: MarkedMapping, overrides: Sequence[str], faults: Diag
 
 
 def split_override(text: str) -> tuple[tuple[str, ...], str]:
-    """Returns the path of an override, as typed, and its value."""
+    """Return the path of an override, as typed, and its value."""
     address, _, value = text.partition("=")
     return tuple(quoted or plain for quoted, plain in _PART.findall(address.strip())), value
 
 
 def _put(container: Any, path: tuple[str, ...], value: Any, mark: SourceLocation, faults: Diagnostics) -> None:
-    """Walks to the entry and sets it; a mapping that does not exist on the way is made."""
+    """Walk to the entry and set it; a mapping that does not exist on the way is made."""
     for depth, part in enumerate(path):
         here = mark._replace(path=path[: depth + 1])
         last = depth == len(path) - 1
@@ -70,7 +70,7 @@ def _put(container: Any, path: tuple[str, ...], value: Any, mark: SourceLocation
 
 
 def _index(entries: MarkedList, part: str, here: SourceLocation, faults: Diagnostics) -> int | None:
-    """Returns the index of a list entry, given as a number or by the entry's name."""
+    """Return the index of a list entry, given as a number or by the entry's name."""
     names = [str(entry.get("name")) if isinstance(entry, MarkedMapping) else "" for entry in entries]
     if part.isascii() and part.isdigit() and len(part) < 6 and int(part) < len(entries):
         return int(part)

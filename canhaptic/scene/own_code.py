@@ -36,12 +36,12 @@ ENTRY_POINT_GROUPS: Final[Mapping[str, str]] = {
 
 
 def _names_own_code(name: object) -> bool:
-    """Returns whether the name of a component is `file.py:Class`."""
+    """Return whether the name of a component is `file.py:Class`."""
     return isinstance(name, str) and _MARK in name
 
 
 def installed(kind: str) -> dict[str, EntryPoint]:
-    """Returns the classes that installed plug-ins offer as a kind of component, by name; none is imported."""
+    """Return the classes that installed plug-ins offer as a kind of component, by name; none is imported."""
     group = ENTRY_POINT_GROUPS.get(kind)
     return {} if group is None else {found.name: found for found in entry_points(group=group)}
 
@@ -73,7 +73,7 @@ class OwnCode:
         return True
 
     def find(self, reference: str, kind: str) -> Any:
-        """Returns the class of the user's own that a name means; None where it means none.
+        """Return the class of the user's own that a name means; None where it means none.
 
         Raises:
             ParameterError: Not allowed, not a file of the scene's folder, or the code fails.
@@ -96,7 +96,7 @@ class OwnCode:
         return chosen
 
     def load(self, reference: str, kind: str) -> Any:
-        """Returns the class that `file.py:Class` names; the file is run once.
+        """Return the class that `file.py:Class` names; the file is run once.
 
         Raises:
             ParameterError: Not allowed, not a file of the scene's folder, or the code fails.
@@ -171,7 +171,7 @@ def _content(path: Path) -> bytes:
 
 @cache
 def _module(path: Path, digest: str, content: bytes) -> ModuleType:
-    """Returns the module made of a file; the same content of the same file is run once."""
+    """Return the module made of a file; the same content of the same file is run once."""
     name = f"{OWN_MODULE}{digest[:16]}"
     spec = importlib.util.spec_from_loader(name, loader=None, origin=str(path))
     if spec is None:
@@ -189,7 +189,7 @@ def _module(path: Path, digest: str, content: bytes) -> ModuleType:
 
 
 def _line_in(error: BaseException, path: Path) -> int:
-    """Returns the last line of the file that was running when it raised."""
+    """Return the last line of the file that was running when it raised."""
     line, trace = 0, error.__traceback__
     while trace is not None:
         if trace.tb_frame.f_code.co_filename == str(path):

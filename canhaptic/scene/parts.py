@@ -63,7 +63,7 @@ def effect_of(effect: ComponentSpec) -> "Effect":
 
 
 def build_axis_controller(axis: AxisScene) -> Controller:
-    """Returns the passivity algorithm of one axis around its environment.
+    """Return the passivity algorithm of one axis around its environment.
 
     Raises:
         ParameterError: The algorithm cannot do without a value that is not given, or a group renders on the axis.
@@ -112,7 +112,7 @@ def display_properties(axis: AxisScene) -> "DisplayProperties":
 
 
 def build_axis_controllers(scene: Scene) -> list[Controller]:
-    """Returns one controller for each axis that renders by itself; those of groups are in `build_axis_groups`."""
+    """Return one controller for each axis that renders by itself; those of groups are in `build_axis_groups`."""
     return [build_axis_controller(axis) for axis in scene.axes if not axis.group]
 
 
@@ -129,13 +129,13 @@ def build_axis_groups(scene: Scene) -> "list[AxisGroup]":
 
 
 def group_places(scene: Scene) -> list[tuple[int, ...]]:
-    """Returns the places of the axes of each group among the axes of the scene."""
+    """Return the places of the axes of each group among the axes of the scene."""
     places = {axis.parameters.name: place for place, axis in enumerate(scene.axes)}
     return [tuple(places[name] for name in group.axes) for group in scene.groups]
 
 
 def build_axis_meters(scene: Scene) -> list[AxisMeter]:
-    """Returns the meter of each axis."""
+    """Return the meter of each axis."""
     algorithms = {group.name: group.passivity.name for group in scene.groups}
     return [_axis_meter(axis, algorithms.get(axis.group, axis.passivity.name)) for axis in scene.axes]
 
@@ -167,7 +167,7 @@ def build_group(scene: Scene, group: GroupScene) -> "GroupController":
 
 
 def check_group(group: GroupScene) -> None:
-    """Refuses a group whose parts do not fit its axes.
+    """Refuse a group whose parts do not fit its axes.
 
     Raises:
         ParameterError: They do not.
@@ -208,7 +208,7 @@ def build_mechanism(of: MechanismScene, sample_time_ns: int) -> "Mechanism":
 
 
 def build_servo_drive(axis: AxisScene, link: Link, bus: BusParameters, *, dry_run: bool = False) -> ServoDrive:
-    """Returns the master's picture of the drive of one axis.
+    """Return the master's picture of the drive of one axis.
 
     Raises:
         InputError: A dry run of an admittance display.

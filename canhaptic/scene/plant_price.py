@@ -53,7 +53,7 @@ class PlantPrice(NamedTuple):
 
 
 def plant_prices(scene: Scene, plants: Sequence[Plant], periods: int) -> list[PlantPrice]:
-    """Returns price and estimated error of each simulated plant; none where nothing ran.
+    """Return price and estimated error of each simulated plant; none where nothing ran.
 
     Args:
         scene: The scene that ran.
@@ -86,7 +86,7 @@ def _price(axis: AxisScene, scene: Scene, plant: Plant, periods: int) -> PlantPr
 
 
 def estimated_error(simulation: AxisSimulation, torques: Sequence[float], sample_time_ns: int) -> ErrorEstimate | None:
-    """Returns the estimated largest error of the position at any SYNC; None where the plant is exact to rounding.
+    """Return the estimated largest error of the position at any SYNC; None where the plant is exact to rounding.
 
     Args:
         simulation: Plant, effects and the accuracy to be judged.
@@ -124,7 +124,7 @@ class _Runs:
         self._found: dict[tuple[AccuracyParameters, int], Array] = {}
 
     def of(self, accuracy: AccuracyParameters, finer: int = 1) -> Array:
-        """Returns the positions with a plant whose sample time, and so its substeps, are `finer` times shorter."""
+        """Return the positions with a plant whose sample time, and so its substeps, are `finer` times shorter."""
         key = (accuracy, finer)
         if key not in self._found:
             changed = replace(self._simulation, accuracy=accuracy)
@@ -133,7 +133,7 @@ class _Runs:
         return self._found[key]
 
     def between(self, accuracy: AccuracyParameters, one: int, other: int) -> float:
-        """Returns the largest difference of two lengths of step [m or rad]."""
+        """Return the largest difference of two lengths of step [m or rad]."""
         return float(np.abs(self.of(accuracy, one) - self.of(accuracy, other)).max())
 
 

@@ -29,7 +29,7 @@ _PROFILE_KEYS: Final = tuple(sorted(AxisParameters.model_fields.keys() - _OF_THE
 
 
 def _profile_names() -> list[str]:
-    """Returns the names of all profiles that come with the package."""
+    """Return the names of all profiles that come with the package."""
     return sorted(path.stem for path in _PROFILES.glob("*.yaml"))
 
 
@@ -49,7 +49,7 @@ def with_profile(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
 
 
 def profile_values(name: str) -> dict[str, Any]:
-    """Returns the keys of a profile that comes with the package.
+    """Return the keys of a profile that comes with the package.
 
     Raises:
         SceneError: There is none of this name, or it cannot be read.
@@ -63,7 +63,7 @@ def profile_values(name: str) -> dict[str, Any]:
 
 
 def profile_of_vendor(vendor_id: int | None) -> str | None:
-    """Returns the profile whose vendor ID (0x1018:01) this is; None when there is none."""
+    """Return the profile whose vendor ID (0x1018:01) this is; None when there is none."""
     if not vendor_id:
         return None
     return next((name for name in _profile_names() if profile_values(name).get("vendor_id") == vendor_id), None)

@@ -52,7 +52,7 @@ def _twin_of(axis: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _ratio(written: object) -> float | None:
-    """Returns a transmission; None where there is none, or a wrong one, which is a fault of the axis."""
+    """Return a transmission; None where there is none, or a wrong one, which is a fault of the axis."""
     try:
         ratio = Unit("1/m", "1").read(written)
     except ValueError:

@@ -94,7 +94,7 @@ _TIMING: Final = f"""\
 
 
 def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, out: Path | None = None) -> str:
-    """Returns the text of a scene file for one drive, which `load_scene` accepts.
+    """Return the text of a scene file for one drive, which `load_scene` accepts.
 
     Args:
         found: The survey of its dictionary.
@@ -128,7 +128,7 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
 
 
 def _rendered(found: Survey, limit: float, *, simulate: bool) -> str:
-    """Returns environment and passivity."""
+    """Return environment and passivity."""
     if found.axis.admittance is not None:
         return display_rendered(found.axis.admittance, limit, 1.0 / _rate(found), simulate=simulate)
     return _RENDERED.substitute(to_set=TO_SET, **_scaled(limit), timing="" if simulate else _TIMING)
@@ -170,7 +170,7 @@ def _aligned(text: str) -> str:
 
 
 def _plain(text: str) -> str:
-    """Returns a text for a comment: one line, printable."""
+    """Return a text for a comment: one line, printable."""
     return "".join(letter if letter.isprintable() else " " for letter in text)
 
 
@@ -189,7 +189,7 @@ def _bus(simulate: bool) -> str:
 
 
 def _rate(found: Survey) -> float:
-    """Returns the highest round rate [Hz] up to 1 kHz at which one axis fits the bus."""
+    """Return the highest round rate [Hz] up to 1 kHz at which one axis fits the bus."""
     worst = max((load.worst_cycle for load in found.loads), default=0.0)
     return round_rate(min(_FASTEST, 1.0 / worst)) if worst else _FASTEST
 
@@ -204,7 +204,7 @@ def _identity(found: Survey, drive: str | None) -> str:
 
 
 def _counts(dictionary: ObjectDictionary) -> float:
-    """Returns counts per radian: increments per revolution (0x608F) times gear (0x6091), or a guess."""
+    """Return counts per radian: increments per revolution (0x608F) times gear (0x6091), or a guess."""
     revolutions = stated_value(dictionary, od.ENCODER_RESOLUTION, 2) or 1
     gear = (stated_value(dictionary, od.GEAR_RATIO, 1) or 1) / (stated_value(dictionary, od.GEAR_RATIO, 2) or 1)
     stated = _stated_counts(dictionary)
@@ -213,7 +213,7 @@ def _counts(dictionary: ObjectDictionary) -> float:
 
 
 def _stated_counts(dictionary: ObjectDictionary) -> int | None:
-    """Returns the increments of 0x608F; None where absent, or the 1 of an object that was never set."""
+    """Return the increments of 0x608F; None where absent, or the 1 of an object that was never set."""
     increments = stated_value(dictionary, od.ENCODER_RESOLUTION, 1)
     return increments if increments is not None and increments >= _FEWEST_COUNTS else None
 
@@ -226,7 +226,7 @@ def _counts_note(dictionary: ObjectDictionary) -> str:
 
 
 def _stated_torque(dictionary: ObjectDictionary, drive: str | None) -> float | None:
-    """Returns the rated torque that the dictionary states [N*m]; None when it has none or a value of zero."""
+    """Return the rated torque that the dictionary states [N*m]; None when it has none or a value of zero."""
     counts = stated_value(dictionary, od.RATED_TORQUE)
     return counts * _resolution_of(drive) if counts else None
 
@@ -250,7 +250,7 @@ def _rated_lines(dictionary: ObjectDictionary, stated: float | None) -> str:
 
 
 def _torque_limit(dictionary: ObjectDictionary, rated: float) -> float:
-    """Returns a cautious torque limit [N*m] that a 0x6072 with limits of its own takes."""
+    """Return a cautious torque limit [N*m] that a 0x6072 with limits of its own takes."""
     variable = dictionary.get_variable(od.MAX_TORQUE, 0)
     limit = _CAUTIOUS * rated
     if variable is not None and variable.writable:
@@ -285,7 +285,7 @@ def _watchdog_lines(dictionary: ObjectDictionary) -> str:
 
 
 def _scaled(limit: float) -> dict[str, str]:
-    """Returns environment and mass such that the torque limit is met a little beyond 0.1 rad of penetration."""
+    """Return environment and mass such that the torque limit is met a little beyond 0.1 rad of penetration."""
     return {
         "stiffness": f"{5.0 * limit:.3g}",
         "damping": f"{0.05 * limit:.3g}",

@@ -23,7 +23,7 @@ $between  user: # $hand
 
 
 def number(value: float) -> str:
-    """Returns a number of a starter scene: three digits are enough for a guess."""
+    """Return a number of a starter scene: three digits are enough for a guess."""
     return f"{value:.3g}"
 
 
@@ -31,7 +31,7 @@ def simulated_machine(
     rated: float, objects: str, mass: float, bearings: float, limit: float, hand: str, between: str = "",
     motion: tuple[float, float] = (0.15, 0.5),
 ) -> str:  # fmt: skip
-    """Returns the section `simulation`.
+    """Return the section `simulation`.
 
     Args:
         rated: Rated torque [N*m].

@@ -31,7 +31,7 @@ def undeclared(loop: LoopProperties) -> list[str]:
 
 
 def with_timing(scene: Scene) -> Scene:
-    """Returns the scene with the timing of its axes; a key that it declares is kept."""
+    """Return the scene with the timing of its axes; a key that it declares is kept."""
     if not scene.simulated:
         return _with_guesses(scene)
     windows = {bus.name: _window(scene, bus) for bus in scene.buses}

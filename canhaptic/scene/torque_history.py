@@ -13,7 +13,7 @@ _FINE: Final = AccuracyParameters(substeps=16)
 
 
 def torque_history(axis: AxisScene, scene: Scene, holds: int, accuracy: AccuracyParameters = _FINE) -> list[float]:
-    """Returns the torque of each hold [N or N*m] of the scene's own controller on a simulated plant, without a bus.
+    """Return the torque of each hold [N or N*m] of the scene's own controller on a simulated plant, without a bus.
 
     Args:
         axis: Simulated axis.
@@ -31,13 +31,13 @@ def torque_history(axis: AxisScene, scene: Scene, holds: int, accuracy: Accuracy
 
 
 def declared_order(simulation: AxisSimulation) -> int | None:
-    """Returns the least order in the substep that an effect of the plant declares; None where all are exact."""
+    """Return the least order in the substep that an effect of the plant declares; None where all are exact."""
     orders = [getattr(effect.parameters, "order", None) for effect in simulation.effects]
     return min((order for order in orders if order is not None), default=None)
 
 
 def simulation_of(axis: AxisScene) -> AxisSimulation:
-    """Returns the simulation of an axis.
+    """Return the simulation of an axis.
 
     Raises:
         InputError: It has none.

@@ -37,13 +37,13 @@ class CupAndBall(DisplayEnvironment):
         return self.cup + self.ball
 
     def speed_after(self, inner: Buffer, speed: float, force: float, position: float, time: float) -> float:
-        """Returns the speed of the cup after another hold [m/s]."""
+        """Return the speed of the cup after another hold [m/s]."""
         sine = sin(inner[0])
         mass = self.cup + self.ball * sine * sine
         return (mass * speed + force * time + inner[2]) / (mass + time * self.damping)
 
     def go_along(self, inner: Buffer, before: float, speed: float, time: float) -> None:
-        """Lets the ball take the change of speed, then swing for a hold."""
+        """Let the ball take the change of speed, then swing for a hold."""
         angle, pull = inner[0], _GRAVITY / self.length
         rate = inner[1] - cos(angle) * (speed - before) / self.length
         momentum = cos(angle) * rate
@@ -54,7 +54,7 @@ class CupAndBall(DisplayEnvironment):
         inner[2] = -self.ball * self.length * (cos(angle) * rate - momentum)
 
     def stored(self, inner: Buffer, speed: float, position: float) -> float:
-        """Returns the energy of cup and ball [J]."""
+        """Return the energy of cup and ball [J]."""
         along = speed + self.length * cos(inner[0]) * inner[1]
         across = self.length * sin(inner[0]) * inner[1]
         height = self.length * (1.0 - cos(inner[0]))

@@ -16,7 +16,7 @@ _ROUNDS: Final = 60
 
 
 def damping_border(moved: float, gain: float, mass: float, stiffness: float, lag: float) -> float:
-    """Returns the virtual damping at the border; 0 where none is needed [N*s/m or N*m*s/rad].
+    """Return the virtual damping at the border; 0 where none is needed [N*s/m or N*m*s/rad].
 
     Args:
         moved: M, that the drive moves [kg or kg*m^2].

@@ -108,7 +108,7 @@ def speeds_of(latency: int, make_buffer: MakeBuffer) -> Buffer:
 
 
 def go_on(settings: DeclaredHandSettings, hand: DeclaredHand, speeds: Buffer, command: float) -> None:
-    """Moves g on by the hold that ended, under the command that acted in it [m/s or rad/s]."""
+    """Move g on by the hold that ended, under the command that acted in it [m/s or rad/s]."""
     hand.speed = command + (hand.speed - command) * settings.decay
     hand.place = hand.place + 1 if hand.place + 1 < len(speeds) else 0
     speeds[hand.place] = hand.speed
@@ -180,7 +180,7 @@ def _forces(
     sign: float,
     error: float,
 ) -> tuple[float, float]:
-    """Returns the least F in a direction at the SYNC without a mass, and the least F + N a with one [N or N*m].
+    """Return the least F in a direction at the SYNC without a mass, and the least F + N a with one [N or N*m].
 
     A mean belongs to the whole hold: by its end the spring may have lost K_e times half the displacement, and the arm
     moved on. The mean of the acceleration follows from the drive.
@@ -202,7 +202,7 @@ def _forces(
 
 
 def _square(settings: DeclaredHandSettings, lead: float) -> float:
-    """Returns the integral of (r - g)^2 over a hold that begins with this lead [m^2/s or rad^2/s]."""
+    """Return the integral of (r - g)^2 over a hold that begins with this lead [m^2/s or rad^2/s]."""
     return 0.5 * settings.lag * lead * lead * (1.0 - settings.decay * settings.decay)
 
 

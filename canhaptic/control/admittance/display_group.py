@@ -64,7 +64,7 @@ class _GroupAxis(GroupAxis):
         self._check = momentum_check(parameters, self.port_settings, self.loop_settings)
 
     def begin(self, position: float, force: float) -> None:
-        """Takes the first sample."""
+        """Take the first sample."""
         super().begin(position, force)
         if self._check is not None:
             self._check.begin(position, force, 0.0)
@@ -105,7 +105,7 @@ class _GroupAxis(GroupAxis):
         return 0.0 if self.port.missed else -self.used()
 
     def change_of_skip(self, skipped: int) -> tuple[float, float]:
-        """Returns the change of the margin in the first and in each further hold where SYNCs are skipped [J]."""
+        """Return the change of the margin in the first and in each further hold where SYNCs are skipped [J]."""
         loop, motion, commands = self.loop_settings, self.motion, self.memory.commands
         if loop.integral > 0.0:
             return -loss_of_skip(loop, self.loop.lead, commands, motion, skipped), 0.0
@@ -121,7 +121,7 @@ class _GroupAxis(GroupAxis):
         return sent(self.motion, self.memory.commands, self.loop_settings.delay) * self.port_settings.sample_time
 
     def limit(self, wish: float, position: float, velocity: float) -> float:
-        """Returns the nearest command that the limits of the axis allow [m/s or rad/s]."""
+        """Return the nearest command that the limits of the axis allow [m/s or rad/s]."""
         wish = limited(self.motion_settings, self.motion, self.memory.commands, wish, position, velocity)
         return whole(self.motion_settings, wish)
 
@@ -167,7 +167,7 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         self.reset()
 
     def reset(self) -> None:
-        """Forgets everything; see `GroupController`."""
+        """Forget everything; see `GroupController`."""
         self._each = [
             _GroupAxis(self._environment, place, self._parameters, of) for place, of in enumerate(self._properties)
         ]
@@ -179,7 +179,7 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         self._last = group_at_rest(self.axes)
 
     def hold(self) -> GroupBalance:
-        """Answers a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
+        """Answer a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
         speeds = (0.0,) * self.axes
         if self._started:
             self._let_pass([axis.change(None) for axis in self._each])
@@ -229,7 +229,7 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         return GroupBalance(commands, account, tuple(hold.energy + apart for hold in holds))
 
     def _take(self, positions: Sequence[float], forces: Sequence[float]) -> tuple[list[BookedHold], float]:
-        """Books the hold that ended on every axis and brings the margin up to date; returns (holds, h_i [J])."""
+        """Book the hold that ended on every axis and bring the margin up to date; return (holds, h_i [J])."""
         missed = self._each[0].port.missed
         holds = [
             axis.book(position, force) for axis, position, force in zip(self._each, positions, forces, strict=True)

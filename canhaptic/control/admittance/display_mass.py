@@ -28,23 +28,23 @@ class DisplayMass(DisplayEnvironment):
         return self.mass
 
     def speed_after(self, inner: Buffer, speed: float, force: float, position: float, time: float) -> float:
-        """Returns the speed after another hold [m/s or rad/s]: implicit in the damper."""
+        """Return the speed after another hold [m/s or rad/s]: implicit in the damper."""
         push = (force - self.stiffness * (position - self.rest)) * time
         return (self.mass * speed + push) / (self.mass + time * self.damping)
 
     def stored(self, inner: Buffer, speed: float, position: float) -> float:
-        """Returns the energy of mass and spring [J]."""
+        """Return the energy of mass and spring [J]."""
         return 0.5 * self.mass * speed * speed + self.potential(position)
 
     def potential(self, position: float) -> float:
-        """Returns the energy stored in the spring [J]."""
+        """Return the energy stored in the spring [J]."""
         stretch = position - self.rest
         return 0.5 * self.stiffness * stretch * stretch
 
     def pull(self, position: float) -> float:
-        """Returns the force of the spring on the mass [N or N*m]."""
+        """Return the force of the spring on the mass [N or N*m]."""
         return -self.stiffness * (position - self.rest)
 
     def stretch(self, position: float) -> float:
-        """Returns the displacement of the spring; 0 without one [m or rad]."""
+        """Return the displacement of the spring; 0 without one [m or rad]."""
         return position - self.rest if self.stiffness else 0.0

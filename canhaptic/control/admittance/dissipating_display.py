@@ -46,12 +46,12 @@ def settings_of(
 
 
 def first_energy(environment: DisplayMass, given: NothingToChoose, position: float) -> float:
-    """Returns the potential at the first position [J]."""
+    """Return the potential at the first position [J]."""
     return environment.potential(position)
 
 
 def respond(environment: DisplayMass, run: DisplayRun[NothingToChoose], hold: SampledHold) -> DisplayReply:
-    """Solves the balance of energy for the next speed."""
+    """Solve the balance of energy for the next speed."""
     state, time = run.state, run.settings.port.sample_time
     impulse, potential = hold.force * time, environment.potential(state.axis.position)
     risen, state.energy = potential - state.energy, potential
@@ -62,7 +62,7 @@ def respond(environment: DisplayMass, run: DisplayRun[NothingToChoose], hold: Sa
 
 
 def next_speed(environment: DisplayMass, time: float, speed: float, impulse: float, risen: float) -> float:
-    """Returns the root that keeps the sign of the speed; 0 where there is none [m/s or rad/s].
+    """Return the root that keeps the sign of the speed; 0 where there is none [m/s or rad/s].
 
     Args:
         environment: Virtual mass and damper.

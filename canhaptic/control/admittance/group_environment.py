@@ -34,7 +34,7 @@ class GroupMass(Parameters):
         return self
 
     def require(self, axes: int) -> None:
-        """Makes sure that it fits a number of axes.
+        """Make sure that it fits a number of axes.
 
         Raises:
             ParameterError: It does not.
@@ -46,7 +46,7 @@ class GroupMass(Parameters):
                 )
 
     def of_axis(self, axis: int) -> DisplayMass:
-        """Returns what moves on one axis, with its walls."""
+        """Return what moves on one axis, with its walls."""
         return DisplayMass(
             mass=self.mass, damping=self.damping,
             **({"lower_wall": self.lower[axis]} if self.lower else {}),
@@ -66,7 +66,7 @@ class GroupMass(Parameters):
         return [(self.mass * speed + time * force) / whole for speed, force in zip(speeds, forces, strict=True)]
 
     def stored(self, speeds: _Vector) -> float:
-        """Returns the energy of the mass [J]."""
+        """Return the energy of the mass [J]."""
         return 0.5 * self.mass * _dot(speeds, speeds)
 
     def lost(self, speeds: _Vector, time: float) -> float:
@@ -100,7 +100,7 @@ class PathMass(GroupMass):
         return (*self.points, self.points[0]) if self.closed else self.points
 
     def require(self, axes: int) -> None:
-        """Makes sure that it fits a number of axes; see `GroupMass`."""
+        """Make sure that it fits a number of axes; see `GroupMass`."""
         super().require(axes)
         if len(self.points[0]) != axes:
             raise ParameterError(
@@ -108,7 +108,7 @@ class PathMass(GroupMass):
             )
 
     def speeds_after(self, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
-        """Returns the speeds after another hold; see `GroupMass`."""
+        """Return the speeds after another hold; see `GroupMass`."""
         place = nearest(self._ends, positions)
         pushed = self.mass * _dot(speeds, place.along) + time * _dot(forces, place.along)
         speed = pushed / (self.mass + time * self.damping)
@@ -128,7 +128,7 @@ class PathPlace(NamedTuple):
 
 
 def nearest(points: tuple[tuple[float, ...], ...], position: _Vector) -> PathPlace:
-    """Returns the place of a path through points that is nearest to a position."""
+    """Return the place of a path through points that is nearest to a position."""
     best, least, last = PathPlace([], [], False, False), inf, len(points) - 2
     for piece, (start, end) in enumerate(pairwise(points)):
         span = [b - a for a, b in zip(start, end, strict=True)]

@@ -81,7 +81,7 @@ def step(
     position: float,
     torque_applied: float,
 ) -> EnergyBalance:
-    """Accounts for the hold that ended; see `Controller.step`. `torque_applied` is minus the force of the sensor."""
+    """Account for the hold that ended; see `Controller.step`. `torque_applied` is minus the force of the sensor."""
     settings, state, memory = run.settings, run.state, run.memory
     motion, commands, force = state.motion, memory.display.commands, -torque_applied
     inner, time = memory.display.inner, settings.motion.sample_time
@@ -268,7 +268,7 @@ def _settle(
     before: float,
     speed: float,
 ) -> tuple[float, float, float, float, float]:
-    """Dissipates and leaks what neither the mass nor the drive can give back; returns (h_s, h_r, deficit, leak, paid).
+    """Dissipate and leak what neither the mass nor the drive can give back; return (h_s, h_r, deficit, leak, paid).
 
     Where h_i [J] came in, `before` was the command before the newest and `speed` is the handle's largest now.
     """
@@ -314,7 +314,7 @@ class GuardedDisplay(DisplayController):
         self._check = momentum_check(parameters, self._settings.port, self._settings.loop)
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Accounts for the hold that ended; see `Controller.step`.
+        """Account for the hold that ended; see `Controller.step`.
 
         Raises:
             ControlError: A force, position or velocity is not finite.
@@ -332,7 +332,7 @@ class GuardedDisplay(DisplayController):
         return balance
 
     def _compare(self, check: MomentumCheck, force: float, *, is_first: bool) -> None:
-        """Compares force and motion; raises ForceContradictedError."""
+        """Compare force and motion; raise ForceContradictedError."""
         state, loop = self._state, self._settings.loop
         if is_first or state.unsure:
             check.begin(state.axis.position, force, state.loop.lead)
@@ -344,7 +344,7 @@ class GuardedDisplay(DisplayController):
             raise ForceContradictedError(found.text())
 
     def lasted(self, periods: float) -> None:
-        """Counts the SYNCs that were skipped; a run with one is not certified."""
+        """Count the SYNCs that were skipped; a run with one is not certified."""
         if self._axis.started:
             skip(self._environment, self._settings, self._state, self._memory, round(periods) - 1)
 

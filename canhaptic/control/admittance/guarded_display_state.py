@@ -83,7 +83,7 @@ def settings_of(
 
 
 def memory_of(settings: GuardedDisplaySettings, make_buffer: MakeBuffer) -> GuardedMemory:
-    """Returns the buffers of one axis."""
+    """Return the buffers of one axis."""
     kept, late = settings.loop.delay + settings.loop.losses + 2, settings.port.latency
     kept += late if settings.declared.stiffness > 0.0 else 0
     display = display_memory(settings.port, settings.motion, kept, make_buffer)

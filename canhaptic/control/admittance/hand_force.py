@@ -33,7 +33,7 @@ class HandForceSettings:
 
 
 def held_back(settings: HandForceSettings, loop: VelocityLoopSettings, speed: float) -> float:
-    """Returns G at a largest speed [J]."""
+    """Return G at a largest speed [J]."""
     force, gain = settings.force, loop.gain_least
     rest = speed - force / gain * log1p(gain * speed / force)
     return force * loop.mass / gain * rest
@@ -42,7 +42,7 @@ def held_back(settings: HandForceSettings, loop: VelocityLoopSettings, speed: fl
 def lost_to_hand(
     settings: HandForceSettings, loop: VelocityLoopSettings, commands: Buffer, motion: DisplayMotion
 ) -> float:
-    """Returns the largest loss of E - G in the hold that ended [J]."""
+    """Return the largest loss of E - G in the hold that ended [J]."""
     square = largest_square(commands, motion, loop.delay, loop.delay + loop.losses)
     return settings.force * loop.sample_time * sqrt(square)
 
@@ -50,7 +50,7 @@ def lost_to_hand(
 def fastest_for_hand(
     settings: HandForceSettings, loop: VelocityLoopSettings, commands: Buffer, motion: DisplayMotion, budget: float
 ) -> float:
-    """Returns the largest speed that may be commanded now [m/s or rad/s].
+    """Return the largest speed that may be commanded now [m/s or rad/s].
 
     In each hold that a lost RPDO may lengthen, the largest command that may act counts: the new one in all of its
     holds where it is the largest of all, else in its last alone, and then it is no larger than the one before.
@@ -72,7 +72,7 @@ def fastest_for_hand(
 def used_by_hand(
     settings: HandForceSettings, loop: VelocityLoopSettings, commands: Buffer, motion: DisplayMotion
 ) -> float:
-    """Returns the largest loss of E - G by the commands that may still act, the newest included [J]."""
+    """Return the largest loss of E - G by the commands that may still act, the newest included [J]."""
     total = 0.0
     for age in range(1, loop.delay + 1):
         total += sqrt(largest_square(commands, motion, age, age + loop.losses))

@@ -26,7 +26,7 @@ class MarginMemory(NamedTuple):
 
 
 def margin_memory(latency: int, make_buffer: MakeBuffer) -> MarginMemory:
-    """Returns the buffers of one margin."""
+    """Return the buffers of one margin."""
     return MarginMemory(make_buffer(latency + 1), make_buffer(latency + 1))
 
 

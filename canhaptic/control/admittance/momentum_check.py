@@ -49,7 +49,7 @@ class Disagreement(NamedTuple):
     over: float  # time that the means are taken over [s]
 
     def text(self, of: str = "force sensor") -> str:
-        """Returns it in words, with the remedy."""
+        """Return it in words, with the remedy."""
         return (
             f"{of}: it shows {self.shown:.3g} on average over {self.over:g} s, by encoder and commands the force is "
             f"between {self.low:.3g} and {self.high:.3g} [N or N*m]: its offset, sign or scale is wrong, it is frozen, "
@@ -113,7 +113,7 @@ class MomentumCheck:
         self._memory = _Memory(position, force, 0.0, lead, filling=_Half(position))
 
     def take(self, hold: MovedHold, force: float) -> Disagreement | None:
-        """Takes the hold that ended and the force that came; returns a disagreement, if there is one.
+        """Take the hold that ended and the force that came; return a disagreement, if there is one.
 
         Args:
             hold: The hold by encoder and commands.
@@ -134,7 +134,7 @@ class MomentumCheck:
         return self._compared(first, second)
 
     def _add(self, hold: MovedHold, force: float) -> None:
-        """Adds a hold to the half that is being filled."""
+        """Add a hold to the half that is being filled."""
         memory, port = self._memory, self._port
         time = port.sample_time
         half, velocity = memory.filling, hold.moved / time
@@ -171,7 +171,7 @@ class MomentumCheck:
         return force + change * port.lag / port.sample_time, doubt
 
     def _compared(self, first: _Half, second: _Half) -> Disagreement | None:
-        """Compares the means over a whole hat."""
+        """Compare the means over a whole hat."""
         holds, loop = self._holds, self._loop
         force = (first.rising_force + second.force - second.rising_force) / holds
         slip = (first.rising_slip + second.slip - second.rising_slip) / holds
@@ -231,7 +231,7 @@ def moved_hold(
 def momentum_check(
     parameters: GuardedDisplayParameters, port: PortSettings, loop: VelocityLoopSettings
 ) -> MomentumCheck | None:
-    """Returns the comparison where `drive_friction` is declared and the integral of the drive is known."""
+    """Return the comparison where `drive_friction` is declared and the integral of the drive is known."""
     if parameters.drive_friction is None or (loop.integral > 0.0 and port.jitter > 0.0):
         return None
     return MomentumCheck(parameters, port, loop)

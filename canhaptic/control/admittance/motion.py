@@ -64,14 +64,14 @@ def display_memory(
 
 
 def send(motion: DisplayMotion, commands: Buffer, speed: float) -> None:
-    """Keeps a command as the newest."""
+    """Keep a command as the newest."""
     motion.newest = motion.newest + 1 if motion.newest + 1 < len(commands) else 0
     commands[motion.newest] = speed
     motion.speed = speed
 
 
 def sent(motion: DisplayMotion, commands: Buffer, age: int) -> float:
-    """Returns a command [m/s or rad/s]; age 0 is the newest."""
+    """Return a command [m/s or rad/s]; age 0 is the newest."""
     return commands[motion.newest - age]
 
 
@@ -83,7 +83,7 @@ def limited(
     position: float,
     velocity: float,
 ) -> float:
-    """Returns the nearest command that speed, acceleration and position limits allow [m/s or rad/s].
+    """Return the nearest command that speed, acceleration and position limits allow [m/s or rad/s].
 
     A command may always go to zero. Towards a position limit, room is left for the commands under way and for the
     distance that the drive needs to follow; beyond it the command leads back, slowly: a drive without an integral

@@ -18,7 +18,7 @@ from canhaptic.kernels import new
 
 
 def respond(environment: DisplayEnvironment, run: DisplayRun[NothingToChoose], hold: SampledHold) -> DisplayReply:
-    """Observes the energy of the command and adds the slip that it lacks."""
+    """Observe the energy of the command and add the slip that it lacks."""
     state, force, slip = run.state, hold.force, 0.0
     h_pas = force * state.slip * hold.elapsed
     state.energy += force * (hold.before + state.slip) * hold.elapsed

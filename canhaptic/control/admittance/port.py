@@ -84,7 +84,7 @@ def port_positions(settings: PortSettings, make_buffer: MakeBuffer) -> Buffer:
 
 
 def begin_port(port: Port, positions: Buffer, position: float, force: float) -> None:
-    """Takes the first position and force."""
+    """Take the first position and force."""
     port.started, port.position, port.origin, port.force = True, position, position, force
     port.missed = port.newest = port.waiting = 0
     port.moved = port.mean = port.doubt = 0.0

@@ -38,23 +38,23 @@ class GroupMotion(Protocol):
     damping: float
 
     def require(self, axes: int) -> None:
-        """Makes sure that it fits a number of axes; raises ParameterError."""
+        """Make sure that it fits a number of axes; raise ParameterError."""
 
     def of_axis(self, axis: int, /) -> DisplayMass:
-        """Returns what moves on one axis, with its walls."""
+        """Return what moves on one axis, with its walls."""
 
     def speeds_after(self, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
-        """Returns the speeds after another hold under the forces of the hand [m/s or rad/s]."""
+        """Return the speeds after another hold under the forces of the hand [m/s or rad/s]."""
 
     def stored(self, speeds: _Vector) -> float:
-        """Returns the energy of the mass [J]."""
+        """Return the energy of the mass [J]."""
 
     def lost(self, speeds: _Vector, time: float) -> float:
-        """Returns what its damper takes in a time [J]."""
+        """Return what its damper takes in a time [J]."""
 
 
 def require_alike(properties: Sequence[DisplayProperties]) -> None:
-    """Makes sure that the axes of a group share their clock.
+    """Make sure that the axes of a group share their clock.
 
     Raises:
         ParameterError: They do not.
@@ -87,11 +87,11 @@ class GroupAxis:
     memory: DisplayMemory
 
     def begin(self, position: float, force: float) -> None:
-        """Takes the first sample."""
+        """Take the first sample."""
         begin_port(self.port, self.memory.positions, position, force)
 
     def book(self, position: float, force: float) -> BookedHold:
-        """Books the hold that ended."""
+        """Book the hold that ended."""
         return book(self.port_settings, self.port, self.memory.positions, position, force)
 
 
@@ -117,11 +117,11 @@ class DisplayGroup(ABC, Generic[_Axis]):
 
     @abstractmethod
     def reset(self) -> None:
-        """Forgets everything; see `GroupController`."""
+        """Forget everything; see `GroupController`."""
 
     @abstractmethod
     def hold(self) -> GroupBalance:
-        """Answers a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
+        """Answer a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
 
     def lasted(self, periods: float) -> None:
         """Count skipped SYNCs as lost samples; the commands acted on."""
@@ -130,7 +130,7 @@ class DisplayGroup(ABC, Generic[_Axis]):
                 axis.port.missed += round(periods) - 1
 
     def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
-        """Accounts for the hold that ended; see `GroupController`. `torques_applied` are minus the forces."""
+        """Account for the hold that ended; see `GroupController`. `torques_applied` are minus the forces."""
         try:
             require_finite(positions, torques_applied, self.axes)
         except ControlError:
@@ -160,7 +160,7 @@ class _SampledAxis(GroupAxis):
         self.memory = display_memory(self.port_settings, self.motion_settings, properties.delay + 1, list_of_zeros)
 
     def send(self, wish: float, position: float, velocity: float) -> float:
-        """Sends the nearest command that the limits of the axis allow; returns it [m/s or rad/s]."""
+        """Send the nearest command that the limits of the axis allow; return it [m/s or rad/s]."""
         commands = self.memory.commands
         wish = limited(self.motion_settings, self.motion, commands, wish, position, velocity)
         send(self.motion, commands, whole(self.motion_settings, wish))
@@ -195,7 +195,7 @@ class UnprotectedDisplayGroup(DisplayGroup[_SampledAxis]):
         self.reset()
 
     def reset(self) -> None:
-        """Forgets everything; see `GroupController`."""
+        """Forget everything; see `GroupController`."""
         self._each = [_SampledAxis(self._environment, place, of) for place, of in enumerate(self._properties)]
         self._slips, self._h_s, self._energy, self._started = [0.0] * self.axes, 0.0, self._begin(), False
         self._last = group_at_rest(self.axes)
@@ -205,7 +205,7 @@ class UnprotectedDisplayGroup(DisplayGroup[_SampledAxis]):
         return 0.0
 
     def hold(self) -> GroupBalance:
-        """Answers a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
+        """Answer a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
         speeds = (0.0,) * self.axes
         if self._started:
             for axis in self._each:
@@ -240,7 +240,7 @@ class UnprotectedDisplayGroup(DisplayGroup[_SampledAxis]):
         return wish, [0.0] * self.axes
 
     def _closed(self, holds: list[BookedHold], h_pas: float, before: _Vector) -> GroupBalance:
-        """Returns the commands with the account of the hold."""
+        """Return the commands with the account of the hold."""
         environment, energy = self._environment, sum(hold.energy for hold in holds)
         commands = tuple(axis.motion.speed for axis in self._each)
         own = [speed - slip for speed, slip in zip(commands, self._slips, strict=True)]

@@ -87,7 +87,7 @@ def settings_of(
 
 
 def memory_of(settings: DisplaySettings[Any], make_buffer: MakeBuffer) -> DisplayMemory:
-    """Returns the buffers of one axis."""
+    """Return the buffers of one axis."""
     return display_memory(settings.port, settings.motion, settings.motion.delay + 1, make_buffer)
 
 
@@ -104,7 +104,7 @@ def first_energy(environment: Any, given: Any, position: float) -> float:
 def step(
     environment: DisplayEnvironment, run: DisplayRun[Any], position: float, torque_applied: float
 ) -> EnergyBalance:
-    """Books the hold that ended and moves the mass on; see `Controller.step`."""
+    """Book the hold that ended and moves the mass on; see `Controller.step`."""
     settings, state, memory = run.settings, run.state, run.memory
     force = -torque_applied
     if not state.axis.started:
@@ -121,7 +121,7 @@ def step(
 def command(
     environment: DisplayEnvironment, run: DisplayRun[Any], hold: SampledHold, reply: DisplayReply
 ) -> EnergyBalance:
-    """Sends a speed and closes the account of the hold."""
+    """Send a speed and close the account of the hold."""
     settings, state, memory = run.settings, run.state, run.memory
     wish, slip, h_pas = reply
     motion, commands, position = state.motion, memory.commands, state.axis.position
@@ -147,6 +147,6 @@ def display_kernel(
     first_energy_as: Callable[[Any, Any, float], float] = first_energy,
     settings: Callable[..., DisplaySettings[Any]] = settings_of,
 ) -> Kernel:
-    """Returns the kernel of an algorithm with these functions in the place of `respond` and `first_energy`."""
+    """Return the kernel of an algorithm with these functions in the place of `respond` and `first_energy`."""
     made = filled(step, respond=respond_as, first_energy=first_energy_as)
     return Kernel(settings, DisplayState, memory_of, made)

@@ -42,7 +42,7 @@ class TaskEnvironment:
         self.damping = environment.damping
 
     def require(self, axes: int) -> None:
-        """Makes sure that it fits a number of motor axes; raises ParameterError."""
+        """Make sure that it fits a number of motor axes; raise ParameterError."""
         if axes != self._kinematics.axes:
             raise ParameterError(
                 f"kinematics: has {self._kinematics.axes} motor axes, expected {axes}, those of the group"
@@ -50,11 +50,11 @@ class TaskEnvironment:
         self._environment.require(self._kinematics.dimensions)
 
     def of_axis(self, _axis: int) -> DisplayMass:
-        """Returns what moves on one motor axis: walls are in task space, not here."""
+        """Return what moves on one motor axis: walls are in task space, not here."""
         return DisplayMass(mass=self._environment.mass, damping=self._environment.damping)
 
     def speeds_after(self, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
-        """Returns the speeds of the motors after another hold [m/s or rad/s]; see `GroupMass.speeds_after`."""
+        """Return the speeds of the motors after another hold [m/s or rad/s]; see `GroupMass.speeds_after`."""
         pose = self._kinematics.pose(positions)
         if pose.limit:
             self._jacobian = ()
@@ -80,7 +80,7 @@ class TaskEnvironment:
         return found
 
     def stored(self, speeds: _Vector) -> float:
-        """Returns the energy of the mass at speeds of the motors [J]; 0 where nothing is rendered."""
+        """Return the energy of the mass at speeds of the motors [J]; 0 where nothing is rendered."""
         return self._environment.stored(_times(self._jacobian, speeds))
 
     def lost(self, speeds: _Vector, time: float) -> float:

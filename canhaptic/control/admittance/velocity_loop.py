@@ -57,7 +57,7 @@ class LoopState:
 
 
 def reserve(settings: VelocityLoopSettings, lead: float, speed: float) -> float:
-    """Returns the largest V at a largest speed [J]."""
+    """Return the largest V at a largest speed [J]."""
     value = 0.5 * settings.mass * speed * speed
     if settings.integral > 0.0:
         stretch = abs(lead) + settings.count
@@ -258,7 +258,7 @@ def _within(commands: Buffer, motion: DisplayMotion, speed: float, own: int, los
 
 
 def largest_square(commands: Buffer, motion: DisplayMotion, newest: int, oldest: int) -> float:
-    """Returns the largest square of the commands of some ages [m^2/s^2 or rad^2/s^2]."""
+    """Return the largest square of the commands of some ages [m^2/s^2 or rad^2/s^2]."""
     largest = 0.0
     for age in range(newest, oldest + 1):
         command = sent(motion, commands, age)
@@ -267,7 +267,7 @@ def largest_square(commands: Buffer, motion: DisplayMotion, newest: int, oldest:
 
 
 def loss_under_way(settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: DisplayMotion) -> float:
-    """Returns the largest loss of W by the commands that may still act, the newest included, at any SYNC [J]."""
+    """Return the largest loss of W by the commands that may still act, the newest included, at any SYNC [J]."""
     total = largest = 0.0
     if settings.integral > 0.0:
         for holds in range(1, settings.delay + 2):

@@ -31,7 +31,7 @@ def largest_torques(
 
 
 def by_hand_force(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float) -> float:
-    """Returns the largest torque along `sign` [N or N*m] for a hand within its declared force.
+    """Return the largest torque along `sign` [N or N*m] for a hand within its declared force.
 
     It is that of `largest_in_sum` where nothing else is declared. `energy` [J] is the budget.
     """
@@ -59,7 +59,7 @@ def by_hand_force(declared: Declared, bound: TorqueBound, memory: BoundMemory, s
 
 
 def worst_out(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> float:
-    """Returns the most energy [J] that the torques under way may give out along `sign`, >= 0."""
+    """Return the most energy [J] that the torques under way may give out along `sign`, >= 0."""
     displacement, before = outward(declared, bound, memory, sign), sign * bound.torque
     hand = hand_along(declared, bound, sign)
     given = 0.0

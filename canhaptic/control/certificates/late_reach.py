@@ -60,7 +60,7 @@ def own_share(
 
 
 def takes_in(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Returns the largest n that takes energy in by itself, as far as a debt asks for it [N or N*m].
+    """Return the largest n that takes energy in by itself, as far as a debt asks for it [N or N*m].
 
     Older torques push the axis while it acts: as if all of `late` of them were held, and `left` of them after the hold.
     Below -start / gain the axis goes inward in the hold of the torque, so that its tail takes none of that motion.
@@ -73,7 +73,7 @@ def takes_in(declared: Declared, hand: float, motion: LateMotion, friction: floa
 
 
 def above_older(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Returns the largest n as if it were no smaller than the older ones; arguments of `by_reach_of_late`."""
+    """Return the largest n as if it were no smaller than the older ones; arguments of `by_reach_of_late`."""
     start, gain, base, late = own_share(declared, hand, motion, friction)
     energy += max(0.0, motion.lowest - friction) * late
     share = declared.response.share
@@ -82,7 +82,7 @@ def above_older(declared: Declared, hand: float, motion: LateMotion, friction: f
 
 
 def below_older(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Returns the largest n as if it were smaller than the older ones.
+    """Return the largest n as if it were smaller than the older ones.
 
     With g the largest of these above f_c it takes n D + (g - n) X_0 + (n - l) x and the tail G X, where
     D = base + during (late g + (1 - late) F), G = c g + (1 - c) n, and (n - l) x is at most n x (g - l) / g.
@@ -111,7 +111,7 @@ def below_older(declared: Declared, hand: float, motion: LateMotion, friction: f
 
 
 def if_held_on(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Returns the largest n of a torque that may act in 1, 2, ... holds until another arrives.
+    """Return the largest n of a torque that may act in 1, 2, ... holds until another arrives.
 
     With D_i the displacements in them, g the older torques above f_c and X as in `hold_timing`, it takes n sum(D_i) +
     g X_1 + c g sum(X_i) + n x and its tail (n + c g) X; each X_i after the first is at most that of the sum of all

@@ -48,7 +48,7 @@ _ANY, _SENT, _HELD_ON = 0, 1, 2
 
 
 def motion_along(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, hand: float) -> LateMotion:
-    """Returns the motion along `sign` in the hold that ended."""
+    """Return the motion along `sign` in the hold that ended."""
     highest, lowest = (bound.highest, bound.lowest) if sign > 0.0 else (-bound.lowest, -bound.highest)
     displacement = outward(declared, bound, memory, sign) if hand < inf else inf
     counted = max(0.0, acted(declared, bound, sign))
@@ -85,7 +85,7 @@ def pass_hold(
 def taken_in_hold(
     declared: Declared, hand: float, speed: float, motion: LateMotion, most: float, least: float, following: float
 ) -> float:
-    """Returns the least of A to D for a hold [J]; `following` is its displacement, for the rest see `pass_hold`."""
+    """Return the least of A to D for a hold [J]; `following` is its displacement, for the rest see `pass_hold`."""
     friction, hold, late, taken = declared.friction, declared.sample_time, declared.late, inf
     net = most - friction if most > friction else 0.0
     older = motion.highest - friction if motion.highest > friction else 0.0
@@ -114,7 +114,7 @@ def along_reach(
     following: float,
     reach: float,
 ) -> float:
-    """Returns what torques give out in a hold along the farthest motion [J]: A, or with friction B."""
+    """Return what torques give out in a hold along the farthest motion [J]: A, or with friction B."""
     most, least = max(0.0, most - friction), max(0.0, least - friction)
     highest, lowest = motion.highest - friction, max(0.0, motion.lowest - friction)
     taken = (most if following > 0.0 else least) * following
@@ -126,7 +126,7 @@ def along_reach(
 
 
 def tail_of(declared: Declared, hand: float, speed: float, motion: LateMotion) -> float:
-    """Returns the most that the torques along take after a hold that is the last of all [J]."""
+    """Return the most that the torques along take after a hold that is the last of all [J]."""
     net = motion.highest - declared.friction
     if declared.late == 0.0 or net <= 0.0:
         return 0.0
@@ -139,7 +139,7 @@ def tail_of(declared: Declared, hand: float, speed: float, motion: LateMotion) -
 
 
 def may_act(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, hold: int) -> float:
-    """Returns the largest torque along `sign` that may act in one of the next holds [N or N*m], >= 0.
+    """Return the largest torque along `sign` that may act in one of the next holds [N or N*m], >= 0.
 
     Any torque sent may stay for the declared losses.
     """
@@ -152,7 +152,7 @@ def may_act(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: f
 
 
 def smallest_acting(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, hold: int) -> float:
-    """Returns the smallest torque along `sign` that may act in one of the next holds [N or N*m], >= 0."""
+    """Return the smallest torque along `sign` that may act in one of the next holds [N or N*m], >= 0."""
     least = inf
     for place in range(max(0, hold - declared.losses), min(hold, declared.delay) + 1):
         torque = sign * (memory.under_way[bound.first + place - 1] if place else bound.torque)
@@ -266,7 +266,7 @@ def largest_of_known(
 def largest_after(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float, which: int
 ) -> float:
-    """Returns `largest_of_known` after some torques of `taken_under_way`, less what those against it take."""
+    """Return `largest_of_known` after some torques of `taken_under_way`, less what those against it take."""
     given, _, motion = taken_under_way(declared, bound, memory, sign, speed, declared.delay, which)
     budget, friction, losses = energy - given, declared.friction, declared.losses
     hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf

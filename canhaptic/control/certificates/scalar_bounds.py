@@ -66,7 +66,7 @@ def displacement_response(
     hand_push: float = math.inf,
     timing: HoldTiming | None = None,
 ) -> DisplacementResponse:
-    """Returns the worst response of the displacement in a hold.
+    """Return the worst response of the displacement in a hold.
 
     With y = bT/m: during = (T^2/m) (y - 1 + e^-y) / y^2, before = (T^2/m) (1 - e^-y - y e^-y) / y^2, hand = F_h times
     their sum. `during` and the sum fall with m at fixed b; `before` does so only while every lag is below m/b, beyond
@@ -113,7 +113,7 @@ def displacement_response(
 def next_displacement(
     displacement: float, torque_before: float, torque: float, response: DisplacementResponse, hand: float
 ) -> float:
-    """Returns the largest outward displacement [m or rad] in the hold that follows one of `displacement`.
+    """Return the largest outward displacement [m or rad] in the hold that follows one of `displacement`.
 
     Args:
         displacement: Largest outward displacement of the hold before [m or rad].
@@ -136,7 +136,7 @@ def next_displacement(
 def tail_reach(
     displacement: float, torque_before: float, torque: float, response: DisplacementResponse, hand: float
 ) -> float:
-    """Returns the farthest that older torques may be carried along in the hold after one of `displacement` [m or rad].
+    """Return the farthest that older torques may be carried along in the hold after one of `displacement` [m or rad].
 
     It is (2) of `hold_timing`; arguments as of `next_displacement`, `torque` the largest that acts in the hold.
     """
@@ -147,7 +147,7 @@ def tail_reach(
 
 
 def hand_force_bound(budget: float, base: float, gain: float) -> float:
-    """Returns the largest torque F >= 0 [N or N*m] with F (base + gain F) <= budget; infinite where every one has.
+    """Return the largest torque F >= 0 [N or N*m] with F (base + gain F) <= budget; infinite where every one has.
 
     Where none has that (budget below zero by more than an inward motion can bring in), the one that brings in most.
     For a group the torques are l W: base and gain are those of W, in [J], and the result is the share l.
@@ -165,7 +165,7 @@ def hand_force_bound(budget: float, base: float, gain: float) -> float:
 
 
 def renderable_by_hand_force(response: DisplacementResponse, delay: int, torque: float) -> float:
-    """Returns the largest static stiffness [N/m or N*m/rad] that the hand-force certificate holds at a torque.
+    """Return the largest static stiffness [N/m or N*m/rad] that the hand-force certificate holds at a torque.
 
     At rest every hold has the same torque F and the stored energy F^2 / 2k must cover sum(F D_i) over the holds under
     way and the next one. Undamped: k <= (m / 2T^2) F / (F + F_h) at delay 0 and (m / 6T^2) F / (F + F_h) at delay 1.
@@ -179,7 +179,7 @@ def renderable_by_hand_force(response: DisplacementResponse, delay: int, torque:
 
 
 def renderable_by_device_damping(damping: float, sample_time: float, delay: int) -> float:
-    """Returns the largest static stiffness [N/m or N*m/rad] that the device-damping certificate holds: 2b / T (1 + n).
+    """Return the largest static stiffness [N/m or N*m/rad] that the device-damping certificate holds: 2b / T (1 + n).
 
     At rest F^2 (1 + delay) <= 4 b E / T with E = F^2 / 2k. Colgate's bound is the value for delay 0.
     """
@@ -187,7 +187,7 @@ def renderable_by_device_damping(damping: float, sample_time: float, delay: int)
 
 
 def renderable_by_hand_speed(speed: float, sample_time: float, delay: int, torque: float) -> float:
-    """Returns the largest static stiffness [N/m or N*m/rad] that the hand-speed certificate holds at a torque."""
+    """Return the largest static stiffness [N/m or N*m/rad] that the hand-speed certificate holds at a torque."""
     return torque / (2.0 * speed * sample_time * (1 + delay))
 
 
@@ -196,7 +196,7 @@ WINDOW: Final = 32
 
 
 def start_speed(response: DisplacementResponse, sample_time: float, delay: int, count: float = 0.0) -> float:
-    """Returns the inward speed [m/s or rad/s] above which a contact starts from zero energy.
+    """Return the inward speed [m/s or rad/s] above which a contact starts from zero energy.
 
     (1 + delay) F_h T / m with an ideal encoder. One count leaves count / (j T) of the speed over j holds unsure, in
     which the hand can have gained F_h T (j - 1) / 2m; at high rates the best j gives sqrt(2 count F_h / m) in all,

@@ -25,7 +25,7 @@ _FIRST: Final = 1e-3  # [N or N*m]
 
 
 def start_energy(response: DisplacementResponse, delay: int, stiffness: float) -> float:
-    """Returns the energy [J] with which a contact of any speed is held; infinite where the stiffness is too large.
+    """Return the energy [J] with which a contact of any speed is held; infinite where the stiffness is too large.
 
     Args:
         response: Displacement response of the axis, with the force of the hand.
@@ -53,7 +53,7 @@ def _given_out(response: DisplacementResponse, delay: int, torque: float) -> flo
 def energy_for_any_hand(
     damping: float, friction: float, sample_time: float, delay: int, stiffness: float, push: float
 ) -> float:
-    """Returns the energy [J] that a wall needs before a contact, so that it holds every hand up to a push; >= 0.
+    """Return the energy [J] that a wall needs before a contact, so that it holds every hand up to a push; >= 0.
 
     Args:
         damping: Certain viscous damping of the device, > 0 [N*s/m or N*m*s/rad].

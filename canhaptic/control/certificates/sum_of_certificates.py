@@ -176,7 +176,7 @@ def for_any_hand(declared: Declared, budget: float) -> float:
 
 
 def by_reach(declared: Declared, budget: float, base: float, for_all: float) -> float:
-    """Returns the largest torque by the reach of the hand force [N or N*m]; 0 where that is infinite."""
+    """Return the largest torque by the reach of the hand force [N or N*m]; 0 where that is infinite."""
     if base == inf:
         return 0.0
     friction, gain = declared.friction, declared.response.during
@@ -193,7 +193,7 @@ def by_reach(declared: Declared, budget: float, base: float, for_all: float) -> 
 
 
 def by_fastest(declared: Declared, budget: float, fastest: float, for_all: float) -> float:
-    """Returns the largest torque for a hand that moves no farther than `fastest` [m or rad] in a hold [N or N*m]."""
+    """Return the largest torque for a hand that moves no farther than `fastest` [m or rad] in a hold [N or N*m]."""
     damped = declared.damping / declared.sample_time
     largest = declared.friction + budget / fastest + damped * fastest
     return for_all if 2.0 * damped * fastest > largest - declared.friction else largest

@@ -63,7 +63,7 @@ class BoundMemory(NamedTuple):
 
 
 def bound_memory(declared: Declared, under_way: Buffer, make_buffer: MakeBuffer) -> BoundMemory:
-    """Returns the buffers of a bound on the torque under way."""
+    """Return the buffers of a bound on the torque under way."""
     window = WINDOW if declared.encoder_count > 0.0 else 0
     against = window if declared.late > 0.0 else 0
     return BoundMemory(make_buffer(window), make_buffer(window), make_buffer(against), under_way)
@@ -101,7 +101,7 @@ def acted(declared: Declared, bound: TorqueBound, sign: float) -> float:
 
 
 def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displacement: float, torque: float) -> float:
-    """Takes the hold that ended: displacement [m or rad] and the torque held in it [N or N*m].
+    """Take the hold that ended: displacement [m or rad] and the torque held in it [N or N*m].
 
     Returns:
         Largest shortfall of the energy that came in against the booked one, because the torque came late [J].
@@ -140,7 +140,7 @@ def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displa
 
 
 def dissipate(bound: TorqueBound, energy: float) -> None:
-    """Takes an energy [J] that the device dissipated for certain."""
+    """Take an energy [J] that the device dissipated for certain."""
     bound.dissipated += energy
     bound.certain += energy
 
@@ -345,7 +345,7 @@ class Dissipated(Protocol):
 
 
 def keep(bound: Dissipated, energy: float, enough: float) -> None:
-    """Forgets what the device dissipated beyond `enough` [J] together with `energy`.
+    """Forget what the device dissipated beyond `enough` [J] together with `energy`.
 
     Without it a contact could live, and buzz, on what the device dissipated long ago.
     """

@@ -20,15 +20,15 @@ class CoulombSurface(LinearSpring):
     relaxes: ClassVar[bool] = True
 
     def contact(self, position: float) -> int:
-        """Returns 1: the surface is everywhere."""
+        """Return 1: the surface is everywhere."""
         return 1
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Returns the strain of the bristle [m or rad] before it yields."""
+        """Return the strain of the bristle [m or rad] before it yields."""
         return previous + displacement
 
     def admissible(self, state: float, true: float) -> float:
-        """Returns the state: the bristle works both ways."""
+        """Return the state: the bristle works both ways."""
         return state
 
     def relaxed(self, state: float, sample_time: float) -> float:

@@ -25,29 +25,29 @@ class DamperWall(Parameters):
         return self.side == "below"
 
     def contact(self, position: float) -> int:
-        """Returns 1 beyond the surface, 0 outside."""
+        """Return 1 beyond the surface, 0 outside."""
         return int(is_beyond(position, self.position, self.is_below))
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Returns the depth q - q_w [m or rad]."""
+        """Return the depth q - q_w [m or rad]."""
         return position - self.position
 
     def admissible(self, state: float, true: float) -> float:
-        """Returns the state, or 0 where it lies outside."""
+        """Return the state, or 0 where it lies outside."""
         return kept_on_side(state, true)
 
     def stored_energy(self, state: float) -> float:
-        """Returns 0 J."""
+        """Return 0 J."""
         return 0.0
 
     def effort(self, state: float) -> float:
-        """Returns 0 N."""
+        """Return 0 N."""
         return 0.0
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Returns 0: no state stores anything."""
+        """Return 0: no state stores anything."""
         return 0.0
 
     def relaxed(self, state: float, sample_time: float) -> float:
-        """Returns the state: nothing relaxes."""
+        """Return the state: nothing relaxes."""
         return state

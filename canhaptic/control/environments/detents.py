@@ -27,32 +27,32 @@ class Detents(Parameters):
     relaxes: ClassVar[bool] = False
 
     def contact(self, position: float) -> int:
-        """Returns an odd number for every stretch between two resting positions, 0 exactly on one."""
+        """Return an odd number for every stretch between two resting positions, 0 exactly on one."""
         turns = (position - self.position) / self.pitch
         whole = math.floor(turns)
         return 2 * whole + 1 if turns != whole else 0
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Returns the distance from the nearer resting position [m or rad]."""
+        """Return the distance from the nearer resting position [m or rad]."""
         offset = position - self.position
         return offset - round(offset / self.pitch) * self.pitch
 
     def admissible(self, state: float, true: float) -> float:
-        """Returns the state, a whole pitch away where that is nearer to the true one, kept within the stretch."""
+        """Return the state, a whole pitch away where that is nearer to the true one, kept within the stretch."""
         nearest = state - round((state - true) / self.pitch) * self.pitch
         return min(max(nearest, 0.0), self.pitch) if true >= 0.0 else max(min(nearest, 0.0), -self.pitch)
 
     def stored_energy(self, state: float) -> float:
-        """Returns peak pitch / pi sin^2(pi x / pitch) [J]."""
+        """Return peak pitch / pi sin^2(pi x / pitch) [J]."""
         sine = math.sin(math.pi * state / self.pitch)
         return self.peak * self.pitch / math.pi * sine * sine
 
     def effort(self, state: float) -> float:
-        """Returns peak sin(2 pi x / pitch) [N or N*m]."""
+        """Return peak sin(2 pi x / pitch) [N or N*m]."""
         return self.peak * math.sin(2.0 * math.pi * state / self.pitch)
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Returns the state on the same flank of the crest as `like`; the crest where no state stores so much."""
+        """Return the state on the same flank of the crest as `like`; the crest where no state stores so much."""
         crest = self.peak * self.pitch / math.pi
         if energy <= 0.0 or crest == 0.0:
             state = 0.0
@@ -61,5 +61,5 @@ class Detents(Parameters):
         return math.copysign(state if abs(like) <= 0.5 * self.pitch else self.pitch - state, like)
 
     def relaxed(self, state: float, sample_time: float) -> float:
-        """Returns the state: nothing relaxes."""
+        """Return the state: nothing relaxes."""
         return state

@@ -30,13 +30,13 @@ class Environment(Protocol):
         """True when `relaxed` may change a state."""
 
     def contact(self, position: float) -> int:
-        """Returns 0 out of contact, else the number of the zone of contact at a position [m or rad] (eq. 12).
+        """Return 0 out of contact, else the number of the zone of contact at a position [m or rad] (eq. 12).
 
         Going from one zone to another is an exit and a start in one: the states of two zones are not comparable.
         """
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Returns the state [m or rad] that the continuous environment has, in contact (x = q - q_w of eq. 14).
+        """Return the state [m or rad] that the continuous environment has, in contact (x = q - q_w of eq. 14).
 
         Args:
             position: Axis position [m or rad].
@@ -46,19 +46,19 @@ class Environment(Protocol):
         """
 
     def admissible(self, state: float, true: float) -> float:
-        """Returns the state [m or rad], or the nearest one that the zone of contact of the state `true` has.
+        """Return the state [m or rad], or the nearest one that the zone of contact of the state `true` has.
 
         Behind the surface of a wall there is no tension spring: the nearest is then 0. The identity where any state is.
         """
 
     def stored_energy(self, state: float) -> float:
-        """Returns the energy [J] stored at a state, >= 0, and 0 at state 0."""
+        """Return the energy [J] stored at a state, >= 0, and 0 at state 0."""
 
     def effort(self, state: float) -> float:
-        """Returns the gradient of the stored energy at a state [N or N*m]."""
+        """Return the gradient of the stored energy at a state [N or N*m]."""
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Returns the state [m or rad] that stores `energy` [J] on the branch on which the state `like` lies.
+        """Return the state [m or rad] that stores `energy` [J] on the branch on which the state `like` lies.
 
         Returns the nearest state where no state stores that much.
         """

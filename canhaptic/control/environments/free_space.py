@@ -13,29 +13,29 @@ class FreeSpace(Parameters):
     relaxes: ClassVar[bool] = False
 
     def contact(self, position: float) -> int:
-        """Returns 0."""
+        """Return 0."""
         return 0
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Returns 0."""
+        """Return 0."""
         return 0.0
 
     def admissible(self, state: float, true: float) -> float:
-        """Returns 0."""
+        """Return 0."""
         return 0.0
 
     def stored_energy(self, state: float) -> float:
-        """Returns 0 J."""
+        """Return 0 J."""
         return 0.0
 
     def effort(self, state: float) -> float:
-        """Returns 0 N."""
+        """Return 0 N."""
         return 0.0
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Returns 0."""
+        """Return 0."""
         return 0.0
 
     def relaxed(self, state: float, sample_time: float) -> float:
-        """Returns the state."""
+        """Return the state."""
         return state

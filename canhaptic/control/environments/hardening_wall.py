@@ -34,33 +34,33 @@ class HardeningWall(Parameters):
         return self.side == "below"
 
     def contact(self, position: float) -> int:
-        """Returns 1 inside the wall, 0 outside."""
+        """Return 1 inside the wall, 0 outside."""
         return int(is_beyond(position, self.position, self.is_below))
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Returns the penetration q - q_w [m or rad]."""
+        """Return the penetration q - q_w [m or rad]."""
         return position - self.position
 
     def admissible(self, state: float, true: float) -> float:
-        """Returns the state, or 0 where it lies outside the wall."""
+        """Return the state, or 0 where it lies outside the wall."""
         return kept_on_side(state, true)
 
     def stored_energy(self, state: float) -> float:
-        """Returns k x^2 / 2 + k3 x^4 / 4 [J]."""
+        """Return k x^2 / 2 + k3 x^4 / 4 [J]."""
         square = state * state
         return square * (0.5 * self.stiffness + 0.25 * self.hardening * square)
 
     def effort(self, state: float) -> float:
-        """Returns k x + k3 x^3 [N or N*m]."""
+        """Return k x + k3 x^3 [N or N*m]."""
         return state * (self.stiffness + self.hardening * state * state)
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Returns the state with the sign of `like`: x^2 = 4 H / (k + sqrt(k^2 + 4 k3 H)), without cancellation."""
+        """Return the state with the sign of `like`: x^2 = 4 H / (k + sqrt(k^2 + 4 k3 H)), without cancellation."""
         if energy <= 0.0:
             return 0.0
         below = self.stiffness + math.sqrt(self.stiffness * self.stiffness + 4.0 * self.hardening * energy)
         return math.copysign(math.sqrt(4.0 * energy / below), like) if below else 0.0
 
     def relaxed(self, state: float, sample_time: float) -> float:
-        """Returns the state: nothing relaxes."""
+        """Return the state: nothing relaxes."""
         return state

@@ -20,15 +20,15 @@ class LinearSpring(Parameters):
         return self.stiffness
 
     def stored_energy(self, state: float) -> float:
-        """Returns k x^2 / 2 [J]."""
+        """Return k x^2 / 2 [J]."""
         return 0.5 * self.stiffness * state * state
 
     def effort(self, state: float) -> float:
-        """Returns k x [N or N*m]."""
+        """Return k x [N or N*m]."""
         return self.stiffness * state
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Returns sqrt(2 H / k) with the sign of `like`; eq. 18 prints it positive, where contact has x < 0."""
+        """Return sqrt(2 H / k) with the sign of `like`; eq. 18 prints it positive, where contact has x < 0."""
         if self.stiffness == 0.0:
             return 0.0
         return copysign(sqrt(2.0 * energy / self.stiffness) if energy > 0.0 else 0.0, like)

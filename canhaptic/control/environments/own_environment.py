@@ -55,48 +55,48 @@ class OwnEnvironment(Parameters):
     relaxes: ClassVar[bool] = False
 
     def potential(self, state: float) -> float:
-        """Returns the energy [J] stored at a state [m or rad], >= 0 and 0 at state 0; by default from `effort`."""
+        """Return the energy [J] stored at a state [m or rad], >= 0 and 0 at state 0; by default from `effort`."""
         return integral(self.effort, state)
 
     def effort(self, state: float) -> float:
-        """Returns the force [N or N*m] at a state [m or rad]; by default the slope of `potential`."""
+        """Return the force [N or N*m] at a state [m or rad]; by default the slope of `potential`."""
         step = _DERIVATIVE_STEP * max(abs(state), 1e-3)
         return (self.potential(state + step) - self.potential(state - step)) / (2.0 * step)
 
     def surfaces(self) -> Sequence[float]:
-        """Returns the positions where contact begins or ends [m or rad], for the continuous environment.
+        """Return the positions where contact begins or ends [m or rad], for the continuous environment.
 
         A class that overrides `contact` or `true_state` overrides this as well; else there is no continuous reference.
         """
         return () if self.side == "both" else (self.position,)
 
     def contact(self, position: float) -> int:
-        """Returns 1 where the environment is felt, else 0."""
+        """Return 1 where the environment is felt, else 0."""
         return 1 if self.side == "both" else int(is_beyond(position, self.position, self.side == "below"))
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Returns x = q - q_w [m or rad] (eq. 14)."""
+        """Return x = q - q_w [m or rad] (eq. 14)."""
         return position - self.position
 
     def admissible(self, state: float, true: float) -> float:
-        """Returns the state, or 0 where it lies across the surface of a wall."""
+        """Return the state, or 0 where it lies across the surface of a wall."""
         return state if self.side == "both" else kept_on_side(state, true)
 
     def stored_energy(self, state: float) -> float:
-        """Returns the potential [J]."""
+        """Return the potential [J]."""
         return self.potential(state)
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Returns the state on the side of `like` that stores `energy` [J], or the farthest where none does."""
+        """Return the state on the side of `like` that stores `energy` [J], or the farthest where none does."""
         return state_of(self.stored_energy, self.effort, energy, like)
 
     def relaxed(self, state: float, sample_time: float) -> float:
-        """Returns the state: nothing relaxes."""
+        """Return the state: nothing relaxes."""
         return state
 
 
 def integral(function: Callable[[float], float], end: float) -> float:
-    """Returns the integral of a function from 0 to `end`, to 1e-12 of the integral of its size.
+    """Return the integral of a function from 0 to `end`, to 1e-12 of the integral of its size.
 
     Intervals are halved where Kronrod's 15 points and Gauss's 7 disagree, and where a jump may lie between an end and
     the outermost point, which neither rule can see; a jump is enclosed to 2^-40 of the way.
@@ -117,7 +117,7 @@ def integral(function: Callable[[float], float], end: float) -> float:
 
 
 def _panel(function: Callable[[float], float], left: float, right: float) -> tuple[float, float, float]:
-    """Returns the integral by Kronrod's rule, its error, and the integral of the size."""
+    """Return the integral by Kronrod's rule, its error, and the integral of the size."""
     half, middle = 0.5 * (right - left), 0.5 * (left + right)
     value = function(middle)
     kronrod, gauss, size = _MIDDLE[0] * value, _MIDDLE[1] * value, _MIDDLE[0] * abs(value)
@@ -131,7 +131,7 @@ def _panel(function: Callable[[float], float], left: float, right: float) -> tup
 
 
 def _jump(function: Callable[[float], float], middle: float, half: float) -> float:
-    """Returns what a jump beyond the outermost point may add to an integral over [-1, 1]; of a smooth function 0.
+    """Return what a jump beyond the outermost point may add to an integral over [-1, 1]; of a smooth function 0.
 
     A smooth function changes less from that point to the end than twice what it changes from the point before.
     """
@@ -142,7 +142,7 @@ def _jump(function: Callable[[float], float], middle: float, half: float) -> flo
 
 
 def state_of(stored: Callable[[float], float], effort: Callable[[float], float], energy: float, like: float) -> float:
-    """Returns the state with the sign of `like` that stores an energy [J]; the farthest tried where none does.
+    """Return the state with the sign of `like` that stores an energy [J]; the farthest tried where none does.
 
     Newton's method, and bisection wherever a step would leave the bracket.
     """

@@ -24,7 +24,7 @@ class _Form(NamedTuple):
 
 
 def plain(environment: _Environment) -> _Environment:
-    """Returns an object with the same methods and numbers; one that is no parameter model is returned as it is."""
+    """Return an object with the same methods and numbers; one that is no parameter model is returned as it is."""
     kind: Any = type(environment)
     if _form_of(kind) is None or getattr(environment, "__pydantic_private__", None):
         return environment
@@ -58,7 +58,7 @@ def _numbers_of(twin: Any) -> dict[str, float]:
 
 
 def tuple_type(twin: Any) -> Any:
-    """Returns the NamedTuple of the numbers of a plain object, with its methods; what numba compiles."""
+    """Return the NamedTuple of the numbers of a plain object, with its methods; what numba compiles."""
     kind: Any = type(twin)
     return _tuple_type(kind, tuple(_numbers_of(twin)))
 
@@ -71,7 +71,7 @@ def _tuple_type(kind: Any, fields: tuple[str, ...]) -> Any:
 
 @cache
 def _form_of(kind: Any) -> _Form | None:
-    """Returns the plain form of a model's class; None where it would not be the same."""
+    """Return the plain form of a model's class; None where it would not be the same."""
     if not issubclass(kind, Parameters):
         return None
     members: dict[str, Any] = {}

@@ -7,10 +7,10 @@ Side = Literal["below", "above"]
 
 
 def is_beyond(position: float, surface: float, is_below: bool) -> bool:
-    """Returns True where a position is inside a wall with its surface at `surface` [m or rad] (eq. 12)."""
+    """Return True where a position is inside a wall with its surface at `surface` [m or rad] (eq. 12)."""
     return position < surface if is_below else position > surface
 
 
 def kept_on_side(state: float, true: float) -> float:
-    """Returns the state [m or rad], or 0 where it lies across the surface from the true one."""
+    """Return the state [m or rad], or 0 where it lies across the surface from the true one."""
     return state if state * true >= 0.0 else 0.0

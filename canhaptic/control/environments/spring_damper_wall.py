@@ -23,19 +23,19 @@ class SpringDamperWall(LinearSpring):
         return self.side == "below"
 
     def contact(self, position: float) -> int:
-        """Returns 1 inside the wall, 0 outside (eq. 12)."""  # not by `sides`: most scenes ask this at every SYNC
+        """Return 1 inside the wall, 0 outside (eq. 12)."""  # not by `sides`: most scenes ask this at every SYNC
         if self.is_below:
             return 1 if position < self.position else 0
         return 1 if position > self.position else 0
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Returns x = q - q_w [m or rad] (eq. 14): negative in a wall below, positive in a wall above."""
+        """Return x = q - q_w [m or rad] (eq. 14): negative in a wall below, positive in a wall above."""
         return position - self.position
 
     def admissible(self, state: float, true: float) -> float:
-        """Returns the state, or 0 where it lies outside the wall."""
+        """Return the state, or 0 where it lies outside the wall."""
         return state if state * true >= 0.0 else 0.0
 
     def relaxed(self, state: float, sample_time: float) -> float:
-        """Returns the state: nothing relaxes."""
+        """Return the state: nothing relaxes."""
         return state

@@ -26,19 +26,19 @@ class TwoSidedWall(LinearSpring):
         return self
 
     def contact(self, position: float) -> int:
-        """Returns 1 in the wall below, 2 in the wall above, 0 between."""
+        """Return 1 in the wall below, 2 in the wall above, 0 between."""
         if position < self.lower:
             return 1
         return 2 if position > self.upper else 0
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Returns the penetration [m or rad]: negative in the wall below, positive in the wall above."""
+        """Return the penetration [m or rad]: negative in the wall below, positive in the wall above."""
         return position - (self.lower if position < self.lower else self.upper)
 
     def admissible(self, state: float, true: float) -> float:
-        """Returns the state, or 0 where it lies outside the wall."""
+        """Return the state, or 0 where it lies outside the wall."""
         return kept_on_side(state, true)
 
     def relaxed(self, state: float, sample_time: float) -> float:
-        """Returns the state: nothing relaxes."""
+        """Return the state: nothing relaxes."""
         return state

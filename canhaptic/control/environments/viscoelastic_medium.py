@@ -18,17 +18,17 @@ class ViscoelasticMedium(LinearSpring):
     relaxes: ClassVar[bool] = True
 
     def contact(self, position: float) -> int:
-        """Returns 1: the medium is everywhere."""
+        """Return 1: the medium is everywhere."""
         return 1
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Returns the strain of the spring [m or rad] before it relaxes."""
+        """Return the strain of the spring [m or rad] before it relaxes."""
         return previous + displacement
 
     def admissible(self, state: float, true: float) -> float:
-        """Returns the state: the spring works both ways."""
+        """Return the state: the spring works both ways."""
         return state
 
     def relaxed(self, state: float, sample_time: float) -> float:
-        """Returns x exp(-T / relaxation time): exact for a hold in which nothing moves."""
+        """Return x exp(-T / relaxation time): exact for a hold in which nothing moves."""
         return state * math.exp(-sample_time / self.relaxation_time)

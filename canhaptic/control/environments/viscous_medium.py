@@ -15,29 +15,29 @@ class ViscousMedium(Parameters):
     relaxes: ClassVar[bool] = False
 
     def contact(self, position: float) -> int:
-        """Returns 1: the medium is everywhere."""
+        """Return 1: the medium is everywhere."""
         return 1
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Returns the path since the start [m or rad]; nothing depends on it."""
+        """Return the path since the start [m or rad]; nothing depends on it."""
         return previous + displacement
 
     def admissible(self, state: float, true: float) -> float:
-        """Returns the state: the medium has no surface."""
+        """Return the state: the medium has no surface."""
         return state
 
     def stored_energy(self, state: float) -> float:
-        """Returns 0 J."""
+        """Return 0 J."""
         return 0.0
 
     def effort(self, state: float) -> float:
-        """Returns 0 N."""
+        """Return 0 N."""
         return 0.0
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Returns 0: no state stores anything."""
+        """Return 0: no state stores anything."""
         return 0.0
 
     def relaxed(self, state: float, sample_time: float) -> float:
-        """Returns the state: nothing relaxes."""
+        """Return the state: nothing relaxes."""
         return state

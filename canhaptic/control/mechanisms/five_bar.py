@@ -26,7 +26,7 @@ class FiveBarMap(NamedTuple):
     box: WorkspaceBox
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Writes the place of the handle."""
+        """Write the place of the handle."""
         l1, l2, l3, l4 = self.proximal_1, self.proximal_2, self.distal_1, self.distal_2
         ax, ay = l1 * math.cos(positions[0]), l1 * math.sin(positions[0])  # of the elbows, from their motors
         bx, by = l2 * math.cos(positions[1]), l2 * math.sin(positions[1])
@@ -91,6 +91,6 @@ class FiveBar(FromMechanism, Parameters):
         return self
 
     def mechanism(self) -> FiveBarMap:
-        """Returns the map."""
+        """Return the map."""
         box = workspace_box(self.workspace_lower, self.workspace_upper)
         return FiveBarMap(self.base, *self.proximal, *self.distal, self.assembly == "down", self.least_sine, box)

@@ -13,7 +13,7 @@ class IdentityMap(NamedTuple):
     axes: int
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Writes the positions and a unit Jacobian."""
+        """Write the positions and a unit Jacobian."""
         for i in range(self.axes):
             place[i] = positions[i]
             jacobian[i][i] = 1.0
@@ -32,5 +32,5 @@ class Identity(FromMechanism, Parameters):
         return self.axes
 
     def mechanism(self) -> IdentityMap:
-        """Returns the map."""
+        """Return the map."""
         return IdentityMap(self.axes)

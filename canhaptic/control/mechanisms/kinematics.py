@@ -54,17 +54,17 @@ class Kinematics(Protocol):
         """Number of task coordinates."""
 
     def pose(self, positions: Sequence[float]) -> Pose:
-        """Returns position, Jacobian and limit at the positions of the motor axes [rad or m]; never raises."""
+        """Return position, Jacobian and limit at the positions of the motor axes [rad or m]; never raises."""
 
     def forward(self, positions: Sequence[float]) -> tuple[float, ...]:
-        """Returns the position in task space [m or rad].
+        """Return the position in task space [m or rad].
 
         Raises:
             ControlError: The pose is outside the workspace or too close to a singular one.
         """
 
     def jacobian(self, positions: Sequence[float]) -> tuple[tuple[float, ...], ...]:
-        """Returns the Jacobian, rows of task coordinates.
+        """Return the Jacobian, rows of task coordinates.
 
         Raises:
             ControlError: As `forward`.

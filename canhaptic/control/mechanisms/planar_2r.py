@@ -25,7 +25,7 @@ class LinkMap(NamedTuple):
     box: WorkspaceBox
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Writes the place of the handle."""
+        """Write the place of the handle."""
         a = positions[0]
         b = a + positions[1] if self.relative else positions[1]
         if not abs(math.sin(b - a)) >= self.least_sine:
@@ -68,6 +68,6 @@ class Planar2R(FromMechanism, Parameters):
         return self
 
     def mechanism(self) -> LinkMap:
-        """Returns the map."""
+        """Return the map."""
         box = workspace_box(self.workspace_lower, self.workspace_upper)
         return LinkMap(self.first, self.second, *self.base, self.elbow == "relative", self.least_sine, box)

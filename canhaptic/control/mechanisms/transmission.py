@@ -28,7 +28,7 @@ class LinearMap(NamedTuple):
     box: WorkspaceBox
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Writes A q + offset and A."""
+        """Write A q + offset and A."""
         for i in range(len(place)):
             row, into, total = self.matrix[i], jacobian[i], self.offset[i]
             for j in range(len(row)):
@@ -81,7 +81,7 @@ class Transmission(FromMechanism, Parameters):
         return len(self.matrix)
 
     def mechanism(self) -> LinearMap:
-        """Returns the map."""
+        """Return the map."""
         offset = self.offset or (0.0,) * len(self.matrix)
         box = workspace_box(self.workspace_lower, self.workspace_upper)
         return LinearMap([list(row) for row in self.matrix], list(offset), box)

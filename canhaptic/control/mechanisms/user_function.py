@@ -24,7 +24,7 @@ class UserFunction(FromPose):
         at: Sequence[float],
         limit: Callable[[Sequence[float]], int] | None = None,
     ) -> None:
-        """Makes and checks the mechanism.
+        """Make and check the mechanism.
 
         Args:
             forward: Motor positions -> task coordinates.

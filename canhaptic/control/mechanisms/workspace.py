@@ -16,11 +16,11 @@ class FromPose:
     """Place and Jacobian of a mechanism that knows its pose."""
 
     def pose(self, positions: Sequence[float]) -> Pose:
-        """Returns position, Jacobian and limit; see `Kinematics`."""
+        """Return position, Jacobian and limit; see `Kinematics`."""
         raise NotImplementedError
 
     def forward(self, positions: Sequence[float]) -> tuple[float, ...]:
-        """Returns the position in task space [m or rad].
+        """Return the position in task space [m or rad].
 
         Raises:
             ControlError: The pose is outside the workspace or too close to a singular one.
@@ -28,7 +28,7 @@ class FromPose:
         return self._checked(positions).position
 
     def jacobian(self, positions: Sequence[float]) -> Rows:
-        """Returns the Jacobian, rows of task coordinates.
+        """Return the Jacobian, rows of task coordinates.
 
         Raises:
             ControlError: As `forward`.
@@ -54,7 +54,7 @@ class FromMechanism(FromPose):
         raise NotImplementedError
 
     def pose(self, positions: Sequence[float]) -> Pose:
-        """Returns position, Jacobian and limit; see `Kinematics`."""
+        """Return position, Jacobian and limit; see `Kinematics`."""
         kinematics = cast(Kinematics, self)
         place, jacobian = list_of_zeros(kinematics.dimensions), zeros(kinematics.dimensions, kinematics.axes)
         limit = self.mechanism().locate(list(positions), place, jacobian)
@@ -67,7 +67,7 @@ class PoseAsked(NamedTuple):
     kinematics: Kinematics
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Copies the pose."""
+        """Copy the pose."""
         pose = self.kinematics.pose(positions)
         if not pose.limit:
             place[:] = pose.position
@@ -89,12 +89,12 @@ class WorkspaceBox(NamedTuple):
 
 
 def workspace_box(lower: Sequence[float] | None, upper: Sequence[float] | None) -> WorkspaceBox:
-    """Returns the edges of a workspace."""
+    """Return the edges of a workspace."""
     return WorkspaceBox(list(lower or ()), list(upper or ()))
 
 
 def is_outside(box: WorkspaceBox, place: Buffer) -> bool:
-    """Returns True where a place is outside the workspace."""
+    """Return True where a place is outside the workspace."""
     for i in range(len(box.lower)):
         if place[i] < box.lower[i]:
             return True
@@ -105,7 +105,7 @@ def is_outside(box: WorkspaceBox, place: Buffer) -> bool:
 
 
 def check_box(lower: Sequence[float] | None, upper: Sequence[float] | None, dimensions: int) -> None:
-    """Checks the edges of a workspace.
+    """Check the edges of a workspace.
 
     Raises:
         ValueError: They have another dimension than task space, or no inside.
@@ -125,7 +125,7 @@ def check_jacobian(
     positions: Sequence[float],
     dimensions: int,
 ) -> None:
-    """Compares a Jacobian with differences of its map at given positions.
+    """Compare a Jacobian with differences of its map at given positions.
 
     Raises:
         ParameterError: Shapes do not fit, values are not finite, or the two differ.

@@ -23,7 +23,7 @@ class AccountMemory(NamedTuple):
 
 
 def account_memory(limits: PerAxisLimits) -> AccountMemory:
-    """Returns empty buffers."""
+    """Return empty buffers."""
     axes, one = len(limits.roots), list_of_zeros
     return AccountMemory(
         one(axes), one(axes), one(axes), Acting(one(axes), one(axes)), Acting(one(axes), one(axes)),

@@ -52,7 +52,7 @@ class AxisGroup:
         self._limit = Limit.NONE.value
 
     def step(self, samples: Sequence[Sample]) -> GroupBalance:
-        """Returns the balance of the hold that ended; held when the sample of any of its axes is not fresh.
+        """Return the balance of the hold that ended; held when the sample of any of its axes is not fresh.
 
         Args:
             samples: Samples of the whole rig.
@@ -69,7 +69,7 @@ class AxisGroup:
         return self.balance
 
     def book(self, sync_index: int, deadline: int | None = None) -> str:
-        """Takes the last step into the ledger, and counts its limit.
+        """Take the last step into the ledger, and count its limit.
 
         Args:
             sync_index: Index of its SYNC.
@@ -103,7 +103,7 @@ class AxisGroup:
         return Sample(samples[0].sync_index, 0.0, square**0.5, words, fresh)
 
     def truth(self, truths: Sequence[Truth]) -> Truth:
-        """Returns the true energies of its axes together; work of movers counts as that of motors.
+        """Return the true energies of its axes together; work of movers counts as that of motors.
 
         Args:
             truths: One for each axis of the rig.
@@ -138,7 +138,7 @@ class GroupedControllers:
                 controller.lasted(float(periods))
 
     def step(self, samples: Sequence[Sample]) -> list[EnergyBalance]:
-        """Returns one balance per axis; those of the groups are in `AxisGroup.balance`."""
+        """Return one balance per axis; those of the groups are in `AxisGroup.balance`."""
         balances = self._balances.copy()
         for axis, controller in self._singles:
             sample = samples[axis]
@@ -157,5 +157,5 @@ class GroupedControllers:
 
 
 def _axis_balance(torque: float, h_i: float, branch: int, certificate: int) -> EnergyBalance:
-    """Returns the balance of an axis in a group: the rest of its account is the group's."""
+    """Return the balance of an axis in a group: the rest of its account is the group's."""
     return EnergyBalance(torque, h_i, 0.0, h_i, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, branch, 0.0, certificate, 0.0)

@@ -34,7 +34,7 @@ class AccountSettings(NamedTuple):
 
 
 def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: AccountMemory, ended: GroupHolds) -> float:
-    """Takes one hold, its displacements and the torques applied in it.
+    """Take one hold, its displacements and the torques applied in it.
 
     Returns:
         Largest shortfall of the energy that came in against the booked one, because torques came late [J].
@@ -101,7 +101,7 @@ def end_group_gap(
 
 
 def largest_of(memory: AccountMemory, ended: GroupHolds, missed: int, axis: int) -> float:
-    """Returns the size of the largest torque that may have acted in the holds that ended, or before [N*m or N]."""
+    """Return the size of the largest torque that may have acted in the holds that ended, or before [N*m or N]."""
     most = max(abs(memory.torques[axis]), abs(ended.applied[axis]))
     most = max(most, memory.before.highest[axis], -memory.before.lowest[axis])
     for place in range(min(missed, len(ended.lost))):
@@ -156,7 +156,7 @@ def doubt_of_mover(memory: AccountMemory, ended: GroupHolds, hold: int) -> float
 
 
 def certain_energy(account: GroupAccount, credit: float) -> float:
-    """Returns the energy [J] that the next torques may take out.
+    """Return the energy [J] that the next torques may take out.
 
     What was dissipated or leaked is not available again, but it covers the uncertainty of the encoders.
     """
@@ -173,7 +173,7 @@ def fade(account: GroupAccount, share: float) -> None:
 
 
 def quotient(budget: float, need: float) -> float:
-    """Returns budget / need; infinite where nothing is needed, 0 where there is no budget."""
+    """Return budget / need; infinite where nothing is needed, 0 where there is no budget."""
     if not budget >= 0.0:
         return 0.0
     return budget / need if need > 0.0 else inf

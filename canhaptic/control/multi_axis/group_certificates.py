@@ -153,7 +153,7 @@ def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_sp
 
 
 def _response_to(torques: Buffer, acting: Buffer, response: Buffer) -> float:
-    """Returns the largest response of W . D [J] to torques acting, for any inertia not below the declared."""
+    """Return the largest response of W . D [J] to torques acting, for any inertia not below the declared."""
     product = first = second = 0.0
     for i in range(len(response)):
         gain = response[i]
@@ -167,7 +167,7 @@ def _response_to(torques: Buffer, acting: Buffer, response: Buffer) -> float:
 def response_to_late(
     axes: AxisLimits, torques: Buffer, highest: Buffer, lowest: Buffer, held: Buffer, response: Buffer
 ) -> float:
-    """Returns the largest response of W . D [J] to older torques in a hold, beyond that to the torques held in it.
+    """Return the largest response of W . D [J] to older torques in a hold, beyond that to the torques held in it.
 
     Args:
         axes: Properties of the motor axes.
@@ -198,7 +198,7 @@ def pass_range(axes: AxisLimits, highest: Buffer, lowest: Buffer, held: Buffer) 
 
 
 def _hand_term(axes: AxisLimits, torques: Buffer) -> float:
-    """Returns how much the hand raises W . D in one hold [J]."""
+    """Return how much the hand raises W . D in one hold [J]."""
     total = 0.0
     for i in range(len(axes.before)):
         total += torques[i] * (axes.before[i] + axes.during[i]) * torques[i]
@@ -215,7 +215,7 @@ def along_last(axes: AxisLimits, torques: Buffer, displacement: Buffer, blur: Bu
 
 
 def _raised_by_friction(axes: AxisLimits, torques: Buffer, displacement: Buffer) -> float:
-    """Returns how much of W . D_0 the inward parts lose by friction in one hold [J], >= 0."""
+    """Return how much of W . D_0 the inward parts lose by friction in one hold [J], >= 0."""
     total = 0.0
     for i in range(len(axes.lost)):
         along = torques[i] * displacement[i] + abs(torques[i]) * axes.counts[i]
@@ -235,7 +235,7 @@ def base_of(
     axes: AxisLimits, torques: Buffer, displacement: Buffer, bound: float, last: Buffer, sent: Matrix, first: int,
     under_way: int, range_of: Acting,
 ) -> float:  # fmt: skip
-    """Returns the base of l W . D [J] for torques that act after those under way.
+    """Return the base of l W . D [J] for torques that act after those under way.
 
     Friction acts on what D_0 has left in every hold, axis by axis: where one axis moves inward and another outward,
     their sum says nothing of it. The responses to forces are bounded without friction.
@@ -281,12 +281,12 @@ def base_of(
 
 
 def _stretched(total: float, growth: float) -> float:
-    """Returns the largest that W . D can be in a hold of another length."""
+    """Return the largest that W . D can be in a hold of another length."""
     return total * growth if total > 0.0 else total / growth
 
 
 def taken_by_mover(torques: Buffer, moved: Buffer) -> float:
-    """Returns what a mover takes [J] in a hold, its motion given as one of the motors (axes,) [rad or m]."""
+    """Return what a mover takes [J] in a hold, its motion given as one of the motors (axes,) [rad or m]."""
     total = 0.0
     for i in range(len(moved)):
         total -= torques[i] * moved[i]
@@ -294,7 +294,7 @@ def taken_by_mover(torques: Buffer, moved: Buffer) -> float:
 
 
 def gain_of(axes: AxisLimits, torques: Buffer) -> float:
-    """Returns the gain of l W . D [J] by the torques themselves."""
+    """Return the gain of l W . D [J] by the torques themselves."""
     total = 0.0
     for i in range(len(axes.during)):
         total += torques[i] * axes.during[i] * torques[i]
@@ -302,7 +302,7 @@ def gain_of(axes: AxisLimits, torques: Buffer) -> float:
 
 
 def damping_need(axes: AxisLimits, torques: Buffer) -> float:
-    """Returns sum(F_i^2 (T + theta_i) / 4 b_i) [J]."""
+    """Return sum(F_i^2 (T + theta_i) / 4 b_i) [J]."""
     total = 0.0
     for i in range(len(axes.damping)):
         total += torques[i] * torques[i] / axes.squares[i]
@@ -310,7 +310,7 @@ def damping_need(axes: AxisLimits, torques: Buffer) -> float:
 
 
 def path_need(axes: AxisLimits, torques: Buffer) -> float:
-    """Returns sum |F_i| v_max (T + theta) [J]."""
+    """Return sum |F_i| v_max (T + theta) [J]."""
     total = 0.0
     for torque in torques:
         total += abs(torque)

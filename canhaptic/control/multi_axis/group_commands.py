@@ -31,7 +31,7 @@ class GroupHolds(NamedTuple):
 
 
 def no_group_commands(axes: int, ports: int, delay: int) -> GroupCommands:
-    """Returns the commands of a group at rest."""
+    """Return the commands of a group at rest."""
     rows = delay + 1
     return GroupCommands(
         zeros(rows, axes), zeros(rows, axes), zeros(rows, axes), zeros(rows, ports), list_of_zeros(rows)
@@ -39,7 +39,7 @@ def no_group_commands(axes: int, ports: int, delay: int) -> GroupCommands:
 
 
 def no_group_holds(axes: int, delay: int) -> GroupHolds:
-    """Returns the buffers of the holds that ended."""
+    """Return the buffers of the holds that ended."""
     one = list_of_zeros
     return GroupHolds(one(axes), one(axes), one(axes), zeros(delay + 1, axes), one(axes))
 
@@ -88,12 +88,12 @@ def end_holds(
 
 
 def next_place(commands: GroupCommands, place: int) -> int:
-    """Returns the place after another in the rings."""
+    """Return the place after another in the rings."""
     return place + 1 if place + 1 < len(commands.power) else 0
 
 
 def take_applied(commands: GroupCommands, place: int, applied: Buffer) -> None:
-    """Makes the efforts of a command those inside torques that were not applied as sent: in proportion, by axis."""
+    """Make the efforts of a command those inside torques that were not applied as sent: in proportion, by axis."""
     torques, sent, along = commands.torques[place], 0.0, 0.0
     for i in range(len(applied)):
         torque = torques[i]
@@ -110,19 +110,19 @@ def take_applied(commands: GroupCommands, place: int, applied: Buffer) -> None:
 
 
 def share_of(part: float, whole: float) -> float:
-    """Returns part / whole, between 0 and 1; 0 of nothing."""
+    """Return part / whole, between 0 and 1; 0 of nothing."""
     return min(1.0, max(0.0, part / whole)) if whole != 0.0 else 0.0
 
 
 def torque_held(ended: GroupHolds, hold: int, missed: int, axis: int) -> float:
-    """Returns the torque sent for one of the holds that ended, the first of them being 0 [N*m or N]."""
+    """Return the torque sent for one of the holds that ended, the first of them being 0 [N*m or N]."""
     if hold >= missed:
         return ended.applied[axis]
     return ended.lost[min(hold, len(ended.lost) - 1)][axis]
 
 
 def send_nothing(commands: GroupCommands, place: int) -> int:
-    """Puts no torque at a place; returns the place of the next oldest command."""
+    """Put no torque at a place; return the place of the next oldest command."""
     for i in range(len(commands.torques[place])):
         commands.torques[place][i] = commands.dampers[place][i] = commands.modulated[place][i] = 0.0
     for j in range(len(commands.ports[place])):
@@ -132,7 +132,7 @@ def send_nothing(commands: GroupCommands, place: int) -> int:
 
 
 def norm(values: Sequence[float]) -> float:
-    """Returns the Euclidean norm."""
+    """Return the Euclidean norm."""
     total = 0.0
     for value in values:
         total += value * value

@@ -27,7 +27,7 @@ class GroupBalance(NamedTuple):
 
 
 def group_at_rest(axes: int) -> GroupBalance:
-    """Returns the balance of the first call after a reset: nothing held, nothing stored."""
+    """Return the balance of the first call after a reset: nothing held, nothing stored."""
     zeros = (0.0,) * axes
     return GroupBalance(zeros, AT_REST, zeros)
 
@@ -42,10 +42,10 @@ class GroupController(Protocol):
     axes: int
 
     def reset(self) -> None:
-        """Forgets everything: zero stored energy, no torque in flight, no last positions."""
+        """Forget everything: zero stored energy, no torque in flight, no last positions."""
 
     def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
-        """Books the hold that just ended and returns the account with the torques for the next free hold.
+        """Book the hold that just ended and return the account with the torques for the next free hold.
 
         The first call after `reset` only takes the positions: its balance is all zero.
 
@@ -58,7 +58,7 @@ class GroupController(Protocol):
         """
 
     def hold(self) -> GroupBalance:
-        """Returns the balance of a SYNC at which the sample of any axis was lost: the last commands, of displays zeros.
+        """Return the balance of a SYNC at which the sample of any axis was lost: the last commands, of displays zeros.
 
         Nothing is booked; the next `step` books one displacement of all axes over several holds at its worst.
         """
@@ -68,7 +68,7 @@ class NetworkEnvironment(Protocol):
     """An environment as a scene names it: the parameters of a network, built for a task space of a given dimension."""
 
     def build(self, dimensions: int) -> Any:
-        """Returns the network with its geometry.
+        """Return the network with its geometry.
 
         Args:
             dimensions: Number of dimensions of task space.

@@ -89,7 +89,7 @@ def group_loop(world: World, loops: tuple[LoopProperties, ...]) -> GroupLoop:
 
 
 def group_memory(world: World, loop: GroupLoop, ports: int) -> GroupMemory:
-    """Returns the buffers of a group at rest; `ports` of the commands are kept."""
+    """Return the buffers of a group at rest; `ports` of the commands are kept."""
     axes = len(loop.caps)
     return GroupMemory(
         no_group_commands(axes, ports, loop.delay), no_group_holds(axes, loop.delay), motion_memory(world, loop.motion)

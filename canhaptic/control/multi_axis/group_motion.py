@@ -151,7 +151,7 @@ def motion_memory(world: World, settings: MotionSettings) -> MotionMemory:
 def begin_motion(
     world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer
 ) -> None:
-    """Takes the first positions, of a state at rest."""
+    """Take the first positions, of a state at rest."""
     motion.elapsed = settings.sample_time
     for i in range(len(positions)):
         if settings.counts[i] > 0.0:
@@ -166,7 +166,7 @@ def follow(
     world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer,
     displacement: Buffer, holds: int,
 ) -> None:  # fmt: skip
-    """Takes positions and the motion since the last ones, and lets the network follow them."""
+    """Take positions and the motion since the last ones, and let the network follow them."""
     move(world, settings, motion, memory, positions, displacement, holds)
     motion.internal, motion.entered = 0.0, 1.0
     if not motion.located:
@@ -191,7 +191,7 @@ def move(
     world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer,
     displacement: Buffer, holds: int,
 ) -> None:  # fmt: skip
-    """Takes positions and the motion since the last ones, over one hold or several; the network stays.
+    """Take positions and the motion since the last ones, over one hold or several; the network stays.
 
     Args:
         world: Network and kinematics of the group.
@@ -217,7 +217,7 @@ def move(
 
 
 def settle_motion(motion: GroupMotion) -> None:
-    """Takes energy and engagement of the network."""
+    """Take energy and engagement of the network."""
     motion.energy = motion.network.energy
     motion.engaged = motion.network.engaged and motion.limit == _NONE
 
@@ -248,7 +248,7 @@ def locate(
 def measure_velocity(
     settings: MotionSettings, memory: MotionMemory, positions: Buffer, displacement: Buffer, holds: int
 ) -> None:
-    """Takes the velocity of the motor axes."""
+    """Take the velocity of the motor axes."""
     elapsed = holds * settings.sample_time
     for i in range(len(positions)):
         velocity, count = displacement[i] / elapsed, settings.counts[i]
@@ -264,7 +264,7 @@ def measure_velocity(
 
 
 def mover_motion(world: World, settings: MotionSettings, first: int, last: int) -> float:
-    """Returns the mover's motion from one sample to another [m or rad]."""
+    """Return the mover's motion from one sample to another [m or rad]."""
     if not settings.moves:
         return 0.0
     before = moved_by(world.mover, first * settings.sample_time)
@@ -323,7 +323,7 @@ def write_efforts(
 def write_springs(
     world: World, motion: GroupMotion, memory: MotionMemory, lead: float, way: Buffer, wish: RequestedEfforts
 ) -> None:
-    """Writes the efforts of the springs now, and their change until the motors are at the predicted positions.
+    """Write the efforts of the springs now, and their change until the motors are at the predicted positions.
 
     Args:
         world: Network and kinematics of the group.
@@ -352,7 +352,7 @@ def to_ports(memory: MotionMemory, moved: Buffer, carried: float, into: Buffer) 
 
 
 def write_port_motion(settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, into: Buffer) -> None:
-    """Writes the motion of the ports in one hold, from the smoothed velocity where an encoder is coarse."""
+    """Write the motion of the ports in one hold, from the smoothed velocity where an encoder is coarse."""
     holds = motion.holds
     for j in range(len(into)):
         if settings.smooth:
@@ -365,7 +365,7 @@ def write_port_motion(settings: MotionSettings, motion: GroupMotion, memory: Mot
 
 
 def to_motors(memory: MotionMemory, efforts: Buffer, into: Buffer) -> None:
-    """Writes the efforts at the motors [N*m or N] of efforts at the ports."""
+    """Write the efforts at the motors [N*m or N] of efforts at the ports."""
     for axis in range(len(into)):
         into[axis] = 0.0
     for j in range(len(efforts)):

@@ -39,7 +39,7 @@ def render(
     memory: GuardedGroupMemory,
     under_way: UnderWay,
 ) -> Rendering:
-    """Sends the torques for the next free hold."""
+    """Send the torques for the next free hold."""
     group, commands, wish = state.group, memory.group.commands, memory.wish
     place = group.oldest
     if not group.motion.engaged:
@@ -156,7 +156,7 @@ def certify(
     most: float,
     covered: bool,
 ) -> tuple[float, int]:
-    """Writes the torques to send; returns their share of those asked for, and the certificate."""
+    """Write the torques to send; return their share of those asked for, and the certificate."""
     torques, sent = memory.torques, memory.sent
     if not acts(torques):
         for i in range(len(sent)):
@@ -181,7 +181,7 @@ def certify(
 
 
 def acts(torques: Buffer) -> bool:
-    """Returns whether any torque is not zero."""
+    """Return whether any torque is not zero."""
     for torque in torques:
         if torque != 0.0:
             return True
@@ -196,7 +196,7 @@ def put_on_grid(
     energy: float,
     factor: float,
 ) -> float:
-    """Writes torques rounded towards 0 to what the drives apply, and certified as such; returns their share.
+    """Write torques rounded towards 0 to what the drives apply, and certified as such; return their share.
 
     Rounding one axis alone is safe; of several it turns the force a little, so that the certificate is asked again.
     """
@@ -221,7 +221,7 @@ def put_on_grid(
 def write_dampers(
     settings: GuardedGroupSettings, state: GuardedGroupState, memory: GuardedGroupMemory, share: float
 ) -> float:
-    """Writes the efforts of the damper and of the modulated one (eq. 19); returns the damping rendered."""
+    """Write the efforts of the damper and of the modulated one (eq. 19); return the damping rendered."""
     wish, damper, modulated, h_dis = memory.wish, memory.damper, memory.modulated, state.account.h_dis
     square = along = extra = 0.0
     for i in range(len(damper)):
@@ -285,7 +285,7 @@ def shares_of_wish(
 def permitted_square(
     settings: GuardedGroupSettings, state: GuardedGroupState, memory: GuardedGroupMemory, size: float, energy: float
 ) -> float:
-    """Returns the square of the share of the springs that the account covers; may be above 1."""
+    """Return the square of the share of the springs that the account covers; may be above 1."""
     wish, account = memory.wish, state.account
     if size == 0.0:
         return 1.0
@@ -312,7 +312,7 @@ def permitted_square(
 
 
 def capped_norm(efforts: Buffer, caps: Buffer) -> float:
-    """Returns the norm of efforts in which every axis has its own damping cap."""
+    """Return the norm of efforts in which every axis has its own damping cap."""
     total = 0.0
     for i in range(len(efforts)):
         total += efforts[i] * efforts[i] / caps[i]

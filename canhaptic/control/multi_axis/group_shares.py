@@ -45,7 +45,7 @@ class UnderWay(NamedTuple):
 def worst_case(
     settings: AccountSettings, memory: AccountMemory, torques: Buffer, under_way: UnderWay, count: int
 ) -> float:
-    """Returns the base of torques that act after some of those under way [J]; see `base_of`."""
+    """Return the base of torques that act after some of those under way [J]; see `base_of`."""
     axes, sent, first = settings.axes, under_way.torques, under_way.first
     along = along_last(axes, torques, memory.displacement, memory.blur)
     if not axes.timing.is_ideal:
@@ -54,7 +54,7 @@ def worst_case(
 
 
 def extraction_of(settings: AccountSettings, memory: AccountMemory, under_way: UnderWay, hold: int) -> float:
-    """Returns the most energy [J] that the torques of one of the holds under way may take out in it."""
+    """Return the most energy [J] that the torques of one of the holds under way may take out in it."""
     axes, torques = settings.axes, under_way.torques[under_way.first + hold]
     taken = worst_case(settings, memory, torques, under_way, hold) + gain_of(axes, torques)
     if not axes.timing.is_ideal:
@@ -72,7 +72,7 @@ def moved_at_most(settings: AccountSettings, memory: AccountMemory, under_way: U
 
 
 def needed_under_way(settings: AccountSettings, memory: AccountMemory, under_way: UnderWay) -> float:
-    """Returns the most energy [J] that the torques under way may give out to a hand within its force."""
+    """Return the most energy [J] that the torques under way may give out to a hand within its force."""
     worst = given = 0.0
     for hold in range(under_way.holds):
         given += extraction_of(settings, memory, under_way, hold)
@@ -156,7 +156,7 @@ def shares(
 def by_hand_force(
     settings: AccountSettings, memory: AccountMemory, under_way: UnderWay, torques: Buffer, energy: float, moved: float
 ) -> float:
-    """Returns the share by hand force; up to 1 where torques come late, see `late_group`.
+    """Return the share by hand force; up to 1 where torques come late, see `late_group`.
 
     `moved` is what a mover takes of the torques [J]; the other arguments are those of `shares`.
     """
@@ -183,7 +183,7 @@ def by_hand_force(
 
 
 def share_beyond(energy: float, base: float, gain: float, late: LateShare, size: float) -> float:
-    """Returns the share, up to `size`, of torques beyond what the older ones give out.
+    """Return the share, up to `size`, of torques beyond what the older ones give out.
 
     `late` is that of `size`, its constant no more than the energy; `base` and `gain` are those of all of the torques.
     """
@@ -194,7 +194,7 @@ def share_beyond(energy: float, base: float, gain: float, late: LateShare, size:
 def share_in_debt(
     axes: AxisLimits, memory: AccountMemory, under_way: UnderWay, torques: Buffer, base: float, gain: float
 ) -> float:
-    """Returns the share of torques that takes energy in for certain, where older ones may give out more than there is.
+    """Return the share of torques that takes energy in for certain, where older ones may give out more than there is.
 
     `memory.now` is the range at the SYNC of the torques; the other arguments are those of `by_hand_force`.
     """
@@ -203,7 +203,7 @@ def share_in_debt(
 
 
 def damping_need_of(axes: AxisLimits, squares: Buffer) -> float:
-    """Returns sum((T + theta_i) / 4 b_i times the sum of squares of an axis) [J]."""
+    """Return sum((T + theta_i) / 4 b_i times the sum of squares of an axis) [J]."""
     total = 0.0
     for i in range(len(squares)):
         total += squares[i] / axes.squares[i]
@@ -211,7 +211,7 @@ def damping_need_of(axes: AxisLimits, squares: Buffer) -> float:
 
 
 def size_of(values: Buffer) -> float:
-    """Returns the sum of values."""
+    """Return the sum of values."""
     total = 0.0
     for value in values:
         total += value

@@ -45,7 +45,7 @@ def step(
     positions: Buffer,
     torques_applied: Buffer,
 ) -> GroupHold:
-    """Accounts for the hold that ended; see `GroupKernel`."""
+    """Account for the hold that ended; see `GroupKernel`."""
     group, motion, ended, commands = state.group, state.group.motion, memory.group.ended, memory.group.commands
     if not group.started:
         begin(world, settings, state, memory, positions)
@@ -80,7 +80,7 @@ def begin(
     memory: GuardedGroupMemory,
     positions: Buffer,
 ) -> None:
-    """Takes the first positions, of a group at rest."""
+    """Take the first positions, of a group at rest."""
     group, motion, loop = state.group, memory.group.motion, settings.loop.motion
     group.started = True
     for i in range(len(positions)):
@@ -164,7 +164,7 @@ def book(
     h_pas: float,
     lost: float,
 ) -> tuple[float, float, float, float]:
-    """Books one hold into store and surplus; returns (h_r, deficit, leak, paid) [J].
+    """Book one hold into store and surplus; return (h_r, deficit, leak, paid) [J].
 
     Args:
         settings: Constants of the run.

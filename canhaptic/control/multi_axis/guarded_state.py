@@ -140,7 +140,7 @@ def _require_certificates(axes: AxisLimits, loops: tuple[LoopProperties, ...]) -
 
 
 def memory_of(world: World, settings: GuardedGroupSettings) -> GuardedGroupMemory:
-    """Returns the buffers of a group at rest."""
+    """Return the buffers of a group at rest."""
     axes, one, limits = len(settings.quanta), list_of_zeros, settings.account.apart
     return GuardedGroupMemory(
         group_memory(world, settings.loop, 0), account_memory(limits), [PredictedMotion() for _ in settings.quanta],

@@ -68,7 +68,7 @@ def copy_range(axes: AxisLimits, memory: AccountMemory, ended: bool) -> None:
 def norms_of(
     axes: AxisLimits, memory: AccountMemory, under_way: Matrix, first: int, holds: int, torques: Buffer, size: float
 ) -> Norms:
-    """Returns the norms of torques under way, and the part of W that l = 1 replaces."""
+    """Return the norms of torques under way, and the part of W that l = 1 replaces."""
     total = added = 0.0
     for i in range(len(torques)):
         most = max(abs(memory.torques[i]), memory.before.highest[i], -memory.before.lowest[i])
@@ -81,7 +81,7 @@ def norms_of(
 
 
 def reach_of(axes: AxisLimits, memory: AccountMemory, i: int, sign: float, hold: int, norm: float) -> float:
-    """Returns X of an axis in a hold from now, the next being 1 [rad or m]; see (2)."""
+    """Return X of an axis in a hold from now, the next being 1 [rad or m]; see (2)."""
     timing = axes.timing
     share, step, before = timing.share[i], timing.roots[i] * norm, hold - 1
     start = sign * memory.displacement[i] + axes.counts[i] + memory.blur[i]
@@ -204,7 +204,7 @@ def given_in_debt(
 
 
 def older_size(axes: AxisLimits, memory: AccountMemory, torques: Buffer) -> float:
-    """Returns the size of the older torques at the SYNC of W over that of W, in the norm |f|_P."""
+    """Return the size of the older torques at the SYNC of W over that of W, in the norm |f|_P."""
     older = size = 0.0
     for i in range(len(torques)):
         most = max(memory.now.highest[i], -memory.now.lowest[i])

@@ -54,7 +54,7 @@ def take_sent(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, displacement: Buffer, blur: Buffer,
     torques: Buffer, under_way: Matrix, first: int, older: Acting,
 ) -> None:  # fmt: skip
-    """Takes the hold that ended and the torques that may still act.
+    """Take the hold that ended and the torques that may still act.
 
     Args:
         axes: Properties of the motor axes.
@@ -85,7 +85,7 @@ def take_sent(
 
 
 def write_largest(limits: PerAxisLimits, memory: PerAxisMemory) -> None:
-    """Writes the largest torques that may act in each hold, of those sent, >= 0."""
+    """Write the largest torques that may act in each hold, of those sent, >= 0."""
     for index in range(limits.holds):
         for i in range(len(memory.largest)):
             up = down = 0.0
@@ -95,7 +95,7 @@ def write_largest(limits: PerAxisLimits, memory: PerAxisMemory) -> None:
 
 
 def take_older(axes: AxisLimits, memory: PerAxisMemory, older: Acting, axis: int) -> None:
-    """Takes the range of the torques of an axis at the last SYNC, holds of any length, and friction within them."""
+    """Take the range of the torques of an axis at the last SYNC, holds of any length, and friction within them."""
     highest, lowest = older.highest[axis], older.lowest[axis]
     memory.older.highest[axis], memory.older.lowest[axis] = highest, lowest
     memory.largest[axis] = max(memory.largest[axis], highest, -lowest)
@@ -106,12 +106,12 @@ def take_older(axes: AxisLimits, memory: PerAxisMemory, older: Acting, axis: int
 
 
 def first_of(limits: PerAxisLimits, hold: int) -> int:
-    """Returns the row of the oldest torques that may act in a hold, the next one being 1."""
+    """Return the row of the oldest torques that may act in a hold, the next one being 1."""
     return max(0, hold - limits.losses)
 
 
 def end_of(limits: PerAxisLimits, hold: int) -> int:
-    """Returns the row after that of the newest torques under way that may act in a hold."""
+    """Return the row after that of the newest torques under way that may act in a hold."""
     return min(hold, limits.delay) + 1
 
 
@@ -232,13 +232,13 @@ def given_at_most(limits: PerAxisLimits, memory: PerAxisMemory, share: float) ->
 
 
 def needed_by_hand(axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix) -> float:
-    """Returns the most energy [J] that the torques under way may give out to a hand within its declared force."""
+    """Return the most energy [J] that the torques under way may give out to a hand within its declared force."""
     write_cells(axes, limits, memory, coming, memory.nothing, memory.nothing)
     return given_at_most(limits, memory, 0.0)[0]
 
 
 def largest_share(limits: PerAxisLimits, memory: PerAxisMemory, budget: float) -> float:
-    """Returns the largest l <= 1 at which the cells sum to no more than the budget [J]; 0 where none is found."""
+    """Return the largest l <= 1 at which the cells sum to no more than the budget [J]; 0 where none is found."""
     share = 1.0
     for _ in range(_PASSES):
         fixed, linear, square = given_at_most(limits, memory, share)
@@ -255,7 +255,7 @@ def largest_share(limits: PerAxisLimits, memory: PerAxisMemory, budget: float) -
 def share_by_hand(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torques: Buffer, budget: float
 ) -> float:
-    """Returns the largest share l <= 1 of new torques within a budget [J]; 0 where none is.
+    """Return the largest share l <= 1 of new torques within a budget [J]; 0 where none is.
 
     Args:
         axes: Properties of the motor axes.

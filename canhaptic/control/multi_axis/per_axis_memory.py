@@ -56,7 +56,7 @@ def per_axis_limits(axes: AxisLimits, delay: int, losses: int) -> PerAxisLimits:
 
 
 def per_axis_memory(limits: PerAxisLimits) -> PerAxisMemory:
-    """Returns empty buffers."""
+    """Return empty buffers."""
     axes, one = len(limits.roots), list_of_zeros
     cells, pieces = limits.holds * axes, (limits.delay + 2) * limits.holds * axes
     if limits.is_late:

@@ -20,7 +20,7 @@ _HELD = Branch.HELD.value
 
 
 def interpreted_run(kernel: GroupKernel, world: World, settings: Any) -> Callable[[], GroupRun]:
-    """Returns the function that begins an interpreted run."""
+    """Return the function that begins an interpreted run."""
     fixed = with_quick_fields(world), with_quick_fields(settings)
 
     def begin() -> GroupRun:
@@ -49,7 +49,7 @@ class SteppedGroup:
         parameters: Any,
         loops: tuple[LoopProperties, ...],
     ) -> None:
-        """Prepares a run; `parameters` is of `parameters_type`.
+        """Prepare a run; `parameters` is of `parameters_type`.
 
         Raises:
             ParameterError: Parts do not fit together, or the algorithm cannot do without something that is not known.
@@ -61,7 +61,7 @@ class SteppedGroup:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets everything; see `GroupController`."""
+        """Forget everything; see `GroupController`."""
         self._step, self._torques, self._interactions, self._withhold = self._begin()
         self._missed = self._newest = 0
         self.energy_resolution = 0.0
@@ -90,7 +90,7 @@ class SteppedGroup:
         self._withhold(self._newest)
 
     def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
-        """Books the hold that ended; see `GroupController`."""
+        """Book the hold that ended; see `GroupController`."""
         total = 0.0
         for value in (*positions, *torques_applied):
             total += value - value  # 0, or NaN where it is not finite

@@ -37,7 +37,7 @@ ALGORITHMS: Final[dict[str, str]] = {
 def build_controller(
     environment: Environment, algorithm_name: str, parameters: Parameters | None, loop: LoopProperties
 ) -> Controller:
-    """Returns a controller of one axis, at rest and without stored energy.
+    """Return a controller of one axis, at rest and without stored energy.
 
     Args:
         environment: Environment to render.

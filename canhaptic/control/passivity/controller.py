@@ -73,7 +73,7 @@ class Controller(Protocol):
         """
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Books the hold that just ended and returns the account with the torque for the next free hold.
+        """Book the hold that just ended and return the account with the torque for the next free hold.
 
         The first call after `reset` only takes the position: its balance is all zero.
 

@@ -48,7 +48,7 @@ _EXIT, _UNBOUNDED = Branch.EXIT.value, Certificate.EXACT.value
 def step(
     environment: Environment, run: Run[GuardedSettings, GuardedState, Memory], position: float, torque_applied: float
 ) -> EnergyBalance:
-    """Accounts for the hold that ended; see `Controller.step`."""
+    """Account for the hold that ended; see `Controller.step`."""
     settings, state, memory = run.settings, run.state, run.memory
     zone, zone_before, axis = environment.contact(position), state.zone, state.axis
     state.zone = zone
@@ -91,7 +91,7 @@ def step(
 def start(
     environment: Environment, settings: GuardedSettings, state: GuardedState, memory: Memory, position: float
 ) -> EnergyBalance:
-    """Takes the first position [m or rad]; returns the balance of a step that books nothing."""
+    """Take the first position [m or rad]; return the balance of a step that books nothing."""
     begin(state.axis, memory.axis, position)
     state.bound.out = settings.outside if settings.drag > 0.0 else 0.0
     if state.zone:
@@ -100,7 +100,7 @@ def start(
 
 
 def way_out(environment: Environment, true: float) -> float:
-    """Returns the direction out of a contact, 1 or -1; 0 where its storage works both ways and it has none."""
+    """Return the direction out of a contact, 1 or -1; 0 where its storage works both ways and it has none."""
     if environment.admissible(-true, true) == -true:
         return 0.0
     return 1.0 if true < 0.0 else -1.0
@@ -110,7 +110,7 @@ def motion_inside(
     environment: Environment, settings: GuardedSettings, axis: Axis, travel: float, displacement: float, holds: float,
     true: float, same: bool,
 ) -> tuple[float, float]:  # fmt: skip
-    """Returns the motion of storage and damper in a hold [m or rad], the smooth one where an encoder is coarse.
+    """Return the motion of storage and damper in a hold [m or rad], the smooth one where an encoder is coarse.
 
     Args:
         environment: Environment rendered.

@@ -47,7 +47,7 @@ class Memory(NamedTuple):
 
 
 def memory_of(settings: GuardedSettings, make_buffer: MakeBuffer) -> Memory:
-    """Returns the buffers of one axis."""
+    """Return the buffers of one axis."""
     axis = axis_memory(settings.declared.delay, settings.longest_window, make_buffer)
     return Memory(axis, bound_memory(settings.declared, axis.commands.torques, make_buffer))
 
@@ -113,7 +113,7 @@ def book(
     damped: float,
     ceiling: float,
 ) -> tuple[float, float, float, float]:
-    """Books one hold into store and surplus; returns (h_r, deficit, leak, paid) [J].
+    """Book one hold into store and surplus; return (h_r, deficit, leak, paid) [J].
 
     Args:
         settings: Constants of the run.
@@ -144,7 +144,7 @@ def book(
 def relax(
     environment: Environment, settings: GuardedSettings, state: GuardedState, true: float, ceiling: float, holds: float
 ) -> tuple[float, float, float]:
-    """Returns (state, energy there, energy dissipated) after internal relaxation for some holds [m or rad, J, J]."""
+    """Return (state, energy there, energy dissipated) after internal relaxation for some holds [m or rad, J, J]."""
     relaxed = environment.relaxed(true, holds * settings.sample_time)
     left = environment.stored_energy(relaxed)
     lost = min(state.h_s, max(0.0, ceiling - left))

@@ -207,7 +207,7 @@ def calm_stiffness_of(loop: LoopProperties) -> float:
 
 
 def hand_response(parameters: GuardedParameters, loop: LoopProperties) -> DisplacementResponse:
-    """Returns the response of the hand-force certificate; `NO_RESPONSE` where that is not declared.
+    """Return the response of the hand-force certificate; `NO_RESPONSE` where that is not declared.
 
     Raises:
         ParameterError: The damping of the device has no upper bound.

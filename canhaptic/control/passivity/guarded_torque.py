@@ -24,7 +24,7 @@ def render(
     environment: Environment, settings: GuardedSettings, state: GuardedState, memory: Memory, true: float,
     spring: float, ceiling: float, travel: float, inside: float, moved: float, same: bool,
 ) -> tuple[float, float, float, float, int]:  # fmt: skip
-    """Returns (torque for the next free hold, damper and modulated effort in it, damping rendered, certificate).
+    """Return (torque for the next free hold, damper and modulated effort in it, damping rendered, certificate).
 
     Args:
         environment: Environment rendered.
@@ -114,7 +114,7 @@ def certain_energy(state: GuardedState, energy: float) -> float:
 
 
 def within_limits(settings: GuardedSettings, newest: float, sign: float, moved: float) -> float:
-    """Returns the largest torque along `sign` that the limiter lets pass [N or N*m]; see `drive.profile.limiter`.
+    """Return the largest torque along `sign` that the limiter lets pass [N or N*m]; see `drive.profile.limiter`.
 
     What it cuts after a torque was certified would take energy in no more on which the next one counts.
 
@@ -146,7 +146,7 @@ def efforts(
     energy: float,
     ceiling: float,
 ) -> tuple[float, float, float, bool]:
-    """Returns efforts of spring, lead and damper [N or N*m], and whether the account covers all of them."""
+    """Return efforts of spring, lead and damper [N or N*m], and whether the account covers all of them."""
     damper, size, speed = settings.damping * velocity, abs(spring), abs(velocity)
     room, led = settings.cap * speed, settings.calm * abs(ahead)
     if abs(damper) > room:
@@ -174,7 +174,7 @@ def efforts(
 def energy_permitted(
     settings: GuardedSettings, bound: TorqueBound, whole: float, energy: float, ceiling: float
 ) -> float:
-    """Returns the square of the largest effort of a spring that the account covers [N^2 or N^2*m^2].
+    """Return the square of the largest effort of a spring that the account covers [N^2 or N^2*m^2].
 
     Args:
         settings: Constants of the run.
@@ -197,7 +197,7 @@ def energy_permitted(
 
 
 def drag(settings: GuardedSettings, state: GuardedState, memory: Memory, moved: float) -> tuple[float, int]:
-    """Returns the torque out of contact and its certificate: a drag, until enough is earned [N or N*m].
+    """Return the torque out of contact and its certificate: a drag, until enough is earned [N or N*m].
 
     Args:
         settings: Constants of the run.

@@ -80,7 +80,7 @@ def hold_settings(parameters: DamperVelocity, loop: LoopProperties, certificate:
 
 
 def axis_memory(delay: int, longest_window: int, make_buffer: MakeBuffer) -> AxisMemory:
-    """Returns the buffers of one axis.
+    """Return the buffers of one axis.
 
     Args:
         delay: Whole holds between computation and action.
@@ -98,19 +98,19 @@ class _WithHold(Protocol):
 
 
 def hold_memory(settings: _WithHold, make_buffer: MakeBuffer) -> AxisMemory:
-    """Returns the buffers of one axis of an algorithm that needs no others."""
+    """Return the buffers of one axis of an algorithm that needs no others."""
     return axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
 
 
 def begin(axis: Axis, memory: AxisMemory, position: float) -> None:
-    """Takes the first position [m or rad]."""
+    """Take the first position [m or rad]."""
     axis.started, axis.position, axis.missed, axis.lasted, axis.h_dis = True, position, 0, 1.0, 0.0
     if len(memory.samples) > 0:
         restart(axis.window, memory.samples, position)
 
 
 def open_hold(settings: HoldSettings, axis: Axis, memory: AxisMemory, position: float, torque_applied: float) -> Hold:
-    """Returns the hold that ended.
+    """Return the hold that ended.
 
     Args:
         settings: Constants of the run.
@@ -173,7 +173,7 @@ def close_hold(
     state: float,
     h_s: float,
 ) -> EnergyBalance:
-    """Sends a command of given efforts (spring, damper, modulated) and returns the balance of the hold.
+    """Send a command of given efforts (spring, damper, modulated) and return the balance of the hold.
 
     Args:
         settings: Constants of the run.

@@ -27,12 +27,12 @@ class Commands(NamedTuple):
 
 
 def no_commands(delay: int, make_buffer: MakeBuffer) -> Commands:
-    """Returns the commands of an axis at rest."""
+    """Return the commands of an axis at rest."""
     return Commands(make_buffer(delay + 1), make_buffer(delay + 1), make_buffer(delay + 1))
 
 
 def send(commands: Commands, oldest: int, torque: float, damper: float, modulated: float) -> int:
-    """Puts a command in the place of the one whose hold ended; returns the place of the next oldest."""
+    """Put a command in the place of the one whose hold ended; return the place of the next oldest."""
     commands.torques[oldest] = torque
     commands.dampers[oldest] = damper
     commands.modulated[oldest] = modulated
@@ -52,7 +52,7 @@ def as_far_as_limit(torque: float, torque_limit: float) -> float:
 
 
 def towards_zero(torque: float, quantum: float) -> float:
-    """Returns a torque rounded towards 0 to the grid of a drive [N or N*m]; 0 is an ideal one."""
+    """Return a torque rounded towards 0 to the grid of a drive [N or N*m]; 0 is an ideal one."""
     if quantum == 0.0:
         return torque
     steps = torque / quantum
@@ -60,7 +60,7 @@ def towards_zero(torque: float, quantum: float) -> float:
 
 
 def efforts_inside(commands: Commands, oldest: int, torque_applied: float) -> tuple[float, float]:
-    """Returns the damper and modulated effort inside the torque that was applied in the hold that ended [N or N*m].
+    """Return the damper and modulated effort inside the torque that was applied in the hold that ended [N or N*m].
 
     A clipped torque scales both in proportion.
     """

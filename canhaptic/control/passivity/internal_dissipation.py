@@ -68,7 +68,7 @@ def touch(
     hold: Hold,
     entered: bool,
 ) -> HoldAccount:
-    """Accounts for a hold that ended in contact.
+    """Account for a hold that ended in contact.
 
     After a start the user does not feel a torque before `delay` more holds have ended. Until then nothing can be
     exchanged, and the first-order approximation goes on.
@@ -85,7 +85,7 @@ def touch(
 
 
 def exchange(environment: Environment, settings: StoredModelSettings[Any], storage: Storage, hold: Hold) -> HoldAccount:
-    """Solves eq. 8 for the state change and takes it; eq. 18 where there is no solution."""
+    """Solve eq. 8 for the state change and take it; eq. 18 where there is no solution."""
     damper, h_m = hold.damper, hold.h_i - hold.h_pas
     change = solve(environment, settings, storage, hold.displacement, damper, h_m)
     if damper * change < 0.0:
@@ -106,7 +106,7 @@ def solve(
     environment: Environment, settings: StoredModelSettings[Any], storage: Storage, displacement: float, damper: float,
     h_m: float,
 ) -> float:  # fmt: skip
-    """Returns the state change of eq. 8 [m or rad], or NaN (eq. 17)."""
+    """Return the state change of eq. 8 [m or rad], or NaN (eq. 17)."""
     if settings.is_linear:
         stiffness = settings.stiffness
         return solve_balance(stiffness, stiffness * storage.state + damper, h_m, displacement)

@@ -76,7 +76,7 @@ def respond(run: SampledRun[PassivityObserverParameters, ObserverState], hold: H
 
 
 def controlling_damping(limit: float, missing: float, hold: Hold) -> float:
-    """Returns the damping [N*s/m or N*m*s/rad] that wins back an energy below zero [J] in one hold like the last."""
+    """Return the damping [N*s/m or N*m*s/rad] that wins back an energy below zero [J] in one hold like the last."""
     displacement = hold.displacement
     if missing >= 0.0 or displacement == 0.0:
         return 0.0

@@ -71,7 +71,7 @@ def prediction_settings(
 
 
 def observe(settings: PredictionSettings, motion: PredictedMotion, displacement: float, torque: float) -> None:
-    """Takes the hold that ended: displacement [m or rad] and the torque held in it [N or N*m]."""
+    """Take the hold that ended: displacement [m or rad] and the torque held in it [N or N*m]."""
     gain, step, noise = settings.gain, motion.step, settings.noise
     push = gain * torque + motion.push - settings.lost * step
     error = displacement - step - 0.5 * push

@@ -20,7 +20,7 @@ _SMALLEST_STEP: Final = 1e-16  # of the root: below half a unit in its last plac
 
 
 def discriminant(effort: float, product: float, energy: float) -> float:
-    """Returns effort^2 + product * energy, accurate to its last bits although the two terms may cancel."""
+    """Return effort^2 + product * energy, accurate to its last bits although the two terms may cancel."""
     square = effort * effort
     other = product * energy
     total = square + other
@@ -45,7 +45,7 @@ def _product_error(a: float, b: float, product: float) -> float:
 
 
 def solve_balance(stiffness: float, effort: float, energy: float, displacement: float) -> float:
-    """Returns the root nearest zero of k dx^2 / 2 + b dx = H [m or rad], or NaN where no state change balances.
+    """Return the root nearest zero of k dx^2 / 2 + b dx = H [m or rad], or NaN where no state change balances.
 
     Args:
         stiffness: k >= 0 [N/m or N*m/rad].
@@ -77,19 +77,19 @@ class Balance(NamedTuple):
 
 
 def gain(environment: Environment, old: Balance, change: float) -> float:
-    """Returns the energy that a state change [m or rad] takes up, stored and dissipated [J]."""
+    """Return the energy that a state change [m or rad] takes up, stored and dissipated [J]."""
     return environment.stored_energy(old.state + change) - old.stored + old.damper * change
 
 
 def slope(environment: Environment, old: Balance, change: float) -> float:
-    """Returns the derivative of `gain` [N or N*m]."""
+    """Return the derivative of `gain` [N or N*m]."""
     return environment.effort(old.state + change) + old.damper
 
 
 def solve_balance_nonlinear(
     environment: Environment, old: Balance, energy: float, limit: float, tolerance: float
 ) -> float:
-    """Returns the root nearest zero of gain(dx) = H for a nonlinear storage, or NaN where no state change balances.
+    """Return the root nearest zero of gain(dx) = H for a nonlinear storage, or NaN where no state change balances.
 
     The direction follows from the sign of H and of the slope at 0. Within it the root is bracketed - by the limit, or
     by the place where the slope turns - and found by Newton steps that fall back to bisection when they leave the
@@ -116,7 +116,7 @@ def solve_balance_nonlinear(
 
 
 def _turning_point(environment: Environment, old: Balance, far: float) -> float:
-    """Returns the last place before the slope changes its sign between 0 and `far`."""
+    """Return the last place before the slope changes its sign between 0 and `far`."""
     near, rising = 0.0, slope(environment, old, 0.0) > 0.0
     for _ in range(_ITERATIONS):
         middle = 0.5 * (near + far)
@@ -130,7 +130,7 @@ def _turning_point(environment: Environment, old: Balance, far: float) -> float:
 
 
 def _newton(environment: Environment, old: Balance, energy: float, far: float, tolerance: float) -> float:
-    """Returns the root between 0 and `far`, where |gain| rises from 0 to at least |H|."""
+    """Return the root between 0 and `far`, where |gain| rises from 0 to at least |H|."""
     effort = slope(environment, old, 0.0)
     near, gain_far = 0.0, gain(environment, old, far)
     guess = energy / effort if effort != 0.0 else far
@@ -160,7 +160,7 @@ def _newton(environment: Environment, old: Balance, energy: float, far: float, t
 
 
 def _between(near: float, far: float, energy: float, gain_far: float) -> float:
-    """Returns a place inside the bracket: its middle, or, while it begins at 0, where a parabola would have the root.
+    """Return a place inside the bracket: its middle, or, while it begins at 0, where a parabola would have the root.
 
     Halving alone would not get from a motion of a millimetre to the root of a vanishing energy.
     """

@@ -60,7 +60,7 @@ class Asked(NamedTuple):
 
 
 def begin_model(environment: Environment, axis: Axis, model: SampledModel, memory: AxisMemory, position: float) -> None:
-    """Takes the first position [m or rad]; a state that is displaced there stores energy that never came in."""
+    """Take the first position [m or rad]; a state that is displaced there stores energy that never came in."""
     begin(axis, memory, position)
     model.zone = environment.contact(position)
     model.true = environment.true_state(position, 0.0, 0.0) if model.zone else 0.0
@@ -101,7 +101,7 @@ def follow(environment: Environment, model: SampledModel, position: float, hold:
 
 
 def settle(environment: Environment, model: SampledModel, share: float, h_m: float, h_r: float) -> tuple[float, float]:
-    """Stores the state that is rendered and closes the account; returns (gen, leak) [J].
+    """Store the state that is rendered and close the account; return (gen, leak) [J].
 
     Args:
         environment: The environment sampled.
@@ -178,7 +178,7 @@ def respond(run: SampledRun[Any, Any], hold: Hold, asked: Asked) -> Reply:
 def step(
     environment: Environment, run: SampledRun[Any, SampledState], position: float, torque_applied: float
 ) -> EnergyBalance:
-    """Accounts for the hold that ended; see `Controller.step`."""
+    """Account for the hold that ended; see `Controller.step`."""
     state, memory, settings = run.state, run.memory.axis, run.settings.hold
     axis, model = state.axis, state.model
     if not axis.started:
@@ -199,7 +199,7 @@ def sampled_kernel(
     settings: Callable[..., SampledSettings[Any]] = sampled_settings,
     kept: Callable[[SampledSettings[Any]], int] = lambda _settings: 0,
 ) -> Kernel:
-    """Returns the kernel of an algorithm that samples its environment.
+    """Return the kernel of an algorithm that samples its environment.
 
     Args:
         respond_as: Step function of the algorithm, in the place of `respond`.

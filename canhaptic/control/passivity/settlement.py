@@ -4,7 +4,7 @@
 def settle(
     h_s: float, surplus: float, lost: float, ceiling: float, slack: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Returns (h_s, surplus, h_r, deficit, leak, paid) after a hold [J].
+    """Return (h_s, surplus, h_r, deficit, leak, paid) after a hold [J].
 
     Args:
         h_s: Stored energy including the hold's; below 0 is a deficit.

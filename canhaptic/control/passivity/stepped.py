@@ -36,7 +36,7 @@ class SteppedController:
     )
 
     def __init_subclass__(cls) -> None:
-        """Refuses a kernel whose step takes settings, state and memory one by one, as kernels once did.
+        """Refuse a kernel whose step takes settings, state and memory one by one, as kernels once did.
 
         Raises:
             ParameterError: It does.
@@ -49,7 +49,7 @@ class SteppedController:
             )
 
     def __init__(self, environment: object, parameters: Parameters, loop: Parameters) -> None:
-        """Prepares a run; `parameters` is of `parameters_type`.
+        """Prepare a run; `parameters` is of `parameters_type`.
 
         Raises:
             ParameterError: A property that the algorithm needs is unknown.
@@ -68,14 +68,14 @@ class SteppedController:
         self._last = AT_REST
 
     def hold(self) -> EnergyBalance:
-        """Answers a SYNC whose position was lost; nothing is booked. See `Controller.hold`."""
+        """Answer a SYNC whose position was lost; nothing is booked. See `Controller.hold`."""
         command = self._command_unseen() if self._axis.started else self._last.torque
         return self._last._replace(
             torque=command, branch=_HELD, h_i=0.0, h_pas=0.0, h_m=0.0, h_r=0.0, gen=0.0, deficit=0.0, leak=0.0, paid=0.0
         )
 
     def _command_unseen(self) -> float:
-        """Returns the command of a SYNC without a sample: the last one."""
+        """Return the command of a SYNC without a sample: the last one."""
         self._axis.missed += 1
         return self._last.torque
 
@@ -90,7 +90,7 @@ class SteppedController:
             send(commands, self._axis.oldest - 1, 0.0, 0.0, 0.0)
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Accounts for the hold that ended; see `Controller.step`."""
+        """Account for the hold that ended; see `Controller.step`."""
         if not isfinite(position - self._axis.position + torque_applied):
             effort, command, sensors, _ = self.wording
             self.reset()

@@ -36,19 +36,19 @@ def empty(storage: Storage) -> None:
 
 
 def is_deadlocked(storage: Storage) -> bool:
-    """Returns whether the storage is empty and at rest, so that it gives no torque."""
+    """Return whether the storage is empty and at rest, so that it gives no torque."""
     return storage.h_s == 0.0 and storage.velocity == 0.0
 
 
 def begin_storage(environment: Environment, storage: Storage, position: float) -> None:
-    """Takes the first position; in contact there it is a deadlock, for the user has not pushed in."""
+    """Take the first position; in contact there it is a deadlock, for the user has not pushed in."""
     empty(storage)
     storage.zone = zone = environment.contact(position)
     storage.true = environment.true_state(position, 0.0, 0.0) if zone else 0.0
 
 
 def follow(environment: Environment, storage: Storage, position: float, displacement: float, elapsed: float) -> bool:
-    """Follows the contact over a hold of given time [s]; returns True when a zone was entered or left in it."""
+    """Follow the contact over a hold of given time [s]; return True when a zone was entered or left in it."""
     zone = environment.contact(position)
     changed = zone != storage.zone
     storage.zone = zone
@@ -59,7 +59,7 @@ def follow(environment: Environment, storage: Storage, position: float, displace
 
 
 def pushed_inward(environment: Environment, storage: Storage, displacement: float) -> bool:
-    """Returns True when the motion [m or rad] stores energy, or when there is nothing to store it in."""
+    """Return True when the motion [m or rad] stores energy, or when there is nothing to store it in."""
     effort = environment.effort(storage.true)
     return effort * displacement > 0.0 or (effort == 0.0 and displacement != 0.0)
 
@@ -89,7 +89,7 @@ def start(environment: Environment, storage: Storage, change: float, elapsed: fl
 def move(
     environment: Environment, storage: Storage, change: float, elapsed: float, h_r: float, h_m: float, limited: bool
 ) -> tuple[float, float]:
-    """Takes a state change found by eq. 8; returns (h_r with what relaxation dissipates, leak) [J].
+    """Take a state change found by eq. 8; return (h_r with what relaxation dissipates, leak) [J].
 
     Args:
         environment: The environment rendered.
@@ -112,7 +112,7 @@ def move(
 def approximate(
     environment: Environment, storage: Storage, elapsed: float, dissipation: float, h_m: float
 ) -> HoldAccount:
-    """Dissipates a given energy, as far as it is there, and takes the state of what remains (eqs. 6, 7, 18).
+    """Dissipate a given energy, as far as it is there, and take the state of what remains (eqs. 6, 7, 18).
 
     Args:
         environment: The environment rendered.
@@ -135,7 +135,7 @@ def approximate(
 
 
 def relax(environment: Environment, storage: Storage, state: float, h_s: float, elapsed: float, h_r: float) -> float:
-    """Takes a state and its energy after one hold of relaxation; returns h_r with what that dissipated [J]."""
+    """Take a state and its energy after one hold of relaxation; return h_r with what that dissipated [J]."""
     if environment.relaxes:
         strained = h_s
         state = environment.relaxed(state, elapsed)
@@ -152,7 +152,7 @@ def rest_of(available: float, used: float) -> float:
 
 
 def leave(storage: Storage, account: HoldAccount) -> HoldAccount:
-    """Turns the account of the last hold of a contact into that of an exit: everything left is leaked."""
+    """Turn the account of the last hold of a contact into that of an exit: everything left is leaked."""
     _, h_r, gen, deficit, leak = account
     leak += storage.h_s
     empty(storage)

@@ -82,7 +82,7 @@ def stored_model_settings(
 
 
 def dissipation(settings: StoredModelSettings[Any], hold: Hold) -> float:
-    """Returns T d v^2 of a hold with the velocity inside the torque that was applied in it [J] (eqs. 6, 18)."""
+    """Return T d v^2 of a hold with the velocity inside the torque that was applied in it [J] (eqs. 6, 18)."""
     return hold.elapsed * (hold.damper * hold.damper) / settings.damping if settings.damping != 0.0 else 0.0
 
 
@@ -104,7 +104,7 @@ def step(
     position: float,
     torque_applied: float,
 ) -> EnergyBalance:
-    """Accounts for the hold that ended; see `Controller.step`."""
+    """Account for the hold that ended; see `Controller.step`."""
     settings, state, memory = run.settings, run.state, run.memory
     axis, storage = state.axis, state.storage
     if not axis.started:
@@ -127,7 +127,7 @@ def stored_model_kernel(
     touch_as: Callable[..., HoldAccount],
     exchange_as: Callable[..., HoldAccount],
 ) -> Kernel:
-    """Returns the kernel of an algorithm with these functions in the place of `touch` and `exchange`."""
+    """Return the kernel of an algorithm with these functions in the place of `touch` and `exchange`."""
     return Kernel(stored_model_settings, state, hold_memory, filled(step, touch=touch_as, exchange=exchange_as))
 
 
@@ -140,7 +140,7 @@ def close(
     hold: Hold,
     account: HoldAccount,
 ) -> EnergyBalance:
-    """Sends spring, damper and the modulated damper of eq. 19, and returns the balance of the hold.
+    """Send spring, damper and the modulated damper of eq. 19, and return the balance of the hold.
 
     Args:
         environment: The environment rendered.

@@ -12,7 +12,7 @@ class UnprotectedParameters(DamperVelocity):
 
 
 def respond(run: SampledRun[UnprotectedParameters, SampledState], hold: Hold, asked: Asked) -> Reply:
-    """Renders what the model asks for: torque = -effort(x) - d v with x and v straight from the position."""
+    """Render what the model asks for: torque = -effort(x) - d v with x and v straight from the position."""
     return new(Reply, (1.0, asked.spring, asked.damper, 0.0, asked.damping))
 
 

@@ -39,7 +39,7 @@ class NetworkTables(NamedTuple):
 
 
 def extension(tables: NetworkTables, index: int, value: float) -> float:
-    """Returns how far a state is beyond the edges of its storage; 0 where it is not engaged."""
+    """Return how far a state is beyond the edges of its storage; 0 where it is not engaged."""
     upper = tables.upper[index]
     if value > upper:
         return value - upper
@@ -48,7 +48,7 @@ def extension(tables: NetworkTables, index: int, value: float) -> float:
 
 
 def stored_energy(tables: NetworkTables, state: Buffer) -> float:
-    """Returns H(x) without user energies [J]."""
+    """Return H(x) without user energies [J]."""
     total = 0.0
     stiffness, hardening = tables.stiffness, tables.hardening
     for i in range(len(stiffness)):
@@ -71,7 +71,7 @@ def stored_energy(tables: NetworkTables, state: Buffer) -> float:
 
 
 def gradient(tables: NetworkTables, state: Buffer, efforts: Buffer) -> None:
-    """Writes dH/dx at a state."""
+    """Write dH/dx at a state."""
     stiffness, hardening = tables.stiffness, tables.hardening
     for i in range(len(stiffness)):
         d = extension(tables, i, state[i])
@@ -84,7 +84,7 @@ def gradient(tables: NetworkTables, state: Buffer, efforts: Buffer) -> None:
 
 
 def discrete_gradient(tables: NetworkTables, state: Buffer, step: Buffer, efforts: Buffer, slopes: Buffer) -> None:
-    """Writes the discrete gradient between x and x + s, and its derivative by s for the scalar storages.
+    """Write the discrete gradient between x and x + s, and its derivative by s for the scalar storages.
 
     Args:
         tables: The network.

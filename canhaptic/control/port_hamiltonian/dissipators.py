@@ -64,7 +64,7 @@ class DampingMatrix(Parameters):
         return self
 
     def elements(self) -> list[Damper]:
-        """Returns the matrix as one damper for each eigenvector."""
+        """Return the matrix as one damper for each eigenvector."""
         values, vectors = np.linalg.eigh(np.array(self.matrix))
         where = self.states or self.ports
         found = []

@@ -32,7 +32,7 @@ class Workspace(NamedTuple):
 
 
 def new_workspace(states: int, dissipators: int) -> Workspace:
-    """Returns zeros of the sizes that a network needs."""
+    """Return zeros of the sizes that a network needs."""
     n, d, one = states, dissipators, list_of_zeros
     return Workspace(
         one(n), one(n), one(n), one(d), one(d), one(d), one(d), one(n), one(n), one(n), one(n), one(n), one(n),
@@ -41,7 +41,7 @@ def new_workspace(states: int, dissipators: int) -> Workspace:
 
 
 def drive(tables: NetworkTables, state: Buffer, displacement: Buffer, room: Workspace) -> None:
-    """Writes g dc, and how much of the motion every dissipator in parallel to a storage took part in."""
+    """Write g dc, and how much of the motion every dissipator in parallel to a storage took part in."""
     driven, step = room.driven, room.step
     for i in range(len(driven)):
         row, total = tables.gain[i], 0.0
@@ -56,7 +56,7 @@ def drive(tables: NetworkTables, state: Buffer, displacement: Buffer, room: Work
 
 
 def engaged_share(tables: NetworkTables, index: int, value: float, change: float) -> float:
-    """Returns the share of a state's change during which its storage was engaged; 0 where it is not at the end."""
+    """Return the share of a state's change during which its storage was engaged; 0 where it is not at the end."""
     after = extension(tables, index, value + change)
     if tables.lower[index] == tables.upper[index]:
         return 1.0
@@ -66,7 +66,7 @@ def engaged_share(tables: NetworkTables, index: int, value: float, change: float
 
 
 def dissipate(tables: NetworkTables, displacement: Buffer, sample_time: float, room: Workspace) -> None:
-    """Writes flow, effort and slope of every dissipator at the efforts of the step."""
+    """Write flow, effort and slope of every dissipator at the efforts of the step."""
     efforts = room.efforts
     for j in range(len(room.flows)):
         flow = 0.0
@@ -99,7 +99,7 @@ def evaluate(
     room: Workspace,
     functions: Functions,
 ) -> float:
-    """Writes the residual of the equation at `room.step`; returns its largest entry over the size of its terms.
+    """Write the residual of the equation at `room.step`; return its largest entry over the size of its terms.
 
     Infinite where an entry is no finite number.
     """
@@ -133,7 +133,7 @@ def evaluate(
 
 
 def linearise(tables: NetworkTables, sample_time: float, room: Workspace, functions: Functions) -> None:
-    """Writes the Jacobian of the equation, I + T (R' - J) de/ds."""
+    """Write the Jacobian of the equation, I + T (R' - J) de/ds."""
     n = len(room.step)
     mobility, jacobian = room.mobility, room.jacobian
     for i in range(n):
@@ -155,7 +155,7 @@ def linearise(tables: NetworkTables, sample_time: float, room: Workspace, functi
 
 
 def _add_square(matrix: Matrix, row: Buffer, factor: float) -> None:
-    """Adds factor a a'."""
+    """Add factor a a'."""
     for i in range(len(row)):
         if row[i] != 0.0:
             scaled, into = factor * row[i], matrix[i]
@@ -164,7 +164,7 @@ def _add_square(matrix: Matrix, row: Buffer, factor: float) -> None:
 
 
 def _add_product(left: Matrix, right: Matrix, into: Matrix) -> None:
-    """Adds half the product of two matrices."""
+    """Add half the product of two matrices."""
     n = len(left)
     for i in range(n):
         for k in range(n):

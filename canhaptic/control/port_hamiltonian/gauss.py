@@ -4,7 +4,7 @@ from canhaptic.kernels import Buffer, Matrix
 
 
 def solve_linear(matrix: Matrix, right: Buffer) -> bool:
-    """Solves in place by elimination with row pivots; returns False where the matrix is singular."""
+    """Solve in place by elimination with row pivots; return False where the matrix is singular."""
     n = len(right)
     for column in range(n):
         pivot = _pivot_of(matrix, column)
@@ -25,7 +25,7 @@ def solve_linear(matrix: Matrix, right: Buffer) -> bool:
 
 
 def _pivot_of(matrix: Matrix, column: int) -> int:
-    """Returns the row, from the diagonal down, with the largest entry of a column."""
+    """Return the row, from the diagonal down, with the largest entry of a column."""
     pivot, largest = column, abs(matrix[column][column])
     for row in range(column + 1, len(matrix)):
         if abs(matrix[row][column]) > largest:
@@ -34,7 +34,7 @@ def _pivot_of(matrix: Matrix, column: int) -> int:
 
 
 def _eliminate(matrix: Matrix, right: Buffer, column: int) -> None:
-    """Takes a column out of all rows below its diagonal."""
+    """Take a column out of all rows below its diagonal."""
     n, above = len(right), matrix[column]
     for index in range(column + 1, n):
         row = matrix[index]

@@ -55,7 +55,7 @@ class Network:
         structure: _Rows | Callable[[Sequence[float]], _Rows] | None = None,
         origin: _Rows | None = None,
     ) -> None:
-        """Makes and checks a network.
+        """Make and check a network.
 
         Args:
             storages: Their states in this order are x.
@@ -95,7 +95,7 @@ class Network:
         )
 
     def _constant(self, structure: _Rows | Callable[[Sequence[float]], _Rows] | None) -> _Rows:
-        """Returns J, or that of a function at the state 0, after checking that it is skew."""
+        """Return J, or that of a function at the state 0, after checking that it is skew."""
         n = self.states
         if callable(structure):
             chance = np.random.default_rng(0)
@@ -155,7 +155,7 @@ class Network:
         )  # fmt: skip
 
     def _rows_of(self, damper: Damper, structure: _Rows, gain: _Rows) -> tuple[list[float], list[float]]:
-        """Returns the rows a and b of a damper; in parallel to a storage they are those of its flow."""
+        """Return the rows a and b of a damper; in parallel to a storage they are those of its flow."""
         where = damper.beside
         if where is not None:
             if not 0 <= where < self.states:
@@ -179,7 +179,7 @@ class Network:
 
 
 def _never_left(tables: NetworkTables) -> bool:
-    """Returns True where some storage or dissipator of the tables can be felt at every position."""
+    """Return True where some storage or dissipator of the tables can be felt at every position."""
     if tables.coupled:
         return True
     acts_always = [low == high for low, high in zip(tables.lower, tables.upper, strict=True)]
@@ -193,7 +193,7 @@ def _never_left(tables: NetworkTables) -> bool:
 
 
 def check_rows(name: str, rows: _Rows, count: int, length: int) -> None:
-    """Checks the shape of a matrix and that it is finite.
+    """Check the shape of a matrix and that it is finite.
 
     Raises:
         ParameterError: It has another shape, or an entry that is no finite number.
@@ -208,7 +208,7 @@ def check_rows(name: str, rows: _Rows, count: int, length: int) -> None:
 
 
 def _check_skew(structure: _Rows, states: int) -> None:
-    """Checks that a structure creates no energy.
+    """Check that a structure creates no energy.
 
     Raises:
         ParameterError: It is not a skew matrix of that size.

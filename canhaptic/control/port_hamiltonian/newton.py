@@ -54,7 +54,7 @@ def advance(
     room: Workspace,
     functions: Functions,
 ) -> int:
-    """Finds the state change of one sample; returns the evaluations it took, negative where it did not converge.
+    """Find the state change of one sample; return the evaluations it took, negative where it did not converge.
 
     Args:
         tables: The network.
@@ -81,7 +81,7 @@ def _by_residual(
     room: Workspace,
     functions: Functions,
 ) -> int:
-    """Takes Newton steps, each as far as the residual falls; returns the evaluations, negative where that ends."""
+    """Take Newton steps, each as far as the residual falls; return the evaluations, negative where that ends."""
     worst = evaluate(tables, state, displacement, sample_time, room, functions)
     evaluations = 1
     while worst > _CLOSE:
@@ -101,7 +101,7 @@ def _by_residual(
 
 
 def _merit_of(room: Workspace) -> float:
-    """Returns the size of the residual in the scale of the sample."""
+    """Return the size of the residual in the scale of the sample."""
     total = 0.0
     for i in range(len(room.residual)):
         part = room.residual[i] * room.scale[i]
@@ -165,7 +165,7 @@ def by_power(
 
 
 def _aim(tables: NetworkTables, sample_time: float, room: Workspace, functions: Functions) -> float:
-    """Writes Newton's direction and the change of the efforts along it; returns the power, 0 where it has none."""
+    """Write Newton's direction and the change of the efforts along it; return the power, 0 where it has none."""
     n = len(room.step)
     linearise(tables, sample_time, room, functions)
     for i in range(n):
@@ -184,7 +184,7 @@ def _aim(tables: NetworkTables, sample_time: float, room: Workspace, functions: 
 
 
 def _power_of(room: Workspace) -> float:
-    """Returns r . de."""
+    """Return r . de."""
     total = 0.0
     for i in range(len(room.residual)):
         total += room.residual[i] * room.weights[i]

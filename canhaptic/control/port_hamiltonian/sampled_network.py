@@ -39,7 +39,7 @@ class NetworkMemory(NamedTuple):
 
 
 def network_memory(tables: NetworkTables) -> NetworkMemory:
-    """Returns the buffers of a network, at rest."""
+    """Return the buffers of a network, at rest."""
     n = len(tables.stiffness)
     ports = list_of_zeros(len(tables.gain[0]))
     room = new_workspace(n, len(tables.viscous))
@@ -49,7 +49,7 @@ def network_memory(tables: NetworkTables) -> NetworkMemory:
 def begin_network(
     tables: NetworkTables, functions: Functions, network: NetworkState, memory: NetworkMemory, coordinates: Buffer
 ) -> None:
-    """Starts at given coordinates of the ports: walls where they are, masses at rest."""
+    """Start at given coordinates of the ports: walls where they are, masses at rest."""
     for j in range(len(coordinates)):
         memory.first[j] = coordinates[j]
     for i in range(len(memory.state)):
@@ -100,7 +100,7 @@ def propose(
     displacement: Buffer,
     elapsed: float,
 ) -> bool:
-    """Finds the state change of one motion of the ports without taking it; see `advance_network`."""
+    """Find the state change of one motion of the ports without taking it; see `advance_network`."""
     room = memory.room
     network.internal, network.evaluations = 0.0, 1
     if not tables.moving:  # s = g dc: nothing to solve, and nothing dissipated beyond the ports
@@ -123,7 +123,7 @@ def propose(
 
 
 def place_state(tables: NetworkTables, memory: NetworkMemory, coordinates: Buffer, into: Buffer) -> None:
-    """Writes the state of a network that only its ports have moved: from their positions, free of rounding."""
+    """Write the state of a network that only its ports have moved: from their positions, free of rounding."""
     for i in range(len(into)):
         row, total = tables.gain[i], memory.begun[i]
         for j in range(len(coordinates)):
@@ -196,7 +196,7 @@ def springs(
 def dampers(
     tables: NetworkTables, memory: NetworkMemory, displacement: Buffer, elapsed: float, state: Buffer, efforts: Buffer
 ) -> None:
-    """Writes the efforts of the dissipators at the ports for a motion of them; call it before `springs`.
+    """Write the efforts of the dissipators at the ports for a motion of them; call it before `springs`.
 
     Args:
         tables: The network.
@@ -227,7 +227,7 @@ def dampers(
 
 
 def internal_motion(tables: NetworkTables, room: Workspace) -> float:
-    """Returns how far the storages at the ports moved by themselves in the last step, as a norm [m or rad]."""
+    """Return how far the storages at the ports moved by themselves in the last step, as a norm [m or rad]."""
     total = 0.0
     if tables.moving:
         for i in range(len(room.step)):
@@ -242,7 +242,7 @@ def internal_motion(tables: NetworkTables, room: Workspace) -> float:
 
 
 def share_inside(tables: NetworkTables, room: Workspace, after: Buffer) -> float:
-    """Returns the largest share of the last step, ending at a state, for which any storage was engaged."""
+    """Return the largest share of the last step, ending at a state, for which any storage was engaged."""
     largest = 0.0
     for i in tables.edged:
         changed = room.step[i]

@@ -86,7 +86,7 @@ Storage: TypeAlias = Annotated[Spring | DoubleWell | Mass | QuadraticForm, Field
 
 
 def symmetric_positive(matrix: tuple[_Row, ...], name: str, consequence: str) -> None:
-    """Checks that a matrix is square, symmetric and positive semidefinite.
+    """Check that a matrix is square, symmetric and positive semidefinite.
 
     Raises:
         ValueError: It is not; the message names the place and the value.
@@ -105,13 +105,13 @@ def symmetric_positive(matrix: tuple[_Row, ...], name: str, consequence: str) ->
 
 
 def states_of(storage: Storage | UserEnergy) -> int:
-    """Returns how many states a storage has."""
+    """Return how many states a storage has."""
     if isinstance(storage, UserEnergy):
         return storage.size
     return len(storage.matrix) if isinstance(storage, QuadraticForm) else 1
 
 
 def edges(spring: Spring) -> tuple[float, float]:
-    """Returns (lower, upper) with an absent edge at infinity [m or rad]."""
+    """Return (lower, upper) with an absent edge at infinity [m or rad]."""
     lower = -math.inf if spring.lower is None else spring.lower
     return lower, math.inf if spring.upper is None else spring.upper

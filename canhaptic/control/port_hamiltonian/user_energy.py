@@ -21,20 +21,20 @@ class NoFunctions(NamedTuple):
     unused: int = 0  # numba passes no empty tuple
 
     def energy(self, state: Buffer) -> float:
-        """Returns 0."""
+        """Return 0."""
         return 0.0
 
     def add_gradient(self, state: Buffer, efforts: Buffer) -> None:
-        """Adds nothing."""
+        """Add nothing."""
 
     def add_discrete_gradient(self, state: Buffer, step: Buffer, efforts: Buffer) -> None:
-        """Adds nothing."""
+        """Add nothing."""
 
     def add_slopes(self, mobility: Matrix, jacobian: Matrix) -> None:
-        """Adds nothing."""
+        """Add nothing."""
 
     def add_change(self, direction: Buffer, changes: Buffer) -> None:
-        """Adds nothing."""
+        """Add nothing."""
 
     def fill_structure(self, state: Buffer, structure: Matrix) -> None:
         """No-op: the structure is constant."""
@@ -53,7 +53,7 @@ class UserFunctions:
     """
 
     def __init__(self, storages: Sequence[Any], structure_at: StructureFunction | None) -> None:
-        """Takes the user's storages among those of a network.
+        """Take the user's storages among those of a network.
 
         Raises:
             ParameterError: A gradient is not that of its energy, or an energy is below 0.
@@ -73,7 +73,7 @@ class UserFunctions:
         return bool(self._placed) or self.structure_at is not None
 
     def fill_structure(self, state: Buffer, structure: Matrix) -> None:
-        """Writes the skew part of J at the state, so that no function can create energy."""
+        """Write the skew part of J at the state, so that no function can create energy."""
         if self.structure_at is None:
             return
         found = self.structure_at(state)
@@ -83,17 +83,17 @@ class UserFunctions:
                 structure[i][j], structure[j][i] = value, -value
 
     def energy(self, state: Buffer) -> float:
-        """Returns the energy stored [J]."""
+        """Return the energy stored [J]."""
         return sum(float(s.energy(list(state[at : at + s.size]))) for at, s in self._placed)
 
     def add_gradient(self, state: Buffer, efforts: Buffer) -> None:
-        """Adds dH/dx."""
+        """Add dH/dx."""
         for at, storage in self._placed:
             for i, value in enumerate(storage.gradient(list(state[at : at + storage.size]))):
                 efforts[at + i] += float(value)
 
     def add_discrete_gradient(self, state: Buffer, step: Buffer, efforts: Buffer) -> None:
-        """Adds g + (H(x + s) - H(x) - g . s) s / |s|^2 with g = dH/dx at x + s / 2 (Gonzalez 1996)."""
+        """Add g + (H(x + s) - H(x) - g . s) s / |s|^2 with g = dH/dx at x + s / 2 (Gonzalez 1996)."""
         self._at = []
         for placed in self._placed:
             at, storage = placed
@@ -110,7 +110,7 @@ class UserFunctions:
                 efforts[at + i] += value
 
     def add_slopes(self, mobility: Matrix, jacobian: Matrix) -> None:
-        """Adds mobility times half the Hessian at the middle, by differences of the gradient."""
+        """Add mobility times half the Hessian at the middle, by differences of the gradient."""
         for (at, storage), middle in self._at:
             size, base = storage.size, storage.gradient(middle)
             for j in range(size):
@@ -121,7 +121,7 @@ class UserFunctions:
                     slopes[at + j] += 0.5 * sum(row[at + i] * column[i] for i in range(size))
 
     def add_change(self, direction: Buffer, changes: Buffer) -> None:
-        """Adds half the Hessian at the middle times a direction, by one difference of the gradient."""
+        """Add half the Hessian at the middle times a direction, by one difference of the gradient."""
         for (at, storage), middle in self._at:
             way = list(direction[at : at + storage.size])
             length = sum(abs(d) for d in way)
@@ -137,7 +137,7 @@ Functions: TypeAlias = NoFunctions | UserFunctions
 
 
 def check_gradient(storage: UserEnergy) -> None:
-    """Compares a gradient with differences of its energy near 0.
+    """Compare a gradient with differences of its energy near 0.
 
     Raises:
         ParameterError: They differ by more than differences can, or the energy is negative or not finite.

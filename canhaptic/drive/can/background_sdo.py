@@ -110,7 +110,7 @@ class BackgroundSdo:
         self._line = line
 
     def upload(self, index: int, subindex: int = 0) -> "Future[bytes]":
-        """Reads an object and returns the future of its bytes.
+        """Read an object and return the future of its bytes.
 
         The future raises SdoError when the drive aborts, does not answer, or the rig stops before.
 
@@ -120,7 +120,7 @@ class BackgroundSdo:
         return self._ask("read", index, subindex, sdo_transfer.upload(*_checked(index, subindex)), bytes)
 
     def download(self, index: int, subindex: int, data: bytes) -> "Future[None]":
-        """Writes the bytes of an object and returns the future of its confirmation, which raises as of `upload`.
+        """Write the bytes of an object and return the future of its confirmation, which raises as of `upload`.
 
         Raises:
             SdoError: As `upload`, or the object belongs to the cycle.
@@ -133,12 +133,12 @@ class BackgroundSdo:
         return self._ask("write", index, subindex, transfer, lambda _: None)
 
     def read(self, index: int, subindex: int = 0) -> "Future[int]":
-        """Reads an integer object, as long and with the sign that the dictionary says; raises as `upload`."""
+        """Read an integer object, as long and with the sign that the dictionary says; raise as `upload`."""
         transfer = sdo_transfer.upload(*_checked(index, subindex))
         return self._ask("read", index, subindex, transfer, partial(self._drive.sdo.decode, index, subindex))
 
     def write(self, index: int, subindex: int, value: int, size: int | None = None) -> "Future[None]":
-        """Writes an integer object of `size` bytes, by default those of the dictionary; raises as `download`."""
+        """Write an integer object of `size` bytes, by default those of the dictionary; raise as `download`."""
         return self.download(index, subindex, self._drive.sdo.encode(index, subindex, value, size))
 
     def _ask(
@@ -182,7 +182,7 @@ class SdoLine:
     # --- any thread -------------------------------------------------------------------------------------------------
 
     def submit(self, request: _Request) -> None:
-        """Queues a request.
+        """Queue a request.
 
         Raises:
             SdoError: It cannot be served.
@@ -202,7 +202,7 @@ class SdoLine:
                 raise request.failure("the rig has stopped")
 
     def _start_hander(self) -> None:
-        """Starts the thread that hands results over, with the first request of a run."""
+        """Start the thread that hands results over, with the first request of a run."""
         with self._starting:  # between those who ask; the cycle never waits for it
             if not self._has_hander:
                 self._has_hander = True
@@ -220,7 +220,7 @@ class SdoLine:
             self._is_open = self._has_room
 
     def close(self) -> None:
-        """Takes no more requests and fails those that wait."""
+        """Take no more requests and fail those that wait."""
         if not self._is_open:
             return
         self._is_open = False
@@ -230,7 +230,7 @@ class SdoLine:
         self._done.put(None)
 
     def step(self) -> None:
-        """Takes an answer and sends one frame at most; called after the RPDOs while `busy`."""
+        """Take an answer and send one frame at most; called after the RPDOs while `busy`."""
         request = self._under_way
         if request is not None:
             self._look(request)
@@ -253,7 +253,7 @@ class SdoLine:
         self._answers.append(bytes(data))
 
     def _look(self, request: _Request) -> None:
-        """Continues with the answer if it has arrived, or asks again when it is overdue."""
+        """Continue with the answer if it has arrived, or ask again when it is overdue."""
         while self._answers:
             answer = self._answers.popleft()
             if len(answer) != FRAME_LENGTH:
@@ -280,7 +280,7 @@ class SdoLine:
         self._ask(request)
 
     def _ask_again(self, request: _Request) -> None:
-        """Repeats an unanswered first request; a segment is not repeated, for it may have been taken."""
+        """Repeat an unanswered first request; a segment is not repeated, for it may have been taken."""
         if request.attempts < ATTEMPTS and sdo_transfer.initiates(request.frame):
             return self._ask(request)
         self._send(sdo_transfer.abort(request.index, request.subindex, SdoAbort.TIMEOUT))
@@ -317,7 +317,7 @@ class SdoLine:
 
 
 def _hand_over(done: "SimpleQueue[tuple[_Request, Any] | None]") -> None:
-    """Sets the results in a thread of its own, where their callbacks run."""
+    """Set the results in a thread of its own, where their callbacks run."""
     while (entry := done.get()) is not None:
         request, result = entry
         if request.future.done() or not (request.future.running() or request.future.set_running_or_notify_cancel()):

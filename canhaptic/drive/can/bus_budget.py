@@ -21,12 +21,12 @@ _ROUND_RATES: Final = tuple(m * 10**e for e in range(5) for m in (1, 1.25, 2, 2.
 
 
 def _worst_case_bits(length: int) -> int:
-    """Returns the most bits that a frame of `length` data bytes can take on the wire, interframe space included."""
+    """Return the most bits that a frame of `length` data bytes can take on the wire, interframe space included."""
     return _FRAME_BITS + 8 * length + (34 + 8 * length - 1) // 4
 
 
 def worst_frame() -> int:
-    """Returns the most bits that any data frame can take on the wire, interframe space included."""
+    """Return the most bits that any data frame can take on the wire, interframe space included."""
     return _worst_case_bits(_LONGEST_DATA)
 
 
@@ -69,7 +69,7 @@ class BusBudget:
         return self.worst_cycle <= self.sample_time * (1.0 + 1e-12)
 
     def arithmetic(self) -> str:
-        """Returns the sum, written out."""
+        """Return the sum, written out."""
         terms = " + ".join(f"{row.frames} {row.what} x {row.bits_each}" for row in self.rows if row.frames)
         bits = sum(row.bits for row in self.rows)
         return (
@@ -80,7 +80,7 @@ class BusBudget:
 
 
 def bus_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
-    """Returns the worst cycle of a bus that carries these axes."""
+    """Return the worst cycle of a bus that carries these axes."""
     rows = [_BudgetRow("SYNC", 1, _worst_case_bits(0))]
     for what, lengths in (
         ("TPDO", [length for axis in maps for length in (*axis.awaited, *(tpdo.length for tpdo in axis.tpdos))]),
@@ -103,7 +103,7 @@ def torque_latency(bus: BusParameters, maps: Sequence[AxisMap]) -> float:
 
 
 def shortest_answer(bitrate: float, axis: AxisMap) -> float:
-    """Returns the least time [s] from a SYNC until the torque of an axis that answers it can have come.
+    """Return the least time [s] from a SYNC until the torque of an axis that answers it can have come.
 
     SYNC, TPDOs and RPDO of this axis alone, without a stuff bit and without the host.
     """
@@ -112,7 +112,7 @@ def shortest_answer(bitrate: float, axis: AxisMap) -> float:
 
 
 def round_rate(limit: float) -> float:
-    """Returns the highest round rate [Hz] that is not above `limit`; 1 Hz at least."""
+    """Return the highest round rate [Hz] that is not above `limit`; 1 Hz at least."""
     return float(max((rate for rate in _ROUND_RATES if rate <= limit), default=1))
 
 
@@ -127,7 +127,7 @@ def has_room_for_sdo(budget: BusBudget, bus: BusParameters) -> bool:
 
 
 def require_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
-    """Returns the budget of a bus whose cycle fits.
+    """Return the budget of a bus whose cycle fits.
 
     Raises:
         BusBudgetError: It does not; shows the arithmetic and what would fit.

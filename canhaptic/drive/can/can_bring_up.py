@@ -48,7 +48,7 @@ class CanBringUp(BringUp):
             raise self.refusal("heartbeat", _nmt_name(drive.nmt_state), "a heartbeat with PRE_OPERATIONAL")
 
     def _arm(self) -> None:
-        """Writes 0x1016; the consumer counts from the first heartbeat (CiA 301, 7.2.8.3.2.2), which the cycle sends."""
+        """Write 0x1016; the consumer counts from the first heartbeat (CiA 301, 7.2.8.3.2.2), which the cycle sends."""
         bus = self._drive.bus
         milliseconds = bus.master_silence_ns // 1_000_000
         if milliseconds > LARGEST_U16:
@@ -84,14 +84,14 @@ class CanBringUp(BringUp):
             write_map(drive.sdo, drive.map, rpdo_type, partial(self.expect, "PDO map"), self._rpdo_deadline())
 
     def _rpdo_deadline(self) -> int | None:
-        """Returns how long the drive itself tolerates lost RPDOs [ms], where no read-back shows them to the master."""
+        """Return how long the drive itself tolerates lost RPDOs [ms], where no read-back shows them to the master."""
         milliseconds = self._drive.bus.master_silence_ns // 1_000_000
         if self._drive.read_back != "none" or not self._drive.axis.watchdog or milliseconds > LARGEST_U16:
             return None
         return milliseconds
 
     def command_operational(self) -> None:
-        """Sends NMT start; raises StartError."""
+        """Send NMT start; raise StartError."""
         with self.step("bus"):
             self._drive.command_nmt(NmtCommand.START)
 

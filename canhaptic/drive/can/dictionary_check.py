@@ -35,7 +35,7 @@ def check_dictionary(
 
 
 def require_fit(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None = None) -> None:
-    """Returns if the dictionary gives no reason to refuse cyclic torque.
+    """Return if the dictionary gives no reason to refuse cyclic torque.
 
     Raises:
         DictionaryError: It does; lists every reason.

@@ -54,7 +54,7 @@ class DisplayBringUp(CanBringUp):
             self._write_confirmed("quick stop", od.QUICK_STOP_OPTION, 0, _SLOW_DOWN)
 
     def command_operational(self) -> None:
-        """Sends NMT start to the drive and to a sensor with a node of its own, tared where asked; raises StartError."""
+        """Send NMT start to the drive and to a sensor with a node of its own, tared where asked; raise StartError."""
         with self.step("tare"):
             self._drive.tare()
         super().command_operational()

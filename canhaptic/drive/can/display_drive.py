@@ -93,7 +93,7 @@ class DisplayDrive(ServoDrive):
         return take
 
     def command_sensor(self, command: od.NmtCommand) -> None:
-        """Sends an NMT command to a sensor that is a CANopen node of its own.
+        """Send an NMT command to a sensor that is a CANopen node of its own.
 
         Raises:
             LinkError: It could not be sent.
@@ -116,12 +116,12 @@ class DisplayDrive(ServoDrive):
         channel.write(od.AUTOTARE, 1, od.TARE_SIGNATURE, _TARE_SIZE)
 
     def leave_operational(self) -> None:
-        """Commands NMT pre-operational, of the sensor too; raises LinkError."""
+        """Command NMT pre-operational, of the sensor too; raise LinkError."""
         self.command_sensor(od.NmtCommand.PRE_OPERATIONAL)
         super().leave_operational()
 
     def reset(self) -> None:
-        """Forgets everything received and commanded."""
+        """Forget everything received and commanded."""
         super().reset()
         self.force.reset()
         self._target = 0
@@ -168,7 +168,7 @@ class DisplayDrive(ServoDrive):
         return self.command_scaling.torque_per_mille(torque, limiter.low, limiter.high)
 
     def write(self, torque_per_mille: int) -> None:
-        """Sends controlword and command as one image; in mode 8 the target position moves on by the command.
+        """Send controlword and command as one image; in mode 8 the target position moves on by the command.
 
         Raises:
             LinkError: It could not be sent.
@@ -187,7 +187,7 @@ class DisplayDrive(ServoDrive):
         return abs((target - self.position_counts + _WRAP // 2) % _WRAP - _WRAP // 2) <= _NEAR
 
     def disable_unconfirmed(self) -> None:
-        """Sends the SDO 0x6040 = quick stop and awaits no answer.
+        """Send the SDO 0x6040 = quick stop and await no answer.
 
         Raises:
             LinkError: It could not be sent.
@@ -196,7 +196,7 @@ class DisplayDrive(ServoDrive):
 
 
 def speed_quantum(axis: AxisParameters, bus: BusParameters) -> float:
-    """Returns the smallest step of the velocity that can be commanded [m/s or rad/s]."""
+    """Return the smallest step of the velocity that can be commanded [m/s or rad/s]."""
     display = axis.admittance
     if display is None or display.mode == "position":
         return 1.0 / (axis.counts_per_unit * bus.sample_time)

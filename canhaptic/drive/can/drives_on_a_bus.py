@@ -11,7 +11,7 @@ from canhaptic.errors import InputError
 
 
 def own_frames(link: Link, drives: Sequence[ServoDrive], bus: BusParameters) -> dict[int, str]:
-    """Returns the COB-IDs that this master alone sends on a bus, with their names.
+    """Return the COB-IDs that this master alone sends on a bus, with their names.
 
     Args:
         link: The bus.
@@ -34,7 +34,7 @@ def own_frames(link: Link, drives: Sequence[ServoDrive], bus: BusParameters) -> 
 
 
 def budget_of(drives: Sequence[ServoDrive], bus: BusParameters) -> BusBudget:
-    """Returns the budget of one bus, which has a bit rate of its own.
+    """Return the budget of one bus, which has a bit rate of its own.
 
     Args:
         drives: Drives on this bus.

@@ -57,7 +57,7 @@ class Exchange:
         self.begin()
 
     def begin(self) -> None:
-        """Lets the next SYNC go out at once and counts from there."""
+        """Let the next SYNC go out at once and count from there."""
         self.periods = 1
         self.uneven = self.skipped = 0
         self._since_heartbeat = self.beat_cycles
@@ -123,13 +123,13 @@ class Exchange:
         return woken
 
     def _skip(self, lateness: int) -> None:
-        """Skips the deadlines that were missed, up to the nearest."""
+        """Skip the deadlines that were missed, up to the nearest."""
         skipped = (lateness + self._latest) // self._period
         self.skipped += skipped
         self._next += skipped * self._period
 
     def write_zero(self) -> None:
-        """Sends every drive its controlword with zero torque.
+        """Send every drive its controlword with zero torque.
 
         Raises:
             LinkError: A frame could not be sent.

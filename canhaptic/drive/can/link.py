@@ -37,7 +37,7 @@ class _LinkStatistics:
         self.send_failures = 0
 
     def as_dict(self) -> dict[str, int]:
-        """Returns the counts by name."""
+        """Return the counts by name."""
         return {name: getattr(self, name) for name in self.__slots__}
 
 
@@ -70,20 +70,20 @@ class Link:
         self.intruder = ""
 
     def reserve(self, names: Mapping[int, str]) -> None:
-        """Names the COB-IDs that this master alone sends, and forgets an intruder."""
+        """Name the COB-IDs that this master alone sends, and forget an intruder."""
         self._own = names
         self.intruder = ""
 
     def subscribe(self, can_id: int, handler: _Handler) -> None:
-        """Calls `handler(data)` for each frame of this COB-ID from now on, in place of the one before."""
+        """Call `handler(data)` for each frame of this COB-ID from now on, in place of the one before."""
         self._handlers[can_id] = handler
 
     def unsubscribe(self, can_id: int) -> None:
-        """Counts frames of this COB-ID as foreign again."""
+        """Count frames of this COB-ID as foreign again."""
         self._handlers.pop(can_id, None)
 
     def send(self, can_id: int, data: bytes) -> int:
-        """Sends one data frame.
+        """Send one data frame.
 
         Returns:
             The time that the bus log gives it [ns].
@@ -121,7 +121,7 @@ class Link:
             ) from error
 
     def poll(self, deadline: int) -> bool:
-        """Takes the next frame and hands it to its handler; returns False when none came until `deadline` [ns].
+        """Take the next frame and hand it to its handler; return False when none came until `deadline` [ns].
 
         Raises:
             LinkError: The interface failed.
@@ -145,7 +145,7 @@ class Link:
         return True
 
     def pump(self, deadline: int) -> None:
-        """Handles frames until `deadline` [ns] and then those that still wait.
+        """Handle frames until `deadline` [ns] and then those that still wait.
 
         Raises:
             LinkError: The bus failed, or what waits does not end.
@@ -156,7 +156,7 @@ class Link:
                 return
 
     def drain(self) -> None:
-        """Handles the frames that wait already.
+        """Handle the frames that wait already.
 
         Raises:
             LinkError: They do not end.
@@ -168,7 +168,7 @@ class Link:
         raise LinkError(f"more than {_MOST_FRAMES_AT_ONCE} frames wait at one instant; something floods the bus")
 
     def wait_for(self, condition: Callable[[], bool], timeout: int) -> bool:
-        """Handles frames until `condition()` holds; returns False when `timeout` [ns] passed first.
+        """Handle frames until `condition()` holds; return False when `timeout` [ns] passed first.
 
         What came before the call counts: the condition looks at state, not at the next frame.
         """

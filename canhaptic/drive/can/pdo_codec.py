@@ -37,12 +37,12 @@ class MappedObject:
 
 
 def decode_entry(entry: int) -> MappedObject:
-    """Returns the mapped object of an UNSIGNED32 mapping entry; its sign is not in there."""
+    """Return the mapped object of an UNSIGNED32 mapping entry; its sign is not in there."""
     return MappedObject(entry >> 16, entry >> 8 & 0xFF, entry & 0xFF)
 
 
 def codec(entries: Sequence[MappedObject], wanted: Sequence[int]) -> struct.Struct:
-    """Returns the struct of a PDO that yields, in the order of the PDO, the values of the wanted indices.
+    """Return the struct of a PDO that yields, in the order of the PDO, the values of the wanted indices.
 
     Args:
         entries: Mapped objects, in order.

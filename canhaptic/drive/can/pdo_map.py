@@ -94,7 +94,7 @@ class PdoCapability:
 
 
 def choose_map(dictionary: ObjectDictionary, axis: AxisParameters) -> AxisMap:
-    """Returns the PDOs to use for one axis.
+    """Return the PDOs to use for one axis.
 
     Raises:
         DictionaryError: No map carries the objects of cyclic torque; names the missing ones.
@@ -121,13 +121,13 @@ def choose_map(dictionary: ObjectDictionary, axis: AxisParameters) -> AxisMap:
 
 
 def pdo_numbers(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> list[int]:
-    """Returns the numbers of all PDOs whose communication parameters the dictionary lists."""
+    """Return the numbers of all PDOs whose communication parameters the dictionary lists."""
     first = od.RPDO_COMMUNICATION if kind == "RPDO" else od.TPDO_COMMUNICATION
     return [index - first + 1 for index in sorted(dictionary) if first <= index < first + od.PDO_COUNT]
 
 
 def pdo_capabilities(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> list[PdoCapability]:
-    """Returns every PDO whose mapping can be written or is stated whole, in order."""
+    """Return every PDO whose mapping can be written or is stated whole, in order."""
     return list(_candidates(dictionary, kind))
 
 

@@ -26,14 +26,14 @@ _Expect = Callable[[str, int, int], None]
 
 
 def rpdo_transmission_type(bus: BusParameters, axis: AxisParameters) -> int:
-    """Returns the transmission type of the RPDO of an axis."""
+    """Return the transmission type of the RPDO of an axis."""
     return SYNCHRONOUS_EVERY_SYNC if bus.rpdo == "synchronous" else quirks_of(axis.quirks).event_transmission_type
 
 
 def write_map(
     sdo: SdoChannel, chosen: AxisMap, rpdo_type: int, expect: _Expect, rpdo_deadline: int | None = None
 ) -> None:
-    """Configures the PDOs of one axis and switches all others off; every value is read back.
+    """Configure the PDOs of one axis and switch all others off; every value is read back.
 
     Args:
         sdo: The drive, in NMT pre-operational.
@@ -62,7 +62,7 @@ def _disable_others(sdo: SdoChannel, chosen: AxisMap) -> None:
 
 
 def others_to_disable(dictionary: ObjectDictionary, chosen: AxisMap) -> list[int]:
-    """Returns the communication objects of the PDOs that are not chosen and can be switched off."""
+    """Return the communication objects of the PDOs that are not chosen and can be switched off."""
     used = {plan.communication_index for plan in (chosen.rpdo, *chosen.tpdos)}
     indices = [RPDO_COMMUNICATION + n - 1 for n in pdo_numbers(dictionary, "RPDO")]
     indices += [TPDO_COMMUNICATION + n - 1 for n in pdo_numbers(dictionary, "TPDO")]

@@ -42,7 +42,7 @@ class _Client:
         self.listen()
 
     def listen(self) -> None:
-        """Receives the answers of the drive from now on, in place of the handler before."""
+        """Receive the answers of the drive from now on, in place of the handler before."""
         self._link.subscribe(self._response_cob_id, self._take)
 
     @contextmanager
@@ -56,7 +56,7 @@ class _Client:
             self._timeout, self._attempts = before
 
     def run(self, transfer: Transfer, index: int, subindex: int) -> bytes:
-        """Returns the value of a transfer.
+        """Return the value of a transfer.
 
         Raises:
             SdoAbortedError: The server aborted the transfer.
@@ -127,7 +127,7 @@ class SdoChannel:
         self._patience = f"{attempts} requests, {timeout / 1e9:g} s each"
 
     def read(self, index: int, subindex: int = 0) -> int:
-        """Returns the value of an integer object.
+        """Return the value of an integer object.
 
         Raises:
             SdoError: Aborted by the drive or not answered.
@@ -141,7 +141,7 @@ class SdoChannel:
         return self.decode(index, subindex, data)
 
     def probe(self, index: int, subindex: int = 0) -> int:
-        """Returns the value of an object like `read`, but asks only once.
+        """Return the value of an object like `read`, but asks only once.
 
         Raises:
             SdoError: Aborted by the drive or not answered.
@@ -150,7 +150,7 @@ class SdoChannel:
             return self.read(index, subindex)
 
     def read_within(self, limit: int, index: int, subindex: int = 0) -> int:
-        """Returns the value of an object like `read`; all attempts together take at most `limit` [ns].
+        """Return the value of an object like `read`; all attempts together take at most `limit` [ns].
 
         Raises:
             SdoError: Aborted by the drive or not answered.
@@ -159,7 +159,7 @@ class SdoChannel:
             return self.read(index, subindex)
 
     def write(self, index: int, subindex: int, value: int, size: int | None = None) -> None:
-        """Writes an integer object.
+        """Write an integer object.
 
         Args:
             index: Index of the object.
@@ -179,7 +179,7 @@ class SdoChannel:
             raise self._unanswered("write", index, subindex, error) from error
 
     def decode(self, index: int, subindex: int, data: bytes) -> int:
-        """Returns the integer in the bytes of an object, as long and with the sign that the dictionary says."""
+        """Return the integer in the bytes of an object, as long and with the sign that the dictionary says."""
         variable = self.dictionary.get_variable(index, subindex)
         signed = variable is not None and variable.data_type in datatypes.SIGNED_TYPES
         is_integer = variable is not None and variable.data_type in datatypes.INTEGER_TYPES
@@ -187,7 +187,7 @@ class SdoChannel:
         return int.from_bytes(data[:size], "little", signed=signed)
 
     def encode(self, index: int, subindex: int, value: int, size: int | None = None) -> bytes:
-        """Returns the bytes of an integer object, by default as many as the dictionary says.
+        """Return the bytes of an integer object, by default as many as the dictionary says.
 
         Raises:
             SdoError: The value does not fit them.
@@ -201,21 +201,21 @@ class SdoChannel:
             raise self.failure("write", index, subindex, f"{value} does not fit {size} bytes") from error
 
     def describe(self, index: int, subindex: int = 0) -> str:
-        """Returns an object as `0x6072:00 Max torque`."""
+        """Return an object as `0x6072:00 Max torque`."""
         variable = self.dictionary.get_variable(index, subindex)
         return f"{index:#06x}:{subindex:02x}" + (f" {variable.name}" if variable is not None else "")
 
     def listen(self) -> None:
-        """Receives the answers of the drive from now on, as after a transfer of `background_sdo`."""
+        """Receive the answers of the drive from now on, as after a transfer of `background_sdo`."""
         self._client.listen()
 
     def aborted(self, verb: str, index: int, subindex: int, code: int) -> SdoError:
-        """Returns the error of a transfer that the drive has aborted."""
+        """Return the error of a transfer that the drive has aborted."""
         text = SdoAbortedError.CODES.get(code, "unknown abort code")
         return self.failure(verb, index, subindex, f"aborted with {code:#010x}, {text}", code)
 
     def failure(self, verb: str, index: int, subindex: int, text: str, code: int | None = None) -> SdoError:
-        """Returns the error of a transfer, with axis and object named."""
+        """Return the error of a transfer, with axis and object named."""
         return SdoError(f"{self._name}: {verb} {self.describe(index, subindex)}: {text}", index, subindex, code)
 
     def _unanswered(self, verb: str, index: int, subindex: int, error: Exception) -> SdoError:

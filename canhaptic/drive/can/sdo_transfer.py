@@ -26,12 +26,12 @@ class ProtocolError(Exception):
 
 
 def address(index: int, subindex: int) -> bytes:
-    """Returns an object as requests and answers name it."""
+    """Return an object as requests and answers name it."""
     return index.to_bytes(2, "little") + bytes([subindex])
 
 
 def upload(index: int, subindex: int) -> Transfer:
-    """Returns the transfer that reads an object; its value is the bytes of the object."""
+    """Return the transfer that reads an object; its value is the bytes of the object."""
     answer = yield bytes([_UPLOAD]) + address(index, subindex) + bytes(4)
     _require(answer, _UPLOAD_ANSWER)
     if answer[0] & _EXPEDITED:
@@ -54,7 +54,7 @@ def upload(index: int, subindex: int) -> Transfer:
 
 
 def download(index: int, subindex: int, data: bytes) -> Transfer:
-    """Returns the transfer that writes an object; its value is empty."""
+    """Return the transfer that writes an object; its value is empty."""
     head = address(index, subindex)
     if 1 <= len(data) <= 4:
         unused = 4 - len(data)
@@ -90,7 +90,7 @@ def may_answer(answer: bytes | bytearray, request: bytes, of_object: bytes) -> b
 
 
 def abort(index: int, subindex: int, code: int) -> bytes:
-    """Returns the frame that ends a transfer."""
+    """Return the frame that ends a transfer."""
     return bytes([ABORT]) + address(index, subindex) + code.to_bytes(4, "little")
 
 

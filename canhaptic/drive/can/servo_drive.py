@@ -74,7 +74,7 @@ class ServoDrive(TorqueAxis):
         self.reset()
 
     def reset(self) -> None:
-        """Forgets everything received and commanded."""
+        """Forget everything received and commanded."""
         super().reset()
         self.nmt_state = None
         self._stage = [0, 0, 0]  # statusword, position counts, torque per mille: of the SYNC that is open
@@ -93,7 +93,7 @@ class ServoDrive(TorqueAxis):
     # --- in ---------------------------------------------------------------------------------------------------------
 
     def expect_tpdos(self) -> None:
-        """Opens the window of a SYNC for this drive."""
+        """Open the window of a SYNC for this drive."""
         self._pending = self._all_tpdos
         self.is_complete = False
 
@@ -104,7 +104,7 @@ class ServoDrive(TorqueAxis):
     # --- out --------------------------------------------------------------------------------------------------------
 
     def write(self, torque_per_mille: int) -> None:
-        """Sends controlword and target torque as one image.
+        """Send controlword and target torque as one image.
 
         Raises:
             LinkError: It could not be sent.
@@ -113,7 +113,7 @@ class ServoDrive(TorqueAxis):
         self.link.send(self._rpdo_cob_id, self._pack(self.controlword, torque_per_mille))
 
     def disable_unconfirmed(self) -> None:
-        """Sends the SDO 0x6040 = disable voltage and awaits no answer: it acts even where RPDOs or SYNCs are lost.
+        """Send the SDO 0x6040 = disable voltage and await no answer: it acts even where RPDOs or SYNCs are lost.
 
         Raises:
             LinkError: It could not be sent.
@@ -121,7 +121,7 @@ class ServoDrive(TorqueAxis):
         self.link.send(od.SDO_REQUEST_BASE + self.axis.node_id, _DISABLE_BY_SDO)
 
     def command_nmt(self, command: od.NmtCommand) -> None:
-        """Sends an NMT command to this node alone.
+        """Send an NMT command to this node alone.
 
         Raises:
             LinkError: It could not be sent.
@@ -129,15 +129,15 @@ class ServoDrive(TorqueAxis):
         self.link.send(od.NMT_COB_ID, bytes([command, self.axis.node_id]))
 
     def leave_operational(self) -> None:
-        """Commands NMT pre-operational; raises LinkError."""
+        """Command NMT pre-operational; raise LinkError."""
         self.command_nmt(od.NmtCommand.PRE_OPERATIONAL)
 
     def await_pre_operational(self) -> None:
-        """Returns when the heartbeat says pre-operational, or has been silent for too long; raises LinkError."""
+        """Return when the heartbeat says pre-operational, or has been silent for too long; raise LinkError."""
         self.link.wait_for(lambda: self.nmt_state == od.NmtState.PRE_OPERATIONAL, self.bus.drive_silence_ns)
 
     def disarm(self) -> None:
-        """Switches the drive's watchdog (0x1016) off, so that no heartbeat is missed; raises SdoError."""
+        """Switch the drive's watchdog (0x1016) off, so that no heartbeat is missed; raise SdoError."""
         if self.axis.watchdog:
             self.sdo.write(od.CONSUMER_HEARTBEAT_TIME, 1, 0)
 
@@ -151,11 +151,11 @@ class ServoDrive(TorqueAxis):
     # --- what the link hands in ---------------------------------------------------------------------------------
 
     def now(self) -> int:
-        """Returns the time of the link's clock [ns]."""
+        """Return the time of the link's clock [ns]."""
         return self.link.clock.now()
 
     def pump(self, deadline: int) -> None:
-        """Handles the frames of the bus until `deadline` [ns]; raises LinkError."""
+        """Handle the frames of the bus until `deadline` [ns]; raise LinkError."""
         self.link.pump(deadline)
 
     def _listen(self, places: Mapping[int, int]) -> None:

@@ -98,7 +98,7 @@ class BringUp(ABC):
 
     @abstractmethod
     def _command_pre_operational(self) -> None:
-        """Commands the state in which a drive is configured; raises LinkError."""
+        """Command the state in which a drive is configured; raise LinkError."""
 
     @abstractmethod
     def _monitor(self) -> None:
@@ -106,11 +106,11 @@ class BringUp(ABC):
 
     @abstractmethod
     def _await_pre_operational(self) -> None:
-        """Confirms the state in which a drive is configured."""
+        """Confirm the state in which a drive is configured."""
 
     @abstractmethod
     def _arm(self) -> None:
-        """Arms the drive's watchdog of the master."""
+        """Arm the drive's watchdog of the master."""
 
     @abstractmethod
     def _map(self) -> None:
@@ -118,7 +118,7 @@ class BringUp(ABC):
 
     @abstractmethod
     def command_operational(self) -> None:
-        """Commands the state in which process data are exchanged."""
+        """Command the state in which process data are exchanged."""
 
     @abstractmethod
     def operational(self) -> Confirmation:
@@ -149,11 +149,11 @@ class BringUp(ABC):
             raise self.refusal(name, seen, "a working bus") from error
 
     def refusal(self, name: str, seen: str, expected: str) -> StartError:
-        """Returns the error of a step."""
+        """Return the error of a step."""
         return StartError(self._drive.axis.name, name, seen, expected, self._remedies[name])
 
     def expect(self, name: str, item: str, seen: int, expected: int) -> None:
-        """Compares a value read back; raises StartError where it differs."""
+        """Compare a value read back; raise StartError where it differs."""
         if seen != expected:
             raise self.refusal(name, f"{item} = {seen:#x}", f"{expected:#x} (as written)")
 
@@ -164,7 +164,7 @@ class BringUp(ABC):
             self.expect(name, f"{self._sdo.describe(index, subindex)} read back", seen, value)
 
     def _await(self, read: Callable[[], bool]) -> bool:
-        """Polls until `read()` holds; returns False when the drive takes too long."""
+        """Poll until `read()` holds; return False when the drive takes too long."""
         deadline = self._drive.now() + round(self._drive.axis.step_timeout * 1e9)
         while not read():
             if self._drive.now() >= deadline:
@@ -216,7 +216,7 @@ class BringUp(ABC):
             raise self.refusal("drive modes", f"0x6502 = {modes:#x}", f"bit {bit} ({name}) set")
 
     def _drive_state(self) -> None:
-        """Leaves the drive without torque; a fault is reset only if the configuration says so."""
+        """Leave the drive without torque; a fault is reset only if the configuration says so."""
         with self.step("drive state"):
             if self._state() in FAULTED:
                 if not self._drive.axis.reset_fault:
@@ -228,7 +228,7 @@ class BringUp(ABC):
                 raise self.refusal("drive state", self._state().value, "a state without torque")
 
     def reset_fault(self) -> None:
-        """Resets a fault by the rising edge of bit 7 and leaves the drive disabled; never enables it.
+        """Reset a fault by the rising edge of bit 7 and leave the drive disabled; never enables it.
 
         Raises:
             StartError: The fault stays.
@@ -249,7 +249,7 @@ class BringUp(ABC):
         return drive_state(self._sdo.read(od.STATUSWORD))
 
     def fault_text(self) -> str:
-        """Returns the state with the drive's own error code, where it has one."""
+        """Return the state with the drive's own error code, where it has one."""
         text = self._state().value
         if od.ERROR_CODE in self._drive.dictionary:
             try:
@@ -287,7 +287,7 @@ class BringUp(ABC):
         drive.scaling = axis_scaling(drive.axis, rated_torque)
 
     def _write_rated_torque(self) -> int:
-        """Writes rated_torque to a 0x6076 that is 0, if the drive is of that kind; returns what the drive then has."""
+        """Write rated_torque to a 0x6076 that is 0, if the drive is of that kind; return what the drive then has."""
         drive, rated_torque = self._drive, self._drive.axis.rated_torque
         if not drive.quirks.writes_rated_torque or rated_torque is None:
             return 0

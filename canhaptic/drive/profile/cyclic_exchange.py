@@ -30,19 +30,19 @@ class CyclicExchange(Protocol):
         """Silence of the master that a drive tolerates [ns]."""
 
     def now(self) -> int:
-        """Returns the time [ns]."""
+        """Return the time [ns]."""
 
     def wait_until(self, deadline: int) -> None:
-        """Returns when `deadline` [ns] has come."""
+        """Return when `deadline` [ns] has come."""
 
     def begin(self) -> None:
-        """Lets the next SYNC go out at once and counts from there."""
+        """Let the next SYNC go out at once and count from there."""
 
     def sync(self) -> None:
         """Wait for the next deadline, send SYNC and take its answers; raise LinkError."""
 
     def write_zero(self) -> None:
-        """Sends every drive its controlword with zero torque; raises LinkError."""
+        """Send every drive its controlword with zero torque; raise LinkError."""
 
     def beat(self, *, at_once: bool = False) -> None:
         """Send the master's sign of life, when due or at once; raise LinkError."""

@@ -60,7 +60,7 @@ class Finding(NamedTuple):
 def profile_findings(
     dictionary: Dictionary, axis: TorqueAxisParameters, sample_time_ns: int | None = None
 ) -> list[Finding]:
-    """Returns what the objects of CiA 402 in a dictionary say about its fitness for cyclic torque.
+    """Return what the objects of CiA 402 in a dictionary say about its fitness for cyclic torque.
 
     Args:
         dictionary: Dictionary of the drive.
@@ -83,7 +83,7 @@ def profile_findings(
 
 
 def agreed_rated_torque(axis: TorqueAxisParameters, counts: int | None, resolution: float = 1e-3) -> float:
-    """Returns the rated torque of the axis [N*m or N] on which drive and configuration agree.
+    """Return the rated torque of the axis [N*m or N] on which drive and configuration agree.
 
     Args:
         axis: May state `rated_torque`.
@@ -142,7 +142,7 @@ def _target(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
 
 
 def _read_back(dictionary: Dictionary) -> list[Finding]:
-    """Returns the refusals of torques that could be read back, but have another type than CiA 402 says."""
+    """Return the refusals of torques that could be read back, but have another type than CiA 402 says."""
     uses = ((od.TORQUE_DEMAND, "torque demand"), (od.TORQUE_ACTUAL, "torque actual"))
     findings = [
         _used(dictionary, ObjectUse(index, 0, DataType.INTEGER16), name) for index, name in uses if index in dictionary
@@ -215,13 +215,13 @@ def _max_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
 
 
 def largest_value(dictionary: Dictionary, index: int) -> int:
-    """Returns the largest value that the dictionary allows an object."""
+    """Return the largest value that the dictionary allows an object."""
     stated = getattr(dictionary.get_variable(index), "max", None)
     return stated if isinstance(stated, int) else 0xFFFF_FFFF  # of an UNSIGNED32
 
 
 def steepest_ramp(dictionary: Dictionary) -> float:
-    """Returns the least of the largest values that the ramps of a drive take [counts/s^2]; infinite without ramps."""
+    """Return the least of the largest values that the ramps of a drive take [counts/s^2]; infinite without ramps."""
     return min((largest_value(dictionary, index) for index in RAMPS if is_writable(dictionary, index, 0)), default=inf)
 
 
@@ -240,7 +240,7 @@ def _ramps(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[Finding]:
 
 
 def max_torque_unwritten(dictionary: Dictionary, axis: TorqueAxisParameters) -> str:
-    """Returns why the start writes no limit to 0x6072; "" where it does."""
+    """Return why the start writes no limit to 0x6072; "" where it does."""
     variable = dictionary.get_variable(od.MAX_TORQUE, 0)
     if variable is None:
         return "not listed"
@@ -261,7 +261,7 @@ def _max_torque_value(axis: TorqueAxisParameters, rated_torque: float) -> int:
 
 
 def _rated_torque_objection(dictionary: Dictionary, axis: TorqueAxisParameters) -> str | None:
-    """Returns why 0x6076 cannot be read, or cannot hold what the configuration says; limits are those of writing."""
+    """Return why 0x6076 cannot be read, or cannot hold what the configuration says; limits are those of writing."""
     variable = listed(dictionary, od.RATED_TORQUE)
     text = objection(dictionary, ObjectUse(od.RATED_TORQUE, reads=True))
     if text is not None or variable is None or axis.rated_torque is None:
@@ -296,7 +296,7 @@ def _offsets(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[Finding
 
 
 def _interpolation(dictionary: Dictionary, axis: TorqueAxisParameters, sample_time_ns: int | None) -> list[Finding]:
-    """Returns the refusals of 0x60C2, which is optional."""
+    """Return the refusals of 0x60C2, which is optional."""
     place = od.INTERPOLATION_PERIOD
     if not quirks_of(axis.quirks).writes_interpolation_period or not is_writable(dictionary, place, 1):
         return []
@@ -314,7 +314,7 @@ def _interpolation(dictionary: Dictionary, axis: TorqueAxisParameters, sample_ti
 
 
 def decimal_period(sample_time_ns: int) -> tuple[int, int] | None:
-    """Returns (value, exponent) of 0x60C2 for a sample time; None if no value of one byte has it exactly."""
+    """Return (value, exponent) of 0x60C2 for a sample time; None if no value of one byte has it exactly."""
     for exponent in _PERIOD_EXPONENTS:
         value, rest = divmod(sample_time_ns, 10 ** (9 + exponent))
         if rest == 0 and 1 <= value <= 255:

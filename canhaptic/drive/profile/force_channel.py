@@ -36,7 +36,7 @@ class ForceChannel:
         return (counts - self._offset) * self._per_count
 
     def take(self, counts: int, periods: int = 1) -> float:
-        """Returns the force of the hand towards +q [N or N*m]; of a running impulse its mean over the holds between.
+        """Return the force of the hand towards +q [N or N*m]; of a running impulse its mean over the holds between.
 
         Args:
             counts: Counts in the process data.

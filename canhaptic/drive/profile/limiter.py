@@ -68,13 +68,13 @@ class TorqueLimiter:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets the last torque and the counts."""
+        """Forget the last torque and the counts."""
         self.last = self.low = self.high = 0.0
         self.saturation = 0
         self.saturated_cycles = 0
 
     def limit(self, torque: float, velocity: float) -> float:
-        """Returns the torque [N*m or N] that may go to the drive: the nearest that all limits allow.
+        """Return the torque [N*m or N] that may go to the drive: the nearest that all limits allow.
 
         Args:
             torque: Torque requested by the controller [N*m or N].
@@ -127,7 +127,7 @@ class DryRunLimiter(TorqueLimiter):
     __slots__ = ("withheld",)
 
     def reset(self) -> None:
-        """Forgets the last torque and the counts."""
+        """Forget the last torque and the counts."""
         super().reset()
         self.withheld = 0.0
 
@@ -143,5 +143,5 @@ class DryRunLimiter(TorqueLimiter):
 
 
 def _cut(torque: float, intervals: tuple[tuple[float, float], ...]) -> int:
-    """Returns which intervals a torque lies outside of, a bit for each, in the order of `Saturation`."""
+    """Return which intervals a torque lies outside of, a bit for each, in the order of `Saturation`."""
     return sum(1 << place for place, (least, most) in enumerate(intervals) if not least <= torque <= most)

@@ -217,24 +217,24 @@ class LinkPolicy:
         self.reset()
 
     def reset(self) -> None:
-        """Starts counting again."""
+        """Start counting again."""
         self.missed = 0
         self.missed_total = 0
         self.cycles = 0
 
     def on_tpdo(self) -> None:
-        """Counts a SYNC that was answered."""
+        """Count a SYNC that was answered."""
         self.cycles += 1
         self.missed = 0
 
     def on_missed(self) -> None:
-        """Counts a SYNC that was not answered."""
+        """Count a SYNC that was not answered."""
         self.cycles += 1
         self.missed += 1
         self.missed_total += 1
 
     def action(self) -> Action:
-        """Returns what to do in this cycle."""
+        """Return what to do in this cycle."""
         if self.missed == 0:
             return Action.RUN
         if self.missed <= self._hold_cycles:
@@ -242,12 +242,12 @@ class LinkPolicy:
         return Action.RAMP if self.missed < self._stop_cycles else Action.STOP
 
     def torque_fraction(self) -> float:
-        """Returns the fraction of the last torque that may still be held, 1 to 0."""
+        """Return the fraction of the last torque that may still be held, 1 to 0."""
         if self.missed <= self._hold_cycles:
             return 1.0
         ramp_cycles = self._stop_cycles - self._hold_cycles
         return max(0.0, 1.0 - (self.missed - self._hold_cycles) / ramp_cycles)
 
     def success_rate(self) -> float:
-        """Returns the part of all SYNCs that were answered; 1 before the first."""
+        """Return the part of all SYNCs that were answered; 1 before the first."""
         return 1.0 - self.missed_total / self.cycles if self.cycles else 1.0

@@ -10,16 +10,16 @@ class ObjectAccess(Protocol):
     """
 
     def read(self, index: int, subindex: int = 0) -> int:
-        """Returns the value of an object."""
+        """Return the value of an object."""
 
     def probe(self, index: int, subindex: int = 0) -> int:
-        """Returns the value of an object; asks once only."""
+        """Return the value of an object; ask once only."""
 
     def read_within(self, limit: int, index: int, subindex: int = 0) -> int:
-        """Returns the value of an object; all attempts together take at most `limit` [ns]."""
+        """Return the value of an object; all attempts together take at most `limit` [ns]."""
 
     def write(self, index: int, subindex: int, value: int) -> None:
-        """Writes an object."""
+        """Write an object."""
 
     def describe(self, index: int, subindex: int = 0) -> str:
-        """Returns an object as `0x6072:00 Max torque`."""
+        """Return an object as `0x6072:00 Max torque`."""

@@ -27,7 +27,7 @@ class ObjectUse:
 
 
 def listed(dictionary: Dictionary, index: int, subindex: int = 0) -> Variable | None:
-    """Returns an object of exactly this index and subindex, or None: a VAR has no subindex but 0."""
+    """Return an object of exactly this index and subindex, or None: a VAR has no subindex but 0."""
     variable = dictionary.get_variable(index, subindex)
     return variable if variable is not None and variable.subindex == subindex else None
 
@@ -52,7 +52,7 @@ def _of_type(variable: Variable, expected: DataType | None) -> str | None:
 
 
 def range_objection(variable: Variable, value: int) -> str | None:
-    """Returns why the type of an integer object cannot hold a value; None where it can."""
+    """Return why the type of an integer object cannot hold a value; None where it can."""
     low, high = _type_range(variable)
     return None if low <= value <= high else f"limited to {low}..{high} by its type, which leaves out {value}"
 
@@ -80,7 +80,7 @@ def _type_name(data_type: int | None) -> str:
 def mapping_objection(
     dictionary: Dictionary, kind: Literal["RPDO", "TPDO"], index: int, data_type: DataType, subindex: int = 0
 ) -> str | None:
-    """Returns why an object cannot be part of a map that is written; None where it can."""
+    """Return why an object cannot be part of a map that is written; None where it can."""
     variable = listed(dictionary, index, subindex)
     if variable is None:
         return "missing"

@@ -73,7 +73,7 @@ _STATES: Final = tuple(_state(low_byte) for low_byte in range(256))
 
 
 def drive_state(statusword: int) -> PowerState:
-    """Returns the state that a statusword (0x6041) shows; only its low byte matters."""
+    """Return the state that a statusword (0x6041) shows; only its low byte matters."""
     return _STATES[statusword & 0xFF]
 
 
@@ -83,5 +83,5 @@ def is_enabled(statusword: int) -> bool:
 
 
 def next_controlword(state: PowerState) -> Controlword | None:
-    """Returns the controlword (0x6040) of the next step towards OPERATION ENABLED; None where only waiting helps."""
+    """Return the controlword (0x6040) of the next step towards OPERATION ENABLED; None where only waiting helps."""
     return _ENABLE_TABLE.get(state)

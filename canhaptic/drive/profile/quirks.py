@@ -71,7 +71,7 @@ _QUIRKS: Final[Mapping[str, Mapping[str, Any]]] = {
 
 @cache
 def quirks_of(names: Sequence[str]) -> Quirks:
-    """Returns the deviations of a drive; those of a plain CiA 402 drive for no names.
+    """Return the deviations of a drive; those of a plain CiA 402 drive for no names.
 
     Args:
         names: A tuple of names of `_QUIRKS`.

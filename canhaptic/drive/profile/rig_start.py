@@ -16,7 +16,7 @@ _PATIENCE: Final = 3  # heartbeats after which a drive that has not confirmed is
 
 
 def start(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
-    """Takes every drive to OPERATION ENABLED with zero torque; returns after the first SYNC that found all enabled.
+    """Take every drive to OPERATION ENABLED with zero torque; return after the first SYNC that found all enabled.
 
     Args:
         exchange: The cycle.
@@ -101,7 +101,7 @@ def _read(exchange: CyclicExchange, drive: TorqueAxis, index: int) -> int:
 
 
 def _check_positions(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
-    """Compares the position in the TPDO with the one by SDO: a map that is shifted shows here, before any torque."""
+    """Compare the position in the TPDO with the one by SDO: a map that is shifted shows here, before any torque."""
     for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
         with bring_up.step("position"):
             by_sdo = _read(exchange, drive, POSITION_ACTUAL)
@@ -113,7 +113,7 @@ def _check_positions(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> 
 
 
 def _enable(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
-    """Walks every drive through 0x06, 0x07, 0x0F, each confirmed by the statusword before the next."""
+    """Walk every drive through 0x06, 0x07, 0x0F, each confirmed by the statusword before the next."""
     begin = dict.fromkeys(exchange.drives, exchange.now())
     states = {drive: drive.state for drive in exchange.drives}
     while True:
@@ -139,7 +139,7 @@ def _is_enabled(drive: TorqueAxis) -> bool:
 
 
 def _enable_time(drive: TorqueAxis) -> int:
-    """Returns how long one step of the enabling may take [ns]."""
+    """Return how long one step of the enabling may take [ns]."""
     return round(max(drive.axis.step_timeout, drive.quirks.enable_time) * 1e9)
 
 

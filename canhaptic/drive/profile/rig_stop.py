@@ -30,7 +30,7 @@ class Trust(Enum):
 
 
 def ramp_down(exchange: CyclicExchange, duration: float) -> None:
-    """Takes the torque of every axis to zero along a straight line, through the limiter.
+    """Take the torque of every axis to zero along a straight line, through the limiter.
 
     Args:
         exchange: The cycle.
@@ -52,7 +52,7 @@ def ramp_down(exchange: CyclicExchange, duration: float) -> None:
 
 
 def disable(exchange: CyclicExchange, trust: Trust) -> list[str]:
-    """Sends zero torque, disables every drive and takes it to pre-operational.
+    """Send zero torque, disable every drive and take it to pre-operational.
 
     Args:
         exchange: The drives.
@@ -85,7 +85,7 @@ def disable(exchange: CyclicExchange, trust: Trust) -> list[str]:
 
 
 def _write_zero(drives: Sequence[TorqueAxis]) -> None:
-    """Sends zero to every drive, even where the frame of another is refused."""
+    """Send zero to every drive, even where the frame of another is refused."""
     failure: LinkError | None = None
     for drive in drives:
         try:
@@ -97,7 +97,7 @@ def _write_zero(drives: Sequence[TorqueAxis]) -> None:
 
 
 def _cycle_until_disabled(exchange: CyclicExchange, drives: Sequence[TorqueAxis], *, insists: bool) -> None:
-    """Repeats zero torque and disable until every drive confirms; a bus that is off may come back meanwhile.
+    """Repeat zero torque and disable until every drive confirms; a bus that is off may come back meanwhile.
 
     After the silence of the master that they tolerate the drives have stopped by their own watchdogs. Where none of
     those that are left shows that it is without torque, disable follows by SDO.
@@ -146,7 +146,7 @@ def _confirm_disabled(drive: TorqueAxis) -> str:
 
 
 def _leave_operational(drives: Sequence[TorqueAxis]) -> None:
-    """Sends the drives to pre-operational, switches their watchdogs off and waits for their heartbeats."""
+    """Send the drives to pre-operational, switch their watchdogs off and wait for their heartbeats."""
     _try_each(drive.leave_operational for drive in drives)
     for drive in drives:
         _try(drive.disarm)
@@ -154,7 +154,7 @@ def _leave_operational(drives: Sequence[TorqueAxis]) -> None:
 
 
 def _try(action: Callable[[], object]) -> bool:
-    """Runs one part of the stop; returns False when bus or drive failed, so that the other parts still happen."""
+    """Run one part of the stop; return False when bus or drive failed, so that the other parts still happen."""
     try:
         action()
     except RigError:

@@ -44,7 +44,7 @@ class AxisScaling:
         self._counts = 0
 
     def position(self, position_counts: int) -> float:
-        """Returns the position [m or rad] of the next 0x6064; a step of less than half the range never jumps."""
+        """Return the position [m or rad] of the next 0x6064; a step of less than half the range never jumps."""
         step = position_counts - self._counts
         if not -_HALF <= step < _HALF:
             step = (step + _HALF) % _WRAP - _HALF
@@ -52,11 +52,11 @@ class AxisScaling:
         return counts * self._unit_per_count
 
     def torque(self, torque_per_mille: int) -> float:
-        """Returns a torque of the drive (0x6071, 0x6074, 0x6077) in [N*m or N]."""
+        """Return a torque of the drive (0x6071, 0x6074, 0x6077) in [N*m or N]."""
         return torque_per_mille * self._torque_quantum
 
     def torque_per_mille(self, torque: float, low: float, high: float) -> int:
-        """Returns the nearest target torque (0x6071) that is not beyond `low` or `high`.
+        """Return the nearest target torque (0x6071) that is not beyond `low` or `high`.
 
         Args:
             torque: Finite, from `low` to `high` [N*m or N].
@@ -81,7 +81,7 @@ class AxisScaling:
 
 
 def axis_scaling(axis: TorqueAxisParameters, rated_torque: float) -> AxisScaling:
-    """Returns the scaling of an axis.
+    """Return the scaling of an axis.
 
     Args:
         axis: Its parameters; its quirks may change the unit of torque.
@@ -94,12 +94,12 @@ def axis_scaling(axis: TorqueAxisParameters, rated_torque: float) -> AxisScaling
 
 
 def torque_limit_per_mille(torque_limit: float, rated_torque: float) -> int:
-    """Returns the value of 0x6072 for a limit [N*m or N]: rounded down, so that the drive never allows more."""
+    """Return the value of 0x6072 for a limit [N*m or N]: rounded down, so that the drive never allows more."""
     return _toward_zero(torque_limit / rated_torque * _PER_MILLE)
 
 
 def _toward_zero(exact: float) -> int:
-    """Returns the whole number next to `exact` on the side of zero.
+    """Return the whole number next to `exact` on the side of zero.
 
     A hair is added before the fraction is cut: 0.3 of 1.0 is 300 per mille and not 299.
     """

@@ -121,7 +121,7 @@ class TorqueAxis(ABC):
         self._largest_step = axis.largest_speed * rules.sample_time + 1.0 / axis.counts_per_unit
 
     def reset(self) -> None:
-        """Forgets everything received and commanded; a derived class calls it when it is complete."""
+        """Forget everything received and commanded; a derived class calls it when it is complete."""
         self.statusword = 0
         self.is_operational = False
         self.alive_at = self.now()
@@ -159,31 +159,31 @@ class TorqueAxis(ABC):
 
     @abstractmethod
     def now(self) -> int:
-        """Returns the time [ns]."""
+        """Return the time [ns]."""
 
     @abstractmethod
     def pump(self, deadline: int) -> None:
-        """Takes what the bus brings until `deadline` [ns]; raises LinkError."""
+        """Take what the bus brings until `deadline` [ns]; raise LinkError."""
 
     @abstractmethod
     def write(self, torque_per_mille: int) -> None:
-        """Sends controlword and target torque as one image; raises LinkError."""
+        """Send controlword and target torque as one image; raise LinkError."""
 
     @abstractmethod
     def disable_unconfirmed(self) -> None:
-        """Sends 0x6040 = disable voltage outside the process data and awaits no answer; raises LinkError."""
+        """Send 0x6040 = disable voltage outside the process data and await no answer; raise LinkError."""
 
     @abstractmethod
     def leave_operational(self) -> None:
-        """Asks the drive to exchange no more process data; raises LinkError."""
+        """Ask the drive to exchange no more process data; raise LinkError."""
 
     @abstractmethod
     def await_pre_operational(self) -> None:
-        """Returns when the drive has confirmed that it left, or its time is over; raises LinkError."""
+        """Return when the drive has confirmed that it left, or its time is over; raise LinkError."""
 
     @abstractmethod
     def disarm(self) -> None:
-        """Switches the drive's watchdog off, so that the end of the master is no fault; raises SdoError."""
+        """Switch the drive's watchdog off, so that the end of the master is no fault; raise SdoError."""
 
     # --- in ---------------------------------------------------------------------------------------------------------
 
@@ -255,7 +255,7 @@ class TorqueAxis(ABC):
         return sample
 
     def _missed_sample(self, sync_index: int) -> Sample:
-        """Counts a SYNC without a whole sample; returns the last one, marked as old."""
+        """Count a SYNC without a whole sample; return the last one, marked as old."""
         if self.policy.missed == 0:
             self._held = self.limiter.last
         self.policy.on_missed()
@@ -319,7 +319,7 @@ class TorqueAxis(ABC):
             self.uncommanded += 1
 
     def _judge_measured(self, measured: int, believed: int) -> None:
-        """Counts holds in which a measured torque stayed near an old command although another, far from it, was sent.
+        """Count holds in which a measured torque stayed near an old command although another, far from it, was sent.
 
         Where the two commands are close, the comparison is inconclusive and the count stays.
         """
@@ -381,7 +381,7 @@ class TorqueAxis(ABC):
         return self._deviation()
 
     def _deviation(self) -> StopReason:
-        """Tolerates bit 11 or 12 for as many cycles as a missing TPDO before the torque is ramped down."""
+        """Tolerate bit 11 or 12 for as many cycles as a missing TPDO before the torque is ramped down."""
         cycle = self.policy.cycles
         self._deviations = self._deviations + 1 if self._deviated_at == cycle - 1 else 1
         self._deviated_at = cycle

@@ -64,7 +64,7 @@ def run_batch(
     seeds: Array | None = None,
     stopped: dict[int, str] | None = None,
 ) -> Mapping[str, Array]:
-    """Returns the figures of many scenes, each of shape (n_scenes,); the order of the scenes changes nothing.
+    """Return the figures of many scenes, each of shape (n_scenes,); the order of the scenes changes nothing.
 
     Args:
         scene: Common part of the scenes; `why_not_batchable(scene)` must be "".

@@ -44,6 +44,6 @@ class BatchCase:
 
 
 def floats_of(section: str, model: Parameters) -> dict[str, float]:
-    """Returns the numbers of a parameter model by the names of `BatchCase.numbers`."""
+    """Return the numbers of a parameter model by the names of `BatchCase.numbers`."""
     fields = {f"{section}.{name}": getattr(model, name) for name in type(model).model_fields}
     return {name: value for name, value in fields.items() if isinstance(value, float)}

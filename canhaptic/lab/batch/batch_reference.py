@@ -70,7 +70,7 @@ def no_modes(count: int) -> ContinuousModes:
 def continuous_modes(
     case: BatchCase, numbers: Mapping[str, Any], count: int, cycles: int, *, with_force: bool, with_travel: bool
 ) -> ContinuousModes:
-    """Returns the continuous environments of some scenes.
+    """Return the continuous environments of some scenes.
 
     Args:
         case: Case with an environment of `CLOSED_FORM`.
@@ -114,7 +114,7 @@ def _flows_of_each(rates: Array, step: Array) -> Array:
 
 
 def _stacked(modes: Sequence[Array]) -> Array:
-    """Returns the matrices of the three modes, shape (n, 3, k, k); of an environment without surfaces the same."""
+    """Return the matrices of the three modes, shape (n, 3, k, k); of an environment without surfaces the same."""
     return np.ascontiguousarray(np.stack([modes[min(mode, len(modes) - 1)] for mode in range(3)], axis=1))
 
 

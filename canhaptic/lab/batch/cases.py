@@ -30,7 +30,7 @@ _PLANT_DAMPING: Final = "simulation.plant.damping"
 
 
 def why_not_batchable(scene: Scene) -> str:
-    """Returns "" when the whole loop of a scene can run in a batch, else the reason by name.
+    """Return "" when the whole loop of a scene can run in a batch, else the reason by name.
 
     "effect coulomb_friction has events", "scene has 2 axes, expected one", ...
 
@@ -50,7 +50,7 @@ def why_not_batchable(scene: Scene) -> str:
 
 
 def why_not_compiled(case: LoopCase) -> str:
-    """Returns "" when a loop can be compiled together with its plant, else the reason by name."""
+    """Return "" when a loop can be compiled together with its plant, else the reason by name."""
     if case.simulation is None:
         return "the plant is not that of a scene"
     reason = _why_not_moved(case.simulation, case.algorithm, case.own)
@@ -69,7 +69,7 @@ def why_not_compared(scene: Scene, metrics: Sequence[str]) -> str:
 
 
 def why_not_beforehand(scene: Scene) -> str:
-    """Returns the answer of `why_not_batchable` as far as it does not depend on the algorithm."""
+    """Return the answer of `why_not_batchable` as far as it does not depend on the algorithm."""
     if scene.groups:
         return f"group {scene.groups[0].name!r} renders on {len(scene.groups[0].axes)} axes together"
     if len(scene.axes) != 1:
@@ -91,7 +91,7 @@ def _why_not_moved(simulation: AxisSimulation, algorithm: str, own: type[Any] | 
 
 
 def batch_case(scene: Scene, varied: Mapping[str, Array]) -> BatchCase:
-    """Returns the loop of a scene of one axis with the numbers in which many scenes differ.
+    """Return the loop of a scene of one axis with the numbers in which many scenes differ.
 
     Args:
         scene: Common part of the scenes, the delay included.
@@ -141,7 +141,7 @@ def loop_in_arrays(
     numbers: Mapping[str, Array],
     varied: Mapping[str, Array] | None = None,
 ) -> BatchCase:
-    """Returns a loop that is not of a scene (an ideal encoder, an ideal torque) for many scenes.
+    """Return a loop that is not of a scene (an ideal encoder, an ideal torque) for many scenes.
 
     Args:
         case: Common part of the loops.
@@ -156,7 +156,7 @@ def loop_in_arrays(
 
 
 def loop_alone(case: LoopCase) -> BatchCase:
-    """Returns one loop for which `why_not_compiled` is ""."""
+    """Return one loop for which `why_not_compiled` is ""."""
     simulation = cast(AxisSimulation, case.simulation)
     return _case(case, simulation, _numbers(case, simulation, float(case.sample_time_ns), {}), {})
 
@@ -215,7 +215,7 @@ def _of_axis(name: str, values: Array) -> dict[str, Array]:
 
 
 def check_values(scene: Scene, varied: Mapping[str, Array]) -> int:
-    """Checks the scenes with the least and the largest value of each key; returns the number of scenes.
+    """Check the scenes with the least and the largest value of each key; return the number of scenes.
 
     Raises:
         ParameterError: A key that cannot vary, values of different lengths, not finite or out of range, or an algorithm

@@ -133,19 +133,19 @@ def begin_plant(plants: LinearPlants, row: int) -> None:
 
 
 def plant_at(plants: LinearPlants, row: int) -> LinearPlant:
-    """Returns the plant of a loop."""
+    """Return the plant of a loop."""
     return LinearPlant(plants.flows[row % len(plants.flows)], plants.state, plants.moved)
 
 
 def measured(loop: LoopSettings, position: float) -> float:
-    """Returns a position as the encoder reports it [m or rad]."""
+    """Return a position as the encoder reports it [m or rad]."""
     if loop.counts_per_unit == 0.0:
         return position
     return round(position * loop.counts_per_unit) * (1.0 / loop.counts_per_unit)
 
 
 def read(signals: Signals, cycle: int, position: float) -> float:
-    """Returns a position after the effects of the encoder [m or rad]."""
+    """Return a position after the effects of the encoder [m or rad]."""
     if signals.noise > 0.0:
         position += noise(signals.noise, signals.seed, cycle * TICKS)
     if signals.encoder_step > 0.0:
@@ -154,7 +154,7 @@ def read(signals: Signals, cycle: int, position: float) -> float:
 
 
 def commanded(loop: LoopSettings, torque: float) -> float:
-    """Returns a torque as the drive applies it [N or N*m]."""
+    """Return a torque as the drive applies it [N or N*m]."""
     if abs(torque) > loop.torque_limit:
         torque = loop.torque_limit if torque > 0.0 else -loop.torque_limit
     return torque if loop.torque_quantum == 0.0 else round(torque / loop.torque_quantum) * loop.torque_quantum
@@ -198,7 +198,7 @@ def pass_frames(losses: Losses, place: Interruption, cycle: int) -> None:
 
 
 def is_lost(losses: Losses, was_lost: bool, tick: int) -> bool:
-    """Returns whether a frame is lost."""
+    """Return whether a frame is lost."""
     return uniform(losses.seed, tick) < (losses.after_lost if was_lost else losses.after_heard)
 
 
@@ -306,12 +306,12 @@ def hand_over(loop: LoopSettings, place: Interruption) -> None:
 
 
 def states_in(moved: Buffer) -> int:
-    """Returns the number of states; compiled it is a constant, so that loops over them are unrolled."""
+    """Return the number of states; compiled it is a constant, so that loops over them are unrolled."""
     return len(moved)
 
 
 def move_plant(plant: LinearPlant, torque: float, cycle: int) -> int:
-    """Moves a linear plant to a SYNC under a constant torque [N or N*m]; returns MOVED."""
+    """Move a linear plant to a SYNC under a constant torque [N or N*m]; return MOVED."""
     flow, state, moved = plant.flow, plant.state, plant.moved
     states = states_in(moved)
     state[states] = torque

@@ -45,7 +45,7 @@ def run_records(
 
 @lru_cache(maxsize=16)
 def _compiled_loop(kernel: GroupKernel, parts: tuple[type, ...], replaced: tuple[tuple[object, object], ...]) -> Any:
-    """Returns `run_records` compiled once in a process for each size of group."""
+    """Return `run_records` compiled once in a process for each size of group."""
     instead = {step: kernel.step, noise: compiled_noise, uniform: compiled_uniform, **dict(replaced)}
     return compiled(run_records, instead, keep=True, parts=parts)
 

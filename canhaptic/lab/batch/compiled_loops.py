@@ -53,7 +53,7 @@ def run_loops(
     references: Records, mode_flows: Array, mode_rates: Array, mode_starts: Array, state: Buffer,
     moved_state: Buffer, series: Matrix, outcomes: Numbers, cycles: int,
 ) -> int:  # fmt: skip
-    """Runs one loop after the other, from the place in `outcomes`, see `run_loop`; returns how many are over.
+    """Run one loop after the other, from the place in `outcomes`, see `run_loop`; return how many are over.
 
     An interrupted loop continues at the next call: outcomes = [completed loops, reason of the return, 1 if the next
     loop has begun].
@@ -81,12 +81,12 @@ def run_loops(
 
 
 def known_states(_moved: Buffer) -> int:
-    """Replaces `states_in`."""
+    """Replace `states_in`."""
     return STATES
 
 
 def known_length(_state: Buffer) -> int:
-    """Replaces `length_of`."""
+    """Replace `length_of`."""
     return LENGTH
 
 
@@ -94,7 +94,7 @@ def known_length(_state: Buffer) -> int:
 def compiled_loops(
     kind: Any, kernel: Kernel, states: int, length: int, replaced: tuple[tuple[object, object], ...]
 ) -> Any:
-    """Returns `run_loops` compiled.
+    """Return `run_loops` compiled.
 
     Args:
         kind: Tuple type of the environment.
@@ -140,7 +140,7 @@ class CompiledLoops:
         self._state, self._moved, self._series = np.empty(size), np.empty(size), np.zeros((TERMS, size))
 
     def run(self, some: Sequence[int], plants: Plants, interrupted: Interrupted) -> None:
-        """Runs some of the scenes; see `InterpretedLoops.run`."""
+        """Run some of the scenes; see `InterpretedLoops.run`."""
         for numbers in _alike(self._kernel, [self._rows[i] for i in some]):
             self._run_alike(np.asarray(some)[numbers], numbers, plants, interrupted)
 
@@ -178,14 +178,14 @@ class CompiledLoops:
 
 
 def compiled_noise(deviation: float, seed: int, tick: int) -> float:
-    """Replaces `encoder_noise.noise`, in 64 bits."""
+    """Replace `encoder_noise.noise`, in 64 bits."""
     base = _mixed(np.uint64(seed) * _GAMMA + np.uint64(tick))
     first, second = _mixed(base + _GAMMA), _mixed(base + _GAMMA + _GAMMA)
     return gaussian(deviation, (np.float64(first) + 1.0) / _WHOLE, np.float64(second) / _WHOLE)
 
 
 def compiled_uniform(seed: int, tick: int) -> float:
-    """Replaces `encoder_noise.uniform`, in 64 bits."""
+    """Replace `encoder_noise.uniform`, in 64 bits."""
     return np.float64(_mixed(_mixed(np.uint64(seed) * _GAMMA + np.uint64(tick)) + _GAMMA)) / _WHOLE
 
 
@@ -201,7 +201,7 @@ def _of(values: Array, some: Numbers) -> Array:
 
 
 def _alike(kernel: Kernel, rows: Sequence[SceneRow]) -> list[Numbers]:
-    """Returns the numbers of the rows whose buffers have the same lengths, together."""
+    """Return the numbers of the rows whose buffers have the same lengths, together."""
     lengths: dict[int, tuple[int, ...]] = {}
     found: dict[tuple[int, ...], list[int]] = {}
     for i, row in enumerate(rows):
@@ -224,7 +224,7 @@ def _lengths(kernel: Kernel, settings: object) -> tuple[int, ...]:
 
 
 def _memory(kernel: Kernel, settings: object) -> tuple[object, Array]:
-    """Returns the buffers of an algorithm, and the one array in which all of them lie."""
+    """Return the buffers of an algorithm, and the one array in which all of them lie."""
     whole, used = np.zeros(sum(_lengths(kernel, settings))), 0
 
     def make_buffer(length: int) -> Array:

@@ -19,7 +19,7 @@ WORTH_COMPILING_GROUPS: Final = 3e5
 
 
 def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
-    """Returns the engine that "auto" chooses here.
+    """Return the engine that "auto" chooses here.
 
     Args:
         engine: Requested engine.

@@ -16,7 +16,7 @@ from canhaptic.lab.loop.axis_loop import Array
 def run_event_plants(
     loops: Any, plants: Sequence[PlantValues], which: Array, stopped: dict[int, EventLimitError], *, listed: bool
 ) -> None:
-    """Runs every loop.
+    """Run every loop.
 
     Args:
         loops: `InterpretedLoops` or `CompiledLoops`.

@@ -106,12 +106,12 @@ def begin_events(plants: EventPlants, row: int) -> None:
 
 
 def events_at(plants: EventPlants, row: int) -> EventPlant:
-    """Returns the plant of a loop."""
+    """Return the plant of a loop."""
     return plants.plant
 
 
 def move_events(plant: EventPlant, torque: float, cycle: int) -> int:
-    """Moves a plant to a SYNC under a constant torque [N or N*m]; returns MOVED, INCOMPLETE or STOPPED."""
+    """Move a plant to a SYNC under a constant torque [N or N*m]; return MOVED, INCOMPLETE or STOPPED."""
     plant.state[len(plant.state) - 2] = torque
     return move_held(plant, cycle)
 
@@ -162,7 +162,7 @@ def run_on(plant: EventPlant, ticks: int, most: int) -> int:
 
 
 def tidy(plant: EventPlant) -> None:
-    """Brings the hand's oscillators back to unit amplitude."""
+    """Bring the hand's oscillators back to unit amplitude."""
     state = plant.state
     for i in range(len(plant.sines)):
         sine, cosine = state[plant.sines[i]], state[plant.sines[i] + 1]
@@ -200,11 +200,11 @@ def interrupt(plant: EventPlant, guard: int, change: int) -> int:
 
 
 def book_nothing(works: Any, state: Buffer, books: tuple[Books]) -> None:
-    """Replaces `stepper.book` where the motor's work is its torque times displacement."""
+    """Replace `stepper.book` where the motor's work is its torque times displacement."""
 
 
 def book_motor(works: Any, state: Buffer, books: tuple[Books]) -> None:
-    """Replaces `stepper.book`: the work of the motor alone; `works` has shape (n, 2 n)."""
+    """Replace `stepper.book`: the work of the motor alone; `works` has shape (n, 2 n)."""
     only, size = books[0], len(state)
     move(works, state, only.rows)
     total = 0.0
@@ -214,6 +214,6 @@ def book_motor(works: Any, state: Buffer, books: tuple[Books]) -> None:
 
 
 def booked_work(plant: EventPlant, interaction: float, torque: float, travel: float) -> float:
-    """Replaces `closed_loop.work_in` where the motor's work is booked."""
+    """Replace `closed_loop.work_in` where the motor's work is booked."""
     booked: float = plant.books[0].totals[0] + plant.now[0].rippled
     return 0.0 - booked

@@ -117,7 +117,7 @@ class EventModes:
         self._form: Callable[[Any], Any] = (lambda array: array.tolist()) if listed else np.ascontiguousarray
 
     def plants(self, now: Sequence[EventState] | Records) -> EventPlants:
-        """Returns the plant at its start.
+        """Return the plant at its start.
 
         Args:
             now: (`EventState`,), records where the loop is compiled.
@@ -136,7 +136,7 @@ class EventModes:
         return EventPlants(plant, form(self._start), self._first)
 
     def complete(self) -> None:
-        """Compiles every mode that can be entered."""
+        """Compile every mode that can be entered."""
         machine, mode = self._machine, 0
         while mode < len(machine.modes):
             for guard, target in enumerate(list(machine.targets[mode])):
@@ -147,7 +147,7 @@ class EventModes:
             mode += 1
 
     def completed(self, plants: EventPlants) -> EventPlants:
-        """Returns the same plant with the mode compiled that interrupted its loop."""
+        """Return the same plant with the mode compiled that interrupted its loop."""
         mode, guard, change = (int(number_in(plants.plant.now[0], name)) for name in ("mode", "guard", "change"))
         if guard != NONE:
             self._machine.connect(mode, guard)
@@ -170,7 +170,7 @@ class EventModes:
         return ModeTables(*map(self._form, tables._replace(works=tables.works[..., : 2 * size])))
 
     def _efforts(self) -> tuple[Any, Any]:
-        """Returns the efforts, and their bristles twice."""
+        """Return the efforts, and their bristles twice."""
         efforts = [getattr(effort, "effort", None) for effort in self._machine.scene.efforts]
         bristles = [Bristle() for _ in range(2 * len(efforts))]
         if self._listed:

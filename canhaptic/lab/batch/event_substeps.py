@@ -14,7 +14,7 @@ _UNKNOWN_SLOPE: Final = -1.0
 
 
 def run_substeps(plant: EventPlant, ticks: int, most: int) -> int:
-    """Replaces `event_plant.run_ticks`: moves in substeps that end at their first event at the latest."""
+    """Replace `event_plant.run_ticks`: move in substeps that end at their first event at the latest."""
     counts, now = plant.counts, plant.now[0]
     while ticks:
         ticks -= substep(plant, min(ticks, plant.substep_ticks), most)
@@ -24,7 +24,7 @@ def run_substeps(plant: EventPlant, ticks: int, most: int) -> int:
 
 
 def substep(plant: EventPlant, ticks: int, most: int) -> int:
-    """Moves by `ticks` or to the first event; returns the ticks that passed."""
+    """Move by `ticks` or to the first event; return the ticks that passed."""
     state, now = plant.state, plant.now[0]
     now.start, now.held = state[0], state[plant.torque_place]
     force = solve(plant, ticks, most)
@@ -57,7 +57,7 @@ def solve(plant: EventPlant, ticks: int, most: int) -> float:
 
 
 def residual_of_plant(plant: EventPlant, force: float) -> float:
-    """Replaces `splitting.residual`; 0 where the plant cannot be moved on, which ends the search."""
+    """Replace `splitting.residual`; 0 where the plant cannot be moved on, which ends the search."""
     state, counts, now = plant.state, plant.counts, plant.now[0]
     if counts[MISSING] != NONE or now.is_stopped:
         return 0.0

@@ -47,7 +47,7 @@ class GroupCase(NamedTuple):
         return not self.why_not
 
     def room(self) -> GroupRoom:
-        """Returns buffers of zeros."""
+        """Return buffers of zeros."""
         axes = len(self.rig.loops)
         one = [list_of_zeros(axes) for _ in GroupRoom._fields]
         wish = RequestedEfforts(*(list_of_zeros(axes) for _ in range(4)))
@@ -55,7 +55,7 @@ class GroupCase(NamedTuple):
 
 
 def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
-    """Returns the one group of a scene.
+    """Return the one group of a scene.
 
     Args:
         scene: Scene with one group, alone.

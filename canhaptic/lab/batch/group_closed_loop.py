@@ -175,7 +175,7 @@ def is_away(rig: GroupRig, room: GroupRoom) -> bool:
 
 
 def take_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, hold: GroupHold) -> None:
-    """Takes one SYNC; see `meter.take`."""
+    """Take one SYNC; see `meter.take`."""
     figures, account, square, largest = meter.figures, hold.account, 0.0, 0.0
     figures.cycles += 1.0
     for i in range(len(room.held)):
@@ -198,7 +198,7 @@ def take_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, 
 
 
 def explain(world: World, rig: GroupRig, room: GroupRoom, followed: GroupMotion, meter: GroupMeter) -> None:
-    """Follows the network with the true motion, and adds a hold that began and ended in contact to the sums."""
+    """Follow the network with the true motion, and add a hold that began and ended in contact to the sums."""
     was_engaged, wish = followed.engaged, room.wish
     follow(world, rig.true, followed, room.asked, room.true, room.moved, 1)
     if followed.engaged:
@@ -221,7 +221,7 @@ def explain(world: World, rig: GroupRig, room: GroupRoom, followed: GroupMotion,
 
 
 def shares(meter: GroupMeter) -> tuple[float, float]:
-    """Returns the shares of spring and damper that were rendered; NaN without any.
+    """Return the shares of spring and damper that were rendered; NaN without any.
 
     The spring's share is that in the torques held, by least squares with the damper; the damper's is the damping that
     the controller booked over the requested one.
@@ -237,12 +237,12 @@ def shares(meter: GroupMeter) -> tuple[float, float]:
 
 
 def states_of(moved: Buffer) -> int:
-    """Returns the number of states; compiled it is a constant, so that loops over them are unrolled."""
+    """Return the number of states; compiled it is a constant, so that loops over them are unrolled."""
     return len(moved)
 
 
 def move_motors(motors: Any, room: GroupRoom, cycle: int) -> float:
-    """Moves the motors to a SYNC; returns the work that they did in that hold [J], NaN where they cannot move."""
+    """Move the motors to a SYNC; return the work that they did in that hold [J], NaN where they cannot move."""
     flow, state, moved = motors.flow, motors.state, motors.moved
     states, work, count = states_of(moved), 0.0, len(room.held)
     if cycle:

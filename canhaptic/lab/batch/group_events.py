@@ -76,13 +76,13 @@ class EventMotorsPlan(NamedTuple):
 
 
 def why_not_events(model: PlantModel) -> str:
-    """Returns "" when a plant can move in the loop of a group, else the reason by name."""
+    """Return "" when a plant can move in the loop of a group, else the reason by name."""
     modes = prod(len(part.modes) for part in model.parts)
     return "" if modes <= _MOST_MODES else f"a plant of {modes} modes, expected {_MOST_MODES} at most"
 
 
 def run_with_efforts(plant: EventPlant, ticks: int, most: int) -> int:
-    """Replaces `event_plant.run_ticks` where some plants have forces over substeps."""
+    """Replace `event_plant.run_ticks` where some plants have forces over substeps."""
     return run_substeps(plant, ticks, most) if len(plant.efforts) else run_on(plant, ticks, most)
 
 
@@ -92,14 +92,14 @@ def work_over(plant: EventPlant, way: float) -> float:
 
 
 def booked_over(plant: EventPlant, way: float) -> float:
-    """Replaces `work_over` where the work is booked."""
+    """Replace `work_over` where the work is booked."""
     now = plant.now[0]
     booked: float = plant.books[0].totals[0] + now.rippled - (now.began_work + now.began_ripple)
     return booked
 
 
 def move_event_motors(motors: EventMotors, room: GroupRoom, cycle: int) -> float:
-    """Replaces `move_motors`; NaN where a plant had too many events."""
+    """Replace `move_motors`; NaN where a plant had too many events."""
     work, count = 0.0, len(room.held)
     if cycle:
         for i in range(count):

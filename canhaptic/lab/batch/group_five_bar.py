@@ -45,7 +45,7 @@ class FiveBarPlan(NamedTuple):
 
 
 def move_five_bar(motors: FiveBarMotors, room: GroupRoom, cycle: int) -> float:
-    """Replaces `move_motors`; NaN where the links were pushed through a singular pose."""
+    """Replace `move_motors`; NaN where the links were pushed through a singular pose."""
     state, settings = motors.state[0], motors.settings[0]
     if cycle:
         torques = (room.acting[motors.left], room.acting[motors.right])

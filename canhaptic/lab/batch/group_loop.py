@@ -48,7 +48,7 @@ class GroupSync(NamedTuple):
 def _run_group_loop(
     scene: Scene, cycles: int, take: Callable[[GroupSync], None], controller: GroupController | None = None
 ) -> None:
-    """Runs the one group of a scene.
+    """Run the one group of a scene.
 
     Args:
         scene: Scene with one group, alone.
@@ -149,7 +149,7 @@ class GroupRecorder(Recorder):
         self._seen, self._true, self._held = array("d"), array("d"), array("d")
 
     def take_group(self, hold: GroupSync) -> None:
-        """Takes one SYNC.
+        """Take one SYNC.
 
         Raises:
             DivergedError: A position is not finite, or farther away than any user moved it.

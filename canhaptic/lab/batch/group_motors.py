@@ -21,7 +21,7 @@ from canhaptic.sim.plant.propagator import Array
 
 
 def motors_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> LinearMotors | EventMotorsPlan | FiveBarPlan | str:
-    """Returns the motors of a group at their start; the reason by name where they cannot move in its loop.
+    """Return the motors of a group at their start; the reason by name where they cannot move in its loop.
 
     Args:
         scene: Scene with the group alone.
@@ -69,7 +69,7 @@ def _of_mechanism(
 
 
 def _side_by_side(plants: Sequence[Plant]) -> LinearMotors:
-    """Returns plants of states [position, ..., torque, 1] each as one."""
+    """Return plants of states [position, ..., torque, 1] each as one."""
     flows, starts = [plant.whole_flow() for plant in plants], [plant.initial_state() for plant in plants]
     sizes = [len(start) - 2 for start in starts]
     places = [sum(sizes[:i]) for i in range(len(sizes))]
@@ -87,7 +87,7 @@ def _side_by_side(plants: Sequence[Plant]) -> LinearMotors:
 
 
 def _stage(stage: XYMotion, order: Sequence[int]) -> LinearMotors:
-    """Returns a stage, whose forces are states that do not change.
+    """Return a stage, whose forces are states that do not change.
 
     Args:
         stage: Stage without dry friction.

@@ -21,7 +21,7 @@ _BRANCH, _CERTIFICATE = (EnergyBalance._fields.index(name) for name in ("branch"
 
 
 def keep_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, hold: GroupHold) -> None:
-    """Replaces `take_group`: writes a row, first the energy that came in, then each motor, then the account."""
+    """Replace `take_group`: write a row, first the energy that came in, then each motor, then the account."""
     row, account, motors = rows[int(meter.figures.cycles)], hold.account, len(room.held)
     meter.figures.cycles += 1.0
     row[0] = meter.supplied - meter.work
@@ -36,7 +36,7 @@ def keep_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, 
 
 
 def render_group_by(engine: ChosenEngine, scene: Scene, cycles: int, recorder: GroupRecorder) -> LoopRun:
-    """Runs the one group of a scene; see `render_group` and `rendering.render_by`.
+    """Run the one group of a scene; see `render_group` and `rendering.render_by`.
 
     Raises:
         InputError: The motors of the group are not simulated, or move with others.

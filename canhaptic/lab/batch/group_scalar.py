@@ -38,7 +38,7 @@ _OF_A_POSITION: Final = ("travel", "stiffness_rendered.value", "stiffness_render
 
 
 def group_meter(case: GroupCase, cycles: int, engine: ChosenEngine = "python") -> GroupMeter:
-    """Returns the sums of a loop after its cycles, or when it diverged.
+    """Return the sums of a loop after its cycles, or when it diverged.
 
     Args:
         case: Case of the group, compiled where it can be.
@@ -84,7 +84,7 @@ class _Moved:
         self._motors, self._period, self._done = motors, period, 0.0
 
     def __call__(self, _motors: Motors, room: GroupRoom, cycle: int) -> float:
-        """Moves them to a SYNC; returns the work that they did in that hold [J]."""
+        """Move them to a SYNC; return the work that they did in that hold [J]."""
         motors = self._motors
         if cycle:
             motors.advance_to(cycle * self._period, tuple(room.held))

@@ -43,7 +43,7 @@ class InterpretedLoops:
         self.references = [ReferenceState() for _ in rows]
 
     def run(self, some: Sequence[int], plants: Plants, interrupted: Interrupted) -> None:
-        """Runs some of the scenes.
+        """Run some of the scenes.
 
         Args:
             some: Numbers of the scenes.
@@ -78,6 +78,6 @@ def _functions(kernel: Kernel, instead: tuple[tuple[object, object], ...]) -> tu
 
 
 def reference_memory_of(modes: ContinuousModes, row: int) -> ReferenceMemory:
-    """Returns the matrices and buffers of one scene as lists."""
+    """Return the matrices and buffers of one scene as lists."""
     flows, rates, starts = (values[row % len(values)].tolist() for values in modes[1:])
     return ReferenceMemory(flows, rates, starts, list(starts), [[0.0] * len(starts) for _ in range(TERMS)])

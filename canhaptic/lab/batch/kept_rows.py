@@ -32,7 +32,7 @@ def keep(
     environment: Environment, settings: MeterSettings, rows: Matrix, cycle: int, position: float,
     true_position: float, torque: float, interaction: float, balance: EnergyBalance,
 ) -> None:  # fmt: skip
-    """Replaces `meter.take`: writes a row."""
+    """Replace `meter.take`: write a row."""
     row = rows[cycle]
     row[0], row[1], row[2], row[3] = position, true_position, torque, interaction
     row[4], row[5], row[6], row[7], row[8] = balance.torque, balance.h_i, balance.h_pas, balance.h_m, balance.h_r
@@ -44,18 +44,18 @@ def keep(
 def compare_nothing(
     rows: Matrix, position: float, torque: float, continuous_position: float, continuous_torque: float
 ) -> None:
-    """Replaces `meter.compare`: no-op."""
+    """Replace `meter.compare`: no-op."""
 
 
 def miss_nothing(
     environment: Environment, settings: MeterSettings, rows: Matrix, cycle: int, true_position: float, torque: float,
     interaction: float,
 ) -> None:  # fmt: skip
-    """Replaces `meter.miss`: no frame is lost here."""
+    """Replace `meter.miss`: no frame is lost here."""
 
 
 def diverge_silently(rows: Matrix) -> None:
-    """Replaces `meter.diverge`: the rows end."""
+    """Replace `meter.diverge`: the rows end."""
 
 
 _KEEPING: Final[dict[object, object]] = {
@@ -69,7 +69,7 @@ _KEEPING: Final[dict[object, object]] = {
 def render_compiled(
     case: LoopCase, cycles: int, recorder: Recorder, progress: Callable[[], None] | None = None
 ) -> LoopRun:
-    """Runs a case compiled; see `loop.render`.
+    """Run a case compiled; see `loop.render`.
 
     Args:
         case: Case for which `cases.why_not_compiled` is "".

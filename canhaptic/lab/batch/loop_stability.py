@@ -24,7 +24,7 @@ class Loops(NamedTuple):
 
 
 def loop_matrices(loops: Loops, sample_time: Array | float, delay: int) -> Array:
-    """Returns the matrix of one hold of each loop, shape (n_loops, 3 + delay, 3 + delay).
+    """Return the matrix of one hold of each loop, shape (n_loops, 3 + delay, 3 + delay).
 
     Args:
         loops: Broadcast against each other.
@@ -61,6 +61,6 @@ def loop_matrices(loops: Loops, sample_time: Array | float, delay: int) -> Array
 
 
 def decay_per_hold(loops: Loops, sample_time: Array | float, delay: int) -> Array:
-    """Returns the largest absolute eigenvalue of each loop, shape (n_loops,); below 1 it is stable."""
+    """Return the largest absolute eigenvalue of each loop, shape (n_loops,); below 1 it is stable."""
     radii: Array = np.abs(np.linalg.eigvals(loop_matrices(loops, sample_time, delay))).max(axis=1)
     return radii

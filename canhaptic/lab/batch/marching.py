@@ -33,7 +33,7 @@ def march(
     metrics: Sequence[str],
     stopped: dict[int, str] | None = None,
 ) -> dict[str, Array]:
-    """Returns metrics of many loops, each of shape (n_scenes,), in the order of the scenes.
+    """Return metrics of many loops, each of shape (n_scenes,), in the order of the scenes.
 
     Args:
         case: Common part of the loops, and the numbers in which they differ.

@@ -92,7 +92,7 @@ def take(
     interaction: float,
     balance: EnergyBalance,
 ) -> None:
-    """Takes one SYNC.
+    """Take one SYNC.
 
     Args:
         environment: The rendered environment.
@@ -140,7 +140,7 @@ def miss(
 def take_energy(
     settings: MeterSettings, meter: Meter, moved: float, interaction: float, balance: EnergyBalance
 ) -> None:
-    """Takes the energies of one SYNC; see `take`."""
+    """Take the energies of one SYNC; see `take`."""
     meter.interaction = interaction
     meter.least_interaction = min(meter.least_interaction, interaction)
     meter.lost += settings.damping_per_time * (moved * moved) + settings.friction * abs(moved)
@@ -178,7 +178,7 @@ def compare(meter: Meter, position: float, torque: float, continuous_position: f
 
 
 def count_branch(meter: Meter, branch: int) -> None:
-    """Counts a hold."""
+    """Count a hold."""
     if branch == _FREE:
         meter.free += 1.0
     elif branch == _EXACT:
@@ -196,7 +196,7 @@ def count_branch(meter: Meter, branch: int) -> None:
 
 
 def take_last_part(environment: Environment, meter: Meter, true_position: float, torque: float) -> None:
-    """Takes a SYNC of the last part of the run."""
+    """Take a SYNC of the last part of the run."""
     meter.last += 1.0
     meter.last_highest = max(meter.last_highest, true_position)
     meter.last_lowest = min(meter.last_lowest, true_position)
@@ -209,7 +209,7 @@ def take_last_part(environment: Environment, meter: Meter, true_position: float,
 
 
 def take_contact(environment: Environment, meter: Meter, position: float, torque: float, rendered: float) -> None:
-    """Takes a hold in contact."""
+    """Take a hold in contact."""
     meter.contacts += 1.0
     meter.damping += rendered
     meter.damping_least = min(meter.damping_least, rendered)

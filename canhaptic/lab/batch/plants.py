@@ -41,7 +41,7 @@ def is_linear(simulation: AxisSimulation) -> bool:
 
 
 def why_not_in_loop(simulation: AxisSimulation) -> str:
-    """Returns "" when a loop of a batch can move a plant, else the reason by name."""
+    """Return "" when a loop of a batch can move a plant, else the reason by name."""
     try:
         scene = PlantValues(simulation, _ANY_NS).scene()
     except ParameterError as error:
@@ -51,7 +51,7 @@ def why_not_in_loop(simulation: AxisSimulation) -> str:
 
 
 def plant_numbers(simulation: AxisSimulation, sample_time_ns: Array | float, varied: Mapping[str, Array]) -> _Numbers:
-    """Returns start, flow and rates of many plants by the names of `BatchCase.numbers`; a coefficient of 0 is left out.
+    """Return start, flow and rates of many plants by the names of `BatchCase.numbers`; a coefficient of 0 is left out.
 
     Args:
         simulation: Common part of the scenes.
@@ -77,7 +77,7 @@ def plant_numbers(simulation: AxisSimulation, sample_time_ns: Array | float, var
 
 
 def _named(name: str, matrices: Array) -> _Numbers:
-    """Returns the entries of the rows of the states that are not 0 everywhere."""
+    """Return the entries of the rows of the states that are not 0 everywhere."""
     size = matrices.shape[-1]
     places = [(row, column) for row in range(size - 2) for column in range(size)]
     return {f"{name}.{i}.{j}": _shared(matrices[:, i, j]) for i, j in places if matrices[:, i, j].any()}
@@ -93,7 +93,7 @@ def _plant(simulation: AxisSimulation, sample_time_ns: int) -> Plant:
 
 
 def _in_arrays(simulation: AxisSimulation, keys: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Returns the rates of change [1/s], shape (n, k, k), and the states at the start, shape (n, k)."""
+    """Return the rates of change [1/s], shape (n, k, k), and the states at the start, shape (n, k)."""
     user = simulation.user or UserParameters()
 
     def number(name: str, value: float) -> Any:

@@ -18,7 +18,7 @@ _IN_IT: Final = ("viscous_friction", "tremor")
 
 
 def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
-    """Returns the largest |eigenvalue| of one hold of each linear sampled loop, shape (n_scenes,): stable below 1.
+    """Return the largest |eigenvalue| of one hold of each linear sampled loop, shape (n_scenes,): stable below 1.
 
     The loop is closed by the environment as if in permanent contact (a wall: on both sides), rendered by
     `unprotected` with the velocity of the last hold, at the delay of the scene, without encoder steps and limits.

@@ -64,7 +64,7 @@ class ReferenceMemory(NamedTuple):
 
 
 def follow(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory, cycle: int) -> float:
-    """Goes to a SYNC; returns the mean torque in the hold before it [N or N*m]."""
+    """Go to a SYNC; return the mean torque in the hold before it [N or N*m]."""
     if cycle:
         return follow_hold(settings, reference, memory)
     begin_reference(settings, reference, memory)
@@ -72,7 +72,7 @@ def follow(settings: ReferenceSettings, reference: ReferenceState, memory: Refer
 
 
 def begin_reference(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
-    """Takes the first SYNC, with the start in `memory.state`."""
+    """Take the first SYNC, with the start in `memory.state`."""
     position = memory.state[0]
     reference.mode = LOWER if position < settings.lower else UPPER if position > settings.upper else OUTSIDE
     reference.highest = reference.lowest = position
@@ -81,7 +81,7 @@ def begin_reference(settings: ReferenceSettings, reference: ReferenceState, memo
 
 
 def follow_hold(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> float:
-    """Moves by one hold; returns the mean torque in it, by the trapezoids between readings [N or N*m]."""
+    """Move by one hold; return the mean torque in it, by the trapezoids between readings [N or N*m]."""
     mean = 0.0
     for _ in range(settings.readings):
         for _ in range(settings.steps):
@@ -103,7 +103,7 @@ def follow_hold(settings: ReferenceSettings, reference: ReferenceState, memory: 
 
 
 def force(settings: ReferenceSettings, memory: ReferenceMemory) -> float:
-    """Returns the torque of the environment [N or N*m]."""
+    """Return the torque of the environment [N or N*m]."""
     position, velocity = memory.state[0], memory.state[1]
     if settings.everywhere:
         return -settings.damping * velocity
@@ -115,12 +115,12 @@ def force(settings: ReferenceSettings, memory: ReferenceMemory) -> float:
 
 
 def length_of(state: Buffer) -> int:
-    """Returns the length k of y; compiled it is a constant, so that loops over it are unrolled."""
+    """Return the length k of y; compiled it is a constant, so that loops over it are unrolled."""
     return len(state)
 
 
 def move_step(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
-    """Moves by one step, and again in pieces where an event may lie in it."""
+    """Move by one step, and again in pieces where an event may lie in it."""
     state, moved, mode = memory.state, memory.moved, reference.mode
     size, flow = length_of(state), memory.flows[mode]
     for row in range(size - 1):
@@ -141,7 +141,7 @@ def move_step(settings: ReferenceSettings, reference: ReferenceState, memory: Re
 
 
 def move_in_pieces(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
-    """Moves by one step, piece by piece: each ends at a surface, at a turning point, or at the end."""
+    """Move by one step, piece by piece: each ends at a surface, at a turning point, or at the end."""
     state, series, left = memory.state, memory.series, settings.step
     for _ in range(_MOST_PIECES):
         expand(memory, reference.mode)
@@ -173,14 +173,14 @@ def surface_ahead(settings: ReferenceSettings, mode: int, way: float) -> float:
 
 
 def mode_beyond(settings: ReferenceSettings, mode: int, is_up: bool) -> int:
-    """Returns the mode on the other side of a surface."""
+    """Return the mode on the other side of a surface."""
     if mode == OUTSIDE:
         return UPPER if is_up else LOWER
     return LOWER + UPPER - mode if settings.lower == settings.upper else OUTSIDE
 
 
 def expand(memory: ReferenceMemory, mode: int) -> None:
-    """Writes the Taylor coefficients of the state in a mode."""
+    """Write the Taylor coefficients of the state in a mode."""
     series, rates, size = memory.series, memory.rates[mode], len(memory.state)
     for row in range(size):
         series[0][row] = memory.state[row]
@@ -193,7 +193,7 @@ def expand(memory: ReferenceMemory, mode: int) -> None:
 
 
 def value_at(series: Matrix, row: int, at: float) -> float:
-    """Returns a polynomial at a time [s]."""
+    """Return a polynomial at a time [s]."""
     total = series[TERMS - 1][row]
     for order in range(TERMS - 2, -1, -1):
         total = total * at + series[order][row]

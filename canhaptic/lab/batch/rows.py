@@ -28,13 +28,13 @@ class SceneRow(NamedTuple):
 
 
 def kernel_of(algorithm: str) -> Kernel | None:
-    """Returns the kernel of an algorithm; None for a class of one's own that has none."""
+    """Return the kernel of an algorithm; None for a class of one's own that has none."""
     kernel: Kernel | None = getattr(load(ALGORITHMS, algorithm, "passivity algorithm"), "kernel", None)
     return kernel
 
 
 def scene_rows(case: BatchCase, kernel: Kernel, numbers: Numbers, count: int) -> Iterator[SceneRow]:
-    """Yields every scene.
+    """Yield every scene.
 
     Args:
         case: Common part of the scenes.
@@ -67,7 +67,7 @@ class _Varied:
         self._known = None if not self.fixed else (plain_with(type(model), self._fields) if own else plain(model))
 
     def at(self, row: int) -> Any:
-        """Returns the model of one scene."""
+        """Return the model of one scene."""
         if self._known is not None:
             return self._known
         values = {name: column[row] for name, column in self._columns.items()}
@@ -75,7 +75,7 @@ class _Varied:
 
 
 def _varied_loop(case: BatchCase, numbers: Numbers) -> Any:
-    """Returns the function from a row to the settings of its loop."""
+    """Return the function from a row to the settings of its loop."""
 
     def column(name: str, absent: float) -> Any:
         value = numbers.get(name)
@@ -104,7 +104,7 @@ def _varied_loop(case: BatchCase, numbers: Numbers) -> Any:
 
 
 def linear_plants(case: BatchCase, numbers: Numbers, count: int, *, listed: bool) -> LinearPlants:
-    """Returns the plants of many scenes; one flow and start where all have the same.
+    """Return the plants of many scenes; one flow and start where all have the same.
 
     Args:
         case: Common part of the scenes.

@@ -22,7 +22,7 @@ from canhaptic.sim.plant.direct_rig import DirectRig
 
 
 def run_scalar(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) -> dict[str, float]:
-    """Returns the figures of one scene by the names of `METRICS`.
+    """Return the figures of one scene by the names of `METRICS`.
 
     Args:
         scene: Scene with a simulated first axis, which is run; or with one group of axes.
@@ -47,7 +47,7 @@ def run_scalar(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) 
 def run_case(
     case: LoopCase, cycles: int, metrics: Sequence[str] | None = None, continuous: ContinuousReference | None = None
 ) -> dict[str, float]:
-    """Returns the figures of one loop by the names of `METRICS`; see `run_scalar`."""
+    """Return the figures of one loop by the names of `METRICS`; see `run_scalar`."""
     meter = _metered(case, cycles, continuous)
     names = list(METRICS if metrics is None else metrics)
     found = asdict(meter) | _sums_of_continuous(continuous, case.sample_time_ns)
@@ -68,7 +68,7 @@ def _sums_of_continuous(continuous: ContinuousReference | None, sample_time_ns: 
 
 
 def _metered(case: LoopCase, cycles: int, continuous: ContinuousReference | None = None) -> Meter:
-    """Returns the meter of a loop after its cycles, or when it diverged."""
+    """Return the meter of a loop after its cycles, or when it diverged."""
     plant, controller, loop, meter = case.make_plant(), case.controller(), loop_settings(case, cycles), Meter()
     environment = plain(case.environment)
     expected = (

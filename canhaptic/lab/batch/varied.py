@@ -31,7 +31,7 @@ BATCH_KEYS: Final[dict[str, tuple[str, ...]]] = {
 
 
 def scene_with(scene: Scene, values: Mapping[str, float]) -> Scene:
-    """Returns a scene of one axis with other values, each validated by the model that owns it.
+    """Return a scene of one axis with other values, each validated by the model that owns it.
 
     Args:
         scene: Scene with one simulated axis.
@@ -55,7 +55,7 @@ def scene_with(scene: Scene, values: Mapping[str, float]) -> Scene:
 
 
 def split_key(key: str) -> tuple[str, str]:
-    """Returns (section, name) of a key that may vary.
+    """Return (section, name) of a key that may vary.
 
     Raises:
         ParameterError: It may not.
@@ -86,7 +86,7 @@ def _axis_with(axis: AxisScene, section: str, name: str, value: float) -> AxisSc
 
 
 def simulation_with(simulation: AxisSimulation, values: Mapping[str, float]) -> AxisSimulation:
-    """Returns a simulation with other values at keys under `simulation.`."""
+    """Return a simulation with other values at keys under `simulation.`."""
     for key, value in values.items():
         simulation = _simulation_with(simulation, *split_key(key), value)
     return simulation
@@ -121,6 +121,6 @@ def _typed_with(typed: ComponentSpec, name: str, value: float) -> ComponentSpec:
 
 
 def _with(model: _P, **values: Any) -> _P:
-    """Returns a model with other values, validated."""
+    """Return a model with other values, validated."""
     changed = {name: getattr(model, name) for name in type(model).model_fields}
     return type(model)(**{**changed, **values})

@@ -22,7 +22,7 @@ _Compared = TypeVar("_Compared")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Runs the comparison and prints it; returns 0 for any result.
+    """Run the comparison and print it; return 0 for any result.
 
     Raises:
         InputError: A scene, an algorithm or a picture that cannot be used.

@@ -13,7 +13,7 @@ from canhaptic.view.energy_table import make_console
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Searches and prints the wall; returns 0.
+    """Search and print the wall; return 0.
 
     Raises:
         InputError: A scene that cannot be designed for.

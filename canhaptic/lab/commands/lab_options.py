@@ -18,7 +18,7 @@ JUDGEMENTS: Final = ("stable", "passive", "margin", "settled", "covered")
 
 
 def _accuracy(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `accuracy`."""
+    """Declare the arguments of `accuracy`."""
     add_scene(parser)
     parser.add_argument(
         "--tolerance",
@@ -50,7 +50,7 @@ def _accuracy(parser: argparse.ArgumentParser) -> None:
 
 
 def _arena(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `arena`."""
+    """Declare the arguments of `arena`."""
     parser.add_argument("--scenes", metavar="A,B,...", type=names, help="names of configs/hard, or files; default: all")
     parser.add_argument("--algorithms", metavar="A,B,...", type=names, help="which; by default every one")
     parser.add_argument(
@@ -76,7 +76,7 @@ def _arena(parser: argparse.ArgumentParser) -> None:
 
 
 def _compare(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `compare`."""
+    """Declare the arguments of `compare`."""
     add_scene(parser)
     parser.add_argument("--algorithms", metavar="A,B,...", type=names, help="which; by default every one")
     parser.add_argument("--duration", metavar="S", type=seconds, help="length of each run [s]; by default the scene's")
@@ -94,7 +94,7 @@ def _compare(parser: argparse.ArgumentParser) -> None:
 
 
 def _design(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `design`."""
+    """Declare the arguments of `design`."""
     add_scene(parser)
     parser.add_argument(
         "--margin",
@@ -111,7 +111,7 @@ def _design(parser: argparse.ArgumentParser) -> None:
 
 
 def _map(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `map`."""
+    """Declare the arguments of `map`."""
     parser.add_argument("file", metavar="FILE.h5", type=Path, help="result of canhaptic sweep, finished or not")
     parser.add_argument("--png", metavar="FILE", type=Path, help="picture (.png, .svg, .pdf)")
     parser.add_argument("--html", metavar="FILE", type=Path, help="self-contained page")
@@ -127,7 +127,7 @@ def _map(parser: argparse.ArgumentParser) -> None:
 
 
 def _sweep(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `sweep`."""
+    """Declare the arguments of `sweep`."""
     add_scene(parser)
     parser.add_argument(
         "--vary",
@@ -167,7 +167,7 @@ def _sweep(parser: argparse.ArgumentParser) -> None:
 
 
 def _touch(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `touch`."""
+    """Declare the arguments of `touch`."""
     add_scene(parser)
     parser.add_argument("--axis", metavar="NAME", help="which axis or group; by default the first")
     parser.add_argument("--port", type=PORT, default=5007, metavar="N", help="port of the page; 0: any free one")

@@ -13,7 +13,7 @@ from canhaptic.logs.repair import require_readable
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Draws the maps and prints the border; returns 0.
+    """Draw the maps and print the border; return 0.
 
     Raises:
         InputError: A file, key, figure or picture that cannot be used.

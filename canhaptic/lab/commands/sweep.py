@@ -19,7 +19,7 @@ from canhaptic.view.energy_table import make_console
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Runs the sweep and prints its summary; returns 0, or 130 and 143 after a signal.
+    """Run the sweep and print its summary; return 0, or 130 and 143 after a signal.
 
     Raises:
         CanHapticError: Bad input, a file that cannot be written, workers that die.

@@ -16,7 +16,7 @@ _PERIOD: Final = 0.033  # [s] between two looks of a page
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Serves the page until the process is interrupted; returns 130 after SIGINT and 143 after SIGTERM.
+    """Serve the page until the process is interrupted; return 130 after SIGINT and 143 after SIGTERM.
 
     Raises:
         InputError: The scene cannot be touched, Bokeh is not installed, or the port is taken.
@@ -40,7 +40,7 @@ class _Visits:
         self._page: TouchPage | None = None
 
     def __call__(self, document: Any) -> None:
-        """Fills the document of a visitor; the drives start with the first."""
+        """Fill the document of a visitor; the drives start with the first."""
         from canhaptic.lab.touch.hand import TouchHand
         from canhaptic.lab.touch.touch_page import TouchPage
 
@@ -52,6 +52,6 @@ class _Visits:
         self._page = TouchPage(document, self._hand, _PERIOD)
 
     def close(self) -> None:
-        """Ends the hand."""
+        """End the hand."""
         if self._hand is not None:
             self._hand.close()

@@ -31,7 +31,7 @@ DISPLAY_METRICS: Final[dict[str, str]] = {
 
 
 def display_figures(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) -> dict[str, float]:
-    """Returns the figures of one display, or of one group of them; NaN for those that only impedance displays have.
+    """Return the figures of one display, or of one group of them; NaN for those that only impedance displays have.
 
     Args:
         scene: Scene of that part alone, simulated.
@@ -48,7 +48,7 @@ def display_figures(scene: Scene, cycles: int, metrics: Sequence[str] | None = N
 
 
 def figures_of(run: DisplayRun, scene: Scene) -> dict[str, float]:
-    """Returns every figure of a run of a scene."""
+    """Return every figure of a run of a scene."""
     mass, damping = felt(run, scene)
     motion, asked = run.columns(), _mass_asked(scene)
     moved = len(motion) > 0

@@ -99,7 +99,7 @@ def energy_beyond_device(run: LoopRun, device_damping: float, sample_time: float
 
 
 def rate_hardness(run: LoopRun, environment: Environment, sample_time: float) -> float | None:
-    """Returns the largest rate of the force after the first contact over the speed at it [N/m or N*m/rad].
+    """Return the largest rate of the force after the first contact over the speed at it [N/m or N*m/rad].
 
     An ideal wall gives its stiffness. Source: Lawrence, Pao, Dougherty, Salada and Pavlou, "Rate-hardness: a new
     performance metric for haptic interfaces", IEEE Trans. Robotics and Automation 16, 2000 (its abstract was read).
@@ -123,7 +123,7 @@ def rate_hardness(run: LoopRun, environment: Environment, sample_time: float) ->
 
 
 def drag(run: LoopRun) -> float | None:
-    """Returns the mean size of the torque held out of contact [N or N*m]; None without such a hold.
+    """Return the mean size of the torque held out of contact [N or N*m]; None without such a hold.
 
     Free motion should feel like nothing: the lower end of the Z-width, Colgate and Brown, "Factors affecting the
     Z-width of a haptic display", ICRA 1994, pp. 3205-3210 (cited in what was read).
@@ -133,7 +133,7 @@ def drag(run: LoopRun) -> float | None:
 
 
 def rendered_impedance(run: LoopRun, sample_time: float, frequency: float) -> complex:
-    """Returns force over velocity at one frequency, over the whole periods of the last half [N*s/m or N*m*s/rad].
+    """Return force over velocity at one frequency, over the whole periods of the last half [N*s/m or N*m*s/rad].
 
     The transparency of a display is how near this is to the requested impedance, over frequency. Held forces are taken
     as they act, constant over each hold; positions at their SYNCs.
@@ -154,7 +154,7 @@ def rendered_impedance(run: LoopRun, sample_time: float, frequency: float) -> co
 
 
 def asked_impedance(stiffness: float, damping: float, frequency: float) -> complex:
-    """Returns force over velocity of a spring with a damper [N*s/m or N*m*s/rad]."""
+    """Return force over velocity of a spring with a damper [N*s/m or N*m*s/rad]."""
     return damping + stiffness / (2j * math.pi * frequency)
 
 

@@ -90,7 +90,7 @@ ALL: Final = {**METRICS, **CONTINUOUS}
 def figures(
     environment: Environment, run: LoopRun, reference: ContinuousReference | None, sample_time: float
 ) -> dict[str, Any]:
-    """Returns the figures of one run as plain values; None where there is nothing to measure.
+    """Return the figures of one run as plain values; None where there is nothing to measure.
 
     Args:
         environment: Rendered environment.
@@ -137,7 +137,7 @@ class _RunMetrics:
         return value if np.isfinite(value) else None
 
     def group(self, name: str, *parts: str) -> dict[str, float | None] | None:
-        """Returns several figures of one kind; None where none of them can be measured."""
+        """Return several figures of one kind; None where none of them can be measured."""
         found = {part: self[f"{name}.{part}"] for part in parts}
         return None if None in found.values() else found
 
@@ -145,7 +145,7 @@ class _RunMetrics:
 def _sums_of_run(
     environment: Environment, run: LoopRun, reference: ContinuousReference | None, sample_time: float
 ) -> dict[str, float]:
-    """Returns the sums behind the figures of errors, stiffness, damping and rest, by the names in `ALL`.
+    """Return the sums behind the figures of errors, stiffness, damping and rest, by the names in `ALL`.
 
     Args:
         environment: Rendered environment.
@@ -212,7 +212,7 @@ def _forces(environment: Environment, position: Array, torque: Array) -> dict[st
 
 
 def last_rows(cycles: int, sample_time: float) -> slice:
-    """Returns the rows of the last part of a run."""
+    """Return the rows of the last part of a run."""
     length = min(_LAST_PART * cycles, _LONGEST_LAST / sample_time)
     return slice(max(0, cycles - max(2, round(length))), cycles)
 
@@ -223,7 +223,7 @@ def sums_of(metrics: Sequence[str]) -> tuple[str, ...]:
 
 
 def metrics_of(metrics: Sequence[str], sums: Mapping[str, Array]) -> dict[str, Array]:
-    """Returns metrics made of the sums of many runs, shape (n_runs,) each; NaN where there is nothing to measure."""
+    """Return metrics made of the sums of many runs, shape (n_runs,) each; NaN where there is nothing to measure."""
     with np.errstate(all="ignore"):
         return {metric: _metric(metric, sums) for metric in metrics}
 

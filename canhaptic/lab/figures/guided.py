@@ -45,12 +45,12 @@ class GuidedPlant(Plant):
         self._legs = {round(leg.begins * _NS / sample_time_ns) * sample_time_ns: leg for leg in course}
 
     def begin(self, now: int) -> None:
-        """Starts the clock, and the first leg where it begins at once."""
+        """Start the clock, and the first leg where it begins at once."""
         super().begin(now)
         self._turn(now)
 
     def advance_to(self, now: int, torque: float) -> None:
-        """Moves to `now` [ns] under a torque; see `Plant`."""
+        """Move to `now` [ns] under a torque; see `Plant`."""
         super().advance_to(now, torque)
         self._turn(now)
 
@@ -68,7 +68,7 @@ def guided_case(
     effects: Sequence[Effect] = (),
     seed: int = 0,
 ) -> LoopCase:
-    """Returns a loop whose plant is held by a guided hand."""
+    """Return a loop whose plant is held by a guided hand."""
     period = case.sample_time_ns
     return replace(
         case, make_plant=lambda: GuidedPlant(parameters, hand, effects, period, course, seed), simulation=None

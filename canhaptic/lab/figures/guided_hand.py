@@ -22,7 +22,7 @@ class GuidedHand(PointerHand):
     """A grip on the handle and a push, both set from outside."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the hand and its states."""
+        """Add the hand and its states."""
         _GuidedPart(self).add_to(scene)
         for name, initial in ((PLACE, self.place), (SPEED, 0.0), (PUSH, 0.0), (PUSH_RATE, 0.0)):
             scene.add_state(name, initial)
@@ -31,7 +31,7 @@ class GuidedHand(PointerHand):
 
 class _GuidedPart(Hand):
     def assemble(self, rows: Rows, mode: str) -> None:
-        """Adds the force on the handle, its work, and the course of place and push."""
+        """Add the force on the handle, its work, and the course of place and push."""
         stiffness, damping = self.grasp(mode)
         super().assemble(rows, mode)
         rows.set_rate(PLACE, rows.row(**{SPEED: 1.0}))

@@ -45,7 +45,7 @@ class SwitchedModel(Protocol):
     switches: bool
 
     def rates(self, time: float, state: Any, torque: Any, modes: Modes) -> Floats:
-        """Returns the rate of every state."""
+        """Return the rate of every state."""
 
     def ways(self, modes: Modes) -> list[Transition]:
         """Every transition out of these modes; valid until the next call."""
@@ -54,7 +54,7 @@ class SwitchedModel(Protocol):
 def reference(
     model: SwitchedModel, torques: Sequence[float], sample_time_ns: int, stop: Callable[[], bool] | None = None
 ) -> Motion:
-    """Returns the motion under the torques by DOP853 with relative tolerance 1e-12.
+    """Return the motion under the torques by DOP853 with relative tolerance 1e-12.
 
     Args:
         model: The plant.
@@ -77,7 +77,7 @@ def located(
     atol: float,
     stop: Callable[[], bool] | None = None,
 ) -> Motion:
-    """Returns the motion under the torques; arguments and errors as for `located_states`."""
+    """Return the motion under the torques; arguments and errors as for `located_states`."""
     return motion_of(located_states(model, torques, sample_time_ns, method, rtol, atol, stop))
 
 
@@ -90,7 +90,7 @@ def located_states(
     atol: float,
     stop: Callable[[], bool] | None = None,
 ) -> list[Floats]:
-    """Returns every state at the end of each hold, by a solver of `scipy.integrate.solve_ivp`.
+    """Return every state at the end of each hold, by a solver of `scipy.integrate.solve_ivp`.
 
     Args:
         model: The plant.
@@ -126,7 +126,7 @@ def states_at(
     stop: Callable[[], bool] | None = None,
     longest: float = _LONGEST_STEP,
 ) -> list[Floats]:
-    """Returns every state without a torque at some times, by DOP853 with dense output.
+    """Return every state without a torque at some times, by DOP853 with dense output.
 
     Args:
         model: The plant and the forces on it.
@@ -159,7 +159,7 @@ def states_at(
 
 
 def _solve_ivp() -> Callable[..., Any]:
-    """Returns the function of that name, or raises InputError where scipy is missing."""
+    """Return the function of that name, or raise InputError where scipy is missing."""
     try:
         from scipy.integrate import solve_ivp
     except ImportError as error:

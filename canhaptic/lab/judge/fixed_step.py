@@ -22,14 +22,14 @@ _MOST_CORRECTIONS: Final = 8
 
 
 def fixed_step(model: Model, torques: Sequence[float], sample_time_ns: int, step: _Step, substeps: int) -> Motion:
-    """Returns the motion under the torques; arguments as for `fixed_step_states`."""
+    """Return the motion under the torques; arguments as for `fixed_step_states`."""
     return motion_of(fixed_step_states(model, torques, sample_time_ns, step, substeps))
 
 
 def fixed_step_states(
     model: SwitchedModel, torques: Sequence[Any], sample_time_ns: int, step: Callable[..., Floats], substeps: int
 ) -> list[Floats]:
-    """Returns every state at the end of each hold; not finite from where it diverges.
+    """Return every state at the end of each hold; not finite from where it diverges.
 
     Args:
         model: The plant.
@@ -60,7 +60,7 @@ def fixed_step_states(
 
 
 def _semi_implicit_euler(model: Model, now: float, state: Floats, torque: float, modes: Modes, step: float) -> Floats:
-    """Returns the state after a step of order 1: positions move with the new velocities."""
+    """Return the state after a step of order 1: positions move with the new velocities."""
     rates = model.rates(now, state, torque, modes)
     after = [value + step * rate for value, rate in zip(state, rates, strict=True)]
     for index, terms in model.kinematics.items():
@@ -69,7 +69,7 @@ def _semi_implicit_euler(model: Model, now: float, state: Floats, torque: float,
 
 
 def runge_kutta_4(model: SwitchedModel, now: float, state: Floats, torque: Any, modes: Modes, step: float) -> Floats:
-    """Returns the state after a step of the classical method of order 4."""
+    """Return the state after a step of the classical method of order 4."""
     half = 0.5 * step
     a = model.rates(now, state, torque, modes)
     b = model.rates(now + half, [y + half * r for y, r in zip(state, a, strict=True)], torque, modes)
@@ -86,7 +86,7 @@ class _ImplicitMidpoint:
         self._solvers: dict[tuple[Modes, float], Array] = {}
 
     def __call__(self, model: Model, now: float, state: Floats, torque: float, modes: Modes, step: float) -> Floats:
-        """Returns the state after a step."""
+        """Return the state after a step."""
         middle_time, size = now + 0.5 * step, model.dynamic_size
         begin = np.array(state)
         middle, rates = begin.copy(), np.array(model.rates(middle_time, state, torque, modes))
@@ -104,7 +104,7 @@ class _ImplicitMidpoint:
         return result
 
     def _matrix(self, model: Model, time: float, state: Array, torque: float, key: tuple[Modes, float]) -> Array:
-        """Returns I - h/2 df/dy of the states without the works, by differences."""
+        """Return I - h/2 df/dy of the states without the works, by differences."""
         if key not in self._solvers:
             modes, step = key
             size = model.dynamic_size

@@ -40,7 +40,7 @@ class BodyPlace(NamedTuple):
     terms: tuple[tuple[int, float], ...]
 
     def position(self, state: State) -> float:
-        """Returns the position of the body [m or rad]."""
+        """Return the position of the body [m or rad]."""
         return sum(factor * float(state[index]) for index, factor in self.terms)
 
 
@@ -54,7 +54,7 @@ class Element(Protocol):
     modes: tuple[str, ...]
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Adds its forces and the rates of its own states."""
+        """Add its forces and the rates of its own states."""
 
     def ways(self, index: int, mode: str) -> Sequence[Transition]:
         """Transitions out of a mode; `index` is its own place among the elements."""
@@ -77,7 +77,7 @@ class Drag(_Smooth):
         self._damping = damping
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Adds the friction."""
+        """Add the friction."""
         forces[0] -= self._damping * state[VELOCITY]
 
 
@@ -88,7 +88,7 @@ class ReferenceDetents(_Smooth):
         self._amplitude, self._wave_number, self._phase = amplitude, 2.0 * math.pi / pitch, phase
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Adds the detent force."""
+        """Add the detent force."""
         forces[0] -= self._amplitude * math.sin(self._wave_number * state[POSITION] + self._phase)
 
 
@@ -99,7 +99,7 @@ class Shaft(_Smooth):
         self._stiffness, self._damping, self._twist, self._load = stiffness, damping, twist, load_velocity
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Adds the torque of the shaft to both sides."""
+        """Add the torque of the shaft to both sides."""
         force = self._stiffness * state[self._twist] + self._damping * (state[VELOCITY] - state[self._load])
         forces[0] -= force
         forces[1] += force
@@ -133,7 +133,7 @@ class ReferenceHand(_Smooth):
         return [time for time, _, _ in self._grasps[1:]]
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Adds the force of the hand and its power."""
+        """Add the force of the hand and its power."""
         _, stiffness, damping = next(g for g in reversed(self._grasps) if g[0] <= time or g is self._grasps[0])
         place, speed = self._rest, 0.0
         for amplitude, omega, phase in self._sines:
@@ -153,7 +153,7 @@ class ReferenceOwnHand(_Smooth):
         self._force = force
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Adds the force and its power."""
+        """Add the force and its power."""
         velocity = float(state[VELOCITY])
         force = self._force(time, float(state[POSITION]), velocity)
         forces[0] += force
@@ -167,7 +167,7 @@ class LuGre(_Smooth):
         self._friction, self._deflection = friction, deflection
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Adds the friction and the rate of the deflection."""
+        """Add the friction and the rate of the deflection."""
         p, velocity, bend = self._friction, state[VELOCITY], state[self._deflection]
         ratio = velocity / p.stribeck_velocity
         level = p.kinetic + (p.static - p.kinetic) * math.exp(-ratio * ratio)
@@ -196,7 +196,7 @@ class ReferenceContact:
         self._stiffness, self._damping, self._depth = stiffness, damping, depth
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Adds the force while it touches, and the rate of the depth."""
+        """Add the force while it touches, and the rate of the depth."""
         if mode == "touching":
             rates[self._depth] = self._approach(state)
             force = self._force(state)
@@ -253,7 +253,7 @@ class ReferenceStickSlip:
         self.modes = (first, *(mode for mode in ("stuck", "forward", "backward") if mode != first))
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Adds the friction while sliding; stuck, it takes up every other force."""
+        """Add the friction while sliding; stuck, it takes up every other force."""
         if mode == "stuck":
             forces[self._body] = 0.0
             return

@@ -41,13 +41,13 @@ class GroupModel(SwitchedModel, Protocol):
         """Number of evaluations of the forces."""
 
     def positions(self, state: State) -> Floats:
-        """Returns the positions of the motors [m or rad]."""
+        """Return the positions of the motors [m or rad]."""
 
     def velocities(self, state: State) -> Floats:
-        """Returns their velocities [m/s or rad/s]."""
+        """Return their velocities [m/s or rad/s]."""
 
     def works(self, state: State) -> tuple[float, float]:
-        """Returns the works of all motors and of the user since the start [J]."""
+        """Return the works of all motors and of the user since the start [J]."""
 
     def inertia(self, positions: State) -> list[Floats]:
         """Inertia at the motors [kg or kg*m^2]."""
@@ -73,24 +73,24 @@ class AxesModel:
         return max(model.evaluations for model in self._models)
 
     def positions(self, state: State) -> Floats:
-        """Returns the positions of the motors; see `GroupModel`."""
+        """Return the positions of the motors; see `GroupModel`."""
         return [float(state[part.start + POSITION]) for part in self._parts]
 
     def velocities(self, state: State) -> Floats:
-        """Returns their velocities; see `GroupModel`."""
+        """Return their velocities; see `GroupModel`."""
         return [float(state[part.start + VELOCITY]) for part in self._parts]
 
     def works(self, state: State) -> tuple[float, float]:
-        """Returns the works of all motors and of the user; see `GroupModel`."""
+        """Return the works of all motors and of the user; see `GroupModel`."""
         motor = sum(float(state[part.stop + MOTOR_WORK]) for part in self._parts)
         return motor, sum(float(state[part.stop + USER_WORK]) for part in self._parts)
 
     def inertia(self, positions: State) -> list[Floats]:
-        """Returns the moving masses; see `GroupModel`."""
+        """Return the moving masses; see `GroupModel`."""
         return _diagonal(self._masses)
 
     def rates(self, time: float, state: State, torque: State, modes: Modes) -> Floats:
-        """Returns the rate of every state; see `SwitchedModel`."""
+        """Return the rate of every state; see `SwitchedModel`."""
         found: Floats = []
         for model, part, own, held in zip(self._models, self._parts, self._modes, torque, strict=True):
             found += model.rates(time, state[part], held, modes[own])
@@ -144,15 +144,15 @@ class _TwoMotors:
         return []
 
     def positions(self, state: State) -> Floats:
-        """Returns the positions of the motors; see `GroupModel`."""
+        """Return the positions of the motors; see `GroupModel`."""
         return [float(value) for value in state[:2]]
 
     def velocities(self, state: State) -> Floats:
-        """Returns their velocities; see `GroupModel`."""
+        """Return their velocities; see `GroupModel`."""
         return [float(value) for value in state[2:4]]
 
     def works(self, state: State) -> tuple[float, float]:
-        """Returns the works of all motors and of the user; see `GroupModel`."""
+        """Return the works of all motors and of the user; see `GroupModel`."""
         return float(state[4]), float(state[5])
 
 
@@ -173,11 +173,11 @@ class StageModel(_TwoMotors):
         self.switches = bool(self._guides)
 
     def inertia(self, positions: State) -> list[Floats]:
-        """Returns the moving masses; see `GroupModel`."""
+        """Return the moving masses; see `GroupModel`."""
         return _diagonal(self._masses)
 
     def rates(self, time: float, state: State, torque: State, modes: Modes) -> Floats:
-        """Returns the rate of every state; see `SwitchedModel`."""
+        """Return the rate of every state; see `SwitchedModel`."""
         self.evaluations += 1
         speed, (forces, hand) = state[2:4], self._forces(time, state, torque)
         for guide, mode in zip(self._guides, modes, strict=True):
@@ -208,12 +208,12 @@ class FiveBarModel(_TwoMotors):
         self._linkage, self._damping, self._stop = links.linkage(), links.damping, links.elbow_stop
 
     def inertia(self, positions: State) -> list[Floats]:
-        """Returns the inertia in a pose; see `GroupModel`."""
+        """Return the inertia in a pose; see `GroupModel`."""
         found = inertia_in(self._linkage, self._pose(float(positions[0]), float(positions[1])))
         return [[found.a, found.b], [found.b, found.c]]
 
     def rates(self, time: float, state: State, torque: State, modes: Modes) -> Floats:
-        """Returns the rate of every state; see `SwitchedModel`."""
+        """Return the rate of every state; see `SwitchedModel`."""
         self.evaluations += 1
         left, right, v_left, v_right = (float(value) for value in state[:4])
         pose = self._pose(left, right)
@@ -239,7 +239,7 @@ class FiveBarModel(_TwoMotors):
         ]  # fmt: skip
 
     def _pose(self, left: float, right: float) -> LinkagePose:
-        """Returns the pose at two motor angles [rad].
+        """Return the pose at two motor angles [rad].
 
         Raises:
             ParameterError: It is singular.
@@ -257,7 +257,7 @@ class FiveBarModel(_TwoMotors):
 
 
 def mechanism_model(parameters: MechanismParameters, hand: TaskHand | None) -> StageModel | FiveBarModel:
-    """Returns the equations of a mechanism.
+    """Return the equations of a mechanism.
 
     Raises:
         InputError: There are none.

@@ -87,7 +87,7 @@ class Model:
         self._close()
 
     def add(self, element: Element) -> None:
-        """Adds a further element that acts on the motor, such as an environment.
+        """Add a further element that acts on the motor, such as an environment.
 
         Its forces come before those of dry friction, which balances the remaining force.
         """
@@ -96,7 +96,7 @@ class Model:
         self._close()
 
     def add_state(self, name: str, initial: float = 0.0) -> int:
-        """Adds a state before the works and returns its place."""
+        """Add a state before the works and return its place."""
         at = len(self.names) - (2 if "user_work" in self.names else 0)
         self.names.insert(at, name)
         self.start.insert(at, initial)
@@ -181,7 +181,7 @@ class Model:
             self._elements.append(self._friction)
 
     def rates(self, time: float, state: State, torque: float, modes: Modes) -> Floats:
-        """Returns the rate of every state."""
+        """Return the rate of every state."""
         rates = [0.0] * len(self.names)
         forces = self._forces(time, state, torque, modes, rates, len(self._elements))
         for place, force, mass in zip(self._places, forces, self._masses, strict=True):

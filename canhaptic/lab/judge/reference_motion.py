@@ -24,7 +24,7 @@ class MotionError(NamedTuple):
 
 
 def motion_of(states: list[Floats]) -> Motion:
-    """Returns the motion of states at the ends of holds."""
+    """Return the motion of states at the ends of holds."""
     table = np.array(states, dtype=float).reshape(len(states), -1)
     return Motion(table[:, 0], table[:, 1], table[:, MOTOR_WORK], table[:, USER_WORK])
 

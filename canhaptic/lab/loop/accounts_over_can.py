@@ -33,7 +33,7 @@ def known_algorithms(table: Mapping[str, str], kind: str, algorithms: Sequence[s
 def accounts_over_can(
     scene: Scene, names: Sequence[str], cycles: int, under: Callable[[Scene, str], Scene], progress: Progress | None
 ) -> dict[str, dict[str, Any]]:
-    """Returns the account of a run under each algorithm, with its `status` and a `remark`; a refused one has no more.
+    """Return the account of a run under each algorithm, with its `status` and a `remark`; a refused one has no more.
 
     Args:
         scene: Scene with all its drives simulated in this process.

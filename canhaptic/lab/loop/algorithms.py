@@ -88,7 +88,7 @@ def display_under(axis: AxisScene, name: str) -> AxisScene:
 
 
 def display_group_under(group: GroupScene, name: str) -> GroupScene:
-    """Returns a group of admittance displays under another algorithm; see `display_under`."""
+    """Return a group of admittance displays under another algorithm; see `display_under`."""
     if group.passivity.name == name:
         return group
     model = load(DISPLAY_GROUP_ALGORITHMS, name, "algorithm of several admittance displays").parameters_type

@@ -39,7 +39,7 @@ class Case(Protocol):
         """T [ns]."""
 
     def controller(self) -> Any:
-        """Returns the algorithm, at rest."""
+        """Return the algorithm, at rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class LoopCase:
     simulation: AxisSimulation | None = None  # what `make_plant` makes; None where a compiled loop cannot move it
 
     def controller(self) -> Controller:
-        """Returns the algorithm, at rest."""
+        """Return the algorithm, at rest."""
         if self.own is not None:
             controller: Controller = self.own(self.environment, self.parameters, self.loop)
             return controller
@@ -135,7 +135,7 @@ class Recorder:
         return cls(_TRAVELS * max(highest - lowest, _LEAST_TRAVEL), 0.5 * (lowest + highest))
 
     def take(self, position: float, true_position: float, torque: float, balance: EnergyBalance, motor: float) -> None:
-        """Takes one SYNC.
+        """Take one SYNC.
 
         Args:
             position: Position as the controller read it [m or rad].

@@ -19,7 +19,7 @@ _BLOCK: Final = 250
 
 
 def microseconds_per_step(cases: Mapping[str, tuple[Case, LoopRun]], repeats: int) -> dict[str, float]:
-    """Returns the time of a step [us]: each block of steps at its least over interleaved repeats.
+    """Return the time of a step [us]: each block of steps at its least over interleaved repeats.
 
     Args:
         cases: Algorithm -> its case and the run that it is fed with; one without steps is left out.

@@ -36,7 +36,7 @@ def why_no_equations(simulation: AxisSimulation) -> str:
 
 
 def integrate(simulation: AxisSimulation, held: Sequence[float], sample_time: float) -> Array:
-    """Returns position [m or rad] and energy through the sensor [J] at each SYNC, shape (len(held), 2), by DOP853.
+    """Return position [m or rad] and energy through the sensor [J] at each SYNC, shape (len(held), 2), by DOP853.
 
     Args:
         simulation: Simulation of the axis.

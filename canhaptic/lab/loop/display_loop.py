@@ -62,7 +62,7 @@ class DisplayRun:
     axes: int = 1
 
     def columns(self) -> Array:
-        """Returns true positions [m or rad], velocities and forces of the hand, shape (cycles, axes, 3)."""
+        """Return true positions [m or rad], velocities and forces of the hand, shape (cycles, axes, 3)."""
         return np.array(self.motion).reshape(-1, self.axes, _COLUMNS)
 
 

@@ -31,7 +31,7 @@ class _Tap:
         truths: Sequence[Truth] | None = None,
         *_known: object,
     ) -> None:
-        """Takes one cycle."""
+        """Take one cycle."""
         for axis, row in enumerate(zip(samples, balances, truths or (), strict=True)):
             self._take(axis, *row)
 

@@ -26,7 +26,7 @@ def cycles_of(scene: Scene, duration: float | None) -> int:
 
 
 def require_design_room(margin: float, tolerance: float) -> None:
-    """Refuses a margin or a tolerance of a design that is out of range.
+    """Refuse a margin or a tolerance of a design that is out of range.
 
     Raises:
         InputError: One is.
@@ -38,7 +38,7 @@ def require_design_room(margin: float, tolerance: float) -> None:
 
 
 def require_single_axes(scene: Scene, command: str, axis: str | None = None) -> None:
-    """Refuses axes that a group of the scene moves together.
+    """Refuse axes that a group of the scene moves together.
 
     Args:
         scene: Scene of the study.
@@ -75,7 +75,7 @@ def _of_group(scene: Scene, group: GroupScene) -> Scene:
 
 
 def mechanism_of_group(scene: Scene) -> MechanismScene | None:
-    """Returns the mechanism that the one group of a scene moves; None where each of its axes has a plant of its own.
+    """Return the mechanism that the one group of a scene moves; None where each of its axes has a plant of its own.
 
     Raises:
         InputError: Its motors move with others.
@@ -105,13 +105,13 @@ def at_rate(scene: Scene, rate: float) -> Scene:
 
 
 def axis_at(axis: AxisScene, sample_time: float) -> AxisScene:
-    """Returns an axis at another sample time [s]; its torques act in the first half of a hold at the latest."""
+    """Return an axis at another sample time [s]; its torques act in the first half of a hold at the latest."""
     window = axis.loop.torque_window and min(axis.loop.torque_window, 0.5 * sample_time)
     return replace(axis, loop=axis.loop.model_copy(update={"sample_time": sample_time, "torque_window": window}))
 
 
 def environment_of(axis: AxisScene) -> Environment:
-    """Returns the environment of an axis; every class of `ENVIRONMENTS` is one.
+    """Return the environment of an axis; every class of `ENVIRONMENTS` is one.
 
     Raises:
         InputError: A group renders on it.
@@ -124,7 +124,7 @@ def environment_of(axis: AxisScene) -> Environment:
 
 
 def plant_parts(axis: AxisScene) -> tuple[PlantParameters, UserParameters | None, list[Effect], int]:
-    """Returns moving mass, hand, effects and seed of an axis.
+    """Return moving mass, hand, effects and seed of an axis.
 
     Raises:
         InputError: The axis is not simulated.
@@ -135,7 +135,7 @@ def plant_parts(axis: AxisScene) -> tuple[PlantParameters, UserParameters | None
 
 
 def loop_case(axis: AxisScene, scene: Scene) -> LoopCase:
-    """Returns an axis as a loop without a bus, with the quantisation, delay and torque limit of its scene."""
+    """Return an axis as a loop without a bus, with the quantisation, delay and torque limit of its scene."""
     simulation, sample_time_ns = simulation_of(axis), scene.bus.sample_time_ns
     rated = axis.parameters.rated_torque
     return LoopCase(
@@ -166,6 +166,6 @@ def _device_damping(axis: AxisScene) -> float:
 
 
 def viscous_friction(simulation: AxisSimulation) -> float:
-    """Returns the damping that effects add to that of the plant [N*s/m or N*m*s/rad]."""
+    """Return the damping that effects add to that of the plant [N*s/m or N*m*s/rad]."""
     viscous = (effect.parameters for effect in simulation.effects if effect.name == "viscous_friction")
     return sum((float(getattr(effect, "damping", 0.0)) for effect in viscous), 0.0)

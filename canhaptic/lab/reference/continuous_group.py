@@ -72,7 +72,7 @@ def group_model(scene: Scene) -> GroupModel:
 def continuous_group(
     scene: Scene, step_ns: int, steps: int, stop: Callable[[], bool] = lambda: False
 ) -> ContinuousGroup:
-    """Returns what the hands would feel without sampling.
+    """Return what the hands would feel without sampling.
 
     Args:
         scene: Scene with one group, alone.
@@ -115,7 +115,7 @@ class _Coupled:
         self.start = [*self.model.start, *begun, *(0.0,) * self.axes, 0.0]
 
     def rates(self, time: float, state: State, torque: float, modes: Modes) -> list[float]:
-        """Returns the rate of every state; see `SwitchedModel`, whose torque is that of the network here."""
+        """Return the rate of every state; see `SwitchedModel`, whose torque is that of the network here."""
         torques, moved, taken = self._felt(time, state)
         motors = state[: len(self.model.start)]
         return [*self.model.rates(time, motors, torques, modes), *moved, *torques, taken]
@@ -128,7 +128,7 @@ class _Coupled:
         return way.value(time, state[: len(self.model.start)], self._felt(time, state)[0])
 
     def _felt(self, time: float, state: State) -> tuple[Buffer, Buffer, float]:
-        """Returns the torques of the network, the rates of its states and the power that it takes [W]."""
+        """Return the torques of the network, the rates of its states and the power that it takes [W]."""
         own = len(self.model.start)
         motors, x = state[:own], [float(value) for value in state[own : own + self._states]]
         _, flows = self._ports(time, motors)
@@ -137,7 +137,7 @@ class _Coupled:
         return torques, moved, _dot(efforts, flows)
 
     def _ports(self, time: float, motors: State) -> tuple[Buffer, Buffer]:
-        """Returns the coordinates of the ports [m or rad] and their velocities [m/s or rad/s]."""
+        """Return the coordinates of the ports [m or rad] and their velocities [m/s or rad/s]."""
         world, velocities = self._world, self.model.velocities(motors)
         limit = world.mechanism.locate(self.model.positions(motors), self._place, self._jacobian)
         if limit != Limit.NONE:
@@ -152,7 +152,7 @@ class _Coupled:
         return coordinates, [_dot(row, velocities) - speed for row in self._at_motors]
 
     def _network(self, x: Buffer, flows: Buffer) -> tuple[Buffer, Buffer]:
-        """Returns the rates of the states, and the efforts at the ports."""
+        """Return the rates of the states, and the efforts at the ports."""
         world = self._world
         tables, efforts, structure = world.tables, self._efforts, world.tables.structure
         gradient(tables, x, efforts)
@@ -174,7 +174,7 @@ class _Coupled:
 
 
 def _loss(viscous: float, squared: float, coulomb: float, corner: float, flow: float) -> float:
-    """Returns phi(f) of a dissipator."""
+    """Return phi(f) of a dissipator."""
     dry = coulomb * flow / math.hypot(flow, corner) if coulomb else 0.0
     return flow * (viscous + squared * abs(flow)) + dry
 

@@ -86,7 +86,7 @@ def continuous_reference(
 
 
 def _environment_torque(environment: Environment, position: Array, velocity: Array, step: float) -> Array:
-    """Returns the torque of the continuous environment along a motion [N or N*m], shape (n,).
+    """Return the torque of the continuous environment along a motion [N or N*m], shape (n,).
 
     Strains that relax are followed over half a step before and half a step after the motion: second order in the step.
 
@@ -112,7 +112,7 @@ def _environment_torque(environment: Environment, position: Array, velocity: Arr
 
 
 def textbook_model(simulation: AxisSimulation, without: Callable[[str], bool] = lambda _name: False) -> Model:
-    """Returns the plant of an axis as textbook equations.
+    """Return the plant of an axis as textbook equations.
 
     Args:
         simulation: Simulation of the axis.
@@ -123,7 +123,7 @@ def textbook_model(simulation: AxisSimulation, without: Callable[[str], bool] = 
 
 
 def readings_per_hold(sample_time_ns: int, cycles: int) -> int:
-    """Returns how often the reference is read in a hold [ns] of a run of some cycles."""
+    """Return how often the reference is read in a hold [ns] of a run of some cycles."""
     least = max(2, -(-sample_time_ns // _FINEST))
     least = min(least, max(2, _MOST_READINGS // max(1, cycles)))
     return next((n for n in range(least, 2 * least + 8) if sample_time_ns % n == 0), least)

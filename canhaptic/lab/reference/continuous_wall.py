@@ -24,7 +24,7 @@ from canhaptic.sim.plant.propagator import Array
 
 
 def continuous_effect(environment: Environment) -> Effect | None:
-    """Returns the environment as an exact effect of a plant; None when it is not piecewise affine.
+    """Return the environment as an exact effect of a plant; None when it is not piecewise affine.
 
     Raises:
         InputError: There are no equations for an environment of this class; a subclass may differ in anything.
@@ -60,7 +60,7 @@ class _ContinuousEffect:
     state: str | None
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the parts, the state they share, and the work they dissipate."""
+        """Add the parts, the state they share, and the work they dissipate."""
         if self.state is not None:
             scene.add_state(self.state)
         for part in self.parts:
@@ -92,7 +92,7 @@ class _Wall(PlainPart):
         self._stiffness, self._damping = stiffness, damping
 
     def assemble(self, rows: Rows, mode: str) -> None:
-        """Adds force, stored energy and losses of contact."""
+        """Add force, stored energy and losses of contact."""
         if mode == "inside":
             depth, velocity = self._depth(rows), rows.velocity(MOTOR)
             rows.forces[MOTOR] -= self._stiffness * depth + self._damping * velocity
@@ -119,7 +119,7 @@ class _PrandtlElement(PlainPart):
         self._surface = surface
 
     def assemble(self, rows: Rows, mode: str) -> None:
-        """Adds force, strain and losses; a sliding bristle keeps its strain."""
+        """Add force, strain and losses; a sliding bristle keeps its strain."""
         surface, velocity, strain = self._surface, rows.velocity(MOTOR), rows.row(strain=1.0)
         effort = surface.stiffness * strain
         rows.forces[MOTOR] -= effort + surface.damping * velocity

@@ -77,7 +77,7 @@ def continuous_run(
 
 
 def surfaces(environment: Environment) -> list[float]:
-    """Returns the positions where contact begins or ends [m or rad]; where the torque may jump.
+    """Return the positions where contact begins or ends [m or rad]; where the torque may jump.
 
     Raises:
         InputError: There are no equations for an environment of this class.
@@ -126,7 +126,7 @@ class _EnvironmentForce:
             self.modes = ("only",)
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Adds the force of the environment, its power, and the rate of its strain."""
+        """Add the force of the environment, its power, and the rate of its strain."""
         velocity = float(state[VELOCITY])
         force = 0.0 if mode == "0" else self._force(state, mode, velocity, rates)
         forces[0] += force

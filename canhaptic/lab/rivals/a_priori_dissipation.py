@@ -71,7 +71,7 @@ def touch(
     hold: Hold,
     entered: bool,
 ) -> HoldAccount:
-    """Accounts for a hold that ended in contact."""
+    """Account for a hold that ended in contact."""
     storage, displacement = state.storage, hold.displacement
     state.met = state.met or entered
     if entered or (is_deadlocked(storage) and pushed_inward(environment, storage, displacement)):
@@ -83,7 +83,7 @@ def touch(
 
 
 def exchange(environment: Environment, settings: StoredModelSettings[Any], storage: Storage, hold: Hold) -> HoldAccount:
-    """Dissipates what the velocity inside the torque of this hold demands (eqs. 6, 7)."""
+    """Dissipate what the velocity inside the torque of this hold demands (eqs. 6, 7)."""
     lost = dissipation(settings, hold)
     account = approximate(environment, storage, hold.elapsed, lost, hold.h_i - hold.h_pas)
     if storage.h_s == 0.0:

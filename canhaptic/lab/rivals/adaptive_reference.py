@@ -43,7 +43,7 @@ class _AdaptiveReferenceState(ObserverState):
 
 
 def respond(run: SampledRun[AdaptiveReferenceParameters, _AdaptiveReferenceState], hold: Hold, asked: Asked) -> Reply:
-    """Adds a damper while the energy observed is below its reference and the axis moves."""
+    """Add a damper while the energy observed is below its reference and the axis moves."""
     state, settings, extra = run.state, run.settings, 0.0
     below = below_reference(state, add(state.observed, hold.h_i), hold.h_i)
     if asked.touches and abs(hold.velocity) > settings.given.least_speed:
@@ -53,7 +53,7 @@ def respond(run: SampledRun[AdaptiveReferenceParameters, _AdaptiveReferenceState
 
 
 def below_reference(state: _AdaptiveReferenceState, observed: float, h_i: float) -> float:
-    """Returns the energy observed less its reference [J], 0 while it rises; then the reference is fitted to it.
+    """Return the energy observed less its reference [J], 0 while it rises; then the reference is fitted to it.
 
     Args:
         state: State of the axis; its coefficient changes.

@@ -65,7 +65,7 @@ def settings_of(
 
 
 def respond(run: SampledRun[BoundedObserverParameters, _BoundedObserverState], hold: Hold, asked: Asked) -> Reply:
-    """Adds the force of the passivity controller."""
+    """Add the force of the passivity controller."""
     state, velocity, damping = run.state, hold.displacement / hold.elapsed, asked.damping
     observed, wanted = add(state.observed, hold.h_i), asked.spring + asked.damper
     state.force = force = controlling_force(run.settings, state, observed, hold, wanted) if asked.touches else 0.0
@@ -81,7 +81,7 @@ def controlling_force(
     hold: Hold,
     wanted: float,
 ) -> float:
-    """Returns the force of the passivity controller in the next command [N or N*m].
+    """Return the force of the passivity controller in the next command [N or N*m].
 
     Args:
         settings: Constants of the run.

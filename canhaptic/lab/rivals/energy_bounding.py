@@ -79,7 +79,7 @@ def settings_of(
 
 
 def respond(run: SampledRun[Device, _EnergyBoundingState], hold: Hold, asked: Asked) -> Reply:
-    """Renders as much of the model's torque as the bound allows."""
+    """Render as much of the model's torque as the bound allows."""
     state, device, wanted = run.state, run.settings.given, abs(asked.spring + asked.damper)
     energy = known_energy(device, run.settings.hold.sample_time, state, hold)
     stored = share = bounded_share(device, run.memory.axis.commands.torques, state.axis.oldest, energy, wanted)
@@ -99,7 +99,7 @@ def known_energy(device: Device, sample_time: float, state: _EnergyBoundingState
 
 
 def bounded_share(device: Device, torques: Buffer, oldest: int, energy: float, wanted: float) -> float:
-    """Returns the part of a wanted torque that is within the bound, 0..1.
+    """Return the part of a wanted torque that is within the bound, 0..1.
 
     Args:
         device: Certain properties of the device.

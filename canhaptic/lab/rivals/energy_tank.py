@@ -48,7 +48,7 @@ class _EnergyTankState(SampledState):
 
 
 def respond(run: SampledRun[EnergyTankParameters, _EnergyTankState], hold: Hold, asked: Asked) -> Reply:
-    """Renders the constant spring, and of the rest as much as the tank allows."""
+    """Render the constant spring, and of the rest as much as the tank allows."""
     given, state, parts, spring = run.settings.given, run.state, run.memory.own, asked.spring
     place = state.axis.oldest
     fill(given, state, hold, part_applied(parts, place, hold.missed))
@@ -62,7 +62,7 @@ def respond(run: SampledRun[EnergyTankParameters, _EnergyTankState], hold: Hold,
 
 
 def part_applied(parts: Buffer, place: int, missed: int) -> float:
-    """Returns the part of the variable spring in the command of the hold that ended, 0..1.
+    """Return the part of the variable spring in the command of the hold that ended, 0..1.
 
     Where samples were lost it is unknown which command acted, so that the whole spring counts; the drive repeated the
     newest, which takes the place of those that ended.
@@ -76,13 +76,13 @@ def part_applied(parts: Buffer, place: int, missed: int) -> float:
 
 
 def constant_force(stiffness: float, depth: float, spring: float) -> float:
-    """Returns the force of the constant spring, not larger than that of the environment [N or N*m]."""
+    """Return the force of the constant spring, not larger than that of the environment [N or N*m]."""
     force = stiffness * depth
     return force if abs(force) < abs(spring) else spring
 
 
 def fill(given: EnergyTankParameters, state: _EnergyTankState, hold: Hold, part: float) -> None:
-    """Adds to the tank what damper and variable spring took up in a hold, `part` of its force being the latter's."""
+    """Add to the tank what damper and variable spring took up in a hold, `part` of its force being the latter's."""
     state.brought += part * hold.h_i
     dissipated = hold.damper * hold.displacement
     if dissipated > 0.0 and given.initial_energy + state.brought < given.most_energy:
@@ -92,7 +92,7 @@ def fill(given: EnergyTankParameters, state: _EnergyTankState, hold: Hold, part:
 def allowed_share(
     given: EnergyTankParameters, state: _EnergyTankState, hold: Hold, variable: float, damper: float
 ) -> float:
-    """Returns b, the part of the variable spring that the tank allows in the next hold, 0..1.
+    """Return b, the part of the variable spring that the tank allows in the next hold, 0..1.
 
     Args:
         given: Parameters of the run.

@@ -51,7 +51,7 @@ class _ForceAugmentationState(SampledState):
 
 
 def respond(run: SampledRun[ForceAugmentationParameters, _ForceAugmentationState], hold: Hold, asked: Asked) -> Reply:
-    """Renders the soft spring and its offset; every contact begins without one."""
+    """Render the soft spring and its offset; every contact begins without one."""
     state, size = run.state, abs(asked.spring)
     if asked.branch == _START or not asked.touches:
         state.offset = state.depth = state.force = 0.0
@@ -63,7 +63,7 @@ def respond(run: SampledRun[ForceAugmentationParameters, _ForceAugmentationState
 def augmented_force(
     given: ForceAugmentationParameters, state: _ForceAugmentationState, depth: float, full: float
 ) -> float:
-    """Returns the size of the spring's force in the next command [N or N*m].
+    """Return the size of the spring's force in the next command [N or N*m].
 
     Args:
         given: Parameters of the run.

@@ -46,7 +46,7 @@ class _ForceGradientState(ObserverState):
 
 
 def respond(run: SampledRun[ForceGradientParameters, _ForceGradientState], hold: Hold, asked: Asked) -> Reply:
-    """Changes the force of the last command as that of the model changed, and adds a damper."""
+    """Change the force of the last command as that of the model changed, and add a damper."""
     state, settings, wanted = run.state, run.settings, asked.spring + asked.damper
     observed, depth = add(state.observed, hold.h_i), state.model.true
     force = gradient_force(settings.given.least_force, state, wanted, depth)
@@ -58,7 +58,7 @@ def respond(run: SampledRun[ForceGradientParameters, _ForceGradientState], hold:
 
 
 def gradient_force(least_force: float, state: _ForceGradientState, wanted: float, depth: float) -> float:
-    """Returns the force of the next command without the passivity controller [N or N*m].
+    """Return the force of the next command without the passivity controller [N or N*m].
 
     Args:
         least_force: Below it there is none [N or N*m].

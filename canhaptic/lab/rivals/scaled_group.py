@@ -67,7 +67,7 @@ def settings_of(
 
 
 def memory_of(world: World, settings: ScaledGroupSettings) -> ScaledGroupMemory:
-    """Returns the buffers of a group at rest."""
+    """Return the buffers of a group at rest."""
     axes, one = len(settings.loop.caps), list_of_zeros
     ports = world.geometry.ports
     return ScaledGroupMemory(
@@ -79,7 +79,7 @@ def step(
     world: World, settings: ScaledGroupSettings, state: ScaledGroupState, memory: ScaledGroupMemory, missed: int,
     positions: Buffer, torques_applied: Buffer,
 ) -> GroupHold:  # fmt: skip
-    """Accounts for the hold that ended; see `GroupKernel`."""
+    """Account for the hold that ended; see `GroupKernel`."""
     group, motion, ended, loop = state.group, state.group.motion, memory.group.ended, settings.loop
     if not group.started:
         group.started = True
@@ -129,7 +129,7 @@ def unsure_of(memory: ScaledGroupMemory, ended: GroupHolds, missed: int) -> floa
 
 
 def send(world: World, settings: ScaledGroupSettings, state: ScaledGroupState, memory: ScaledGroupMemory) -> float:
-    """Sends the torques of the state, its dampers and the modulated damper; returns the damping rendered."""
+    """Send the torques of the state, its dampers and the modulated damper; return the damping rendered."""
     group, commands, caps = state.group, memory.group.commands, settings.loop.caps
     place, displacement, elapsed = group.oldest, memory.group.ended.displacement, group.motion.elapsed
     if not state.paid.engaged:

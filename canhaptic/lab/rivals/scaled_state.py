@@ -68,7 +68,7 @@ class ScaledGroupMemory(NamedTuple):
 
 
 def paid_memory(tables: NetworkTables) -> PaidMemory:
-    """Returns empty buffers."""
+    """Return empty buffers."""
     states, ports = len(tables.stiffness), len(tables.gain[0])
     return PaidMemory(
         line_memory(states), *[list_of_zeros(states) for _ in range(3)], *[list_of_zeros(ports) for _ in range(2)]
@@ -99,7 +99,7 @@ def exchange(
     damped: float,
     power: float,
 ) -> HoldAccount:
-    """Books a hold whose motion `group_motion.move` has taken.
+    """Book a hold whose motion `group_motion.move` has taken.
 
     Args:
         world: Network and kinematics of the group.
@@ -162,7 +162,7 @@ def lay_line(memory: ScaledGroupMemory, step: Buffer) -> None:
 def balance(
     world: World, state: ScaledGroupState, memory: ScaledGroupMemory, h_m: float, damped: float, power: float
 ) -> HoldAccount:
-    """Solves the scalar balance and takes its step; eq. 18 where there is no solution."""
+    """Solve the scalar balance and take its step; eq. 18 where there is no solution."""
     tables, functions, line, before = world.tables, world.functions, memory.paid.line, state.paid.h_s
     step = memory.group.motion.network.room.step
     lay_line(memory, step)
@@ -210,7 +210,7 @@ def approximate(
 
 
 def take(world: World, state: ScaledGroupState, memory: ScaledGroupMemory, share: float, step: Buffer) -> None:
-    """Changes the state by a share of a step; it does not cross to the other side of a wall that the model touches."""
+    """Change the state by a share of a step; it does not cross to the other side of a wall that the model touches."""
     tables, found, model = world.tables, memory.group.motion.network.state, memory.paid.model
     write_model(world, state, memory)
     for i in range(len(found)):
@@ -281,7 +281,7 @@ def write_model(world: World, state: ScaledGroupState, memory: ScaledGroupMemory
 
 
 def touches(tables: NetworkTables, memory: PaidMemory) -> bool:
-    """Returns whether the model is in contact."""
+    """Return whether the model is in contact."""
     if tables.always or len(tables.edged) == 0:
         return True
     for i in tables.edged:
@@ -291,7 +291,7 @@ def touches(tables: NetworkTables, memory: PaidMemory) -> bool:
 
 
 def is_pushed_inward(world: World, memory: ScaledGroupMemory) -> bool:
-    """Returns True when the step stores energy at the model's state, or when nothing opposes it there."""
+    """Return True when the step stores energy at the model's state, or when nothing opposes it there."""
     tables, efforts, step = world.tables, memory.paid.efforts, memory.group.motion.network.room.step
     gradient(tables, memory.paid.model, efforts)
     if tables.by_functions:
@@ -305,7 +305,7 @@ def is_pushed_inward(world: World, memory: ScaledGroupMemory) -> bool:
 
 
 def write_state_efforts(world: World, state: ScaledGroupState, memory: ScaledGroupMemory) -> float:
-    """Writes springs and dampers at the motors and their sum at the ports; returns the dampers' power in a hold [J]."""
+    """Write springs and dampers at the motors and their sum at the ports; return the dampers' power in a hold [J]."""
     motion, followed, tables = state.group.motion, memory.group.motion, world.tables
     holds, ports, network = motion.holds, memory.paid.ports, followed.network
     for j in range(len(ports)):

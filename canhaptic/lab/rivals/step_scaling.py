@@ -45,14 +45,14 @@ class LineMemory(NamedTuple):
 
 
 def line_memory(states: int) -> LineMemory:
-    """Returns empty buffers."""
+    """Return empty buffers."""
     return LineMemory(*[list_of_zeros(states) for _ in range(5)])
 
 
 def taken(
     tables: NetworkTables, functions: Functions, line: LineMemory, loss: float, share: float
 ) -> tuple[float, float]:
-    """Returns the energy that a share of the step takes up, l L included, and its slope [J].
+    """Return the energy that a share of the step takes up, l L included, and its slope [J].
 
     Without cancellation: H(x + l s) - H(x) = l s . e_dg(x, x + l s).
     """
@@ -76,7 +76,7 @@ def taken(
 
 
 def stiffness_along(tables: NetworkTables, line: LineMemory) -> float:
-    """Returns s . H'' s [J] where the energy is quadratic along the line while its storages stay engaged, else -1."""
+    """Return s . H'' s [J] where the energy is quadratic along the line while its storages stay engaged, else -1."""
     total = 0.0
     if tables.by_functions:
         return -1.0
@@ -104,7 +104,7 @@ def stiffness_along(tables: NetworkTables, line: LineMemory) -> float:
 def solve_scale(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, limit: float
 ) -> StepScaling:
-    """Returns the share l nearest 0, |l| <= limit, that takes up an energy together with a loss in proportion to it.
+    """Return the share l nearest 0, |l| <= limit, that takes up an energy together with a loss in proportion to it.
 
     Args:
         tables: The network.
@@ -138,7 +138,7 @@ def search_scale(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, limit: float,
     tolerance: float,
 ) -> StepScaling:  # fmt: skip
-    """Returns `solve_scale` of an energy that is not quadratic; `tolerance` is its rounding [J]."""
+    """Return `solve_scale` of an energy that is not quadratic; `tolerance` is its rounding [J]."""
     if abs(energy) <= tolerance:
         return new(StepScaling, (0.0, True, 0))
     slope = taken(tables, functions, line, loss, 0.0)[1]
@@ -158,7 +158,7 @@ def search_scale(
 def bracket_upwards(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, far: float
 ) -> tuple[float, bool, int]:
-    """Returns a place towards `far` that takes up at least an energy > 0, whether there is one, and evaluations."""
+    """Return a place towards `far` that takes up at least an energy > 0, whether there is one, and evaluations."""
     if taken(tables, functions, line, loss, far)[0] >= energy:
         return far, True, 1
     for piece in range(1, _PIECES):
@@ -171,7 +171,7 @@ def bracket_upwards(
 def bracket_downwards(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, far: float
 ) -> tuple[float, bool, int]:
-    """Returns a place that gives at least -energy, from 0 towards the lowest place before `far`.
+    """Return a place that gives at least -energy, from 0 towards the lowest place before `far`.
 
     Returns:
         The place, or the one of the largest release; whether it suffices; evaluations.
@@ -198,7 +198,7 @@ def root_between(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, tolerance: float,
     far: float, evaluations: int,
 ) -> StepScaling:  # fmt: skip
-    """Returns the share between 0, which takes up too little of the energy, and `far`, with enough of it."""
+    """Return the share between 0, which takes up too little of the energy, and `far`, with enough of it."""
     near, share, width = 0.0, far, abs(far)
     if energy > 0.0:
         slope = taken(tables, functions, line, loss, 0.0)[1]

@@ -25,7 +25,7 @@ class TankDisplayParameters(Parameters):
 
 
 def first_energy(environment: DisplayEnvironment, given: TankDisplayParameters, position: float) -> float:
-    """Returns the energy in the tank at the start [J]."""
+    """Return the energy in the tank at the start [J]."""
     return given.initial
 
 

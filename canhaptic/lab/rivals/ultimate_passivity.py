@@ -54,7 +54,7 @@ class _UltimatePassivityState(SampledState):
 
 
 def respond(run: SampledRun[UltimatePassivityParameters, _UltimatePassivityState], hold: Hold, asked: Asked) -> Reply:
-    """Adds the conservative damping between the two levels of energy."""
+    """Add the conservative damping between the two levels of energy."""
     settings, extra = run.settings, 0.0
     switch(settings.given, run.state, hold.h_i)
     if asked.touches and run.state.conservative:
@@ -63,7 +63,7 @@ def respond(run: SampledRun[UltimatePassivityParameters, _UltimatePassivityState
 
 
 def switch(given: UltimatePassivityParameters, state: _UltimatePassivityState, h_i: float) -> None:
-    """Counts the energy of a hold [J] and chooses the mode of the next."""
+    """Count the energy of a hold [J] and choose the mode of the next."""
     state.energy += h_i
     state.holds += 1
     if state.holds == given.counted_holds:

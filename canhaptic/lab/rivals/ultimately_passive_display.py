@@ -29,7 +29,7 @@ class UltimatelyPassiveDisplayParameters(Parameters):
 def respond(
     environment: DisplayEnvironment, run: DisplayRun[UltimatelyPassiveDisplayParameters], hold: SampledHold
 ) -> DisplayReply:
-    """Dissipates part of the surplus."""
+    """Dissipate part of the surplus."""
     state, given = run.state, run.settings.given
     h_pas = hold.force * state.slip * hold.elapsed
     state.energy = max(0.0, max(0.0, state.energy + state.created) - h_pas)

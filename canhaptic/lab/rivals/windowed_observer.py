@@ -43,7 +43,7 @@ class _WindowedObserverState(SampledState):
 
 
 def respond(run: SampledRun[WindowedObserverParameters, _WindowedObserverState], hold: Hold, asked: Asked) -> Reply:
-    """Adds a damper while more was drawn than was put in within the window."""
+    """Add a damper while more was drawn than was put in within the window."""
     remember(run.state, run.memory.own, hold.h_i)
     extra = controlling_damping(run.settings.limit, run.state.energy, hold) if asked.touches else 0.0
     effort = extra * hold.displacement / hold.elapsed

@@ -30,7 +30,7 @@ _SLIDERS: Final = ("mass", "cup", "damping")
 
 
 def display_line(scene: Scene, axis: AxisScene) -> TouchScene:
-    """Returns an admittance display twice: unprotected, and under its own algorithm."""
+    """Return an admittance display twice: unprotected, and under its own algorithm."""
     plain = display_under(axis, PLAIN)
     guarded = axis if axis.passivity.name != PLAIN else replace(axis, passivity=_guard_of(axis))
     sides = (Side(PLAIN, (PLAIN,)), _side(guarded.passivity, (guarded.passivity.name,)))
@@ -46,7 +46,7 @@ def display_line(scene: Scene, axis: AxisScene) -> TouchScene:
 
 
 def display_plane(scene: Scene, name: str) -> TouchScene:
-    """Returns two admittance displays with one account twice.
+    """Return two admittance displays with one account twice.
 
     Raises:
         InputError: The group has another number of axes, or moves them through a mechanism.
@@ -88,7 +88,7 @@ def _side(passivity: ComponentSpec, axes: tuple[str, ...], group: str = "") -> S
 
 
 def _held(axis: AxisScene, side: Side, port: str) -> AxisScene:
-    """Returns an axis of one side, held by the pointer.
+    """Return an axis of one side, held by the pointer.
 
     A simulated sensor without noise shows one count while the pointer rests: the check for a frozen sensor is off here.
     """
@@ -107,7 +107,7 @@ def _held(axis: AxisScene, side: Side, port: str) -> AxisScene:
 
 
 def _hand_of(axis: AxisScene) -> tuple[UserParameters, float]:
-    """Returns the hand of a scene, and where the handle is at the start [m or rad]."""
+    """Return the hand of a scene, and where the handle is at the start [m or rad]."""
     simulation = simulation_of(axis)
     return simulation.user or UserParameters(), simulation.plant.initial_position
 
@@ -135,7 +135,7 @@ def _walls(environment: DisplayEnvironment, shown: tuple[float, float]) -> tuple
 
 
 def _box(network: GroupMass) -> tuple[tuple[float, float], ...]:
-    """Returns where each direction is between its walls [m or rad]; nothing without walls."""
+    """Return where each direction is between its walls [m or rad]; nothing without walls."""
     if not network.lower and not network.upper:
         return ()
     far = (-1e3, -1e3), (1e3, 1e3)

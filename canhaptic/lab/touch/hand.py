@@ -71,7 +71,7 @@ class TouchHand:
         far_end.close()
 
     def begin(self, changes: dict[str, str]) -> None:
-        """Begins a run anew with changed values; an error in them leaves the old run as it is.
+        """Begin a run anew with changed values; an error in them leaves the old run as it is.
 
         Raises:
             InputError: Anything is wrong, or the process has ended.
@@ -116,7 +116,7 @@ class TouchHand:
         return f"the process of both handles ended (exit code {self._process.exitcode}); start canhaptic touch again"
 
     def close(self) -> None:
-        """Ends the run and the process; a second call does nothing."""
+        """End the run and the process; a second call does nothing."""
         self._shared[RUN] = -1.0
         self._pipe.close()
         self._process.join(_END)

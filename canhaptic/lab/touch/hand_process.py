@@ -72,7 +72,7 @@ class TouchJob:
     pace: TouchPace = "even"
 
     def touched(self) -> TouchScene:
-        """Returns the scene twice.
+        """Return the scene twice.
 
         Raises:
             InputError: It is wrong, or cannot be touched.
@@ -105,7 +105,7 @@ def no_run(number: int, ended: str) -> TouchStatus:
 
 
 def columns(touched: TouchScene) -> list[str]:
-    """Returns the names of the columns of a row: time, token, place of the hand, then those of each side.
+    """Return the names of the columns of a row: time, token, place of the hand, then those of each side.
 
     `force` is that of the display on the hand; of an admittance display that of the hand, as its sensor shows it.
     """
@@ -118,7 +118,7 @@ def columns(touched: TouchScene) -> list[str]:
 
 
 def work(pipe: Connection, shared: SharedNumbers) -> None:
-    """Runs what the pipe asks for, one job after the other, until it closes; the target of the process."""
+    """Run what the pipe asks for, one job after the other, until it closes; the target of the process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_follow_parent, daemon=True).start()
     with contextlib.suppress(OSError), socket.socket(fileno=os.dup(pipe.fileno())) as end:
@@ -147,7 +147,7 @@ class _HandRun:
         self._answered, self._lateness = DurationHistogram(), DurationHistogram()
 
     def run(self) -> None:
-        """Runs until another run is asked for, or something fails; the last parcel says why it ended."""
+        """Run until another run is asked for, or something fails; the last parcel says why it ended."""
         ended = ""
         try:
             touched = self._job.touched()
@@ -183,7 +183,7 @@ class _HandRun:
         self._least = [0.0] * len(touched.sides)
 
     def _servo(self, axis: int) -> Any:
-        """Returns the power stage of a simulated drive."""
+        """Return the power stage of a simulated drive."""
         drives = self._experiment.far_side
         if drives is None:
             raise InputError("touch: the drives are not in this process, expected simulated ones")
@@ -251,7 +251,7 @@ class _HandRun:
             self._late += 1
 
     def _send(self, ended: str) -> None:
-        """Hands rows and status over; keeps them while the pipe is full."""
+        """Hand rows and status over; keep them while the pipe is full."""
         if not ended and not select.select([], [self._pipe.fileno()], [], 0.0)[1]:
             del self._rows[:-_MOST_ROWS]
             return

@@ -115,7 +115,7 @@ class TouchPage:
         self._hand.move(place, new["token"][0])
 
     def _begin(self, changes: dict[str, str]) -> None:
-        """Begins a run anew with values of the controls."""
+        """Begin a run anew with values of the controls."""
         try:
             self._hand.begin(changes)
         except CanHapticError as error:
@@ -127,7 +127,7 @@ class TouchPage:
 
 
 def _share_range(sides: list["_SideView"]) -> None:
-    """Gives both sides the same scale of force and of energy, so that they can be compared."""
+    """Give both sides the same scale of force and of energy, so that they can be compared."""
     first, second = sides
     for mine, other in zip(first.panels, second.panels, strict=True):
         other.y_range = mine.y_range
@@ -168,7 +168,7 @@ class _SideView:
         self.layout = column(*parts, sizing_mode="stretch_width")
 
     def _new_scene(self, touched: TouchScene, pointer: ColumnDataSource) -> figure:
-        """Returns the place where the handle is dragged."""
+        """Return the place where the handle is dragged."""
         (low, high), *rest = touched.shown
         across = rest[0] if rest else (-1.0, 1.0)
         plane = figure(
@@ -211,7 +211,7 @@ class _SideView:
             plane.add_layout(BoxAnnotation(**edges, **look))
 
     def _panels(self, touched: TouchScene) -> list[figure]:
-        """Returns force, of an admittance display velocity too, and energy, each against time."""
+        """Return force, of an admittance display velocity too, and energy, each against time."""
         panels = [self._panel("force" if touched.unit == "m" else "torque", effort_unit(touched.unit), ["force"])]
         if self._is_display:
             panels.append(self._panel("velocity", f"{touched.unit}/s", ["command", "velocity"]))
@@ -242,7 +242,7 @@ class _SideView:
         return f"{text} {direction[0]}" if len(self._directions) > 1 else text
 
     def take(self, news: TouchNews, frame: int) -> None:
-        """Takes rows; `frame` comes back when they are drawn."""
+        """Take rows; `frame` comes back when they are drawn."""
         rows, number = news.rows, self._number
         last: dict[str, object] = {"token": rows["token"][-1:], "frame": [frame]}
         for name, prefix in (("", f"{number}.position."), ("hand_", "hand.")):
@@ -255,7 +255,7 @@ class _SideView:
             self._grow({name: np.concatenate([part[name] for part in parts]) for name in rows})
 
     def _grow(self, rows: dict[str, Array]) -> None:
-        """Adds rows to the lines."""
+        """Add rows to the lines."""
         columns = {name: rows[column] for name, column in self._columns.items()}
         buckets = max(2, round(_BUCKETS * (rows["time"][-1] - rows["time"][0])))
         shown = np.unique(np.concatenate([decimate(values, buckets) for values in columns.values()]))
@@ -263,7 +263,7 @@ class _SideView:
         self._lines.stream(new, rollover=_POINTS)
 
     def judge(self, status: TouchStatus) -> None:
-        """Shows whether the side gave out more than it took in so far."""
+        """Show whether the side gave out more than it took in so far."""
         least = status.least[self._number]
         passive = passive_verdict(least + self._allowance + PASSIVE_TOLERANCE)
         verdict = verdict_bar(
@@ -314,7 +314,7 @@ class _Controls:
 
 
 def _slider(one: TouchSlider) -> Slider:
-    """Returns the widget of a value of the scene."""
+    """Return the widget of a value of the scene."""
     if not one.decades:
         most, step = max(20.0, 5.0 * one.value), max(0.1, one.value / 20.0)
         title = f"{one.title} [{one.unit}]"

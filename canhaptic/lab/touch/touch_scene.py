@@ -108,7 +108,7 @@ def sliders_of(section: str, values: Parameters, names: Sequence[str], unit: str
 
 
 def pointer_hand(user: UserParameters, start: float) -> PointerHand:
-    """Returns the hand of a scene with the pointer as its place."""
+    """Return the hand of a scene with the pointer as its place."""
     grip = {"stiffness": user.stiffness, "damping": user.damping} if user.stiffness else HAND
     return PointerHand(**grip, place=start)
 
@@ -127,7 +127,7 @@ def on_two_buses(
     groups: tuple[GroupScene, ...] = (),
     mechanisms: tuple[MechanismScene, ...] = (),
 ) -> Scene:
-    """Returns a scene with a bus for each side, whose drives and master wait long for a silent peer."""
+    """Return a scene with a bus for each side, whose drives and master wait long for a silent peer."""
     bus = scene.bus.model_copy(
         update={"heartbeat_timeout": _PATIENCE, "stop_cycles": max(_LOST_CYCLES, scene.bus.stop_cycles)}
     )

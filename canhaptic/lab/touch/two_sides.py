@@ -35,7 +35,7 @@ _SLIDERS = ("stiffness", "damping")
 
 
 def two_sides(scene: Scene, axis: str | None = None) -> TouchScene:
-    """Returns a scene twice in one rig.
+    """Return a scene twice in one rig.
 
     Args:
         scene: Scene simulated on one bus.
@@ -121,7 +121,7 @@ def _solid(environment: Any, shown: tuple[float, float]) -> tuple[tuple[float, f
 
 
 def _stage_of(scene: Scene, group: GroupScene) -> tuple[MechanismScene, Box]:
-    """Returns the stage on which a group renders a box, and the box.
+    """Return the stage on which a group renders a box, and the box.
 
     Raises:
         InputError: It is no stage, or no box that is linear and solid outside.
@@ -173,7 +173,7 @@ def _plane(scene: Scene, name: str) -> TouchScene:
 
 
 def _walled(axis: AxisScene, box: Box, direction: int) -> AxisScene:
-    """Returns an axis that renders the two faces of a box in its direction by itself, unprotected."""
+    """Return an axis that renders the two faces of a box in its direction by itself, unprotected."""
     wall = TwoSidedWall(
         stiffness=box.stiffness, damping=box.damping, lower=box.lower[direction], upper=box.upper[direction]
     )
@@ -186,7 +186,7 @@ def _walled(axis: AxisScene, box: Box, direction: int) -> AxisScene:
 
 
 def _held(of: MechanismScene, members: Sequence[AxisScene], side: Side) -> MechanismScene:
-    """Returns the mechanism of one side, held by the pointer; its axes in the order of the mechanism."""
+    """Return the mechanism of one side, held by the pointer; its axes in the order of the mechanism."""
     port = dict(zip((axis.parameters.name for axis in members), side.axes, strict=True))
     hand = (of.hand or TaskHand(**HAND)).model_dump(exclude={"motion", "push"})
     start = getattr(of.mechanism.parameters, "initial_position", (0.0, 0.0))

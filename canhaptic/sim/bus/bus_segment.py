@@ -48,7 +48,7 @@ class Wire:
         heapq.heappush(self._waiting, (message.arbitration_id, self._number, message, deliver))
 
     def run(self, now: int, frozen_until: int) -> None:
-        """Ends the frame whose time is over and begins the next; called at `next_due` and after each request.
+        """End the frame whose time is over and begin the next; called at `next_due` and after each request.
 
         Args:
             now: Time [ns].
@@ -85,7 +85,7 @@ class Foreign:
         self.due = NEVER
 
     def begin(self, now: int) -> None:
-        """Starts at `now` [ns]."""
+        """Start at `now` [ns]."""
         self._epoch = self._asked = now
         self._schedule()
 
@@ -138,7 +138,7 @@ class BusSegment:
         return cob_id in self._ids and (self._during is None or bool(self._during.end(time)))
 
     def push(self, message: can.Message, now: int, epoch: int) -> None:
-        """Takes a frame sent at `now` [ns]; `epoch` is the time of the first SYNC [ns]."""
+        """Take a frame sent at `now` [ns]; `epoch` is the time of the first SYNC [ns]."""
         flights = [Flight(message, now, keeps_order=True)]
         if self.suffers(message.arbitration_id, now - epoch):
             for effect in self._effects:
@@ -158,12 +158,12 @@ class BusSegment:
         heapq.heappush(self._queue, (due, self._number, message))
 
     def run(self, now: int) -> None:
-        """Delivers the frames due up to `now` [ns]."""
+        """Deliver the frames due up to `now` [ns]."""
         queue = self._queue
         while queue and queue[0][0] <= now:
             _, _, message = heapq.heappop(queue)
             self._deliver(message, now)
 
     def next_due(self) -> int:
-        """Returns when the next frame arrives [ns]; `NEVER` when none is on its way."""
+        """Return when the next frame arrives [ns]; `NEVER` when none is on its way."""
         return self._queue[0][0] if self._queue else NEVER

@@ -25,10 +25,10 @@ class _BusClock(Protocol):
     """Clock of the owner of the connection."""
 
     def now(self) -> int:
-        """Returns the time [ns]."""
+        """Return the time [ns]."""
 
     def wait_until(self, deadline: int) -> None:
-        """Returns when `deadline` [ns] has come."""
+        """Return when `deadline` [ns] has come."""
 
 
 class FaultyBus(can.BusABC):
@@ -70,7 +70,7 @@ class FaultyBus(can.BusABC):
         self._epoch: int | None = None
 
     def use(self, clock: _BusClock) -> None:
-        """Sets the clock that times late frames."""
+        """Set the clock that times late frames."""
         self._clock = clock
 
     # --- a bus of python-can ------------------------------------------------------------------------------------------
@@ -91,7 +91,7 @@ class FaultyBus(can.BusABC):
         self.advance(now)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Returns the next frame that has arrived; None when none did within `timeout` [s], None for ever."""
+        """Return the next frame that has arrived; None when none did within `timeout` [s], None for ever."""
         now = self._awake()
         deadline = NEVER if timeout is None else now + round(timeout * 1e9)
         while True:
@@ -112,7 +112,7 @@ class FaultyBus(can.BusABC):
         return self.recv(timeout), False  # python-can's own way in, for its Notifier and iterator
 
     def shutdown(self) -> None:
-        """Shuts the connection down; frames on their way are lost."""
+        """Shut the connection down; frames on their way are lost."""
         super().shutdown()
         self._bus.shutdown()
 
@@ -143,7 +143,7 @@ class FaultyBus(can.BusABC):
                 self._wire.run(due, self._freeze.end(due - epoch) + epoch if self._epoch is not None else 0)
 
     def collect(self, now: int) -> None:
-        """Takes over what the connection has received up to `now` [ns]."""
+        """Take over what the connection has received up to `now` [ns]."""
         receive = self._bus.recv
         while (message := receive(0)) is not None:
             self._take(message, now)
@@ -159,7 +159,7 @@ class FaultyBus(can.BusABC):
         return due
 
     def _awake(self) -> int:
-        """Returns the time [ns] at which the owner is awake."""
+        """Return the time [ns] at which the owner is awake."""
         clock = self._clock
         if clock is None:
             raise can.CanOperationError("the faulty bus has no clock; call use(clock) first")
@@ -175,7 +175,7 @@ class FaultyBus(can.BusABC):
     # --- frames -------------------------------------------------------------------------------------------------------
 
     def _begin(self, message: can.Message, now: int) -> int | None:
-        """Returns when the faults began [ns]: with the first SYNC, or the first frame; None before."""
+        """Return when the faults began [ns]: with the first SYNC, or the first frame; None before."""
         is_sync = message.arbitration_id == SYNC_FRAME_COB_ID and not message.is_extended_id
         if self._epoch is None and (self._begins_at_once or is_sync):
             self._epoch = now
@@ -246,5 +246,5 @@ class _FaultyFarSide:
         self._bus.collect(now)
 
     def next_due(self) -> int:
-        """Returns when the bus or a drive is due next [ns]."""
+        """Return when the bus or a drive is due next [ns]."""
         return min(self._bus.next_due(), self._far_side.next_due())

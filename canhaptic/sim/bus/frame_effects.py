@@ -33,7 +33,7 @@ class _FrameEffect(Protocol):
 
 
 def _with_data(message: can.Message, data: bytearray) -> can.Message:
-    """Returns a copy of a frame with other data."""
+    """Return a copy of a frame with other data."""
     changed = copy.copy(message)
     changed.data, changed.dlc = data, len(data)
     return changed
@@ -50,7 +50,7 @@ class _Drop:
         self._random, self._count = random, count
 
     def apply(self, flight: Flight) -> list[Flight]:
-        """Returns the frame, or nothing."""
+        """Return the frame, or nothing."""
         self._is_lost = self._random.random() < (self._after_lost if self._is_lost else self._after_heard)
         if not self._is_lost:
             return [flight]
@@ -65,7 +65,7 @@ class _Truncate:
         self._share, self._random, self._count = effects.truncate, random, count
 
     def apply(self, flight: Flight) -> list[Flight]:
-        """Returns the frame, perhaps shorter."""
+        """Return the frame, perhaps shorter."""
         message = flight.message
         if self._random.random() >= self._share or not message.data:
             return [flight]
@@ -81,7 +81,7 @@ class _Corrupt:
         self._share, self._random, self._count = effects.corrupt, random, count
 
     def apply(self, flight: Flight) -> list[Flight]:
-        """Returns the frame, perhaps with another content."""
+        """Return the frame, perhaps with another content."""
         message = flight.message
         if self._random.random() >= self._share or not message.data:
             return [flight]
@@ -100,7 +100,7 @@ class _Delay:
         self._random = random
 
     def apply(self, flight: Flight) -> list[Flight]:
-        """Returns the frame with its new due time."""
+        """Return the frame with its new due time."""
         later = self._delay + (self._random.randrange(self._jitter + 1) if self._jitter else 0)
         return [flight._replace(due=flight.due + later)]
 
@@ -112,7 +112,7 @@ class _Duplicate:
         self._share, self._random, self._count = effects.duplicate, random, count
 
     def apply(self, flight: Flight) -> list[Flight]:
-        """Returns the frame once or twice."""
+        """Return the frame once or twice."""
         if self._random.random() >= self._share:
             return [flight]
         self._count("duplicate", flight.message.arbitration_id)
@@ -141,7 +141,7 @@ class Refuse:
         self._share, self._random = effects.refuse, stream(seed, "to_drive", "refuse")
 
     def happens(self) -> bool:
-        """Returns whether the next frame is refused."""
+        """Return whether the next frame is refused."""
         return self._random.random() < self._share
 
 

@@ -38,14 +38,14 @@ class _Inbox:
         self._bell = allocate_lock()  # locked while nothing came since the taker began to wait
 
     def put(self, message: can.Message, block: bool = True, timeout: float | None = None) -> None:
-        """Puts a frame behind the others; never waits."""
+        """Put a frame behind the others; never wait."""
         self.frames.append(message)
         if self._bell.locked():
             with suppress(RuntimeError):  # another sender was quicker
                 self._bell.release()
 
     def get(self, block: bool = True, timeout: float | None = None) -> can.Message:
-        """Takes the first frame, waiting up to `timeout` [s] for one, None for ever.
+        """Take the first frame, waiting up to `timeout` [s] for one, None for ever.
 
         Raises:
             Empty: None came, or the bell rang late, for a frame that was taken before: wait on.
@@ -79,7 +79,7 @@ class LeanVirtualBus(VirtualBus):
         self.waiting = inbox.frames
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Puts the frame, or a copy of one that the sender may use again, into the queue of every other connection.
+        """Put the frame, or a copy of one that the sender may use again, into the queue of every other connection.
 
         Raises:
             can.CanOperationError: The connection was shut down.
@@ -110,7 +110,7 @@ class LeanVirtualBus(VirtualBus):
                 queue.put(copy)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Returns the next frame; None when none came within `timeout` [s], None for ever.
+        """Return the next frame; None when none came within `timeout` [s], None for ever.
 
         Raises:
             can.CanOperationError: The connection was shut down.

@@ -16,7 +16,7 @@ _PLACE: Final = re.compile(r"(?:0x)?([0-9a-f]{1,4})(?:(?:\.|sub)(?:0x)?([0-9a-f]
 
 
 def parse_place(key: str | int) -> tuple[int, int]:
-    """Returns (index, subindex) of `0x6502`, `"0x1018.1"` or `"1018sub1"`; texts are hexadecimal.
+    """Return (index, subindex) of `0x6502`, `"0x1018.1"` or `"1018sub1"`; texts are hexadecimal.
 
     Raises:
         ValueError: The key names no object, or may name two: `4096` is 0x1000 as a number and 0x4096 as hexadecimal.
@@ -121,13 +121,13 @@ class SimulatedDriveParameters(Parameters):
         return -self.direction if self.reversed == "torque" else self.direction
 
     def absent_places(self) -> frozenset[tuple[int, int | None]]:
-        """Returns `absent` as (index, subindex); the subindex is None for a whole object."""
+        """Return `absent` as (index, subindex); the subindex is None for a whole object."""
         return frozenset((index, subindex or None) for index, subindex in map(parse_place, self.absent))
 
     def refused_values(self) -> dict[tuple[int, int], int]:
-        """Returns `refused` by (index, subindex)."""
+        """Return `refused` by (index, subindex)."""
         return {parse_place(key): value for key, value in self.refused.items()}
 
     def object_values(self) -> dict[tuple[int, int], int | float | str]:
-        """Returns `objects` by (index, subindex)."""
+        """Return `objects` by (index, subindex)."""
         return {parse_place(key): value for key, value in self.objects.items()}

@@ -37,27 +37,27 @@ class Timers:
         self._due[timer] = due
 
     def stop(self, timer: int) -> None:
-        """Sets a timer to never."""
+        """Set a timer to never."""
         self._due[timer] = NEVER
         self._is_exact = False
 
     def stop_all(self) -> None:
-        """Sets every timer to never."""
+        """Set every timer to never."""
         self._due[:] = [NEVER] * len(self._due)
         self.earliest, self._is_exact = NEVER, True
 
     def is_running(self, timer: int) -> bool:
-        """Returns whether the timer is set."""
+        """Return whether the timer is set."""
         return self._due[timer] != NEVER
 
     def next_due(self) -> int:
-        """Returns when the next timer is due [ns]; `NEVER` when none is set."""
+        """Return when the next timer is due [ns]; `NEVER` when none is set."""
         if not self._is_exact:
             self.earliest, self._is_exact = min(self._due, default=NEVER), True
         return self.earliest
 
     def fire(self, now: int) -> None:
-        """Calls the action of every timer due up to `now` [ns], in order of time; each timer is stopped first."""
+        """Call the action of every timer due up to `now` [ns], in order of time; each timer is stopped first."""
         times = self._due
         while (due := self.next_due()) <= now:
             timer = times.index(due)

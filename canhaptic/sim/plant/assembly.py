@@ -98,7 +98,7 @@ class _HandPart(Protocol):
         """Add a sinusoid to the voluntary motion of the hand."""
 
     def add_grasp(self, stiffness: float, damping: float) -> str:
-        """Returns the mode of a further grasp."""
+        """Return the mode of a further grasp."""
 
 
 class TorqueCommand(Protocol):
@@ -118,14 +118,14 @@ class TorqueCommand(Protocol):
         return
 
     def apply(self, torque: float, duration: float) -> float:
-        """Returns the torque [N or N*m] that acts during the `duration` [s] to come."""
+        """Return the torque [N or N*m] that acts during the `duration` [s] to come."""
 
 
 class _Encoder(Protocol):
     """Changes the position that the encoder reports."""
 
     def read(self, position: float, tick: int, seed: int) -> float:
-        """Returns the reading [m or rad] of `position` at `tick`; the same tick always reads the same."""
+        """Return the reading [m or rad] of `position` at `tick`; the same tick always reads the same."""
 
 
 class NonlinearForce(Protocol):
@@ -146,7 +146,7 @@ class NonlinearForce(Protocol):
         return
 
     def force(self, position: float, travel: float, duration: float, torque: float) -> float:
-        """Returns the mean force [N or N*m] over a substep that starts at `position` and moves by `travel`."""
+        """Return the mean force [N or N*m] over a substep that starts at `position` and moves by `travel`."""
 
     def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
         """Accept the substep; stateless by default."""
@@ -177,13 +177,13 @@ class PlantModel:
     motor_torque: str = "torque"  # state or input that drives the motor's body
 
     def add_state(self, name: str, initial: float = 0.0) -> None:
-        """Adds a state; names are unique in a scene."""
+        """Add a state; names are unique in a scene."""
         if name in self.states:
             raise ParameterError(f"state {name!r} twice, expected once; give each effect of one type its own place")
         self.states[name] = initial
 
     def claim(self, slot: str, effect: str) -> None:
-        """Takes a place that only one effect may have.
+        """Take a place that only one effect may have.
 
         Raises:
             ParameterError: Another effect has it.
@@ -263,35 +263,35 @@ class Rows:
         self.forces = [np.zeros(self.size) for _ in scene.bodies]
 
     def row(self, **factors: float) -> Array:
-        """Returns the row with these factors, by name of the component."""
+        """Return the row with these factors, by name of the component."""
         row = np.zeros(self.size)
         for name, factor in factors.items():
             row[self.index[name]] = factor
         return row
 
     def position(self, body: int) -> Array:
-        """Returns the row of a body's position."""
+        """Return the row of a body's position."""
         return self.row(**dict(self.scene.bodies[body].position))
 
     def velocity(self, body: int) -> Array:
-        """Returns the row of a body's velocity."""
+        """Return the row of a body's velocity."""
         return self.row(**{self.scene.bodies[body].velocity: 1.0})
 
     def set_rate(self, state: str, row: Array) -> None:
-        """Makes d(state)/dt = row . z."""
+        """Make d(state)/dt = row . z."""
         self.rates[self.index[state]] = row
 
     def add_power(self, work: str, force: Array, velocity: Array) -> None:
-        """Books the power (force . z)(velocity . z) as `work`."""
+        """Book the power (force . z)(velocity . z) as `work`."""
         product = np.outer(force, velocity)
         self.powers[self._works[work]] += 0.5 * (product + product.T)
 
     def add_storage(self, coefficient: float, row: Array) -> None:
-        """Adds the stored energy coefficient / 2 * (row . z)^2."""
+        """Add the stored energy coefficient / 2 * (row . z)^2."""
         self.storage += 0.5 * coefficient * np.outer(row, row)
 
     def close(self) -> None:
-        """Turns the sums of forces into accelerations; called once, before `constrain`."""
+        """Turn the sums of forces into accelerations; called once, before `constrain`."""
         for body, force in zip(self.scene.bodies, self.forces, strict=True):
             self.set_rate(body.velocity, force / body.mass)
             self.add_storage(body.mass, self.row(**{body.velocity: 1.0}))

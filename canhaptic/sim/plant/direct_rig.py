@@ -77,7 +77,7 @@ class DirectRig:
         self._torque_limit = float("inf") if torque_limit is None else torque_limit
 
     def run(self, cycles: int) -> DirectRecord:
-        """Runs SYNC 0 .. cycles-1 from the plant's initial state and returns what happened."""
+        """Run SYNC 0 .. cycles-1 from the plant's initial state and return what happened."""
         flat = array("d")
         plant, period, step = self.plant, self._sample_time_ns, self._step
         plant.begin(0)

@@ -48,7 +48,7 @@ class StickSlip:
         self.modes = (first, *(mode for mode in ("stuck", "forward", "backward") if mode != first))
 
     def assemble(self, rows: Rows, mode: str) -> None:
-        """Adds the friction of a sliding mode."""
+        """Add the friction of a sliding mode."""
         if mode != "stuck":
             friction = rows.row(one=self._kinetic if mode == "forward" else -self._kinetic)
             rows.forces[self._body] -= friction

@@ -40,7 +40,7 @@ class Bristle:
 def mean_force(
     effort: Effort, bristle: Bristle, position: float, travel: float, duration: float, torque: float
 ) -> float:
-    """Returns the mean force [N or N*m] over a substep.
+    """Return the mean force [N or N*m] over a substep.
 
     Args:
         effort: The force.
@@ -60,14 +60,14 @@ def mean_force(
 
 
 def mean_sine(wave_number: float, phase: float, position: float, travel: float) -> float:
-    """Returns the mean of sin(wave_number * q + phase) from `position` to `position + travel`, without cancellation."""
+    """Return the mean of sin(wave_number * q + phase) from `position` to `position + travel`, without cancellation."""
     half = 0.5 * wave_number * travel
     spread = sin(half) / half if half != 0.0 else 1.0
     return sin(wave_number * (position + 0.5 * travel) + phase) * spread
 
 
 def falling_friction(effort: Effort, travel: float, duration: float) -> float:
-    """Returns the friction above the kinetic one at the mean velocity [N or N*m]."""
+    """Return the friction above the kinetic one at the mean velocity [N or N*m]."""
     if travel == 0.0:
         return 0.0
     ratio = travel / (duration * effort.stribeck_velocity)
@@ -75,7 +75,7 @@ def falling_friction(effort: Effort, travel: float, duration: float) -> float:
 
 
 def bristle_force(effort: Effort, bristle: Bristle, travel: float, duration: float) -> float:
-    """Returns the mean friction of bristles [N or N*m]."""
+    """Return the mean friction of bristles [N or N*m]."""
     if duration == 0.0:
         return -effort.bristle_stiffness * bristle.deflection
     end, mean = bent(effort, bristle, travel, duration)
@@ -90,7 +90,7 @@ def bend(effort: Effort, bristle: Bristle, travel: float, duration: float) -> No
 
 
 def bent(effort: Effort, bristle: Bristle, travel: float, duration: float) -> tuple[float, float]:
-    """Returns the deflection at the end of a substep and its mean over it [m or rad], both at the mean velocity."""
+    """Return the deflection at the end of a substep and its mean over it [m or rad], both at the mean velocity."""
     deflection = bristle.deflection
     if travel == 0.0:
         return deflection, deflection
@@ -126,11 +126,11 @@ class EffortForce(NonlinearForce):
         self._bristle = Bristle()
 
     def reset(self) -> None:
-        """Straightens the bristle."""
+        """Straighten the bristle."""
         self._bristle.deflection = 0.0
 
     def force(self, position: float, travel: float, duration: float, torque: float) -> float:
-        """Returns the mean force [N or N*m] over a substep that starts at `position` and moves by `travel`."""
+        """Return the mean force [N or N*m] over a substep that starts at `position` and moves by `travel`."""
         return mean_force(self.effort, self._bristle, position, travel, duration, torque)
 
     def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
@@ -138,5 +138,5 @@ class EffortForce(NonlinearForce):
         bend(self.effort, self._bristle, travel, duration)
 
     def stored(self, position: float) -> float:
-        """Returns the energy stored in it [J]."""
+        """Return the energy stored in it [J]."""
         return held_energy(self.effort, self._bristle, position)

@@ -53,7 +53,7 @@ class ForceReading:
         self.reset()
 
     def reset(self) -> None:
-        """Returns to the start."""
+        """Return to the start."""
         self._random = Random(self._seed)
         self._late = deque([0.0] * self._sensor.latency)
         self._impulse, self._taken_at = 0.0, -1

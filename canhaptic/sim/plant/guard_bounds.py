@@ -49,7 +49,7 @@ class GuardBounds(NamedTuple):
 
 
 def guard_bounds(guards: Array, rates: Array, sample_time: float, base: int) -> GuardBounds:
-    """Returns the bounds of the guards of one mode.
+    """Return the bounds of the guards of one mode.
 
     Args:
         guards: Rows of the guards, shape (c, n).
@@ -71,7 +71,7 @@ def guard_bounds(guards: Array, rates: Array, sample_time: float, base: int) -> 
 
 
 def _bounds(guards: Array, rates: Array, sample_time: float) -> tuple[Array, Array]:
-    """Returns E and S of the module's text by level, shapes (levels + 1, c, n)."""
+    """Return E and S of the module's text by level, shapes (levels + 1, c, n)."""
     if not len(guards):
         return np.zeros((LEVELS + 1, 0, len(rates))), np.zeros((LEVELS + 1, 0, len(rates)))
     halvings = halvings_of(rates, sample_time, LEVELS)
@@ -97,7 +97,7 @@ def _bounds(guards: Array, rates: Array, sample_time: float) -> tuple[Array, Arr
 
 
 def _mean_flow(rates: Array, step: float) -> Array:
-    """Returns the mean of exp(F t) for t from 0 to h, for ||F h|| below about one."""
+    """Return the mean of exp(F t) for t from 0 to h, for ||F h|| below about one."""
     scaled = rates * step
     term = np.eye(len(rates))
     total = term.copy()

@@ -80,7 +80,7 @@ class HybridAutomaton:
         return [0] * COUNTS
 
     def reset(self) -> None:
-        """Returns to the initial state and mode, with no energy booked."""
+        """Return to the initial state and mode, with no energy booked."""
         self.state = initial_state(self.scene)
         self._moved = self.state.copy()
         self.totals.fill(0.0)
@@ -113,12 +113,12 @@ class HybridAutomaton:
         return int(self._counts[PRODUCTS]) + self._periods
 
     def save(self) -> _Snapshot:
-        """Returns a copy of everything that a hold changes."""
+        """Return a copy of everything that a hold changes."""
         counts = self._counts
         return _Snapshot(self.state.copy(), counts[MODE], self.totals.copy(), counts[EVENTS])
 
     def restore(self, saved: _Snapshot) -> None:
-        """Goes back to a copy."""
+        """Go back to a copy."""
         np.copyto(self.state, saved.state)
         np.copyto(self.totals, saved.totals)
         counts = self._counts
@@ -131,7 +131,7 @@ class HybridAutomaton:
         return totals
 
     def works(self) -> list[float]:
-        """Returns the work booked since the start, in the order of `scene.works` [J]."""
+        """Return the work booked since the start, in the order of `scene.works` [J]."""
         totals = self._books[0].totals.tolist()  # floats: an operation on so short an array costs ten on them
         sums, carries = self._sums, self._carries
         return list(map(add, sums, map(add, carries, totals)))
@@ -167,7 +167,7 @@ class HybridAutomaton:
             self.state[cosine] /= norm
 
     def stored(self) -> float:
-        """Returns the kinetic and elastic energy [J]."""
+        """Return the kinetic and elastic energy [J]."""
         stored: Callable[[Array], float] = self._stored[self._counts[MODE]]
         return stored(self.state)
 
@@ -215,7 +215,7 @@ class HybridAutomaton:
         return position
 
     def run_free(self, ticks: int) -> None:
-        """Moves by `ticks` ignoring guards."""
+        """Move by `ticks` ignoring guards."""
         self.state, self._moved = stepper.run_free(
             self._tables, self.state, self._moved, self._books, self._counts, ticks
         )
@@ -227,7 +227,7 @@ class HybridAutomaton:
             self._most = int(self._counts[EVENTS]) + self._settings.max_events * begun
 
     def run(self, ticks: int) -> int:
-        """Moves by `ticks` under constant inputs, through every event on the way; returns the ticks left, 0.
+        """Move by `ticks` under constant inputs, through every event on the way; return the ticks left, 0.
 
         Raises:
             EventLimitError: More events than `allow_events` allowed.
@@ -237,12 +237,12 @@ class HybridAutomaton:
         return 0
 
     def run_to_event(self, ticks: int) -> int:
-        """Moves by `ticks` at most, through the first event; returns the ticks left."""
+        """Move by `ticks` at most, through the first event; return the ticks left."""
         self._counts[LIMIT] = self._counts[EVENTS] + 1
         return self._run_on(ticks)
 
     def check_limit(self, left: int) -> None:
-        """Refuses to go on when time is left in a hold that has had too many events.
+        """Refuse to go on when time is left in a hold that has had too many events.
 
         Raises:
             EventLimitError: It has.
@@ -281,12 +281,12 @@ class HybridAutomaton:
         self.connect(mode, guard)
 
     def connect(self, mode: int, guard: int) -> None:
-        """Compiles the mode behind a guard of a mode, and puts it into the tables."""
+        """Compile the mode behind a guard of a mode, and put it into the tables."""
         through = self._modes[mode].exits[guard]
         self._tables.targets[mode][guard] = self._mode_of(self._key_with(self._modes[mode], through.part, through.mode))
 
     def number_with(self, mode: int, part: str, part_mode: str) -> int:
-        """Returns the number of a mode in which one part is in another mode, compiled if need be."""
+        """Return the number of a mode in which one part is in another mode, compiled if need be."""
         return self._mode_of(self._key_with(self._modes[mode], self._part_index[part], part_mode))
 
     @property
@@ -310,7 +310,7 @@ class HybridAutomaton:
         return self._index[key]
 
     def _add(self, mode: Mode) -> None:
-        """Puts a mode at the end of the tables."""
+        """Put a mode at the end of the tables."""
         self._modes.append(mode)
         self._stored.append(_stored_by(mode.storage))
         resets = [reset_matrix(leaving, len(self.scene.names)).dot for leaving in mode.exits]
@@ -348,7 +348,7 @@ def _stored_by(storage: Array) -> Callable[[Array], float]:
 
 
 def matrix_of(product: Any) -> Array:
-    """Returns the matrix of a bound product."""
+    """Return the matrix of a bound product."""
     matrix: Array = product.__self__
     return matrix
 
@@ -362,7 +362,7 @@ def reset_matrix(leaving: Exit, size: int) -> Array:
 
 
 def _pairs(accounts: Sequence[str]) -> tuple[int, ...] | None:
-    """Returns two places of works for each account, with those of a zero behind the last work where it has fewer.
+    """Return two places of works for each account, with those of a zero behind the last work where it has fewer.
 
     None where one has more than two works: only a sum of two is the same in whichever order it is taken.
     """

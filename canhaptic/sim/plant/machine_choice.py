@@ -5,7 +5,7 @@ from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
 
 
 def machine_type(compiled: bool) -> type[HybridAutomaton]:
-    """Returns the machine whose holds are interpreted, or compiled.
+    """Return the machine whose holds are interpreted, or compiled.
 
     Raises:
         ParameterError: numba is not installed.

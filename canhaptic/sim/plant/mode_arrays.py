@@ -27,7 +27,7 @@ class Books(NamedTuple):
 
 
 def move(columns: Matrix, state: Buffer, moved: Buffer) -> None:
-    """Writes the product with the state; `columns` has shape (n, n_rows)."""
+    """Write the product with the state; `columns` has shape (n, n_rows)."""
     for row in range(len(moved)):
         moved[row] = 0.0
     for column in range(len(columns)):
@@ -37,7 +37,7 @@ def move(columns: Matrix, state: Buffer, moved: Buffer) -> None:
 
 
 def evaluate(guards: Matrix, state: Buffer, values: Buffer) -> Buffer:
-    """Writes and returns all rows of the guards times the state."""
+    """Write and return all rows of the guards times the state."""
     for row in range(len(guards)):
         factors, total = guards[row], 0.0
         for column in range(len(state)):
@@ -47,7 +47,7 @@ def evaluate(guards: Matrix, state: Buffer, values: Buffer) -> Buffer:
 
 
 def pace(values: Buffer, first: int) -> float:
-    """Returns the length of the scaled rates of the state, the values from `first` on."""
+    """Return the length of the scaled rates of the state, the values from `first` on."""
     total = 0.0
     for row in range(first, len(values)):
         total += values[row] * values[row]
@@ -55,7 +55,7 @@ def pace(values: Buffer, first: int) -> float:
 
 
 def largest_term(guards: Matrix, guard: int, state: Buffer) -> float:
-    """Returns the largest term in the sum that is the value of a guard."""
+    """Return the largest term in the sum that is the value of a guard."""
     largest = 0.0
     for column in range(len(state)):
         largest = max(largest, abs(guards[guard][column] * state[column]))
@@ -63,7 +63,7 @@ def largest_term(guards: Matrix, guard: int, state: Buffer) -> float:
 
 
 def stored(storage: Matrix, state: Buffer) -> float:
-    """Returns the kinetic and elastic energy [J]."""
+    """Return the kinetic and elastic energy [J]."""
     total = 0.0
     for row in range(len(storage)):
         for column in range(len(storage)):
@@ -72,7 +72,7 @@ def stored(storage: Matrix, state: Buffer) -> float:
 
 
 def book(columns: Matrix, state: Buffer, books: Any) -> None:
-    """Adds the work of a step that begins at `state` to the totals; `columns` has shape (n, n * (1 + works))."""
+    """Add the work of a step that begins at `state` to the totals; `columns` has shape (n, n * (1 + works))."""
     only = books[0]
     move(columns, state, only.rows)
     size = len(state)
@@ -84,7 +84,7 @@ def book(columns: Matrix, state: Buffer, books: Any) -> None:
 
 
 def flat_tables(modes: Sequence[Mode], targets: Sequence[Sequence[int]], works: int) -> ModeTables:
-    """Returns the tables of the modes as arrays; guards that a mode does not have are zero.
+    """Return the tables of the modes as arrays; guards that a mode does not have are zero.
 
     Args:
         modes: Compiled modes.
@@ -115,6 +115,6 @@ def flat_tables(modes: Sequence[Mode], targets: Sequence[Sequence[int]], works: 
 
 
 def _columns(stacked: Any, size: int, works: int) -> Any:
-    """Returns [y, Q y for each work] by columns, out of the matrix of `Mode.works` for one level."""
+    """Return [y, Q y for each work] by columns, out of the matrix of `Mode.works` for one level."""
     forms = stacked[: works * (size + works)].reshape(works, size + works, size)[:, :size]
     return np.concatenate([stacked[works * (size + works) :], *forms]).T

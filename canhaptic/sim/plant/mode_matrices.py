@@ -38,7 +38,7 @@ class Mode(NamedTuple):
 
 
 def compile_mode(scene: PlantModel, key: tuple[str, ...]) -> Mode:
-    """Returns the mode in which part i is in `key[i]`."""
+    """Return the mode in which part i is in `key[i]`."""
     rows = Rows(scene)
     for part, mode in zip(scene.parts, key, strict=True):
         part.assemble(rows, mode)
@@ -61,7 +61,7 @@ def compile_mode(scene: PlantModel, key: tuple[str, ...]) -> Mode:
 
 
 def _forms(rows: Rows, scene: PlantModel) -> tuple[list[_Product], list[_Product]]:
-    """Returns the flows, and the works evaluated with the hand's deflection in the place of the position.
+    """Return the flows, and the works evaluated with the hand's deflection in the place of the position.
 
     In q and x_u the squares of a stiff hand would cancel: 1e6 N/m at 10 mm is 50 J, against the 0.1 J that flow.
     """
@@ -76,7 +76,7 @@ def _forms(rows: Rows, scene: PlantModel) -> tuple[list[_Product], list[_Product
 
 
 def _stacked(forms: Array, shift: Array) -> Array:
-    """Returns the matrix of `Mode.works` of each level; see `stepper.StepBuffers` for its use.
+    """Return the matrix of `Mode.works` of each level; see `stepper.StepBuffers` for its use.
 
     Args:
         forms: Q by level and kind of energy, shape (levels, kinds, n, n).
@@ -100,7 +100,7 @@ def _base_level(rates: Array, sample_time: float) -> int:
 
 
 def initial_state(scene: PlantModel) -> Array:
-    """Returns the state at the start, with torque 0."""
+    """Return the state at the start, with torque 0."""
     state = np.zeros(len(scene.names))
     state[: len(scene.states)] = list(scene.states.values())
     state[-1] = 1.0
@@ -108,5 +108,5 @@ def initial_state(scene: PlantModel) -> Array:
 
 
 def first_key(scene: PlantModel) -> tuple[str, ...]:
-    """Returns the mode in which every part starts."""
+    """Return the mode in which every part starts."""
     return tuple(part.modes[0] for part in scene.parts)

@@ -66,7 +66,7 @@ def _unrolled_holds(size: int, works: int) -> Callable[..., None]:
 
 @cache
 def _compiled_stepper(name: str) -> Any:
-    """Returns a function of the stepper, compiled at its first call; the machine code is kept for the next process."""
+    """Return a function of the stepper, compiled at its first call; the machine code is kept for the next process."""
     products = {getattr(stepper, function.__name__): function for function in _BULK}
     return compiled(getattr(stepper, name), products, keep=True)
 
@@ -88,19 +88,19 @@ class CompiledMachine(HybridAutomaton):
         return np.zeros(COUNTS, dtype=np.int64)
 
     def period(self, torque: float) -> float:
-        """Takes one whole sample time in one step, for scenes without guards; returns the position after it."""
+        """Take one whole sample time in one step, for scenes without guards; return the position after it."""
         self.state[-2] = torque
         self.run_free(1 << LEVELS)
         return self.state.item(0)
 
     def run_free(self, ticks: int) -> None:
-        """Moves by `ticks` ignoring guards."""
+        """Move by `ticks` ignoring guards."""
         self.state, self._moved = self._free(
             self._arrays(), self.state, self._moved, tuple(self._books), self._counts, ticks
         )
 
     def run_holds(self, torques: Array, positions: Array) -> None:
-        """Takes one sample time under each torque and writes the position after it.
+        """Take one sample time under each torque and write the position after it.
 
         A mode without guards takes them in one unrolled loop.
 
@@ -128,7 +128,7 @@ class CompiledMachine(HybridAutomaton):
             self.check_limit(left)
 
     def _free_tables(self) -> tuple[Array, Array, Array]:
-        """Returns the flow over T, the row of the deflection, and the forms as lower triangles, of this mode."""
+        """Return the flow over T, the row of the deflection, and the forms as lower triangles, of this mode."""
         mode = int(self._counts[MODE])
         if mode not in self._free_modes:
             size, works = len(self.state), len(self.scene.works)
@@ -156,7 +156,7 @@ class CompiledMachine(HybridAutomaton):
         return result
 
     def connect(self, mode: int, guard: int) -> None:
-        """Compiles the mode behind a guard of a mode, and puts it into the tables."""
+        """Compile the mode behind a guard of a mode, and put it into the tables."""
         super().connect(mode, guard)
         self._flat = None
 
@@ -165,7 +165,7 @@ class CompiledMachine(HybridAutomaton):
         self._flat = None
 
     def _arrays(self) -> ModeTables:
-        """Returns the tables as arrays, every table of one shape for all modes."""
+        """Return the tables as arrays, every table of one shape for all modes."""
         if self._flat is None:
             self._flat = flat_tables(self.modes, self.targets, len(self.scene.works))
             width = self._flat.guards.shape[1]

@@ -18,7 +18,7 @@ class OwnHand(UserParameters):
     """A grip and a force of one's own on the handle."""
 
     def force(self, time: float, position: float, velocity: float) -> float:
-        """Returns the force on the handle, towards +q [N or N*m].
+        """Return the force on the handle, towards +q [N or N*m].
 
         Args:
             time: Time since the start of the plant [s].
@@ -28,7 +28,7 @@ class OwnHand(UserParameters):
         raise NotImplementedError(f"{type(self).__name__}: write force(time, position, velocity)")
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the grip and the force.
+        """Add the grip and the force.
 
         Raises:
             ParameterError: The handle is not the motor's body.
@@ -49,11 +49,11 @@ class _OwnForce(NonlinearForce):
         self._time = 0.0
 
     def reset(self) -> None:
-        """Returns to the start."""
+        """Return to the start."""
         self._time = 0.0
 
     def force(self, position: float, travel: float, duration: float, torque: float) -> float:
-        """Returns the force at the middle of a substep [N or N*m]."""
+        """Return the force at the middle of a substep [N or N*m]."""
         velocity = travel / duration if duration else 0.0
         return self._hand.force(self._time + 0.5 * duration, position + 0.5 * travel, velocity)
 

@@ -49,7 +49,7 @@ class PlantParameters(Parameters):
     """Velocity with which the plant starts."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the motor's body and its bearings."""
+        """Add the motor's body and its bearings."""
         self.add_body(scene, "motor")
         scene.parts.append(LinearPart("motor", self._write))
 
@@ -69,7 +69,7 @@ class PlantParameters(Parameters):
         self.write_body(rows)
 
     def write_body(self, rows: Rows) -> None:
-        """Adds the motion of the body, its bearings, and the force that is held over a substep."""
+        """Add the motion of the body, its bearings, and the force that is held over a substep."""
         velocity = rows.velocity(MOTOR)
         rows.set_rate("position", velocity)
         rows.forces[MOTOR] -= self.damping * velocity
@@ -164,7 +164,7 @@ class Plant:
         return self._general_hold
 
     def reset(self) -> None:
-        """Returns to the initial state, before `begin`, with all energies zero."""
+        """Return to the initial state, before `begin`, with all energies zero."""
         self._machine.reset()
         for keeper in (*self.scene.commands, self._splitting, self._timetable):
             if keeper:
@@ -204,7 +204,7 @@ class Plant:
         return position
 
     def set_states(self, values: Mapping[str, float]) -> None:
-        """Sets states of the hand for the following holds; allowed between two holds only.
+        """Set states of the hand for the following holds; allowed between two holds only.
 
         Args:
             values: New values by the name of the state, for a `GuidedHand` or a `PointerHand`.
@@ -246,11 +246,11 @@ class Plant:
         return self._is_linear
 
     def whole_flow(self) -> Array:
-        """Returns the flow of the first mode over one sample time, shape (n, n)."""
+        """Return the flow of the first mode over one sample time, shape (n, n)."""
         return matrix_of(self._machine.first_mode.flows[0]).copy()
 
     def initial_state(self) -> Array:
-        """Returns the state at the start, shape (n,)."""
+        """Return the state at the start, shape (n,)."""
         return initial_state(self.scene)
 
     @property
@@ -259,13 +259,13 @@ class Plant:
         return self._splitting is None
 
     def begin(self, now: int) -> None:
-        """Starts the clock: `now` [ns] is the epoch, the state there is the initial one. Later calls change nothing."""
+        """Start the clock: `now` [ns] is the epoch, the state there is the initial one. Later calls change nothing."""
         if self._epoch is None:
             self._epoch = now
             self._next_period = now + self.sample_time_ns
 
     def advance_to(self, now: int, torque: float) -> None:
-        """Moves the plant to `now` under a torque that was constant since the last call; still before `begin`.
+        """Move the plant to `now` under a torque that was constant since the last call; still before `begin`.
 
         Args:
             now: Time [ns] on the clock that `begin` was given; rounded to a tick of T / 2^24.
@@ -307,7 +307,7 @@ class Plant:
             self._pause = min(self._pause, self._tick + holds * TICKS)
 
     def run(self, torques: Array) -> Array:
-        """Moves by one sample time under each torque and returns the positions after them; begins at 0 if need be.
+        """Move by one sample time under each torque and return the positions after them; begin at 0 if need be.
 
         The same as `advance_to` called for each; compiled, in one call where nothing but commands and guards acts.
 
@@ -348,7 +348,7 @@ class Plant:
         return held
 
     def energy(self) -> PlantEnergy:
-        """Returns the true energies since the start [J]."""
+        """Return the true energies since the start [J]."""
         machine = self._machine
         motor, user, dissipated = machine.accounts()
         stored = machine.stored()

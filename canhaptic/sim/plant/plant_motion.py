@@ -19,7 +19,7 @@ class Motion(NamedTuple):
 
 
 def observed(plant: Plant, torques: Sequence[float], hold_ns: int | None = None) -> Motion:
-    """Returns the motion of a plant under the torques, from its start.
+    """Return the motion of a plant under the torques, from its start.
 
     Args:
         plant: Plant before `begin`.

@@ -21,7 +21,7 @@ class PointerHand(UserParameters):
     """Where the hand is at the start."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the hand and its place."""
+        """Add the hand and its place."""
         _PlacedHand(self).add_to(scene)
         scene.add_state(PLACE, self.place)
         scene.deflection[PLACE] = -1.0
@@ -29,7 +29,7 @@ class PointerHand(UserParameters):
 
 class _PlacedHand(Hand):
     def assemble(self, rows: Rows, mode: str) -> None:
-        """Adds the force on the handle and its work."""
+        """Add the force on the handle and its work."""
         stiffness, _ = self.grasp(mode)
         pull = rows.row(**{PLACE: stiffness})
         super().assemble(rows, mode)

@@ -23,7 +23,7 @@ _TERMS: Final = 16  # of the series of many matrices: 4^-16 / 16! is below 1e-22
 
 
 def taylor_flow(rates: Array, step: float) -> Array:
-    """Returns exp(F h) - I by its Taylor series; for ||F h|| below about one.
+    """Return exp(F h) - I by its Taylor series; for ||F h|| below about one.
 
     Args:
         rates: F of dz/dt = F z, shape (n, n).
@@ -41,7 +41,7 @@ def taylor_flow(rates: Array, step: float) -> Array:
 
 
 def _taylor_work(rates: Array, power: Array, step: float) -> Array:
-    """Returns Q with z'Qz = integral over h of the power z'Sz along the flow, by its Taylor series.
+    """Return Q with z'Qz = integral over h of the power z'Sz along the flow, by its Taylor series.
 
     Args:
         rates: F of dz/dt = F z, shape (n, n).
@@ -70,7 +70,7 @@ def halvings_of(rates: Array, sample_time: float, levels: int) -> int:
 def dyadic_flows(
     rates: Array, powers: Sequence[Array], sample_time: float, levels: int = LEVELS
 ) -> tuple[list[Array], list[Array]]:
-    """Returns exp(F T / 2^j) and the energy forms over T / 2^j, for j = 0..levels.
+    """Return exp(F T / 2^j) and the energy forms over T / 2^j, for j = 0..levels.
 
     Args:
         rates: F of dz/dt = F z, shape (n, n).
@@ -99,13 +99,13 @@ def dyadic_flows(
 
 
 def _congruent(works: Array, change: Array) -> Array:
-    """Returns (I + E)' Q (I + E) of each Q without adding E to the identity first, which would round E off."""
+    """Return (I + E)' Q (I + E) of each Q without adding E to the identity first, which would round E off."""
     products = works @ change
     return works + products + products.transpose(0, 2, 1) + change.T @ products
 
 
 def flow_changes(rates: Array) -> Array:
-    """Returns exp(F) - I of many matrices, shape (n, k, k); each is independent of the others.
+    """Return exp(F) - I of many matrices, shape (n, k, k); each is independent of the others.
 
     A series of a fixed number of terms at F / 2^h with a norm of at most 1/4, then h doublings, h of each its own.
 

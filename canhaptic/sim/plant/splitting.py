@@ -41,7 +41,7 @@ class Splitting:
         self.reset()
 
     def reset(self) -> None:
-        """Returns to the start."""
+        """Return to the start."""
         for effort in self._efforts:
             effort.reset()
         self.work: dict[Account, float] = {"motor": 0.0, "user": 0.0, "dissipated": 0.0}
@@ -53,11 +53,11 @@ class Splitting:
         self._held = 0.0
 
     def stored(self, position: float) -> float:
-        """Returns the energy stored in the efforts [J]."""
+        """Return the energy stored in the efforts [J]."""
         return sum(effort.stored(position) for effort in self._efforts)
 
     def run(self, ticks: int) -> None:
-        """Moves by `ticks`, in substeps that end at their first event at the latest.
+        """Move by `ticks`, in substeps that end at their first event at the latest.
 
         Raises:
             EventLimitError: There are more events than are allowed.
@@ -67,7 +67,7 @@ class Splitting:
             self._machine.check_limit(ticks)
 
     def _substep(self, ticks: int) -> int:
-        """Moves by `ticks` or to the first event; returns the ticks that passed."""
+        """Move by `ticks` or to the first event; return the ticks that passed."""
         state = self._machine.state
         self._start, self._held = float(state[0]), float(state[self._torque])
         force = self._solve(ticks)
@@ -89,7 +89,7 @@ class Splitting:
             self.work[account] += -work if account == "dissipated" else work
 
     def _solve(self, ticks: int) -> float:
-        """Returns F with F = sum of forces(travel(F)); the machine is left at the end of the piece with that F.
+        """Return F with F = sum of forces(travel(F)); the machine is left at the end of the piece with that F.
 
         Where none is consistent with the first event (the mean of a force that is yet to grow stops the body as soon as
         it breaks away), the piece goes through its events with one F; it is then of order 1.
@@ -126,13 +126,13 @@ def mean_torque(begin: float, end: float, held: float) -> float:
 
 
 def residual(piece: Any, force: float) -> float:
-    """Returns target force minus force [N or N*m]; falls with the force."""
+    """Return target force minus force [N or N*m]; falls with the force."""
     found: float = piece.residual(force)
     return found
 
 
 def fixed_point(piece: Any, start: float, slope: float) -> tuple[float, float, bool]:
-    """Returns (root, slope near it, True) of a residual that falls; the root is the last argument that was evaluated.
+    """Return (root, slope near it, True) of a residual that falls; the root is the last argument that was evaluated.
 
     A bracketed secant. Where the residual jumps over zero, the side of the jump that errs less, and False.
 

@@ -77,7 +77,7 @@ class StepBuffers:
 
 
 def two_buffers(size: int, works: int) -> list[StepBuffers]:
-    """Returns the two buffers for a state of `size` and a number of works."""
+    """Return the two buffers for a state of `size` and a number of works."""
     length = works * (size + works)
     this, other = np.zeros(length + 2 * size + works), np.zeros(length + 2 * size + works)
 
@@ -90,32 +90,32 @@ def two_buffers(size: int, works: int) -> list[StepBuffers]:
 
 
 def move(product: Callable[[Array, Array], object], state: Array, moved: Array) -> None:
-    """Writes the product with the state."""
+    """Write the product with the state."""
     product(state, moved)
 
 
 def evaluate(guards: Any, state: Array, values: Any) -> Any:
-    """Returns all rows of the guards times the state; `values` may be written to."""
+    """Return all rows of the guards times the state; `values` may be written to."""
     return guards.dot(state).tolist()
 
 
 def pace(values: Any, first: int) -> float:
-    """Returns the length of the scaled rates of the state, the values from `first` on."""
+    """Return the length of the scaled rates of the state, the values from `first` on."""
     return math.hypot(*values[first:])
 
 
 def largest_term(guards: Any, guard: int, state: Array) -> float:
-    """Returns the largest term in the sum that is the value of a guard."""
+    """Return the largest term in the sum that is the value of a guard."""
     return float(np.abs(guards[guard] * state).max())
 
 
 def stored(storage: Any, state: Array) -> float:
-    """Returns the kinetic and elastic energy [J]."""
+    """Return the kinetic and elastic energy [J]."""
     return float(storage.dot(state).dot(state))
 
 
 def book(works: Any, state: Array, books: Any) -> None:
-    """Books the work of a step that begins at `state`."""
+    """Book the work of a step that begins at `state`."""
     this = books[0]
     works(state, this.rows)
     this.contract(this.vector, this.totals_after)
@@ -123,7 +123,7 @@ def book(works: Any, state: Array, books: Any) -> None:
 
 
 def first_broken(guards: Any, count: int, values: Any, state: Array) -> int:
-    """Returns the first guard that is broken at `state`, or NONE."""
+    """Return the first guard that is broken at `state`, or NONE."""
     for i in range(count):
         if values[i] < 0.0 and values[i] < -_ROUNDING * largest_term(guards, i, state):
             return i
@@ -157,7 +157,7 @@ def may_dip(
 
 
 def least(value: float, rate: float, curvature: float, length: float) -> float:
-    """Returns the least value of a parabola on [0, length]."""
+    """Return the least value of a parabola on [0, length]."""
     if curvature > 0.0 and -curvature * length < rate < 0.0:
         return value - 0.5 * rate * rate / curvature
     return min(value, value + (rate + 0.5 * curvature * length) * length)
@@ -166,7 +166,7 @@ def least(value: float, rate: float, curvature: float, length: float) -> float:
 def leave(
     tables: ModeTables, state: Array, moved: Array, books: Any, counts: Indices, guard: int
 ) -> tuple[Array, Array]:
-    """Changes the mode through a guard, with the jump that belongs to it; returns the state and the spare state."""
+    """Change the mode through a guard, with the jump that belongs to it; return the state and the spare state."""
     mode = counts[MODE]
     after = tables.targets[mode][guard]
     counts[EVENTS] += 1
@@ -215,7 +215,7 @@ def judge(
 def run_free(
     tables: ModeTables, state: Array, moved: Array, books: Any, counts: Indices, ticks: int
 ) -> tuple[Array, Array]:
-    """Moves by `ticks` ignoring guards: whole sample times, then one step per bit; returns state and spare."""
+    """Move by `ticks` ignoring guards: whole sample times, then one step per bit; return state and spare."""
     mode = counts[MODE]
     flows, works = tables.flows[mode], tables.works[mode]
     for _ in range(ticks >> LEVELS):
@@ -239,7 +239,7 @@ def run(
     tables: ModeTables, settings: StepperSettings, state: Array, moved: Array, books: Any, counts: Indices, values: Any,
     ticks: int,
 ) -> tuple[Array, Array, int]:  # fmt: skip
-    """Moves by `ticks` under constant inputs, through every event on the way.
+    """Move by `ticks` under constant inputs, through every event on the way.
 
     Returns:
         State, spare state, and the ticks left: above zero with counts[MISSING] set or at counts[LIMIT] only.
@@ -286,7 +286,7 @@ def run_holds(
     tables: ModeTables, settings: StepperSettings, state: Array, moved: Array, books: Any, counts: Indices, values: Any,
     torques: Array, positions: Array,
 ) -> tuple[Array, Array, int, int]:  # fmt: skip
-    """Takes one sample time under each torque and writes the position after it.
+    """Take one sample time under each torque and write the position after it.
 
     Returns:
         State, spare state, sample times begun, and the ticks left of the last one: above zero at the limit of events;

@@ -20,11 +20,11 @@ class Timetable:
         self.reset()
 
     def reset(self) -> None:
-        """Returns to tick 0."""
+        """Return to tick 0."""
         self._tick = self._done = 0
 
     def run(self, ticks: int) -> None:
-        """Moves by `ticks`, changing modes on the way."""
+        """Move by `ticks`, changing modes on the way."""
         end = self._tick + ticks
         while self._done < len(self._entries) and self._entries[self._done][0] < end:
             tick, part, mode = self._entries[self._done]

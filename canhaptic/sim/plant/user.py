@@ -31,7 +31,7 @@ class SinusoidMotion(Parameters):
     """Middle of the motion."""
 
     def position(self, time: float) -> float:
-        """Returns x_u [m or rad] at `time` [s]."""
+        """Return x_u [m or rad] at `time` [s]."""
         return self.offset + self.amplitude * math.sin(2.0 * math.pi * self.frequency * time + self.phase)
 
 
@@ -56,7 +56,7 @@ class UserParameters(Parameters):
         return self
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the hand, when there is one, at the last body of the scene."""
+        """Add the hand, when there is one, at the last body of the scene."""
         if self.stiffness or self.damping or self.push:
             Hand(self).add_to(scene)
 
@@ -80,7 +80,7 @@ class Hand(PlainPart):
         return self._user.rest + (self._user.motion.offset if self._user.motion else 0.0)
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the part, its work, and the oscillator of the voluntary motion."""
+        """Add the part, its work, and the oscillator of the voluntary motion."""
         user = self._user
         scene.works[_HAND] = "user"
         scene.parts.append(self)
@@ -100,16 +100,16 @@ class Hand(PlainPart):
         self._targets.append((name, amplitude, omega))
 
     def add_grasp(self, stiffness: float, damping: float) -> str:
-        """Returns the mode of a further grasp."""
+        """Return the mode of a further grasp."""
         self._grasps.append((stiffness, damping))
         return self.modes[-1]
 
     def grasp(self, mode: str) -> tuple[float, float]:
-        """Returns stiffness and damping of a grasp."""
+        """Return stiffness and damping of a grasp."""
         return self._grasps[self.modes.index(mode)]
 
     def assemble(self, rows: Rows, mode: str) -> None:
-        """Adds the force on the handle, its work, and the oscillators."""
+        """Add the force on the handle, its work, and the oscillators."""
         stiffness, damping = self.grasp(mode)
         handle = len(rows.forces) - 1
         velocity = rows.velocity(handle)

@@ -73,7 +73,7 @@ class _DrivenMass(PlantParameters):
     loop: VelocityLoopParameters
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the mass, its bearings and the loop."""
+        """Add the mass, its bearings and the loop."""
         self.add_body(scene, _LOOP)
         scene.parts.append(LinearPart("mass", self.write_body))
         scene.parts.append(_Loop(self.loop))
@@ -98,7 +98,7 @@ class _Loop(PlainPart):
         return demand + rows.row(**{_INTEGRAL: 1.0}) if self._loop.integral_gain else demand
 
     def assemble(self, rows: Rows, mode: str) -> None:
-        """Adds the torque of the loop."""
+        """Add the torque of the loop."""
         velocity, limit = rows.velocity(MOTOR), self._loop.torque_limit or 0.0
         if mode == "off":
             return
@@ -128,7 +128,7 @@ class _Integral(PlainPart):
         self.has_guards = loop.torque_limit is not None
 
     def assemble(self, rows: Rows, mode: str) -> None:
-        """Adds the rate of the integral."""
+        """Add the rate of the integral."""
         gain = self._loop.integral_gain
         if mode == "free":
             rows.set_rate(_INTEGRAL, rows.row(torque=gain) - gain * rows.velocity(MOTOR))
@@ -156,7 +156,7 @@ class _Sensor(PlainPart):
         self._grip, self._corner = grip, corner
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the sensor to a scene."""
+        """Add the sensor to a scene."""
         scene.add_state("impulse")
         if self._corner:
             scene.add_state("filtered_force")
@@ -164,12 +164,12 @@ class _Sensor(PlainPart):
         scene.parts.append(self)
 
     def force(self, rows: Rows) -> Array:
-        """Returns the row of the force on the mass."""
+        """Return the row of the force on the mass."""
         grip = self._grip
         return rows.row(twist=-grip.stiffness) - grip.damping * (rows.velocity(MOTOR) - rows.velocity(MOTOR + 1))
 
     def assemble(self, rows: Rows, mode: str) -> None:
-        """Adds the integral of the force, its filter and its work."""
+        """Add the integral of the force, its filter and its work."""
         force = self.force(rows)
         rows.set_rate("impulse", force)
         rows.add_power(_SENSOR, force, rows.velocity(MOTOR))
@@ -215,7 +215,7 @@ class AdmittancePlant(Plant):
         super().__init__(driven, user, [behind, *effects, sensor], sample_time_ns, seed, accuracy)
 
     def reset(self) -> None:
-        """Returns to the initial state, before `begin`, with all energies zero."""
+        """Return to the initial state, before `begin`, with all energies zero."""
         scene = self.scene
         names = list(scene.works)
         self._sensor_work, self._user_work = names.index(_SENSOR), names.index("hand") if "hand" in names else -1
@@ -230,7 +230,7 @@ class AdmittancePlant(Plant):
         self.reading.reset()
 
     def power(self, *, on: bool) -> None:
-        """Switches the power stage; without power the mass moves freely. On again, the integral is empty."""
+        """Switch the power stage; without power the mass moves freely. On again, the integral is empty."""
         if on == self._is_on:
             return
         self._is_on = on
@@ -257,7 +257,7 @@ class AdmittancePlant(Plant):
         AdmittancePlant.__init__(self, parameters, display, user, effects, sample_time_ns, seed, accuracy)
 
     def feed_forward(self, torque: float) -> None:
-        """Adds a torque to that of the loop from now on, in place of the one before, as 0x60B2 does.
+        """Add a torque to that of the loop from now on, in place of the one before, as 0x60B2 does.
 
         With an integral it adds to that; without one it is converted to an additional velocity command.
 
@@ -272,7 +272,7 @@ class AdmittancePlant(Plant):
             self._shift = torque / self.display.loop.gain
 
     def advance_to(self, now: int, torque: float) -> None:
-        """Moves to `now` [ns]; `torque` is the velocity commanded since the last call [m/s or rad/s]."""
+        """Move to `now` [ns]; `torque` is the velocity commanded since the last call [m/s or rad/s]."""
         super().advance_to(now, torque + self._shift if self._shift else torque)
 
     def _free_hold(self, ticks: int, command: float) -> None:

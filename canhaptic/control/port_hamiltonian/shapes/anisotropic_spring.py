@@ -28,7 +28,7 @@ class AnisotropicSpring(Parameters):
         return self
 
     def build(self, dimensions: int) -> Rendered:
-        """Returns the spring; see `NetworkEnvironment`."""
+        """Return the spring; see `NetworkEnvironment`."""
         check_length("anisotropic_spring", "centre", len(self.centre), dimensions)
         check_length("anisotropic_spring", "stiffness", len(self.stiffness), dimensions)
         dampers = []

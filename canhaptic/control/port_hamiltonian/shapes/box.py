@@ -36,7 +36,7 @@ class Box(Surface):
         return self
 
     def build(self, dimensions: int) -> Rendered:
-        """Returns the box; see `NetworkEnvironment`."""
+        """Return the box; see `NetworkEnvironment`."""
         check_length("box", "lower", len(self.lower), dimensions)
         if self.side == "outside":
             return self.behind(BoxInside(list(self.lower), list(self.upper)))
@@ -62,7 +62,7 @@ class BoxInside(NamedTuple):
         return len(self.lower)
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
-        """Writes the largest distance from any face's plane, and the normal of that face."""
+        """Write the largest distance from any face's plane, and the normal of that face."""
         largest, axis, sign = -inf, 0, 1.0
         for i in range(len(self.lower)):
             below, above = self.lower[i] - position[i], position[i] - self.upper[i]

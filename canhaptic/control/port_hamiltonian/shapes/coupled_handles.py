@@ -26,7 +26,7 @@ class CoupledHandles(Parameters):
     """p1 - scale p2 without force [m or rad]; None: zeros."""
 
     def build(self, dimensions: int) -> Rendered:
-        """Returns the coupling; see `NetworkEnvironment`."""
+        """Return the coupling; see `NetworkEnvironment`."""
         half, odd = divmod(dimensions, 2)
         if odd or not half:
             raise ParameterError(f"coupled_handles: got {dimensions} dimensions, expected an even number: two handles")

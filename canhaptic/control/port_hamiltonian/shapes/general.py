@@ -41,7 +41,7 @@ class General(Parameters):
         )  # fmt: skip
 
     def build(self, dimensions: int) -> Rendered:
-        """Returns the network; see `NetworkEnvironment`."""
+        """Return the network; see `NetworkEnvironment`."""
         network = self._network()
         if self.ports is None and network.ports != dimensions:
             raise ParameterError(

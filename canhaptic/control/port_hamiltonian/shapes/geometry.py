@@ -31,7 +31,7 @@ class Geometry(Protocol):
         """Number of ports of the network."""
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
-        """Writes the coordinates of the ports at a position.
+        """Write the coordinates of the ports at a position.
 
         Args:
             position: Position in task space [m or rad], (dimensions,).
@@ -51,7 +51,7 @@ STILL: Final = Mover()
 
 
 def moved_by(mover: Mover, time: float) -> float:
-    """Returns w(t) [m or rad] at a time [s]."""
+    """Return w(t) [m or rad] at a time [s]."""
     return mover.half * (1.0 - cos(mover.rate * time))
 
 
@@ -80,7 +80,7 @@ class LinearGeometry(NamedTuple):
         return len(self.matrix[0])
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
-        """Writes A p - offset and A."""
+        """Write A p - offset and A."""
         for i in range(len(values)):
             row, into, total = self.matrix[i], rows[i], -self.offset[i]
             for j in range(len(row)):
@@ -90,7 +90,7 @@ class LinearGeometry(NamedTuple):
 
 
 def linear_geometry(rows: Sequence[Sequence[float]], offset: Sequence[float]) -> LinearGeometry:
-    """Returns the coordinates A p - offset.
+    """Return the coordinates A p - offset.
 
     Args:
         rows: A, one row for each port.
@@ -100,19 +100,19 @@ def linear_geometry(rows: Sequence[Sequence[float]], offset: Sequence[float]) ->
 
 
 def coordinates_at(geometry: Geometry, position: Sequence[float]) -> Buffer:
-    """Returns the coordinates of the ports at a position [m or rad]."""
+    """Return the coordinates of the ports at a position [m or rad]."""
     values = list_of_zeros(geometry.ports)
     geometry.measure(list(position), values, zeros(geometry.ports, geometry.dimensions))
     return values
 
 
 def identity_rows(size: int) -> list[list[float]]:
-    """Returns the rows of a unit matrix."""
+    """Return the rows of a unit matrix."""
     return [[1.0 if i == j else 0.0 for j in range(size)] for i in range(size)]
 
 
 def check_length(owner: str, name: str, seen: int, dimensions: int) -> None:
-    """Checks that a vector or matrix has one entry or row for each dimension of task space.
+    """Check that a vector or matrix has one entry or row for each dimension of task space.
 
     Raises:
         ParameterError: It does not.

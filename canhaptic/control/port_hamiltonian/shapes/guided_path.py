@@ -37,7 +37,7 @@ class GuidedPath(Parameters):
         return self
 
     def build(self, dimensions: int) -> Rendered:
-        """Returns the path; see `NetworkEnvironment`."""
+        """Return the path; see `NetworkEnvironment`."""
         check_length("guided_path", "points", len(self.points[0]), dimensions)
         ends = (*self.points, self.points[0]) if self.closed else self.points
         spring = Spring(stiffness=self.stiffness, lower=None, upper=self.width)
@@ -59,7 +59,7 @@ class FromPath(NamedTuple):
         return len(self.starts[0])
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
-        """Writes the distance from the nearest place of the path and the direction away from it."""
+        """Write the distance from the nearest place of the path and the direction away from it."""
         least, nearest, place = inf, 0, 0.0
         for piece in range(len(self.squares)):
             start, along, total = self.starts[piece], self.along[piece], 0.0
@@ -79,7 +79,7 @@ class FromPath(NamedTuple):
 
 
 def path_through(points: Sequence[Sequence[float]]) -> FromPath:
-    """Returns the path from point to point."""
+    """Return the path from point to point."""
     starts = [list(a) for a, _ in pairwise(points)]
     along = [[y - x for x, y in zip(a, b, strict=True)] for a, b in pairwise(points)]
     return FromPath(starts, along, [sum(v * v for v in piece) for piece in along])

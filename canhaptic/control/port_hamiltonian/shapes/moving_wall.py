@@ -25,7 +25,7 @@ class MovingWall(Surface):
     """Frequency f of its motion."""
 
     def build(self, dimensions: int) -> Rendered:
-        """Returns the wall; see `NetworkEnvironment`."""
+        """Return the wall; see `NetworkEnvironment`."""
         normal = unit_vector("moving_wall", "normal", self.normal, dimensions)
         return self.behind(
             linear_geometry([normal], [self.offset]), Mover(0.5 * self.amplitude, 2.0 * math.pi * self.frequency)

@@ -16,6 +16,6 @@ class Plane(Surface):
     """Distance of the surface from the origin along the normal [m or rad]."""
 
     def build(self, dimensions: int) -> Rendered:
-        """Returns the wall; see `NetworkEnvironment`."""
+        """Return the wall; see `NetworkEnvironment`."""
         normal = unit_vector("plane", "normal", self.normal, dimensions)
         return self.behind(linear_geometry([normal], [self.offset]))

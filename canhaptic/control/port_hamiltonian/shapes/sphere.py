@@ -19,7 +19,7 @@ class Sphere(Surface):
     """Where free space is."""
 
     def build(self, dimensions: int) -> Rendered:
-        """Returns the sphere; see `NetworkEnvironment`."""
+        """Return the sphere; see `NetworkEnvironment`."""
         check_length("sphere", "centre", len(self.centre), dimensions)
         return self.behind(Round(list(self.centre), self.radius, 1.0 if self.side == "outside" else -1.0))
 
@@ -38,7 +38,7 @@ class Round(NamedTuple):
         return len(self.centre)
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
-        """Writes the distance from the surface and its normal."""
+        """Write the distance from the surface and its normal."""
         row = rows[0]
         for i in range(len(row)):
             row[i] = position[i] - self.centre[i]

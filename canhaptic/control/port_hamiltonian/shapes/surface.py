@@ -22,7 +22,7 @@ class Surface(Parameters):
     """Coefficient of the damper in parallel with the spring; it acts in contact only."""
 
     def network(self) -> Network:
-        """Returns spring and damper at one port, engaged below 0."""
+        """Return spring and damper at one port, engaged below 0."""
         return Network(
             [Spring(stiffness=self.stiffness, hardening=self.hardening, upper=None)],
             [Damper(viscous=self.damping, beside=0)] if self.damping else [],
@@ -30,12 +30,12 @@ class Surface(Parameters):
         )
 
     def behind(self, geometry: Geometry, mover: Mover = STILL) -> Rendered:
-        """Returns the material behind a surface given by its distance."""
+        """Return the material behind a surface given by its distance."""
         return Rendered(self.network(), geometry, mover)
 
 
 def unit_vector(owner: str, name: str, vector: Sequence[float], dimensions: int) -> tuple[float, ...]:
-    """Returns the direction of a vector.
+    """Return the direction of a vector.
 
     Raises:
         ParameterError: It has another number of entries than task space, or no direction.
@@ -49,7 +49,7 @@ def unit_vector(owner: str, name: str, vector: Sequence[float], dimensions: int)
 
 
 def radial(row: Buffer, radius: float, sign: float) -> float:
-    """Returns the distance from a round surface [m or rad]; turns the offset from centre or axis into its gradient.
+    """Return the distance from a round surface [m or rad]; turns the offset from centre or axis into its gradient.
 
     Args:
         row: Offset from the centre, or from the nearest point of the axis [m or rad]; the gradient afterwards.

@@ -25,7 +25,7 @@ class Tube(Surface):
     """Where free space is."""
 
     def build(self, dimensions: int) -> Rendered:
-        """Returns the tube; see `NetworkEnvironment`."""
+        """Return the tube; see `NetworkEnvironment`."""
         if dimensions < 2:
             raise ParameterError(
                 f"tube: got a task space of {dimensions} dimension, expected at least 2: the motion along it is free, "
@@ -53,7 +53,7 @@ class AroundLine(NamedTuple):
         return len(self.point)
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
-        """Writes the distance from the surface and its normal."""
+        """Write the distance from the surface and its normal."""
         row, along, square, across = rows[0], 0.0, 0.0, 0
         for i in range(len(row)):
             row[i] = position[i] - self.point[i]

@@ -28,7 +28,7 @@ class VirtualMass(Parameters):
     """Viscous friction of the mass."""
 
     def build(self, dimensions: int) -> Rendered:
-        """Returns the mass; see `NetworkEnvironment`."""
+        """Return the mass; see `NetworkEnvironment`."""
         return Rendered(self._network(dimensions, []), linear_geometry(identity_rows(dimensions), [0.0] * dimensions))
 
     def _network(self, dimensions: int, anchors: list[Storage]) -> Network:
@@ -66,7 +66,7 @@ class MassOnSpring(VirtualMass):
         return self
 
     def build(self, dimensions: int) -> Rendered:
-        """Returns the mass on its spring; see `NetworkEnvironment`."""
+        """Return the mass on its spring; see `NetworkEnvironment`."""
         check_length("mass_on_spring", "anchor", len(self.anchor), dimensions)
         anchors: list[Storage] = [Spring(stiffness=self.anchor_stiffness) for _ in range(dimensions)]
         geometry = linear_geometry(identity_rows(dimensions), self.anchor)

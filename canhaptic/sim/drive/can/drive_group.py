@@ -18,10 +18,10 @@ class Drives(Protocol):
     drives: tuple[SimulatedDrive, ...]
 
     def process(self, now: int) -> None:
-        """Handles all frames and timers of all drives up to `now` [ns]."""
+        """Handle all frames and timers of all drives up to `now` [ns]."""
 
     def next_due(self) -> int:
-        """Returns when the next of them is due [ns]."""
+        """Return when the next of them is due [ns]."""
 
 
 class DriveGroup:
@@ -44,7 +44,7 @@ class DriveGroup:
             drive.on_routes_changed = self._hearers.clear
 
     def process(self, now: int, message: can.Message | None = None) -> None:
-        """Handles every frame waiting on the bus and every timer due up to `now` [ns].
+        """Handle every frame waiting on the bus and every timer due up to `now` [ns].
 
         Args:
             now: Time [ns].
@@ -75,7 +75,7 @@ class DriveGroup:
         return hearers
 
     def next_due(self) -> int:
-        """Returns when the next timer of any drive is due [ns]."""
+        """Return when the next timer of any drive is due [ns]."""
         earliest = NEVER
         for drive in self.drives:
             due = drive.timers.next_due()
@@ -97,10 +97,10 @@ class DriveGroups:
         self.drives = tuple(drives)
 
     def process(self, now: int) -> None:
-        """Handles every frame waiting on each bus and every timer due up to `now` [ns]."""
+        """Handle every frame waiting on each bus and every timer due up to `now` [ns]."""
         for group in self._groups:
             group.process(now)
 
     def next_due(self) -> int:
-        """Returns when the next timer of any drive is due [ns]."""
+        """Return when the next timer of any drive is due [ns]."""
         return min((group.next_due() for group in self._groups), default=NEVER)

@@ -142,7 +142,7 @@ class SimulatedDrive:
     # --- what a group of drives asks of each ------------------------------------------------------------------------
 
     def wake(self, now: int) -> None:
-        """Powers the drive on if it is not yet; called before any frame is handled."""
+        """Power the drive on if it is not yet; called before any frame is handled."""
         if self.timers.earliest == 0:
             self.servo.now = now
             self.timers.fire(0)
@@ -272,7 +272,7 @@ class SimulatedDrive:
             self._sensor.power_on()
 
     def _boot(self) -> None:
-        """Starts communication: boot-up, then PRE-OPERATIONAL."""
+        """Start communication: boot-up, then PRE-OPERATIONAL."""
         self.timers.stop_all()
         self._sdo.reset()
         self._consumer.restart()

@@ -63,7 +63,7 @@ class EmergencyProducer:
         self._clear_history()
 
     def announce(self, code: int) -> None:
-        """Enters an error and sends its EMCY, unless it is present already."""
+        """Enter an error and send its EMCY, unless it is present already."""
         if code in self._present:
             return
         self._present.append(code)
@@ -73,7 +73,7 @@ class EmergencyProducer:
         self._transmit(code)
 
     def withdraw(self, *codes: int) -> None:
-        """Removes errors (all when none is named) and sends EMCY 0x0000 if one was present."""
+        """Remove errors (all when none is named) and send EMCY 0x0000 if one was present."""
         remaining = [code for code in self._present if codes and code not in codes]
         if len(remaining) == len(self._present):
             return

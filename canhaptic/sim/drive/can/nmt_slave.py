@@ -20,7 +20,7 @@ _COMMANDS: Final = frozenset(int(command) for command in NmtCommand)
 
 
 def command_for(content: bytes, node_id: int) -> NmtCommand | None:
-    """Returns the command of an NMT frame, or None when it is for another node or is none."""
+    """Return the command of an NMT frame, or None when it is for another node or is none."""
     if len(content) != 2 or content[0] not in _COMMANDS or content[1] not in (0, node_id):
         return None
     return NmtCommand(content[0])
@@ -96,7 +96,7 @@ class HeartbeatConsumer:
         self._on_change()
 
     def watched(self) -> dict[int, int]:
-        """Returns COB-ID -> slot of every node watched."""
+        """Return COB-ID -> slot of every node watched."""
         nodes = ((entry.number >> 16 & 0x7F, slot) for slot, (entry, _) in enumerate(self._slots) if _time(entry))
         return {HEARTBEAT_BASE + node: slot for node, slot in nodes if node}
 
@@ -114,7 +114,7 @@ class HeartbeatConsumer:
         self._on_lost()
 
     def _check(self, slot: int, value: int) -> SdoAbort | None:
-        """Refuses to watch one node twice (CiA 301, 7.5.2.19)."""
+        """Refuse to watch one node twice (CiA 301, 7.5.2.19)."""
         others = [entry.number >> 16 & 0x7F for i, (entry, _) in enumerate(self._slots) if i != slot and _time(entry)]
         is_twice = value & 0xFFFF and value >> 16 & 0x7F in others
         return SdoAbort.PARAMETER_INCOMPATIBLE if is_twice else None

@@ -123,7 +123,7 @@ class Pdo:
             hook()
 
     def counts_sync(self) -> bool:
-        """Returns whether a synchronous TPDO is due at this SYNC."""
+        """Return whether a synchronous TPDO is due at this SYNC."""
         if self.transmission_type == 0:
             is_due, self.is_due = self.is_due, False
             return is_due
@@ -134,7 +134,7 @@ class Pdo:
         return True
 
     def _mapped(self) -> tuple[Entry, ...]:
-        """Returns the mapped objects; none when the map of the dictionary cannot be used."""
+        """Return the mapped objects; none when the map of the dictionary cannot be used."""
         entries = []
         for slot in self._slots[: self._count.number]:
             entry = self._object(slot.number)
@@ -196,7 +196,7 @@ class Pdo:
 
 
 def find_pdos(store: ObjectStore, is_transmit: bool, on_change: Callable[[], None]) -> tuple[Pdo, ...]:
-    """Returns every PDO that the dictionary describes with both its objects."""
+    """Return every PDO that the dictionary describes with both its objects."""
     communication = TPDO_COMMUNICATION if is_transmit else RPDO_COMMUNICATION
     mapping = TPDO_MAPPING if is_transmit else RPDO_MAPPING
     return tuple(
@@ -207,7 +207,7 @@ def find_pdos(store: ObjectStore, is_transmit: bool, on_change: Callable[[], Non
 
 
 def _can_be_beyond(entry: Entry, allowed: tuple[float, float]) -> bool:
-    """Returns whether a frame can carry a value of this object that is not allowed; a real one may be no number."""
+    """Return whether a frame can carry a value of this object that is not allowed; a real one may be no number."""
     if entry.code in "fd":
         return True
     whole = Entry(entry.index, entry.subindex, entry.data_type)

@@ -119,7 +119,7 @@ class ProcessData:
         return steps[(len(steps) - 1) // 2] if steps else None
 
     def send_events(self) -> None:
-        """Sends the event-driven TPDOs; those of transmission type 0 follow at the next SYNC."""
+        """Send the event-driven TPDOs; those of transmission type 0 follow at the next SYNC."""
         for pdo in self._sync_tpdos:
             pdo.is_due = True
         for pdo in self._event_tpdos:
@@ -159,7 +159,7 @@ class ProcessData:
                 pdo.load(content)
 
     def _check_counter(self, value: int) -> SdoAbort | None:
-        """Refuses a counter while a cycle period is set, and the values 1 and above 240 (CiA 301, 7.5.2.22)."""
+        """Refuse a counter while a cycle period is set, and the values 1 and above 240 (CiA 301, 7.5.2.22)."""
         if self._cycle_period.number:
             return SdoAbort.DEVICE_STATE
         return SdoAbort.VALUE_RANGE if value == 1 or value > _LARGEST_COUNTER else None

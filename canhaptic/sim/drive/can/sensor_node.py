@@ -64,7 +64,7 @@ class SensorNode:
         return None if self._node.node_id is None else SDO_REQUEST_BASE + self._node.node_id
 
     def take_sdo(self, content: Content) -> None:
-        """Answers an SDO request: its device type, and the tare (0x6139:01)."""
+        """Answer an SDO request: its device type, and the tare (0x6139:01)."""
         answer = None if self.state is NmtState.STOPPED else self._sdo.answer(bytes(content))
         if answer is not None and self._node.node_id is not None:
             self._send(SDO_RESPONSE_BASE + self._node.node_id, answer)

@@ -39,16 +39,16 @@ class DisplayMotor(Motor, Protocol):
     """A motor with a velocity loop and a force sensor; its input is a velocity."""
 
     def power(self, *, on: bool) -> None:
-        """Switches the power stage."""
+        """Switch the power stage."""
 
     def read_force(self) -> float:
         """Present reading of the force sensor."""
 
     def limit_torque(self, limit: float) -> None:
-        """Lowers the limit of the torque before the motor begins."""
+        """Lower the limit of the torque before the motor begins."""
 
     def feed_forward(self, torque: float) -> None:
-        """Adds a torque to that of the loop."""
+        """Add a torque to that of the loop."""
 
 
 class DisplayServo(Servo):
@@ -93,11 +93,11 @@ class DisplayServo(Servo):
             commanded.changed = self.obey
 
     def _commands(self) -> tuple[Entry, ...]:
-        """Returns the objects that command motion."""
+        """Return the objects that command motion."""
         return self._target_velocity, self._target_position, self._velocity_offset, self._position_offset
 
     def reset(self) -> None:
-        """Returns to the state after power-on: no power; the motor moves on."""
+        """Return to the state after power-on: no power; the motor moves on."""
         for commanded in self._commands():
             commanded.value = commanded.number
         super().reset()
@@ -158,7 +158,7 @@ class DisplayServo(Servo):
         return self.motor.read_force()
 
     def _along_ramp(self, target: int) -> float:
-        """Returns the velocity demanded in this hold [m/s or rad/s]."""
+        """Return the velocity demanded in this hold [m/s or rad/s]."""
         wanted, before = target * self._per_velocity_count, self._ramped
         if wanted == before or not self._period:
             return wanted
@@ -170,7 +170,7 @@ class DisplayServo(Servo):
         return before + (most if wanted > before else -most)
 
     def _interpolated(self) -> float:
-        """Returns the velocity [m/s or rad/s] that leads to the target position by the next SYNC."""
+        """Return the velocity [m/s or rad/s] that leads to the target position by the next SYNC."""
         target = self._target_position.number + self._position_offset.number
         if self._setpoint is None or not self._period:
             self._setpoint = target
@@ -196,19 +196,19 @@ class DisplayServo(Servo):
         self.update(before)
 
     def fault(self) -> None:
-        """Begins the fault reaction: velocity 0."""
+        """Begin the fault reaction: velocity 0."""
         before = self.machine.state
         self.machine.fault()
         self.update(before)
 
     def abort_connection(self, option: int) -> None:
-        """Reacts to a lost connection as 0x6007 asks; the power follows the state."""
+        """React to a lost connection as 0x6007 asks; the power follows the state."""
         before = self.machine.state
         super().abort_connection(option)
         self.update(before)
 
     def sample(self) -> None:
-        """Measures at a SYNC; in mode 8 the interpolation to the last target ends here."""
+        """Measure at a SYNC; in mode 8 the interpolation to the last target ends here."""
         if self._sampled_at and self.now > self._sampled_at:
             self._period = (self.now - self._sampled_at) * 1e-9
         self._sampled_at = self.now

@@ -65,14 +65,14 @@ class TorqueStage:
         return self._high * self.quantum if self._high < self._target.high else float("inf")
 
     def limit(self, target: int) -> int:
-        """Returns the torque demand [per mille of rated torque] for a target."""
+        """Return the torque demand [per mille of rated torque] for a target."""
         if target > self._high:
             return self._high
         return target if target >= self._low else self._low
 
 
 def _largest(entry: Entry) -> float:
-    """Returns the largest value of the type of an object; limits for writing do not count."""
+    """Return the largest value of the type of an object; limits for writing do not count."""
     return Entry(entry.index, entry.subindex, entry.data_type).high if entry.size else -1
 
 

@@ -95,7 +95,7 @@ class Entry:
         return self.value if isinstance(self.value, int) else 0
 
     def encode(self, value: _Value) -> bytes:
-        """Returns the bytes of a value on the bus.
+        """Return the bytes of a value on the bus.
 
         Raises:
             ValueError: The value does not fit the type.
@@ -110,7 +110,7 @@ class Entry:
             raise ValueError(f"{value} does not fit {self.size} bytes") from error
 
     def decode(self, content: bytes) -> _Value:
-        """Returns the value of bytes that have the right length."""
+        """Return the value of bytes that have the right length."""
         if self.data_type in _REALS:
             return float(_REALS[self.data_type].unpack(content)[0])
         if self.size:
@@ -154,7 +154,7 @@ class ObjectStore:
         self.reset()
 
     def entry(self, index: int, data_type: int, subindex: int = 0) -> Entry:
-        """Returns an object of the dictionary; one that only the drive itself sees when the dictionary lacks it.
+        """Return an object of the dictionary; one that only the drive itself sees when the dictionary lacks it.
 
         Raises:
             ParameterError: The dictionary has it with another type than the drive.
@@ -181,11 +181,11 @@ class ObjectStore:
         return self.entry(index, data_type, subindex)
 
     def find(self, index: int, subindex: int = 0) -> Entry | None:
-        """Returns an object of the dictionary, or None."""
+        """Return an object of the dictionary, or None."""
         return self._entries.get((index, subindex))
 
     def reset(self, indices: range = range(0x10000)) -> None:
-        """Sets the objects of a range of indices to their initial values."""
+        """Set the objects of a range of indices to their initial values."""
         for entry in (*self._entries.values(), *self._hidden.values()):
             if entry.index in indices:
                 entry.value = entry.initial

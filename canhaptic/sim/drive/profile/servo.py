@@ -63,10 +63,10 @@ class Motor(Protocol):
         """True velocity [rad/s or m/s]."""
 
     def begin(self, now: int) -> None:
-        """Starts its clock at `now` [ns]; until then it is at rest."""
+        """Start its clock at `now` [ns]; until then it is at rest."""
 
     def advance_to(self, now: int, torque: float) -> None:
-        """Moves to `now` [ns] under a torque [N*m or N] that was constant since the last call."""
+        """Move to `now` [ns] under a torque [N*m or N] that was constant since the last call."""
 
     def energy(self) -> PlantEnergy:
         """True energies since the start."""
@@ -131,7 +131,7 @@ class Servo:
             entry.refresh = self.measure
 
     def reset(self) -> None:
-        """Returns to the state after power-on: no torque; the motor moves on."""
+        """Return to the state after power-on: no torque; the motor moves on."""
         self._move()
         self.machine.reset()
         self.demand, self.torque = 0, 0.0
@@ -159,7 +159,7 @@ class Servo:
         return self.machine.state in _POWERED
 
     def obey(self) -> None:
-        """Acts on the present controlword, mode and target torque."""
+        """Act on the present controlword, mode and target torque."""
         machine, word, mode = self.machine, self._controlword.value, self._mode.value
         before = machine.state
         if before is not _ENABLED or word != self._enabling_word:  # the word that enabled the operation keeps it so
@@ -214,17 +214,17 @@ class Servo:
             self.has_event = True
 
     def settle(self) -> None:
-        """Makes the transitions that need no command."""
+        """Make the transitions that need no command."""
         self.machine.settle(self._quick_stop_option.number)
         self.update()
 
     def fault(self) -> None:
-        """Begins the fault reaction: torque 0 at once."""
+        """Begin the fault reaction: torque 0 at once."""
         self.machine.fault()
         self.update()
 
     def abort_connection(self, option: int) -> None:
-        """Reacts to a lost connection as 0x6007 asks: 0 nothing, 2 disable voltage, 3 quick stop, else fault."""
+        """React to a lost connection as 0x6007 asks: 0 nothing, 2 disable voltage, 3 quick stop, else fault."""
         if option == 0 or not self.is_powered:
             return
         if option == 2:
@@ -238,7 +238,7 @@ class Servo:
     # --- measurement ------------------------------------------------------------------------------------------------
 
     def sample(self) -> None:
-        """Measures at a SYNC; the first one that finds operation enabled starts the motor's clock."""
+        """Measure at a SYNC; the first one that finds operation enabled starts the motor's clock."""
         motor, now, encoder = self.motor, self.now, self._read_encoder
         if self.is_running:
             motor.advance_to(now, self.torque)
@@ -259,7 +259,7 @@ class Servo:
         self._torque_actual.value = self._current_actual.value = measured
 
     def measure(self) -> None:
-        """Measures now, for an SDO upload or an event-driven TPDO."""
+        """Measure now, for an SDO upload or an event-driven TPDO."""
         self._move()
         motor, encoder = self.motor, self._read_encoder
         self._count(self._position, motor.position if encoder is None else encoder(motor))

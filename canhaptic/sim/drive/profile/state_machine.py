@@ -91,12 +91,12 @@ class StateMachine:
         self.reset()
 
     def reset(self) -> None:
-        """Returns to the state after power-on."""
+        """Return to the state after power-on."""
         self.state = DriveState.NOT_READY_TO_SWITCH_ON
         self._controlword = 0
 
     def obey(self, controlword: int, quick_stop_option: int) -> bool:
-        """Follows a controlword; returns whether the state changed.
+        """Follow a controlword; return whether the state changed.
 
         Args:
             controlword: 0x6040 as received.
@@ -126,12 +126,12 @@ class StateMachine:
         self.state = _TRANSITIONS.get((self.state, PowerCommand.DISABLE_VOLTAGE), self.state)
 
     def fault(self) -> None:
-        """Begins the fault reaction (transition 13) from any state that is not yet a fault."""
+        """Begin the fault reaction (transition 13) from any state that is not yet a fault."""
         if self.state is not DriveState.FAULT:
             self.state = DriveState.FAULT_REACTION_ACTIVE
 
     def settle(self, quick_stop_option: int) -> bool:
-        """Does the transitions that need no command (1, 14, and 12 at standstill); returns whether one was due."""
+        """Do the transitions that need no command (1, 14, and 12 at standstill); return whether one was due."""
         before = self.state
         if before is DriveState.NOT_READY_TO_SWITCH_ON:
             self.state = DriveState.SWITCH_ON_DISABLED

@@ -57,7 +57,7 @@ class Effect(Protocol):
 
 
 def read_effect(values: Mapping[str, Any], motion: Motion | None = None) -> Effect:
-    """Returns the effect that a mapping with `type` describes, in the units of an axis that moves in "m" or "rad".
+    """Return the effect that a mapping with `type` describes, in the units of an axis that moves in "m" or "rad".
 
     Raises:
         ParameterError: The type is missing or unknown (the nearest name is offered), or a value is out of range.

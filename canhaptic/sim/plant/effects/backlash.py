@@ -25,7 +25,7 @@ class Backlash(Parameters):
     """Whole play, from flank to flank."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Puts two flanks in the place of the shaft's spring.
+        """Put two flanks in the place of the shaft's spring.
 
         Raises:
             ParameterError: There is no shaft.

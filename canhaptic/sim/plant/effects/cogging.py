@@ -28,5 +28,5 @@ class Cogging(Parameters):
     """Phase of the sine at position 0."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the effort."""
+        """Add the effort."""
         scene.efforts.append(EffortForce(Effort(DETENT, self.amplitude, self.pitch, self.phase), None))

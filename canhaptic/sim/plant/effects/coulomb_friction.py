@@ -21,7 +21,7 @@ class CoulombFriction(DryFriction):
     type: Literal["coulomb_friction"] = "coulomb_friction"
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the part with its three modes."""
+        """Add the part with its three modes."""
         scene.claim("friction model", self.type)
         scene.works[self.type] = "dissipated"
         velocity = scene.states[scene.bodies[MOTOR].velocity]

@@ -24,7 +24,7 @@ class CurrentLoop(Parameters):
     """Time constant of the winding, L / R, or of the closed current loop."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the torque of the motor as a state."""
+        """Add the torque of the motor as a state."""
         scene.claim("current loop", self.type)
         scene.add_state("motor_torque")
         scene.motor_torque = "motor_torque"

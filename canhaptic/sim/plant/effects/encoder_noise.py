@@ -26,7 +26,7 @@ class EncoderNoise(Parameters):
     """Standard deviation."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the error of the reading."""
+        """Add the error of the reading."""
         scene.claim("encoder noise", self.type)
         scene.encoders.append(_Noise(self.deviation))
 
@@ -38,28 +38,28 @@ class _Noise:
         self._deviation = deviation
 
     def read(self, position: float, tick: int, seed: int) -> float:
-        """Returns the reading with its error [m or rad]."""
+        """Return the reading with its error [m or rad]."""
         return position + noise(self._deviation, seed, tick)
 
 
 def noise(deviation: float, seed: int, tick: int) -> float:
-    """Returns the error of the reading at a tick [m or rad]."""
+    """Return the error of the reading at a tick [m or rad]."""
     base = _mix(seed * _GAMMA + tick)
     return gaussian(deviation, (_mix(base + _GAMMA) + 1) / (_MASK + 2), _mix(base + 2 * _GAMMA) / (_MASK + 1))
 
 
 def uniform(seed: int, tick: int) -> float:
-    """Returns a number in [0, 1), by seed and tick."""
+    """Return a number in [0, 1), by seed and tick."""
     return _mix(_mix(seed * _GAMMA + tick) + _GAMMA) / (_MASK + 1)
 
 
 def gaussian(deviation: float, first: float, second: float) -> float:
-    """Returns a normal deviate out of two uniform ones: first in (0, 1], second in [0, 1)."""
+    """Return a normal deviate out of two uniform ones: first in (0, 1], second in [0, 1)."""
     return deviation * math.sqrt(-2.0 * math.log(first)) * math.cos(2.0 * math.pi * second)
 
 
 def _mix(value: int) -> int:
-    """Returns 64 well-mixed bits of an integer (the finaliser of splitmix64)."""
+    """Return 64 well-mixed bits of an integer (the finaliser of splitmix64)."""
     value &= _MASK
     value = ((value ^ (value >> 30)) * 0xBF58476D1CE4E5B9) & _MASK
     value = ((value ^ (value >> 27)) * 0x94D049BB133111EB) & _MASK

@@ -21,7 +21,7 @@ class EncoderQuantisation(Parameters):
     """Displacement of one count."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the rounding of the reading."""
+        """Add the rounding of the reading."""
         scene.claim("encoder quantisation", self.type)
         scene.encoders.append(_Steps(self.count))
 

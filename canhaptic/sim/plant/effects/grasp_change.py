@@ -26,7 +26,7 @@ class GraspChange(Parameters):
     """Damping of the hand's grip from then on."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds a grasp to the hand and the time at which it comes.
+        """Add a grasp to the hand and the time at which it comes.
 
         Raises:
             ParameterError: There is no hand.

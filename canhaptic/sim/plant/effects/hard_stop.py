@@ -28,7 +28,7 @@ class HardStop(Parameters):
     """Damping of the stop."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the contact of the handle with the stop."""
+        """Add the contact of the handle with the stop."""
         scene.claim(f"{self.side} hard stop", self.type)
         factor = 1.0 if self.side == "upper" else -1.0
         handle = len(scene.bodies) - 1

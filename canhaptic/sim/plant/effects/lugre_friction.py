@@ -36,7 +36,7 @@ class LuGreFriction(DryFriction):
     """Viscous friction in parallel with the bristles."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the bristle as an effort."""
+        """Add the bristle as an effort."""
         scene.claim("friction model", self.type)
         effort = Effort(
             BRISTLE,

@@ -29,7 +29,7 @@ class ShaftCompliance(Parameters):
     """Mass at the handle's end of the shaft; `plant.mass` is then that at the motor's end."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the load and the shaft."""
+        """Add the load and the shaft."""
         scene.claim("shaft", self.type)
         scene.shaft = (self.stiffness, self.damping)
         scene.add_state("twist")
@@ -49,5 +49,5 @@ class ShaftCompliance(Parameters):
 
 
 def _write_twist(rows: Rows) -> None:
-    """Writes the rate of the twist."""
+    """Write the rate of the twist."""
     rows.set_rate("twist", rows.velocity(MOTOR) - rows.velocity(LOAD))

@@ -26,7 +26,7 @@ class StribeckFriction(DryFriction):
     """Velocity at which the friction has fallen by 63 % of the way from `static` to `kinetic`."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the modes of dry friction and the effort of the falling part."""
+        """Add the modes of dry friction and the effort of the falling part."""
         scene.claim("friction model", self.type)
         scene.works[self.type] = "dissipated"
         velocity = scene.states[scene.bodies[MOTOR].velocity]

@@ -46,7 +46,7 @@ class ThermalDerating(Parameters):
         return self
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the limit."""
+        """Add the limit."""
         scene.claim("thermal derating", self.type)
         scene.commands.append(_Winding(self))
 
@@ -61,7 +61,7 @@ class _Winding(TorqueCommand):
         self.reset()
 
     def reset(self) -> None:
-        """Cools down to ambient."""
+        """Cool down to ambient."""
         self.temperature = self._derating.ambient
 
     def apply(self, torque: float, duration: float) -> float:

@@ -21,7 +21,7 @@ class TorqueQuantisation(Parameters):
     """Smallest step of the torque."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the rounding."""
+        """Add the rounding."""
         scene.claim("torque quantisation", self.type)
         scene.commands.append(_Rounding(self.quantum))
 
@@ -33,5 +33,5 @@ class _Rounding(TorqueCommand):
         self._quantum = quantum
 
     def apply(self, torque: float, duration: float) -> float:
-        """Returns the nearest multiple of the quantum [N or N*m]."""
+        """Return the nearest multiple of the quantum [N or N*m]."""
         return round(torque / self._quantum) * self._quantum

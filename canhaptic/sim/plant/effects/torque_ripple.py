@@ -27,5 +27,5 @@ class TorqueRipple(Parameters):
     """Phase of the sine at position 0."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the effort."""
+        """Add the effort."""
         scene.efforts.append(EffortForce(Effort(RIPPLE, self.amplitude, self.pitch, self.phase), "motor"))

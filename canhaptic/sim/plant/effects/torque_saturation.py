@@ -21,7 +21,7 @@ class TorqueSaturation(Parameters):
     """Largest torque of the motor."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the clip."""
+        """Add the clip."""
         scene.claim("torque saturation", self.type)
         scene.commands.append(_Clip(self.limit))
 
@@ -33,5 +33,5 @@ class _Clip(TorqueCommand):
         self.passes = self._limit = limit
 
     def apply(self, torque: float, duration: float) -> float:
-        """Returns the torque within the limit [N or N*m]."""
+        """Return the torque within the limit [N or N*m]."""
         return min(max(torque, -self._limit), self._limit)

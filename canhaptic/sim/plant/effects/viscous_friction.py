@@ -21,7 +21,7 @@ class ViscousFriction(Parameters):
     """Force per velocity."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Adds the force on the motor's body."""
+        """Add the force on the motor's body."""
         scene.claim("viscous friction", self.type)
         scene.works[self.type] = "dissipated"
         scene.parts.append(LinearPart(self.type, self._write))

@@ -35,10 +35,10 @@ class Mechanism(Protocol):
         """Where the handle is in task space [m]."""
 
     def begin(self, now: int) -> None:
-        """Starts its clock at `now` [ns]; until then it is at rest."""
+        """Start its clock at `now` [ns]; until then it is at rest."""
 
     def advance_to(self, now: int, torques: tuple[float, ...]) -> None:
-        """Moves to `now` [ns] under torques [N*m or N] that were constant since the last call; still before `begin`.
+        """Move to `now` [ns] under torques [N*m or N] that were constant since the last call; still before `begin`.
 
         Raises:
             ParameterError: `now` lies before the last call, or the mechanism cannot move as it is pushed.

@@ -73,13 +73,13 @@ class FiveBarLinkage(Parameters):
         return self
 
     def linkage(self) -> Linkage:
-        """Returns geometry and inertia."""
+        """Return geometry and inertia."""
         return linkage_of(
             self.base, self.proximal, self.distal, self.motor_inertia, self.distal_mass, self.handle_mass
         )  # fmt: skip
 
     def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> "FiveBarMotion":
-        """Returns it at rest at its initial angles.
+        """Return it at rest at its initial angles.
 
         Raises:
             ParameterError: These are a singular pose.
@@ -143,11 +143,11 @@ class FiveBarMotion:
         return stored(self.settings, self.state, self._place)
 
     def begin(self, now: int) -> None:
-        """Starts the clock at `now` [ns]."""
+        """Start the clock at `now` [ns]."""
         self._clock.begin(now)
 
     def advance_to(self, now: int, torques: tuple[float, ...]) -> None:
-        """Moves to `now` [ns] under torques [N*m] that were constant since the last call.
+        """Move to `now` [ns] under torques [N*m] that were constant since the last call.
 
         Raises:
             ParameterError: `now` lies before the last call, or the links are pushed through a singular pose.
@@ -163,7 +163,7 @@ class FiveBarMotion:
                 raise self._stuck(self.state.stuck)
 
     def energy(self, axis: int) -> PlantEnergy:
-        """Returns the true works done through one motor coordinate since the start [J].
+        """Return the true works done through one motor coordinate since the start [J].
 
         The kinetic energy of coupled links belongs to no motor alone: `stored` is the balance of what this coordinate
         received. `stored_error` is the difference of the sum over both from the energy of the state.

@@ -142,7 +142,7 @@ def take_substep(
     settings: FiveBarSettings, state: FiveBarState, stack: FiveBarStack, place: FiveBarPlace, time: float, step: float,
     torques: Pair,
 ) -> FiveBarPlace:  # fmt: skip
-    """Takes one substep, in halves where the solver does not converge."""
+    """Take one substep, in halves where the solver does not converge."""
     stack.times[0], stack.steps[0], stack.depths[0], top = time, step, 0, 0
     while top >= 0:
         time, step, depth = stack.times[top], stack.steps[top], stack.depths[top]
@@ -177,13 +177,13 @@ def book_substep(
 
 
 def is_near_singular(settings: FiveBarSettings, place: FiveBarPlace) -> bool:
-    """Returns whether a singular pose is close."""
+    """Return whether a singular pose is close."""
     distal = settings.links.distal
     return not _NEAR * distal < place.pose.span < (2.0 - _NEAR * _NEAR) * distal
 
 
 def stored(settings: FiveBarSettings, state: FiveBarState, place: FiveBarPlace) -> float:
-    """Returns the kinetic energy, and that in the elbow stop, from the state [J]."""
+    """Return the kinetic energy, and that in the elbow stop, from the state [J]."""
     v_left, v_right = solved(place.inertia, state.left_momentum, state.right_momentum)
     kinetic = 0.5 * (state.left_momentum * v_left + state.right_momentum * v_right)
     return kinetic + potential(settings, place.pose)
@@ -234,7 +234,7 @@ def balance(
 
 
 def momentum_after(state: FiveBarState, before: FiveBarPlace, after: FiveBarPlace, change: Pair, step: float) -> Pair:
-    """Returns p+ of q+ - q = h Wm (p + p+) / 2."""
+    """Return p+ of q+ - q = h Wm (p + p+) / 2."""
     w0, w1 = before.inertia, after.inertia
     det0, det1 = w0.a * w0.c - w0.b * w0.b, w1.a * w1.c - w1.b * w1.b
     mean = new(Inertia, (
@@ -248,7 +248,7 @@ def discrete_gradient(
     settings: FiveBarSettings, state: FiveBarState, before: FiveBarPlace, middle: FiveBarPlace, after: FiveBarPlace,
     momentum: Pair, change: Pair,
 ) -> Pair:  # fmt: skip
-    """Returns G: the discrete gradient of the kinetic energy at given momenta, and of the stop's potential."""
+    """Return G: the discrete gradient of the kinetic energy at given momenta, and of the stop's potential."""
     by_left, by_right = (inertia_rate(settings.links, middle.pose, 0), inertia_rate(settings.links, middle.pose, 1))
     left = right = value = 0.0
     for p in ((state.left_momentum, state.right_momentum), momentum):
@@ -267,7 +267,7 @@ def discrete_gradient(
 
 
 def corrected(left: float, right: float, change: Pair, value: float, tiny: float) -> Pair:
-    """Returns a gradient changed along the motion, so that its product with that is `value`."""
+    """Return a gradient changed along the motion, so that its product with that is `value`."""
     square = change[0] * change[0] + change[1] * change[1]
     if square <= tiny:
         return left, right
@@ -286,7 +286,7 @@ def hand_torques(
 
 
 def secant_jacobian(before: LinkagePose, middle: LinkagePose, after: LinkagePose, change: Pair) -> Rows:
-    """Returns the Jacobian in the middle, corrected so that it maps the displacement of the motors to the handle's."""
+    """Return the Jacobian in the middle, corrected so that it maps the displacement of the motors to the handle's."""
     x, y = middle.jacobian
     return (
         corrected(x[0], x[1], change, after.handle[0] - before.handle[0], _TINY),
@@ -295,12 +295,12 @@ def secant_jacobian(before: LinkagePose, middle: LinkagePose, after: LinkagePose
 
 
 def depth(settings: FiveBarSettings, span: float) -> float:
-    """Returns how far the elbows are beyond their stop, positive where too far apart [m]."""
+    """Return how far the elbows are beyond their stop, positive where too far apart [m]."""
     return max(0.0, span - settings.most) - max(0.0, settings.least - span)
 
 
 def potential(settings: FiveBarSettings, pose: LinkagePose) -> float:
-    """Returns the energy in the elbow stop [J]."""
+    """Return the energy in the elbow stop [J]."""
     if settings.stop == 0.0:
         return 0.0
     beyond = depth(settings, pose.span)
@@ -308,7 +308,7 @@ def potential(settings: FiveBarSettings, pose: LinkagePose) -> float:
 
 
 def residual_slope(settings: FiveBarSettings, place: FiveBarPlace, step: float) -> Inertia:
-    """Returns an estimate of d(residual)/d(displacement): inertia, damping, hand and stop."""
+    """Return an estimate of d(residual)/d(displacement): inertia, damping, hand and stop."""
     inertia, damping, k = place.inertia, settings.damping / step, hand_slope(settings.hand, step)
     scale = 2.0 / (step * step)
     a, b, c = scale * inertia.a + damping, scale * inertia.b, scale * inertia.c + damping

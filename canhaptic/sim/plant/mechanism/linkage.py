@@ -51,12 +51,12 @@ class Inertia(NamedTuple):
 
 
 def quadratic(matrix: Inertia, left: float, right: float) -> float:
-    """Returns the quadratic form of a vector."""
+    """Return the quadratic form of a vector."""
     return matrix.a * left * left + 2.0 * matrix.b * left * right + matrix.c * right * right
 
 
 def solved(matrix: Inertia, left: float, right: float) -> Pair:
-    """Returns the inverse times a vector."""
+    """Return the inverse times a vector."""
     determinant = matrix.a * matrix.c - matrix.b * matrix.b
     return (matrix.c * left - matrix.b * right) / determinant, (matrix.a * right - matrix.b * left) / determinant
 
@@ -64,7 +64,7 @@ def solved(matrix: Inertia, left: float, right: float) -> Pair:
 def linkage_of(
     base: float, proximal: float, distal: float, motor_inertia: float, distal_mass: float, handle_mass: float
 ) -> Linkage:
-    """Returns links of given lengths and masses.
+    """Return links of given lengths and masses.
 
     Args:
         base: Distance of the motors [m].
@@ -81,7 +81,7 @@ def linkage_of(
 
 
 def pose_at(links: Linkage, left: float, right: float) -> LinkagePose:
-    """Returns the pose at two motor angles [rad], which must be finite."""
+    """Return the pose at two motor angles [rad], which must be finite."""
     length, half = links.proximal, links.half_base
     u = (
         (-length * math.sin(left), length * math.cos(left)),
@@ -113,7 +113,7 @@ def singular(links: Linkage, left: float, right: float, span: float) -> Paramete
 
 
 def inertia_in(links: Linkage, pose: LinkagePose) -> Inertia:
-    """Returns the inertia that the motors feel, T = 1/2 v' M v."""
+    """Return the inertia that the motors feel, T = 1/2 v' M v."""
     (x_left, x_right), (y_left, y_right) = pose.jacobian
     (u_left, u_right), rod, handle = pose.u, links.half_rod, links.handle
     left, right = (x_left, y_left), (x_right, y_right)
@@ -125,12 +125,12 @@ def inertia_in(links: Linkage, pose: LinkagePose) -> Inertia:
 
 
 def span_rates(pose: LinkagePose) -> Pair:
-    """Returns the derivatives of the elbows' distance by both angles [m/rad]."""
+    """Return the derivatives of the elbows' distance by both angles [m/rad]."""
     return -dot(pose.across, pose.u[0]) / pose.span, dot(pose.across, pose.u[1]) / pose.span
 
 
 def inertia_rate(links: Linkage, pose: LinkagePose, by: int) -> Inertia:
-    """Returns dM/dq of one angle; the Jacobian's derivative comes from that of (r . J) = (r . u)."""
+    """Return dM/dq of one angle; the Jacobian's derivative comes from that of (r . J) = (r . u)."""
     (x, y), u, none = pose.jacobian, pose.u, (0.0, 0.0)
     turn = (-u[by][1], u[by][0])  # d u / d angle of the motor that turns
     du_left, du_right = (turn, none) if by == 0 else (none, turn)
@@ -148,7 +148,7 @@ def inertia_rate(links: Linkage, pose: LinkagePose, by: int) -> Inertia:
 
 
 def _side(pose: LinkagePose, elbow: int, by: int, turn: Pair) -> Pair:
-    """Returns the row of an elbow in (r . dJ) = d(r . u) - (dr . J) by one angle."""
+    """Return the row of an elbow in (r . dJ) = d(r . u) - (dr . J) by one angle."""
     (x, y), u = pose.jacobian, pose.u[elbow]
     dr = (x[by] - u[0], y[by] - u[1]) if elbow == by else (x[by], y[by])
     pull = dot(dr, u) + dot(pose.r[elbow], turn)
@@ -157,12 +157,12 @@ def _side(pose: LinkagePose, elbow: int, by: int, turn: Pair) -> Pair:
 
 
 def dot(left: Pair, right: Pair) -> float:
-    """Returns the scalar product."""
+    """Return the scalar product."""
     return left[0] * right[0] + left[1] * right[1]
 
 
 def _over(r: Rows, sides: Rows) -> Rows:
-    """Returns X of [r_left; r_right] X = sides."""
+    """Return X of [r_left; r_right] X = sides."""
     (a, b), (c, d) = r
     determinant = a * d - b * c
     (p, q), (s, t) = sides

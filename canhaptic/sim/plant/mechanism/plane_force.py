@@ -30,7 +30,7 @@ class HandForce:
 
 
 def force_of_hand(hand: TaskHand | None) -> HandForce:
-    """Returns a hand in numbers; zeros for None."""
+    """Return a hand in numbers; zeros for None."""
     if hand is None:
         return HandForce()
     swings = [(m.offset, m.amplitude, 2.0 * math.pi * m.frequency, m.phase) if m else (0.0,) * 4 for m in hand.motions]
@@ -53,7 +53,7 @@ def hand_target(hand: HandForce, time: float) -> Rows:
 
 
 def hand_pull(hand: HandForce, time: float, place: Pair, speed: Pair) -> Pair:
-    """Returns the force on a handle [N].
+    """Return the force on a handle [N].
 
     Args:
         hand: Hand that holds the handle.
@@ -70,7 +70,7 @@ def hand_pull(hand: HandForce, time: float, place: Pair, speed: Pair) -> Pair:
 
 
 def mean_pull(hand: HandForce, before: Pair, after: Pair, time: float, step: float) -> Pair:
-    """Returns the mean force on the handle over a substep [N]: second order, and conservative where its spring is.
+    """Return the mean force on the handle over a substep [N]: second order, and conservative where its spring is.
 
     Args:
         hand: Hand that holds the handle.
@@ -85,7 +85,7 @@ def mean_pull(hand: HandForce, before: Pair, after: Pair, time: float, step: flo
 
 
 def hand_slope(hand: HandForce, step: float) -> Ellipse:
-    """Returns minus the derivative of `mean_pull` by `after` [N/m]."""
+    """Return minus the derivative of `mean_pull` by `after` [N/m]."""
     return Ellipse(
         0.5 * hand.k_xx + hand.d_xx / step, 0.5 * hand.k_xy + hand.d_xy / step, 0.5 * hand.k_yy + hand.d_yy / step
     )

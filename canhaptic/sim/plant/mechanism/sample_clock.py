@@ -27,12 +27,12 @@ class SampleClock:
         self.tick = 0
 
     def begin(self, now: int) -> None:
-        """Makes `now` [ns] the epoch; later calls change nothing."""
+        """Make `now` [ns] the epoch; later calls change nothing."""
         if self._epoch is None:
             self._epoch = now
 
     def pass_until(self, now: int) -> int:
-        """Returns the ticks from the last call to `now` [ns], rounded to whole ones; 0 before `begin`.
+        """Return the ticks from the last call to `now` [ns], rounded to whole ones; 0 before `begin`.
 
         Raises:
             ParameterError: `now` lies before the last call.

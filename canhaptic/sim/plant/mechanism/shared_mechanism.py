@@ -36,7 +36,7 @@ class SharedMechanism:
             self._moved_to = now
 
     def advance_to(self, now: int) -> None:
-        """Moves everything to `now` [ns] under the torques that the drives hold."""
+        """Move everything to `now` [ns] under the torques that the drives hold."""
         if now != self._moved_to and self._moved_to is not None:
             self.mechanism.advance_to(now, tuple(motor.torque() for motor in self.motors))
             self._moved_to = now
@@ -66,7 +66,7 @@ class MechanismMotor:
         return self.shared.mechanism.velocities[self.axis]
 
     def begin(self, now: int) -> None:
-        """Starts the clock at `now` [ns], when this is the last motor of the mechanism to begin."""
+        """Start the clock at `now` [ns], when this is the last motor of the mechanism to begin."""
         self.shared.begin(self.axis, now)
 
     def advance_to(self, now: int, torque: float) -> None:

@@ -48,7 +48,7 @@ class XYStage(Parameters):
     """Where the stage is before the start."""
 
     def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> "XYMotion":
-        """Returns the stage at rest; it needs no substeps."""
+        """Return the stage at rest; it needs no substeps."""
         return XYMotion(self, hand, sample_time_ns)
 
 
@@ -104,7 +104,7 @@ class XYMotion:
         return _scene(*self._parts)
 
     def whole_flow(self) -> Array:
-        """Returns the flow of the first mode over one sample time, shape (n, n)."""
+        """Return the flow of the first mode over one sample time, shape (n, n)."""
         return matrix_of(self._machine.first_mode.flows[0]).copy()
 
     @property
@@ -124,11 +124,11 @@ class XYMotion:
         return self._machine.events
 
     def begin(self, now: int) -> None:
-        """Starts the clock at `now` [ns]."""
+        """Start the clock at `now` [ns]."""
         self._clock.begin(now)
 
     def advance_to(self, now: int, torques: Sequence[float]) -> None:
-        """Moves to `now` [ns] under forces [N] that were constant since the last call.
+        """Move to `now` [ns] under forces [N] that were constant since the last call.
 
         Raises:
             ParameterError: `now` lies before the last call.
@@ -146,7 +146,7 @@ class XYMotion:
                 machine.tidy()
 
     def energy(self, axis: int) -> PlantEnergy:
-        """Returns the true energies of one direction since the start [J]; its mass is its own."""
+        """Return the true energies of one direction since the start [J]; its mass is its own."""
         works = self._machine.works()
         motor, user, dissipated = (sum(works[i] for i in places) for places in self._works[axis])
         return PlantEnergy(motor, user, dissipated, 0.5 * self._masses[axis] * self.velocities[axis] ** 2)
