@@ -41,7 +41,7 @@ def new_workspace(states: int, dissipators: int) -> Workspace:
 
 
 def drive(tables: NetworkTables, state: Buffer, displacement: Buffer, room: Workspace) -> None:
-    """Write g dc, and how much of the motion every dissipator in parallel to a storage took part in."""
+    """Write g dc, and the engaged share of the motion for every dissipator in parallel to a storage."""
     driven, step = room.driven, room.step
     for i in range(len(driven)):
         row, total = tables.gain[i], 0.0

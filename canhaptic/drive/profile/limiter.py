@@ -36,7 +36,7 @@ class TorqueLimiter:
 
     Attributes:
         last: Torque of the last cycle after the limits [N*m or N].
-        low: Least torque that the last cycle allowed, 0 or below [N*m or N]; what rounds `last` must stay inside.
+        low: Least torque that the last cycle allowed, 0 or below [N*m or N]; a rounded `last` must not pass it.
         high: Largest torque that the last cycle allowed, 0 or above [N*m or N].
         saturation: Limits that cut it.
         saturated_cycles: Number of cycles with a cut so far.
