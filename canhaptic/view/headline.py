@@ -26,7 +26,7 @@ def headline_text(name: str, port: PortResult) -> Text:
     """Returns the first line of a port that has an account of its own.
 
     Args:
-        name: Of the port.
+        name: Name of the port.
         port: Its account, with verdicts.
     """
     word = port["verdict"]

@@ -44,7 +44,7 @@ def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
 
     Args:
         log: An open energy log.
-        name: Of a port.
+        name: Name of the group's port.
         rows: Which of the log.
     """
     try:

@@ -125,9 +125,9 @@ def fitted_order(sizes: Sequence[float], errors: Sequence[float], travel: float)
     """Returns the slope of log error over log size between the coarsest and the finest error that tell of it.
 
     Args:
-        sizes: Of the steps, relative.
-        errors: Of the position [m or rad].
-        travel: Of the reference [m or rad].
+        sizes: Sizes of the steps, relative.
+        errors: Errors of the position [m or rad].
+        travel: Travel of the reference [m or rad].
     """
     points = [
         (math.log(size), math.log(error))

@@ -30,7 +30,7 @@ def pareto(rows: Sequence[Row], price: str, floor: float) -> list[bool]:
     """Returns for each row whether no other is both cheaper and at least as exact.
 
     Args:
-        rows: Of the ladder.
+        rows: Rows of the ladder.
         price: Key of what they cost.
         floor: Error of the position below which all are equal [m or rad].
     """
@@ -53,10 +53,10 @@ def advice(rows: Sequence[Row], effects: Sequence[Row], tolerance: float, orders
     """Returns what to write into the scene, and on what grounds.
 
     Args:
-        rows: Of the ladder.
-        effects: Of the scene, each left out in turn.
-        tolerance: Of the position [m or rad].
-        orders: Of the methods, declared and fitted.
+        rows: Rows of the ladder.
+        effects: Rows of the scene's effects, each left out in turn.
+        tolerance: Tolerance of the position [m or rad].
+        orders: Orders of the methods, declared and fitted.
     """
     ours = [row for row in rows if row["method"] == OURS]
     doubt = next((_doubt(row) for row in orders if row["method"] == OURS), "")
@@ -111,7 +111,7 @@ def error_per_microsecond(error: float, saved: float | None) -> float | None:
     """Returns the error that leaving an effect out causes for each microsecond that it saves.
 
     Args:
-        error: Of the position [m or rad].
+        error: Error of the position [m or rad].
         saved: Per period [us]; None where it was not measured. What the clock does not tell from none counts as that.
     """
     return None if saved is None else error / max(saved, _CLOCK)

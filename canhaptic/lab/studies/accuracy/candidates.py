@@ -73,9 +73,9 @@ def candidates(
 
     Args:
         simulation: The plant, the user and the effects.
-        torques: Of each hold [N or N*m].
-        sample_time_ns: Of a hold [ns].
-        settings: Of our plant.
+        torques: Torque of each hold [N or N*m].
+        sample_time_ns: Duration of a hold [ns].
+        settings: Settings of our plant.
     """
     found = [ours(simulation, accuracy, torques, sample_time_ns) for accuracy in settings]
     for method, (order, _) in METHODS.items():

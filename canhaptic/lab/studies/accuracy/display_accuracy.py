@@ -55,8 +55,8 @@ def study_display(scene: Scene, name: str | None, duration: float | None, stop: 
 
     Args:
         scene: Simulated.
-        name: Of the axis or group; None for the first.
-        duration: Of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter.
+        name: Name of the axis or group; None for the first.
+        duration: Length of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter.
         stop: Asked before every run; what was measured by then is returned.
 
     Raises:

@@ -76,9 +76,9 @@ class Variant:
 
         Args:
             cycles: SYNCs.
-            motion: Of the continuous run, which says what counts as divergence [m or rad].
+            motion: Motion of the continuous run, which defines divergence [m or rad].
             tick: Called at every SYNC; may raise to give up.
-            engine: Of the loop.
+            engine: Engine of the loop.
         """
         raise NotImplementedError
 
@@ -248,7 +248,7 @@ def loop_row(
         exact: The continuous axis or group, read at least as often as the variant samples.
         duration_ns: Length of the run [ns].
         tick: Called once a cycle; may raise to give up.
-        engine: Of the loop of an axis.
+        engine: Engine of the axis's loop.
     """
     period = variant.case.sample_time_ns
     clock = WallClock()

@@ -34,8 +34,8 @@ class MujocoPlant:
         simulation: With expressible effects only.
         integrator: "Euler" (semi-implicit) or "RK4".
         substeps: Steps in a hold.
-        torques: Of each hold [N or N*m].
-        sample_time_ns: Of a hold [ns].
+        torques: Torque of each hold [N or N*m].
+        sample_time_ns: Duration of a hold [ns].
     """
 
     def __init__(

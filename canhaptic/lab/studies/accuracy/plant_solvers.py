@@ -34,13 +34,13 @@ class PlantSide:
         holds: How many.
         stop: Asked now and then whether to give up.
         with_compiled: Whether the plant is run compiled too, where numba is installed.
-        torques: Of each hold [N or N*m]; None: those that the scene's own controller asks for.
+        torques: Torque of each hold [N or N*m]; None: those of the scene's own controller.
         settings: To try; None: every one that makes a difference to this plant.
 
     Attributes:
-        torques: Of each hold [N or N*m].
+        torques: Torque of each hold [N or N*m].
         exact: The reference.
-        travel: Of the reference [m or rad].
+        travel: Travel of the reference [m or rad].
         energy: Largest of the works and the kinetic energy of the reference [J].
         rows: What was measured so far, one per rung of the ladder.
         effects: What was measured so far, one per effect of the scene.
@@ -156,7 +156,7 @@ def orders_of(
     Args:
         tried: Every rung.
         rows: What was measured of them so far.
-        travel: Of the reference [m or rad].
+        travel: Travel of the reference [m or rad].
         declared: Method -> the order that it has on this scene; None for exact.
     """
     found = []

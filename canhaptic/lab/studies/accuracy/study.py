@@ -50,9 +50,9 @@ class AccuracyStudy:
         axis: Name of an axis or a group; the first axis by default, or its group.
         tolerance: Largest error of the position [m or rad]; by default what the scene's `accuracy: {auto: ...}` says,
             else a tenth of an encoder count.
-        duration: Of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter.
+        duration: Length of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter.
         budget: Time for timings [s]; 0 for none.
-        engine: Of the loops; "auto" compiles them where that pays.
+        engine: Engine of the loops; "auto" compiles them where that pays.
         progress: Called with the number of units done, of `UNITS`.
         stop: Asked often whether to stop.
     """

@@ -31,7 +31,7 @@ class CaseGroup:
     """The cases that share one continuous run: a scene at a rate, under every algorithm and delay.
 
     Attributes:
-        path: Of the scene.
+        path: Path of the scene.
         rate: [Hz].
         delays: 0 or 1 each.
         algorithms: Names, and `FILE.py:Class` of one's own.
@@ -78,7 +78,7 @@ def entry_of(reference: str, path: Path, allow_code: bool) -> ComponentSpec:
 
     Args:
         reference: File and class.
-        path: Of the scene, from which it takes the keys of its algorithm that it knows.
+        path: Path of the scene, which supplies the keys that the algorithm knows.
         allow_code: Whether the file may run.
 
     Raises:

@@ -26,7 +26,7 @@ class ArenaStore:
     """The file of finished cases.
 
     Args:
-        path: Of the file; made with its folder where there is none.
+        path: Path of the file; created with its folder if need be.
         force: Whether to begin anew.
 
     Raises:

@@ -103,7 +103,7 @@ def run_arena(
 
     Args:
         plan: What is run.
-        store: Of finished cases.
+        store: Store of finished cases.
         executor: Where groups of cases run; None: in this thread.
         progress: Called with how many are finished.
         stop_requested: Asked now and then.

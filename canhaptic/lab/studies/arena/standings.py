@@ -66,7 +66,7 @@ def standings(algorithms: Sequence[str], cases: Sequence[CaseFigures]) -> list[S
 
     Args:
         algorithms: In the order of the rows.
-        cases: Of all of them.
+        cases: Figures of the cases of all algorithms.
     """
     rows = []
     for name in algorithms:

@@ -64,7 +64,7 @@ def compare(
         duration: [s]; by default the scene's.
         rate: SYNCs per second instead of the scene's, also beyond what its bus could carry; not over CAN.
         over_can: Over the whole CAN path instead of `DirectRig`.
-        engine: Of runs without a bus: "python" gives the bits of the path over CAN, "numba" differs by rounding and
+        engine: Engine without a bus: "python" gives the bits of the path over CAN, "numba" differs by rounding and
             saves time on stiff plants and long runs, "auto" takes it where it pays.
         repeats: Interleaved timings of a step, of which the least counts; 0 for none.
         progress: Called with the number of cycles done so far, of all runs together.

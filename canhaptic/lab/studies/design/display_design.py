@@ -69,7 +69,7 @@ def design_displays(
     """Returns the lightest mass for each display, and group of displays, of a scene, as plain values.
 
     Args:
-        scene: Of admittance displays, simulated, each with a hand.
+        scene: Scene of admittance displays, simulated, each with a hand.
         margin: How much smaller the mass could be and still pass, relative to it.
         tolerance: How far the mass felt may be from the mass asked, as a part of it.
         progress: Called with the number of masses tried, and how many there are at most.

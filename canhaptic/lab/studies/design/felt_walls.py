@@ -44,11 +44,11 @@ def felt_of(scene: Scene, algorithm: str, hand: dict[str, float], tolerance: flo
     """Returns what is felt on the rig of a scene, as plain values.
 
     Args:
-        scene: Of one simulated axis, with a wall.
-        algorithm: That renders.
+        scene: Scene of one simulated axis, with a wall.
+        algorithm: Name of the algorithm that renders.
         hand: Stiffness and damping of its grip [N/m, N*s/m or N*m/rad, N*m*s/rad].
         tolerance: How far a stiffness may be from what is asked, as a part of it.
-        stiffness: Of the wall that is entered slowly [N/m or N*m/rad].
+        stiffness: Stiffness of the wall that is entered slowly [N/m or N*m/rad].
     """
     able = able_under(scene.axes[0], algorithm, scene)
     axis, limit = able.axis, able.axis.parameters.torque_limit

@@ -56,7 +56,7 @@ class GroupTrial:
     Args:
         scene: With one group, simulated; its network has a spring at its ports (`network_scale`).
         tolerance: How far a rendering may be from what is asked, as a part of it.
-        engine: Of the trials.
+        engine: Engine of the trials.
         executor: Runs the loops that are not compiled; None: this thread.
 
     Attributes:

@@ -34,7 +34,7 @@ def network_scale(network: Parameters, name: str) -> NetworkScale:
     """Returns the parameter of a network that a design varies.
 
     Args:
-        network: Of a scene.
+        network: Network of a scene.
         name: Its name in a scene.
 
     Raises:

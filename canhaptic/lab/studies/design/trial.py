@@ -81,7 +81,7 @@ class TrialVerdict:
         """Returns what the first wall rendered and gave out, as in the result of a design.
 
         Args:
-            damping: Of the wall; 0: its share is None.
+            damping: Damping of the wall; 0: its share is None.
         """
         return {
             "stiffness_rendered": float(self.stiffness_share[0]),
@@ -97,7 +97,7 @@ class Trial:
     Args:
         scene: With a simulation, or with what its drives certainly are declared under `passivity`.
         tolerance: How far a rendering may be from what is asked, as a part of it.
-        engine: Of the trials, as for a sweep.
+        engine: Engine of the trials, as for a sweep.
 
     Attributes:
         scene: Leaning on the wall; what is shown of a wall is shown of it.
@@ -139,8 +139,8 @@ class Trial:
         """Tries walls.
 
         Args:
-            stiffness: Of each, shape (n,) [N/m or N*m/rad].
-            damping: Of each, shape (n,) [N*s/m or N*m*s/rad].
+            stiffness: Stiffness of each wall, shape (n,) [N/m or N*m/rad].
+            damping: Damping of each wall, shape (n,) [N*s/m or N*m*s/rad].
         """
         count, name = len(stiffness), self.scene.axes[0].parameters.name
         columns: dict[str, Column] = {

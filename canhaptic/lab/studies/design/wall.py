@@ -80,10 +80,10 @@ def design_wall(
     """Returns the stiffest wall for the rig of a scene, and the largest damping at that stiffness, as plain values.
 
     Args:
-        scene: Of one group, simulated; or of one axis, simulated or with `passivity.moving_mass` declared.
+        scene: Scene of one group, simulated; or of one axis, simulated or with `passivity.moving_mass` declared.
         margin: Part by which stiffness and damping could both be larger and still pass.
         tolerance: How far a rendering may be from what is asked, as a part of it.
-        engine: Of the trials, as for a sweep.
+        engine: Engine of the trials, as for a sweep.
         progress: Called with the number of walls tried, and how many there can be at most.
 
     Raises:

@@ -35,7 +35,7 @@ def colgate_stiffness(damping: float, wall_damping: float, sample_time: float, d
 
     Args:
         damping: b of the device [N*s/m or N*m*s/rad].
-        wall_damping: Of the wall, on the backward difference of the position [N*s/m or N*m*s/rad].
+        wall_damping: Damping of the wall, on the backward difference of the position [N*s/m or N*m*s/rad].
         sample_time: T [s].
         delay: Whole holds, inside H.
     """

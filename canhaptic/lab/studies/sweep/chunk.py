@@ -89,7 +89,7 @@ def run_chunk(recipe: Recipe, start: int, columns: Mapping[str, Column]) -> Chun
     """Returns the figures of the scenes `start` and following.
 
     Args:
-        recipe: Of the sweep.
+        recipe: Recipe of the sweep.
         start: Global index of the first.
         columns: Values by key, of one length.
     """

@@ -28,7 +28,7 @@ class ChunkFiles:
     """The folder of a sweep.
 
     Args:
-        path: Of the file of the sweep.
+        path: Path of the sweep's file.
         writable: Whether chunks will be written; only one process can.
 
     Attributes:
@@ -122,7 +122,7 @@ def write_error(path: Path, error: Exception, kept: str) -> LogWriteError:
     """Returns why a file of a sweep cannot be written.
 
     Args:
-        path: Of the sweep.
+        path: Path of the sweep's file.
         error: As it came.
         kept: What the failure leaves behind.
     """

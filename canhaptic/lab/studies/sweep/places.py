@@ -29,7 +29,7 @@ def batch_key(key: str, axis: int, name: str) -> str | None:
     Args:
         key: As given to `--vary`.
         axis: Index of the axis.
-        name: Of the axis.
+        name: Name of the axis.
     """
     head, _, rest = key.partition(".")
     if head == "axes":

@@ -36,7 +36,7 @@ class Points:
     Attributes:
         varied: Keys with their values; the last one changes fastest in a grid.
         samples: Points of a Latin hypercube; 0 for the grid of all values.
-        seed: Of the hypercube.
+        seed: Seed of the hypercube.
     """
 
     varied: tuple[Varied, ...]
@@ -74,7 +74,7 @@ def make_points(varied: Sequence[Varied], controllers: Sequence[str] = (), sampl
         varied: Keys with their values.
         controllers: Passivity algorithms that every point is judged under; none: that of the scene.
         samples: Points of a Latin hypercube; 0 for a grid.
-        seed: Of the hypercube.
+        seed: Seed of the hypercube.
 
     Raises:
         InputError: Nothing varies, a key twice, a range without a number in a grid, too many scenes.

@@ -48,7 +48,7 @@ class Recipe:
         varied: The keys; of a range only its ends.
         places: Override paths of each key, in the order of `varied`.
         axes: Names of the axes that render by themselves, and of the groups.
-        duration: Of every scene [s]; None: that of the scene.
+        duration: Length of every run [s]; None: that of the scene.
         cycles: SYNCs of every scene; None: by the duration.
         metrics: Asked for.
         engine: For scenes that fit a batch; chosen once, so that workers need not agree on it.
@@ -148,7 +148,7 @@ def scene_of(recipe: Recipe, row: Row) -> Built:
     """Returns the scene of a row of values, checked as if it had been written so.
 
     Args:
-        recipe: Of the sweep.
+        recipe: Recipe of the sweep.
         row: Values of some or all keys.
     """
     values = dict(row)

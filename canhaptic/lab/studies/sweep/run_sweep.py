@@ -139,8 +139,8 @@ def _make_sweep(
         vary: What varies, as for `--vary`.
         controllers: Passivity algorithms that every point is judged under; none: that of the scene.
         samples: Points of a Latin hypercube; 0 for the grid of all values.
-        seed: Of the hypercube.
-        duration: Of every scene [s]; by default that of the scene.
+        seed: Seed of the hypercube.
+        duration: Length of every run [s]; by default that of the scene.
         cycles: SYNCs of every scene instead of a duration.
         metrics: Names of `FIGURES`; by default `usual_figures`, which need no continuous run of each scene.
         engine: For scenes that fit a batch; "auto" is numba where it is installed and pays.

@@ -52,7 +52,7 @@ class SweepTable:
     """An open file of a sweep.
 
     Args:
-        path: Of a file made by `create`.
+        path: Path of a file made by `create`.
         writable: Whether chunks will be written; only one process can.
 
     Raises:
@@ -223,8 +223,8 @@ class _Beginning:
     """A file that is made next to another and takes its place, whole and on the disk, or goes.
 
     Args:
-        path: Of the other.
-        size: Of its columns [bytes].
+        path: Path of the other file.
+        size: Size of its columns [bytes].
         kept: What a failure leaves behind, for messages.
     """
 

@@ -39,7 +39,7 @@ class Varied:
         key: Path in the scene, as for `--set`.
         values: All of them; for a range without a number of values its two ends.
         unit: As typed with the ends of a range or the values; "" for SI.
-        spacing: Of a range; "list" for values given one by one.
+        spacing: Spacing of a range; "list" for values given one by one.
         is_open: A range whose values a Latin hypercube chooses.
     """
 

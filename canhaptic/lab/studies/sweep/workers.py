@@ -83,7 +83,7 @@ def dask_executor(address: str) -> Iterator[tuple[Executor, int]]:
     """Yields (executor, number of threads of its workers) of a Dask cluster.
 
     Args:
-        address: Of the scheduler, as in tcp://10.0.0.5:8786.
+        address: Address of the scheduler, as in tcp://10.0.0.5:8786.
 
     Raises:
         InputError: Dask is not installed, no scheduler answers, or it has no worker.
