@@ -72,7 +72,7 @@ def new_plane(title: str, unit: str, across: Array, along: Array, height: int) -
 
     Args:
         title: At the left.
-        unit: Of both axes, SI.
+        unit: Unit of both axes, SI.
         across: Places from left to right, of which the first and the last are the edges, shape (m,).
         along: The same from bottom to top.
         height: In pixels, without the ticks.
@@ -99,7 +99,7 @@ def new_xy(title: str, unit: str, across: str, across_unit: str, height: int) ->
 
     Args:
         title: At the left.
-        unit: Of the quantity, SI.
+        unit: Unit of the quantity, SI.
         across: Name of the other.
         across_unit: Its unit, SI.
         height: In pixels.

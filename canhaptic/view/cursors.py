@@ -39,7 +39,7 @@ def add_cursors(
     """Adds two cursors to panels over time and returns the line that reads them.
 
     Args:
-        panels: That share one time axis.
+        panels: Panels that share one time axis.
         source: Columns of the port, ascending in time.
         units: SI unit of each column.
         whole: First and last time [s]; the cursors begin at a third and at two thirds.

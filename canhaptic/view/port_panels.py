@@ -42,7 +42,7 @@ class PortPanels:
     """Makes the panels of one port.
 
     Args:
-        facts: Of the port.
+        facts: Figures of the port.
         time: The range that all panels share.
         source: Columns of `PortSeries.columns`.
         contacts: Columns start and end of each contact [s].

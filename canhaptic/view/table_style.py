@@ -47,7 +47,7 @@ class FigureTable(Table):
 
     Args:
         keys: Columns at the left that say what a row is.
-        options: Of `rich.table.Table`.
+        options: Options of `rich.table.Table`.
     """
 
     def __init__(self, *, keys: int = 1, **options: Any) -> None:
