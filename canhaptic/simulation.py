@@ -253,14 +253,14 @@ class SimulationResult:
 
     def _repr_html_(self) -> str:
         """Return the verdict, the energies and the picture for a notebook."""
-        rows = "".join(
-            f"<tr><th>{html.escape(name)}</th><td>{port.verdict}</td><td>{port.energy_in:.4g}</td>"
-            f"<td>{port.energy_out:.4g}</td><td>{port.dissipated:.4g}</td><td>{html.escape(port.certificate)}</td></tr>"
+        from canhaptic.view.table import Cell, Table
+
+        rows: list[list[Cell]] = [
+            [name, port.verdict, port.energy_in, port.energy_out, port.dissipated, port.certificate]
             for name, port in self.account.items()
-        )
-        names = ("", "passive", "in [J]", "out [J]", "dissipated [J]", "certificate")
-        head = f"<tr>{''.join(f'<th>{name}</th>' for name in names)}</tr>"
-        return f"<p><b>{html.escape(self.status)}</b></p><table>{head}{rows}</table>{self._embedded_picture()}"
+        ]
+        table = Table("", ("", "passive", "in [J]", "out [J]", "dissipated [J]", "certificate"), rows)
+        return f"<p><b>{html.escape(self.status)}</b></p>{table.html()}{self._embedded_picture()}"
 
     def _embedded_picture(self) -> str:
         try:

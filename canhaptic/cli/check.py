@@ -8,7 +8,6 @@ from typing import Any, Final, NamedTuple
 import yaml
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.cli.arguments import scene_of
@@ -26,7 +25,7 @@ from canhaptic.scene.guesses import TO_SET, Guess, guesses_left, refuses_guesses
 from canhaptic.scene.hints import Hint, group_hints, stability_hints
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.view.energy_table import make_console
-from canhaptic.view.table_style import plain_table
+from canhaptic.view.table import Cell, Styled, Table
 
 NO_WALL: Final = "NO WALL"
 _TO_BE_SET: Final = 1  # exit status: a run is refused until the marked values are set
@@ -176,10 +175,8 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool) -> None:
 
 
 def _guess_table(guesses: list[Guess]) -> Table:
-    table = plain_table("to set", "line", "key", "guess", "what belongs there")
-    for guess in guesses:
-        table.add_row(str(guess.line), escape(guess.key), escape(guess.value), escape(guess.note))
-    return table
+    rows: list[list[Cell]] = [[guess.line, guess.key, guess.value, guess.note] for guess in guesses]
+    return Table("to set", ("line", "key", "guess", "what belongs there"), rows)
 
 
 def _realtime(scene: Scene) -> dict[str, str]:
@@ -200,40 +197,37 @@ def _without_empty(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _bus_table(name: str, budget: BusBudget) -> Table:
-    table = plain_table(f"bus {name}".rstrip() + ", worst cycle", "what", "frames", "bits each", "bits", "time")
-    for row in budget.rows:
-        time = f"{row.bits / budget.bitrate * 1e6:.0f} us"
-        table.add_row(row.what, str(row.frames), str(row.bits_each), str(row.bits), time)
-    return table
+    rows: list[list[Cell]] = [
+        [row.what, row.frames, row.bits_each, row.bits, f"{row.bits / budget.bitrate * 1e6:.0f} us"]
+        for row in budget.rows
+    ]
+    title = f"bus {name}".rstrip() + ", worst cycle"
+    return Table(title, ("what", "frames", "bits each", "bits", "time"), rows)
 
 
 def _fitness_table(axis: AxisScene, findings: list[Finding]) -> Table:
-    table = plain_table(f"{axis.parameters.name}: {axis.parameters.eds}", "object", "verdict", "")
-    for finding in findings:
-        verdict = f"[{_COLOURS[finding.verdict]}]{finding.verdict.value}[/]"
-        table.add_row(finding.item, verdict, escape(finding.text))
-    return table
+    rows: list[list[Cell]] = [
+        [row.item, Styled(row.verdict.value, _COLOURS[row.verdict]), row.text] for row in findings
+    ]
+    return Table(f"{axis.parameters.name}: {axis.parameters.eds}", ("object", "verdict", ""), rows)
 
 
 def _hint_table(hints: list[Hint]) -> Table:
-    table = plain_table("stability", "axis", "limit", "at most", "asked", "")
+    rows: list[list[Cell]] = []
     for hint in hints:
         limit = "unknown" if hint.limit is None else f"{hint.limit:.4g} {hint.unit}"
         asked = "" if hint.asked is None else f"{hint.asked:.4g}"
         style = "dim" if not hint.concerns else "yellow" if hint.exceeded else ""
-        table.add_row(hint.axis, hint.what, limit, asked, hint.text, style=style)
-    return table
+        rows.append([Styled(text, style) for text in (hint.axis, hint.what, limit, asked, hint.text)])
+    return Table("stability", ("axis", "limit", "at most", "asked", ""), rows)
 
 
 def _host_table() -> Table:
-    table = plain_table("host", "setting", "value", "advice")
-    for setting in host_settings():
-        table.add_row(setting.name, setting.value, setting.advice)
-    return table
+    return Table("host", ("setting", "value", "advice"), [(s.name, s.value, s.advice) for s in host_settings()])
 
 
 def _realtime_table(answers: dict[str, str]) -> Table:
-    table = plain_table("bus.realtime", "asked", "answer")
-    for name, answer in answers.items():
-        table.add_row(name, escape(answer), style="" if answer == GRANTED else "yellow")
-    return table
+    rows: list[list[Cell]] = [
+        [Styled(text, "" if pair[1] == GRANTED else "yellow") for text in pair] for pair in answers.items()
+    ]
+    return Table("bus.realtime", ("asked", "answer"), rows)

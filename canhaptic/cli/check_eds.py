@@ -6,8 +6,6 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.cli.output import write_json
@@ -19,13 +17,13 @@ from canhaptic.drive.survey import MOST_AXES, Suitability, Survey, survey, uncon
 from canhaptic.errors import InputError
 from canhaptic.scene.profiles import profile_of_vendor, profile_values
 from canhaptic.view.energy_table import make_console
-from canhaptic.view.table_style import plain_table
+from canhaptic.view.table import Cell, Styled, Table
 
 _COLOURS: Final = {Suitability.FIT: "green", Suitability.CONDITIONAL: "yellow", Suitability.UNFIT: "red"}
 _WORDS: Final = {
-    Verdict.FIT: "[green]ok[/]",
-    Verdict.UNKNOWN: "[yellow]condition[/]",
-    Verdict.REFUSED: "[red]unfit[/]",
+    Verdict.FIT: Styled("ok", "green"),
+    Verdict.UNKNOWN: Styled("condition", "yellow"),
+    Verdict.REFUSED: Styled("unfit", "red"),
 }
 _UNFIT: Final = 1
 
@@ -122,40 +120,41 @@ def _print(console: Console, found: Survey, profile: str | None) -> None:
 
 
 def _object_table(found: Survey) -> Table:
-    table = plain_table("what the dictionary states", "", "object", "", "stated", "meaning")
+    rows: list[list[Cell]] = []
     group = ""
     for row in found.rows:
         if row.group != group:
-            table.add_section()
+            rows.append([])
         text = "see below" if row.item == "map" and row.verdict is Verdict.FIT else row.text
-        cells = (_WORDS[row.verdict], escape(row.stated), escape(text))
-        table.add_row(row.group if row.group != group else "", row.item, *cells)
+        rows.append([row.group if row.group != group else "", row.item, _WORDS[row.verdict], row.stated, text])
         group = row.group
-    return table
+    return Table("what the dictionary states", ("", "object", "", "stated", "meaning"), rows)
 
 
 def _map_table(axis_map: AxisMap) -> Table:
-    table = plain_table("map that would be used (node 1)", "PDO", "COB-ID", "bytes", "mapping", "objects")
-    for plan in (axis_map.rpdo, *axis_map.tpdos):
-        how = "written" if plan.is_written else "fixed"
-        entries = ", ".join(str(entry) for entry in plan.entries)
-        table.add_row(plan.name, f"{plan.cob_id:#05x}", str(plan.length), how, entries)
-    return table
+    rows = [
+        [
+            plan.name, f"{plan.cob_id:#05x}", plan.length, "written" if plan.is_written else "fixed",
+            ", ".join(str(entry) for entry in plan.entries),
+        ]
+        for plan in (axis_map.rpdo, *axis_map.tpdos)
+    ]  # fmt: skip
+    return Table("map that would be used (node 1)", ("PDO", "COB-ID", "bytes", "mapping", "objects"), rows)
 
 
 def _load_table(found: Survey) -> Table:
+    rows = [
+        [
+            f"{load.rate:g} Hz", f"{100 * load.periodic_load:.1f} %", f"{load.worst_cycle * 1e6:.0f} us",
+            f"{1e6 / load.rate:.0f} us", Styled("fits", "green") if load.fits else Styled("does not fit", "red"),
+            f"{MOST_AXES} or more" if load.axes == MOST_AXES else load.axes,
+        ]
+        for load in found.loads
+    ]  # fmt: skip
     title = f"bus at {found.bitrate / 1000:g} kbit/s, one axis"
-    table = plain_table(title, "rate", "periodic load", "worst cycle", "of", "", "axes that fit")
-    for load in found.loads:
-        fits = "[green]fits[/]" if load.fits else "[red]does not fit[/]"
-        cells = (f"{load.rate:g} Hz", f"{100 * load.periodic_load:.1f} %", f"{load.worst_cycle * 1e6:.0f} us")
-        axes = f"{MOST_AXES} or more" if load.axes == MOST_AXES else str(load.axes)
-        table.add_row(*cells, f"{1e6 / load.rate:.0f} us", fits, axes)
-    return table
+    return Table(title, ("rate", "periodic load", "worst cycle", "of", "", "axes that fit"), rows)
 
 
 def _manual_table(found: Survey) -> Table:
-    table = plain_table("to be configured by hand, under axes", "key", "why")
-    for key in found.manual:
-        table.add_row(key.key, key.reason)
-    return table
+    rows = [[key.key, key.reason] for key in found.manual]
+    return Table("to be configured by hand, under axes", ("key", "why"), rows)

@@ -6,13 +6,11 @@ import shutil
 from pathlib import Path
 from typing import Final
 
-from rich.markup import escape
-
 from canhaptic.cli.output import note_file, write_json
 from canhaptic.errors import InputError
 from canhaptic.package_data import FOLDERS, shipped
 from canhaptic.view.energy_table import make_console
-from canhaptic.view.table_style import plain_table
+from canhaptic.view.table import Table
 
 _COMMENT: Final = "#"
 _SENTENCE_END: Final = re.compile(r"\.\s+(?=[A-Z])")
@@ -28,10 +26,7 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.json:
         write_json({"folder": str(folder), "configs": scenes})
         return 0
-    table = plain_table(str(folder), "file", "what it is")
-    for name, about in scenes.items():
-        table.add_row(name, escape(about))
-    make_console().print(table)
+    make_console().print(Table(str(folder), ("file", "what it is"), list(scenes.items())))
     return 0
 
 

@@ -3,13 +3,11 @@
 import argparse
 from typing import Final
 
-from rich.markup import escape
-
 from canhaptic.cli.arguments import scene_of
 from canhaptic.cli.output import write_json
 from canhaptic.host.socketcan_state import PreflightFinding, preflight
 from canhaptic.view.energy_table import make_console
-from canhaptic.view.table_style import plain_table
+from canhaptic.view.table import Cell, Styled, Table
 
 _REFUSED: Final = 1
 _COLOURS: Final = {"well": "green", "note": "yellow", "refused": "red"}
@@ -33,8 +31,7 @@ def _print(findings: list[PreflightFinding], interfaces: list[str]) -> None:
     if not findings:
         console.print(f"nothing to check: {', '.join(interfaces)} is not SocketCAN")
         return
-    table = plain_table("SocketCAN", "interface", "item", "", "seen", "what to do")
-    for finding in findings:
-        severity = f"[{_COLOURS[finding.severity]}]{finding.severity}[/]"
-        table.add_row(finding.interface, finding.item, severity, escape(finding.seen), escape(finding.text))
-    console.print(table)
+    rows: list[list[Cell]] = [
+        [f.interface, f.item, Styled(f.severity, _COLOURS[f.severity]), f.seen, f.text] for f in findings
+    ]
+    console.print(Table("SocketCAN", ("interface", "item", "", "seen", "what to do"), rows))

@@ -4,12 +4,9 @@ from collections.abc import Collection
 from enum import Enum
 from typing import Any, Final, NamedTuple, cast
 
-from rich.markup import escape
-from rich.table import Table
-
 from canhaptic.scene.edited_text import Change, is_written
 from canhaptic.scene.models import LOOP_KEYS, Scene
-from canhaptic.view.table_style import plain_table
+from canhaptic.view.table import Cell, Styled, Table
 
 
 class StepVerdict(Enum):
@@ -124,18 +121,17 @@ class Report:
 
     def table(self) -> Table:
         """Return the rows as a table for a terminal."""
-        table = plain_table("commissioning", "axis", "what", "configured", "found", "verdict", "")
-        for row in self.findings:
-            verdict = f"[{_COLOURS[row.verdict]}]{row.verdict.value}[/]"
-            table.add_row(*(escape(text) for text in row[:4]), verdict, escape(row.text))
-        return table
+        rows: list[list[Cell]] = [
+            [*row[:4], Styled(row.verdict.value, _COLOURS[row.verdict]), row.text] for row in self.findings
+        ]
+        return Table("commissioning", ("axis", "what", "configured", "found", "verdict", ""), rows)
 
     def values_table(self, written: str) -> Table:
         """Return the values, with where they were written, as a table for a terminal."""
-        table = plain_table(written, "axis", "key", "value", "")
-        for value in self.values:
-            table.add_row(*map(escape, (value.axis, value.key, value.text or "as it is", value.comment)))
-        return table
+        rows: list[list[Cell]] = [
+            [value.axis, value.key, value.text or "as it is", value.comment] for value in self.values
+        ]
+        return Table(written, ("axis", "key", "value", ""), rows)
 
 
 def _path(scene: Scene, value: Value) -> tuple[str, ...]:

@@ -1,12 +1,13 @@
 """The account of a run as tables for a terminal, from the same dictionary that `run --json` prints."""
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import IO, Any, Final, Literal, TypeVar
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.padding import Padding
-from rich.table import Table
+from rich.segment import Segment
+from rich.table import Table as TerminalTable
 from rich.text import Text
 
 from canhaptic.axis_units import damping_unit, effort_unit
@@ -14,16 +15,17 @@ from canhaptic.control.verdict import PASSIVE_TOLERANCE, PortResult, Verdict, ac
 from canhaptic.result import TruthResult
 from canhaptic.view.headline import headline_text
 from canhaptic.view.si import si
-from canhaptic.view.table_style import FigureTable, SafeConsole, in_lines
+from canhaptic.view.table import Cell, Styled, Table, in_lines
+from canhaptic.view.terminal import visible
 
 _PLAIN_WIDTH: Final = 100  # columns, where there is no terminal to ask
 _HEAD_WIDTH: Final = 18  # of the name of a port above its figures; longer ones go on in the next line
 _NOTHING: Final = "-   "
 
-_VERDICTS: Final[dict[Verdict, Text]] = {
-    "yes": Text("yes   ", style="bold green"),
-    "in doubt": Text("in doubt   ", style="bold yellow"),
-    "no": Text("NO   ", style="bold red"),
+_VERDICTS: Final[dict[Verdict, Styled]] = {
+    "yes": Styled("yes   ", "bold green"),
+    "in doubt": Styled("in doubt   ", "bold yellow"),
+    "no": Styled("NO   ", "bold red"),
 }
 _ROUNDING: Final = 1e-9
 """Part of the largest damping below which the least is none."""
@@ -35,7 +37,17 @@ _Energy = Literal[
     "in", "out", "stored", "dissipated", "recovered", "leaked", "deficit", "least_interaction", "least_at_handle",
     "supplied", "unsure",
 ]  # fmt: skip
+_Counts = Literal["branches", "limits"]
 _TrueEnergy = Literal["interaction", "least_interaction", "least_at_handle", "believed_error"]
+
+
+class SafeConsole(Console):
+    """A console that shows every text with `visible`; its own colours and styles go through."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        """Yields the parts of what is shown."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else Segment(visible(segment.text), segment.style)
 
 
 def make_console(file: IO[str] | None = None) -> Console:
@@ -92,53 +104,46 @@ def _heading(result: _Result) -> Text:
 
 
 def _energy_table(result: _Result, names: list[str]) -> Table:
-    table = FigureTable(pad_edge=True)
-    table.add_column("energy account", no_wrap=True)
-    for name in names:
-        table.add_column(Text(in_lines(name, _HEAD_WIDTH)), justify="right", no_wrap=True)
-    for label, cell in _PORT_ROWS:
-        cells = [_cell(cell, result["ports"][name]) for name in names]
-        if any(str(content) != _NOTHING for content in cells):
-            table.add_row(label, *cells)
-    branches = [name for name in _branch_names(result, names) if any(_count(result, port, name) for port in names)]
-    for branch in branches:
-        table.add_row(f"holds booked as {branch}", *(_count_text(result, port, branch) for port in names))
-    for of_group, label in _OF_GROUPS.items():
-        if any(result["ports"][port].get(of_group) for port in names):
-            table.add_row(label, *(_cell(_plain(of_group), result["ports"][port]) for port in names))
-    for limit in dict.fromkeys(limit for port in names for limit, count in _limits(result, port).items() if count):
-        counts = (f"{_limits(result, port)[limit]}   " if _limits(result, port) else _NOTHING for port in names)
-        table.add_row(f"holds limited: {limit}", *counts)
+    ports = [result["ports"][name] for name in names]
+    rows: list[list[Cell]] = [[label, *(_cell(cell, port) for port in ports)] for label, cell in _PORT_ROWS]
+    rows = [row for row in rows if any(cell != _NOTHING for cell in row[1:])]
+    rows += [
+        [f"holds booked as {branch}", *(_count_text(port, "branches", branch) for port in ports)]
+        for branch in _counted(ports, "branches")
+    ]
+    rows += [
+        [label, *(_cell(_plain(of_group), port) for port in ports)]
+        for of_group, label in _OF_GROUPS.items()
+        if any(port.get(of_group) for port in ports)
+    ]
+    rows += [
+        [f"holds limited: {limit}", *(_count_text(port, "limits", limit) for port in ports)]
+        for limit in _counted(ports, "limits")
+    ]
     truth = result.get("truth") or {}
     if any(name in truth for name in names):
-        table.add_section()
-        for label, true in _TRUTH_ROWS:
-            table.add_row(label, *(_cell(true, truth[name]) if name in truth else "-" for name in names))
-    return table
+        rows.append([])
+        rows += [
+            [label, *(_cell(true, truth[name]) if name in truth else "-" for name in names)]
+            for label, true in _TRUTH_ROWS
+        ]
+    return Table("", ["energy account", *(in_lines(name, _HEAD_WIDTH) for name in names)], rows, keys=1)
 
 
-def _cell(cell: Callable[[_Port], str | Text], port: _Port) -> str | Text:
+def _cell(cell: Callable[[_Port], str | Styled], port: _Port) -> str | Styled:
     try:
         return cell(port)
     except (KeyError, TypeError):  # an axis in a group, another version, or a quantity that this run did not have
         return _NOTHING
 
 
-def _branch_names(result: _Result, names: list[str]) -> list[str]:
-    return list(dict.fromkeys(branch for port in names for branch in result["ports"][port].get("branches", {})))
+def _counted(ports: Sequence[_Result], key: _Counts) -> list[str]:
+    """Returns the names of what happened at some port."""
+    return list(dict.fromkeys(name for port in ports for name, count in port.get(key, {}).items() if count))
 
 
-def _count(result: _Result, port: str, branch: str) -> int:
-    return int(result["ports"][port].get("branches", {}).get(branch, 0))
-
-
-def _count_text(result: _Result, port: str, branch: str) -> str:
-    return f"{_count(result, port, branch)}   " if "branches" in result["ports"][port] else _NOTHING
-
-
-def _limits(result: _Result, port: str) -> Mapping[str, int]:
-    limits: Mapping[str, int] = result["ports"][port].get("limits", {})
-    return limits
+def _count_text(port: _Result, key: _Counts, name: str) -> str:
+    return f"{port[key].get(name, 0)}   " if port.get(key) else _NOTHING
 
 
 def energy(value: float) -> str:
@@ -147,9 +152,9 @@ def energy(value: float) -> str:
     return f"{number} {unit:<2}"
 
 
-def _margin(port: PortResult) -> Text:
-    margin = port["margin"]
-    return Text(energy(margin["value"]), style="green" if margin["value"] >= -PASSIVE_TOLERANCE else "red")
+def _margin(port: PortResult) -> Styled:
+    margin = port["margin"]["value"]
+    return Styled(energy(margin), "green" if margin >= -PASSIVE_TOLERANCE else "red")
 
 
 def _margin_place(port: PortResult) -> str:
@@ -166,13 +171,13 @@ def _uncommanded(port: PortResult) -> str:
     return f"{count}   " if count else _NOTHING
 
 
-def _passive(port: PortResult) -> Text:
-    return _VERDICTS[account_verdict(port)].copy()
+def _passive(port: PortResult) -> Styled:
+    return _VERDICTS[account_verdict(port)]
 
 
-def _at_handle(port: PortResult) -> Text:
+def _at_handle(port: PortResult) -> str | Styled:
     verdict = handle_verdict(port)
-    return Text(_NOTHING) if verdict is None else _VERDICTS[verdict].copy()
+    return _NOTHING if verdict is None else _VERDICTS[verdict]
 
 
 def _share(name: Literal["stiffness", "damping"]) -> Callable[[PortResult], str]:
@@ -183,11 +188,11 @@ def _share(name: Literal["stiffness", "damping"]) -> Callable[[PortResult], str]
     return share
 
 
-def _silent(port: PortResult) -> str | Text:
+def _silent(port: PortResult) -> str | Styled:
     """Returns how many holds of contact had no torque; a wall that renders nothing is absent."""
     contact = port["contact"]
     if contact["holds"] and contact["without_torque"] == contact["holds"]:
-        return Text("all   ", style="bold red")
+        return Styled("all   ", "bold red")
     return f"{contact['without_torque']} of {contact['holds']}   " if contact["holds"] else _NOTHING
 
 
@@ -215,10 +220,10 @@ def _surplus(which: Literal["end", "max"]) -> Callable[[PortResult], str]:
     return lambda port: energy(port["surplus"][which])
 
 
-def _friction(port: PortResult) -> str | Text:
+def _friction(port: PortResult) -> str | Styled:
     """Returns by how much an axis was faster than the declared friction and hand let it be."""
     excess = port["friction_excess"]
-    return Text(f"{excess:.3g} {effort_unit(port['unit'])}   ", style="bold red") if excess else "none   "
+    return Styled(f"{excess:.3g} {effort_unit(port['unit'])}   ", "bold red") if excess else "none   "
 
 
 def _true(name: _TrueEnergy) -> Callable[[TruthResult], str]:
@@ -234,7 +239,7 @@ _OF_GROUPS: Final[dict[Literal["supplied", "unsure"], str]] = {
     "unsure": "uncertainty, taken off `in`",
 }
 """Rows that only a group may have, shown where they are not zero."""
-_PORT_ROWS: Final[tuple[tuple[str, Callable[[PortResult], str | Text]], ...]] = (
+_PORT_ROWS: Final[tuple[tuple[str, Callable[[PortResult], str | Styled]], ...]] = (
     ("in", _plain("in")),
     ("out", _plain("out")),
     ("dissipated", _plain("dissipated")),
@@ -270,7 +275,7 @@ _TRUTH_ROWS: Final[tuple[tuple[str, Callable[[TruthResult], str]], ...]] = (
 
 def _line(name: str, content: Mapping[str, object] | str) -> Padding:
     """One part of the result in words: nested mappings are quantiles of durations [s]."""
-    table = Table.grid(padding=(0, 2, 0, 0))
+    table = TerminalTable.grid(padding=(0, 2, 0, 0))
     table.add_column(no_wrap=True, style="bold", width=7)
     if not isinstance(content, Mapping):
         table.add_column()

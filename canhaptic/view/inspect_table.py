@@ -3,8 +3,6 @@
 from typing import TYPE_CHECKING, Final
 
 from rich.console import Group, RenderableType
-from rich.markup import escape
-from rich.table import Table
 from rich.text import Text
 
 from canhaptic.audit.impossible_values import ImpossibleValue
@@ -15,7 +13,7 @@ from canhaptic.audit.user_checks import Outcome
 from canhaptic.axis_units import effort_unit
 from canhaptic.view.energy_table import energy, energy_report
 from canhaptic.view.si import si
-from canhaptic.view.table_style import FigureTable, in_lines, plain_table
+from canhaptic.view.table import Cell, Styled, Table, in_lines
 
 if TYPE_CHECKING:
     from canhaptic.audit.rederive import Rederived
@@ -51,41 +49,38 @@ def _header(result: Inspection) -> Text:
 def _contacts_table(name: str, contacts: list[ContactStretch], unit: str, depth_unit: str) -> Table:
     hardest = sorted(contacts, key=lambda contact: -contact["peak_torque"])[:_CONTACTS_SHOWN]
     shown = f", the {_CONTACTS_SHOWN} hardest" if len(contacts) > _CONTACTS_SHOWN else ""
-    table = FigureTable(title=escape(f" {name}: {len(contacts)} contact{'s' if len(contacts) != 1 else ''}{shown}"))
-    for column in ("start", "duration", "depth", "peak", "energy taken in"):
-        table.add_column(column, justify="right", no_wrap=True)
-    for contact in sorted(hardest, key=lambda contact: contact["start"]):
-        table.add_row(
-            f"{contact['start']:.4f} s",
-            si(contact["duration"], "s"),
-            si(contact["depth"], depth_unit),
-            si(contact["peak_torque"], effort_unit(unit)),
-            energy(contact["energy"]),
-        )
-    return table
+    rows: list[list[Cell]] = [
+        [
+            f"{contact['start']:.4f} s", si(contact["duration"], "s"), si(contact["depth"], depth_unit),
+            si(contact["peak_torque"], effort_unit(unit)), energy(contact["energy"]),
+        ]
+        for contact in sorted(hardest, key=lambda contact: contact["start"])
+    ]  # fmt: skip
+    title = f" {name}: {len(contacts)} contact{'s' if len(contacts) != 1 else ''}{shown}"
+    return Table(title, ("start", "duration", "depth", "peak", "energy taken in"), rows, keys=0)
 
 
 def _events_table(events: list[LoggedEvent]) -> Table:
     more = f", the first {_EVENTS_SHOWN}" if len(events) > _EVENTS_SHOWN else ""
-    table = plain_table(f" {len(events)} event{'s' if len(events) != 1 else ''}{more}")
-    table.add_column("time", justify="right", no_wrap=True)
-    table.add_column("cycle", justify="right", no_wrap=True)
-    for column in ("kind", "port", "what"):
-        table.add_column(column, overflow="fold")
-    for event in events[:_EVENTS_SHOWN]:
-        words = (Text(event["kind"]), Text(event["port"]), Text(event["text"]))
-        table.add_row(f"{event['time']:.4f} s", str(event["sync_index"]), *words)
-    return table
+    rows: list[list[Cell]] = [
+        [f"{event['time']:.4f} s", event["sync_index"], event["kind"], event["port"], event["text"]]
+        for event in events[:_EVENTS_SHOWN]
+    ]
+    title = f" {len(events)} event{'s' if len(events) != 1 else ''}{more}"
+    return Table(title, ("time", "cycle", "kind", "port", "what"), rows)
 
 
 def checks_table(checks: list[Outcome]) -> Table:
     """Returns the outcome of every check."""
-    table = plain_table(" checks", "check", "value of", "is", "")
-    for check in checks:
-        verdict = Text("holds", style="green") if check["holds"] else Text("FAILS", style="bold red")
-        value = check["value"] if isinstance(check["value"], str) else f"{check['value']:.9g}"
-        table.add_row(Text(check["check"]), Text(check["name"]), Text(value), verdict)
-    return table
+    rows: list[list[Cell]] = [
+        [
+            check["check"], check["name"],
+            check["value"] if isinstance(check["value"], str) else f"{check['value']:.9g}",
+            Styled("holds", "green") if check["holds"] else Styled("FAILS", "bold red"),
+        ]
+        for check in checks
+    ]  # fmt: skip
+    return Table(" checks", ("check", "value of", "is", ""), rows)
 
 
 def _finding_line(finding: ImpossibleValue) -> Text:
@@ -139,16 +134,11 @@ def comparison_report(comparison: LogComparison) -> RenderableType:
 
 
 def _differences_table(title: str, comparison: LogComparison) -> Table:
-    table = FigureTable(title=title)
-    table.add_column("quantity", no_wrap=True)
-    for column in ("cycle", "first log", "second log", "largest difference"):
-        table.add_column(column, justify="right", no_wrap=True)
-    for difference in comparison["differences"]:
-        table.add_row(
-            Text(in_lines(difference["name"], _NAME_WIDTH)),
-            str(difference["cycle"]),
-            f"{difference['first']:.9g}",
-            f"{difference['second']:.9g}",
-            f"{difference['largest']:.3g}" + ("" if difference["unit"] == "1" else f" {difference['unit']}"),
-        )
-    return table
+    rows: list[list[Cell]] = [
+        [
+            in_lines(found["name"], _NAME_WIDTH), found["cycle"], f"{found['first']:.9g}", f"{found['second']:.9g}",
+            f"{found['largest']:.3g}" + ("" if found["unit"] == "1" else f" {found['unit']}"),
+        ]
+        for found in comparison["differences"]
+    ]  # fmt: skip
+    return Table(title, ("quantity", "cycle", "first log", "second log", "largest difference"), rows, keys=1)

@@ -16,11 +16,10 @@ from canhaptic.lab.render.arena_picture import pictures_of
 from canhaptic.lab.studies.arena.arena_cases import scenes_named
 from canhaptic.lab.studies.arena.arena_store import ArenaStore
 from canhaptic.lab.studies.arena.run_arena import ArenaPlan, run_arena
-from canhaptic.lab.studies.arena.standings import COLUMNS
 from canhaptic.lab.studies.sweep.workers import Pool
 from canhaptic.view.energy_table import make_console
 from canhaptic.view.picture_style import require_matplotlib
-from canhaptic.view.table_style import FigureTable
+from canhaptic.view.table import Table
 
 STORE: Final = "cases.jsonl"
 
@@ -81,17 +80,14 @@ def _write(found: dict[str, Any], out: Path) -> None:
     note_file("page", out / "arena.html")
 
 
-def _table(found: dict[str, Any]) -> Any:
+def _table(found: dict[str, Any]) -> Table:
     shown = ("given_out", "beyond_device", "diverged", "position_error", "stiffness_error", "drag")
     heads = ("gave out", "beyond device", "diverged", "position error", "stiffness error", "drag [N]")
-    table = FigureTable(title=f"{len(found['cases'])} cases; in brackets the rank", pad_edge=False)
-    table.add_column("algorithm", no_wrap=True)
-    for head in heads:
-        table.add_column(head, justify="right", no_wrap=True)
-    for row in found["standings"]:
-        ranks = found["ranks"][row["algorithm"]]
-        table.add_row(row["algorithm"], *(_shown(row[key], ranks.get(key)) for key in shown if key in COLUMNS))
-    return table
+    rows = [
+        [row["algorithm"], *(_shown(row[key], found["ranks"][row["algorithm"]].get(key)) for key in shown)]
+        for row in found["standings"]
+    ]
+    return Table(f"{len(found['cases'])} cases; in brackets the rank", ["algorithm", *heads], rows, keys=1)
 
 
 def _shown(value: float | None, rank: int | None) -> str:

@@ -4,17 +4,14 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.view.si import si
-from canhaptic.view.table_style import FigureTable
+from canhaptic.view.table import Cell, Styled, Table
 
 _Account = Mapping[str, Any]
-_COLUMNS: Final = 6
-"""Algorithms that a terminal of 100 characters shows side by side."""
 
 
 def comparison_report(result: _Account) -> RenderableType:
@@ -26,9 +23,7 @@ def comparison_report(result: _Account) -> RenderableType:
     parts: list[RenderableType] = [_heading(result)]
     for name, axis in result["axes"].items():
         parts.append(Text(f" {name}: {axis['environment']}   continuous: {axis['reference']['method']}"))
-        names = list(axis["algorithms"])
-        parts.extend(_table(axis, names[i : i + _COLUMNS]) for i in range(0, len(names), _COLUMNS))
-        parts.extend(_remarks(axis))
+        parts += [_table(axis), *_remarks(axis)]
     return Group(*parts)
 
 
@@ -46,22 +41,23 @@ def _engines(result: _Account) -> list[str]:
     return sorted({engine.partition(":")[0] for engine in every if engine}) or ["python"]
 
 
-def _table(axis: _Account, algorithms: list[str]) -> Table:
-    table = FigureTable(pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("", no_wrap=True)
-    for name in algorithms:
-        table.add_column(name.replace("_", "\n"), justify="right", no_wrap=True, min_width=10)
+def _table(axis: _Account) -> Table:
+    rows: list[list[Cell]] = []
     for label, read, show, better in _ROWS:
-        every = {name: _value(read, axis, account) for name, account in axis["algorithms"].items()}
-        if all(value is None for value in every.values()):
-            continue
-        values, best = [every[name] for name in algorithms], _best(list(every.values()), better)
-        cells = [Text("-" if v is None else show(v, axis["unit"]), style="bold" if v == best else "") for v in values]
-        for cell, value in zip(cells, values, strict=True):
-            if isinstance(value, float) and label in _ENERGIES_BELOW and value < -PASSIVE_TOLERANCE:
-                cell.stylize("red")
-        table.add_row(label, *cells)
-    return table
+        values = [_value(read, axis, account) for account in axis["algorithms"].values()]
+        if any(value is not None for value in values):
+            best, is_below = _best(values, better), label in _ENERGIES_BELOW
+            rows.append([label, *(_cell(value, show, axis["unit"], best, is_below=is_below) for value in values)])
+    return Table("", ["", *(name.replace("_", "\n") for name in axis["algorithms"])], rows, keys=1)
+
+
+def _cell(
+    value: float | str | None, show: Callable[[Any, str], str], unit: str, best: float | None, *, is_below: bool
+) -> Styled:
+    if value is None:
+        return Styled("-")
+    bad = is_below and isinstance(value, float) and value < -PASSIVE_TOLERANCE
+    return Styled(show(value, unit), "red" if bad else "bold" if value == best else "")
 
 
 def _value(read: Callable[[_Account, _Account], Any], axis: _Account, account: _Account) -> float | str | None:

@@ -4,12 +4,11 @@ from typing import Any
 
 import yaml
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from canhaptic.axis_units import damping_unit, effort_unit, stiffness_unit
 from canhaptic.view.si import si
-from canhaptic.view.table_style import FigureTable
+from canhaptic.view.table import Table
 
 
 def snippet(result: dict[str, Any]) -> str:
@@ -79,12 +78,11 @@ def _felt(result: dict[str, Any]) -> list[RenderableType]:
         return []
     felt, motion = result["felt"], result["unit"]
     stiffness, effort = stiffness_unit(motion), effort_unit(motion)
-    table = FigureTable(title=f"largest wall within {100.0 * result['tolerance']:g} % at rest", pad_edge=False)
-    for heading in (f"push [{effort}]", f"held [{stiffness}]", f"certified by hand force [{stiffness}]"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for wall in felt["walls"]:
-        certified = "" if wall["certified"] is None else f"{wall['certified']:.3g}"
-        table.add_row(f"{wall['push']:.3g}", f"{wall['held']:.3g}", certified)
+    heads = (f"push [{effort}]", f"held [{stiffness}]", f"certified by hand force [{stiffness}]")
+    table = Table(
+        f"largest wall within {100.0 * result['tolerance']:g} % at rest", heads,
+        [[_short(wall[key]) for key in ("push", "held", "certified")] for wall in felt["walls"]], keys=0,
+    )  # fmt: skip
     speed, start = f"{felt['speed']:g} {motion}/s", felt["start_speed"]
     contact = (
         f"{felt['slowest']:g} {motion}/s and more" if start == felt["slowest"] else f"above {start:.2g} {motion}/s"
@@ -107,24 +105,18 @@ def _drags(rows: list[dict[str, Any]], motion: str) -> list[RenderableType]:
     """Returns what drags in free motion earn for the contacts after them."""
     if not rows:
         return []
-    table = FigureTable(
-        title=f"energy of a start, {si(rows[0]['energy'], 'J', 2)}, earned before a contact", pad_edge=False
-    )
-    headings = f"drag [{effort_unit(motion)}]", f"over a way of [{motion}]", f"contacts felt from [{motion}/s]"
-    for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
-    for row in rows:
-        way = "-" if row["way"] is None else f"{row['way']:.2g}"
-        start = "-" if row["start_speed"] is None else f"{row['start_speed']:.2g}"
-        table.add_row(f"{row['drag']:.2g}", way, start)
-    return [table]
+    title = f"energy of a start, {si(rows[0]['energy'], 'J', 2)}, earned before a contact"
+    heads = f"drag [{effort_unit(motion)}]", f"over a way of [{motion}]", f"contacts felt from [{motion}/s]"
+    cells = [[_short(row[key], 2, "-") for key in ("drag", "way", "start_speed")] for row in rows]
+    return [Table(title, heads, cells, keys=0)]
+
+
+def _short(value: float | None, digits: int = 3, none: str = "") -> str:
+    return none if value is None else f"{value:.{digits}g}"
 
 
 def _trade(result: dict[str, Any]) -> Table:
     stiffness, damping = stiffness_unit(result["unit"]), damping_unit(result["unit"])
-    table = FigureTable(title="stiffness for damping", pad_edge=False)
-    table.add_column(f"stiffness [{stiffness}]", justify="right", no_wrap=True)
-    table.add_column(f"largest damping [{damping}]", justify="right", no_wrap=True)
-    for wall in result["trade"]:
-        table.add_row(f"{wall['stiffness']:g}", f"{wall['damping']:g}")
-    return table
+    heads = f"stiffness [{stiffness}]", f"largest damping [{damping}]"
+    rows = [[f"{wall['stiffness']:g}", f"{wall['damping']:g}"] for wall in result["trade"]]
+    return Table("stiffness for damping", heads, rows, keys=0)

@@ -12,7 +12,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from canhaptic.axis_units import mass_unit
 from canhaptic.errors import InputError
-from canhaptic.lab.studies.accuracy.display_accuracy_table import HEADS, ChangeRow, DisplayStudy, cells, heading
+from canhaptic.lab.studies.accuracy.display_accuracy_table import (
+    ChangeRow,
+    DisplayStudy,
+    display_accuracy_table,
+    heading,
+)
 from canhaptic.view.html_page import decades, require_bokeh, write_page
 from canhaptic.view.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from canhaptic.view.picture_style import drawing, save_picture
@@ -103,13 +108,9 @@ def write_display_accuracy_page(result: DisplayStudy, path: Path) -> None:
     rows, unit = _drawn(result), result["unit"]
     words = "".join(f"<p>{html.escape(line)}</p>" for line in heading(result))
     panels = [_panel(rows, one, shows_names=not number) for number, one in enumerate(_figures(unit))]
-    head = "".join(f"<th>{html.escape(name)}</th>" for name in HEADS)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells(row, unit)) + "</tr>"
-        for row in result["loop"]
+    layout = column(
+        Div(text=words), gridplot([panels], merge_tools=True), Div(text=display_accuracy_table(result).html())
     )
-    table = f"<table style='border-spacing:12px 2px'><tr style='text-align:left'>{head}</tr>{body}</table>"
-    layout = column(Div(text=words), gridplot([panels], merge_tools=True), Div(text=table))
     write_page(layout, f"{result['scene']} - accuracy", path)
 
 

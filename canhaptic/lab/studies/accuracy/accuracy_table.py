@@ -10,10 +10,9 @@ from canhaptic.axis_units import effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR
 from canhaptic.view.si import si
-from canhaptic.view.table_style import FigureTable
+from canhaptic.view.table import Cell, Styled, Table
 
 Row = Mapping[str, Any]
-_Table = tuple[str, Sequence[str], list[list[str]], list[bool]]
 
 PLANT_HEADS: Final = (
     "method", "setting", "position", "force", "energy", "evals /\nperiod", "events", "us /\nperiod", "times\nwork", "",
@@ -31,8 +30,6 @@ _SHOWN: Final = 4
 _CLOCK: Final = 0.1
 """Time of a cycle below which a difference of two runs is not distinguished from zero [us]."""
 _WIDE_HEADS: Final = ("wall time per simulated s", "median over least")
-_AIRY: Final = 9
-"""Columns that a terminal of 100 characters shows with two spaces between them."""
 
 
 def accuracy_report(result: Row, *, tables: bool = False) -> RenderableType:
@@ -40,29 +37,14 @@ def accuracy_report(result: Row, *, tables: bool = False) -> RenderableType:
     parts: list[RenderableType] = [Text(f" {line}") for line in (*advice_lines(result), "", *heading(result))]
     if not tables:
         return Group(*parts, Text(" every row: --tables"))
-    for title, heads, rows, marked in _tables(result):
-        table = FigureTable(keys=2, title=f" {title}", padding=(0, int(len(heads) <= _AIRY), 0, 0), pad_edge=False)
-        for index, head in enumerate(heads):
-            table.add_column(head, justify="left" if index < 2 else "right", no_wrap=True)
-        for cells, mark in zip(rows, marked, strict=True):
-            table.add_row(*cells, style="bold" if mark else "")
-        parts.append(table)
-    return Group(*parts)
+    return Group(*parts, *accuracy_tables(result))
 
 
 def markdown(result: Row) -> str:
     """Returns the same as Markdown, with every table."""
     lines = ["### Advice", "", *(f"- {line}" for line in advice_lines(result)), ""]
     lines += [*(f"{line}  " for line in heading(result)), ""]
-    for title, heads, rows, marked in _tables(result, wide=True):
-        titles = [head.replace("\n", " ") for head in heads]
-        lines += [f"### {title}", "", "| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
-        for cells, mark in zip(rows, marked, strict=True):
-            lines.append(
-                "| " + " | ".join(f"**{c}**" if mark and i < 2 and c else c for i, c in enumerate(cells)) + " |"
-            )
-        lines.append("")
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *(table.markdown() for table in accuracy_tables(result, wide=True)), ""])
 
 
 def heading(result: Row) -> list[str]:
@@ -174,33 +156,29 @@ def length(value: float, unit: str) -> str:
     return si(value, "m", 3) if unit == "m" else f"{value:.3g} rad"
 
 
-def _tables(result: Row, *, wide: bool = False) -> list[_Table]:
-    """Returns every table; the wide ones have times per simulated second and their spread besides."""
-    unit = result["unit"]
-    floor = _floor(result)
-    found: list[_Table] = []
-    if result["plant"]:
-        rows = [_plant_cells(row, unit, floor) for row in result["plant"]]
-        title = "plant: largest error at any SYNC; bold and *: Pareto front of evaluations, the same on every machine"
-        heads: Sequence[str] = PLANT_HEADS
-        if wide:
-            heads = (*PLANT_HEADS, *_WIDE_HEADS)
-            rows = [[*cells, *_wall(row)] for cells, row in zip(rows, result["plant"], strict=True)]
-        found.append((title, heads, rows, [bool(row["pareto"]) for row in result["plant"]]))
-    if result["orders"]:
-        orders = [[row["method"], _plain(row["declared"]), _fixed(row["fitted"], 2)] for row in result["orders"]]
-        found.append(
-            ("order of the error in the step", ("method", "declared", "fitted"), orders, [False] * len(orders))
-        )
-    effects = result["advice"]["effects"] if result["advice"] else []
-    if effects:
-        rows = [_effect_cells(row, unit) for row in effects]
-        found.append(("effects: what leaving one out does", EFFECT_HEADS, rows, [False] * len(rows)))
-    if result["loop"]:
-        rows = [_loop_cells(row, unit) for row in result["loop"]]
-        title = "loop: largest difference from the continuous axis, one thing changed; !: the cycle does not fit"
-        found.append((title, LOOP_HEADS, rows, [bool(row["is_scene"]) for row in result["loop"]]))
-    return found
+def accuracy_tables(result: Row, *, wide: bool = False) -> list[Table]:
+    """Returns every table; with `wide` that of the plant has times per simulated second and their spread."""
+    unit, floor, plant = result["unit"], _floor(result), result["plant"]
+    more: Sequence[str] = _WIDE_HEADS if wide else ()
+    rows = [[*_plant_cells(row, unit, floor), *(_wall(row) if wide else ())] for row in plant]
+    title = " plant: largest error at any SYNC; bold and *: Pareto front of evaluations, the same on every machine"
+    found = [_table(title, (*PLANT_HEADS, *more), rows, [row["pareto"] for row in plant])]
+    orders = [[row["method"], _plain(row["declared"]), _fixed(row["fitted"], 2)] for row in result["orders"]]
+    found.append(_table(" order of the error in the step", ("method", "declared", "fitted"), orders))
+    effects = [_effect_cells(row, unit) for row in (result["advice"] or {"effects": ()})["effects"]]
+    found.append(_table(" effects: what leaving one out does", EFFECT_HEADS, effects))
+    loop = [_loop_cells(row, unit) for row in result["loop"]]
+    title = " loop: largest difference from the continuous axis, one thing changed; !: the cycle does not fit"
+    found.append(_table(title, LOOP_HEADS, loop, [row["is_scene"] for row in result["loop"]]))
+    return [table for table in found if table.rows]
+
+
+def _table(title: str, heads: Sequence[str], rows: Sequence[list[str]], marked: Sequence[bool] = ()) -> Table:
+    styles = [*("bold" if mark else "" for mark in marked), *[""] * (len(rows) - len(marked))]
+    cells: list[list[Cell]] = [
+        [*(Styled(c, style) for c in row[:2]), *row[2:]] for row, style in zip(rows, styles, strict=True)
+    ]
+    return Table(title, heads, cells, keys=2)
 
 
 def _floor(result: Row) -> float:

@@ -8,7 +8,7 @@ from rich.text import Text
 
 from canhaptic.axis_units import mass_unit
 from canhaptic.view.si import si
-from canhaptic.view.table_style import FigureTable
+from canhaptic.view.table import Table
 
 
 class DisplayReference(TypedDict):
@@ -63,28 +63,17 @@ HEADS: Final = ("changed", "to", "position", "energy", "mass felt", "given out",
 
 def display_accuracy_report(result: DisplayStudy) -> RenderableType:
     """Returns the tables of a study for a terminal."""
-    table = FigureTable(keys=2, pad_edge=False)
-    for index, head in enumerate(HEADS):
-        table.add_column(head, justify="left" if index < 2 else "right", no_wrap=index != 1)
-    for row in result["loop"]:
-        table.add_row(*cells(row, result["unit"]))
-    return Group(*(Text(f" {line}") for line in heading(result)), table)
+    return Group(*(Text(f" {line}") for line in heading(result)), display_accuracy_table(result))
 
 
 def display_accuracy_markdown(result: DisplayStudy) -> str:
     """Returns the same as Markdown."""
-    lines = [
-        *(f"{line}  " for line in heading(result)),
-        "",
-        "| " + " | ".join(HEADS).replace("\n", " ") + " |",
-        "|---" * len(HEADS) + "|",
-    ]
-    lines += ["| " + " | ".join(_whole(cells(row, result["unit"]))) + " |" for row in result["loop"]]
-    return "\n".join(lines) + "\n"
+    return "\n".join([*(f"{line}  " for line in heading(result)), "", display_accuracy_table(result).markdown()])
 
 
-def _whole(row: list[str]) -> list[str]:
-    return [cell.replace("|", "\\|") for cell in row] + [""] * (len(HEADS) - len(row))
+def display_accuracy_table(result: DisplayStudy) -> Table:
+    """Returns one row for each change of the scene."""
+    return Table("", HEADS, [_cells(row, result["unit"]) for row in result["loop"]], keys=2)
 
 
 def heading(result: DisplayStudy) -> list[str]:
@@ -105,10 +94,9 @@ def heading(result: DisplayStudy) -> list[str]:
     return lines
 
 
-def cells(row: ChangeRow, unit: str) -> list[str]:
-    """Returns a row of the table; one that was refused has two cells."""
+def _cells(row: ChangeRow, unit: str) -> list[str]:
     if "position_error" not in row:
-        return [row["changed"], f"{row['to']}: refused"]
+        return [row["changed"], f"{row['to']}: refused", *[""] * (len(HEADS) - 2)]
     return [
         row["changed"],
         row["to"] + ("" if row["status"] == "ok" else f" (ended: {row['status'][:40]})"),

@@ -15,7 +15,7 @@ from canhaptic.lab.loop.scenes import cycles_of, parts_of
 from canhaptic.result import TruthResult
 from canhaptic.scene.models import Scene
 from canhaptic.view.si import si
-from canhaptic.view.table_style import FigureTable
+from canhaptic.view.table import Table
 
 
 class DisplayRunCompared(TypedDict, total=False):
@@ -99,13 +99,8 @@ def display_comparison_report(result: DisplaysCompared) -> RenderableType:
         Text(f" {result['cycles']} cycles over CAN at {result['rate']:g} Hz, delay {result['delay']} hold(s)")
     ]
     for axis, found in result["axes"].items():
-        table = FigureTable(pad_edge=True)
-        table.add_column(axis, no_wrap=True)
-        for name in found:
-            table.add_column(name.replace("_", " "), justify="right")
-        for label, cell in _ROWS:
-            table.add_row(label, *(_cell(cell, of) for of in found.values()))
-        parts.append(table)
+        rows = [[label, *(_cell(cell, of) for of in found.values())] for label, cell in _ROWS]
+        parts.append(Table("", [axis, *(name.replace("_", " ") for name in found)], rows, keys=1))
         refused = {name: of["remark"] for name, of in found.items() if "account" not in of}
         parts += [Text(f" {name}: {remark}") for name, remark in refused.items()]
     return Group(*parts)

@@ -23,7 +23,7 @@ from canhaptic.lab.loop.algorithms import group_under
 from canhaptic.lab.loop.scenes import cycles_of, parts_of
 from canhaptic.scene.models import Scene
 from canhaptic.view.si import si
-from canhaptic.view.table_style import FigureTable
+from canhaptic.view.table import Cell, Styled, Table
 
 _NOTHING: Final = "-"
 
@@ -178,26 +178,23 @@ def group_comparison_report(result: GroupsCompared) -> RenderableType:
     return Group(*parts)
 
 
-def _table(group: GroupCompared) -> FigureTable:
-    table = FigureTable(pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("", no_wrap=True)
-    for name in group["algorithms"]:
-        table.add_column(name.replace("_", "\n"), justify="right", no_wrap=True, min_width=10)
+def _table(group: GroupCompared) -> Table:
+    rows: list[list[Cell]] = []
     for label, read in _ROWS.items():
         cells = [_cell(read, account, group["unit"]) for account in group["algorithms"].values()]
-        if any(str(cell) != _NOTHING for cell in cells):
-            table.add_row(label, *cells)
-    return table
+        if any(cell.text != _NOTHING for cell in cells):
+            rows.append([label, *cells])
+    return Table("", ["", *(name.replace("_", "\n") for name in group["algorithms"])], rows, keys=1)
 
 
-def _cell(read: Callable[[ComparedGroup, str], str | float], account: ComparedGroup, unit: str) -> Text:
+def _cell(read: Callable[[ComparedGroup, str], str | float], account: ComparedGroup, unit: str) -> Styled:
     try:
         value = read(account, unit)
     except (KeyError, TypeError):  # refused, or nothing to measure
-        return Text(_NOTHING)
+        return Styled(_NOTHING)
     if isinstance(value, str):
-        return Text(value, style={"yes": "green", "in doubt": "yellow", "no": "red"}.get(value, ""))
-    return Text(si(value, "J", 3), style="red" if value < -PASSIVE_TOLERANCE else "")
+        return Styled(value, {"yes": "green", "in doubt": "yellow", "no": "red"}.get(value, ""))
+    return Styled(si(value, "J", 3), "red" if value < -PASSIVE_TOLERANCE else "")
 
 
 def _truth(account: ComparedGroup) -> TrueEnergies:

@@ -5,7 +5,6 @@ from typing import Any, Final
 
 import numpy as np
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
@@ -13,7 +12,7 @@ from canhaptic.lab.studies.sweep.points import CONTROLLER
 from canhaptic.lab.studies.sweep.selected import Selected
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.view.si import si
-from canhaptic.view.table_style import FigureTable
+from canhaptic.view.table import Table
 
 _MOST_REMARKS: Final = 20
 
@@ -119,18 +118,13 @@ _COLUMNS: Final = {
 
 
 def _shares_table(found: _Summary) -> Table:
-    table = FigureTable(pad_edge=False)
-    table.add_column("axis, algorithm", no_wrap=True)
-    shown = [
-        key for key in _COLUMNS if any(key in entry for axis in found["figures"].values() for entry in axis.values())
+    entries = {(axis, name): entry for axis, of in found["figures"].items() for name, entry in of.items()}
+    shown = [key for key in _COLUMNS if any(key in entry for entry in entries.values())]
+    rows = [
+        [f"{axis}, {name}", str(entry["scenes"]), *(_cell(key, entry.get(key)) for key in shown)]
+        for (axis, name), entry in entries.items()
     ]
-    for title in ("scenes", *(_COLUMNS[key] for key in shown)):
-        table.add_column(title, justify="right", no_wrap=True)
-    for axis, controllers in found["figures"].items():
-        for name, entry in controllers.items():
-            cells = [_cell(key, entry.get(key)) for key in shown]
-            table.add_row(f"{axis}, {name}", str(entry["scenes"]), *cells)
-    return table
+    return Table("", ["axis, algorithm", "scenes", *(_COLUMNS[key] for key in shown)], rows, keys=1)
 
 
 def _cell(key: str, value: float | None) -> str:

@@ -1,0 +1,145 @@
+"""One table for every command: on a terminal, as Markdown, HTML, CSV and JSON; no cell is ever cropped."""
+
+import csv
+import html
+import io
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple
+
+from rich import box
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.measure import Measurement
+from rich.table import Table as TerminalTable
+from rich.text import Text
+
+_ENDLESS: Final = 100_000  # columns, to measure what a table would take
+
+
+class Styled(NamedTuple):
+    """A cell with a look."""
+
+    text: str
+    style: str = ""  # words of rich, such as "bold red"; the classes of the cell in HTML
+
+
+Cell = str | int | float | Styled | None
+"""A float is shown with four digits; None is an empty cell."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows under a title and headings.
+
+    Args:
+        title: Above the table; "" for none.
+        columns: Headings; a line break is kept on a terminal alone.
+        rows: One cell per column each; a row without cells draws a line on a terminal.
+        keys: Number of leading columns that name a row; the others are figures, at the right of their column and not
+            folded: where they do not fit, a terminal shows several tables, each with the keys. None: all are words.
+
+    Raises:
+        ValueError: A row has another number of cells than there are columns.
+    """
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    keys: int | None = None
+
+    def __post_init__(self) -> None:
+        for number, row in enumerate(self.rows):
+            if row and len(row) != len(self.columns):
+                raise ValueError(f"{self.title}: row {number} has {len(row)} cells, expected {len(self.columns)}")
+
+    def records(self) -> list[dict[str, str | int | float | None]]:
+        """Returns one mapping of headings to plain values per row, for JSON."""
+        heads = [" ".join(head.split()) for head in self.columns]
+        plain = ([cell.text if isinstance(cell, Styled) else cell for cell in row] for row in self.rows if row)
+        return [dict(zip(heads, row, strict=True)) for row in plain]
+
+    def csv(self) -> str:
+        """Returns headings and rows separated by commas, numbers with all their digits."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerows([[" ".join(head.split()) for head in self.columns], *(r.values() for r in self.records())])
+        return text.getvalue()
+
+    def markdown(self) -> str:
+        """Returns heading and table for a page of documentation; a bold cell stays bold."""
+        lines = [f"### {self.title.strip()}", ""] if self.title else []
+        lines += [_markdown_row([Styled(" ".join(head.split())) for head in self.columns])]
+        lines += ["|" + "---|" * len(self.columns), *(_markdown_row(row) for row in map(_styled, self.rows) if row)]
+        return "\n".join(lines) + "\n"
+
+    def html(self) -> str:
+        """Returns a `<table>` whose cells carry their styles as classes."""
+        heads = "".join(f"<th>{html.escape(' '.join(head.split()))}</th>" for head in self.columns)
+        cells = ("".join(map(_html_cell, row)) for row in map(_styled, self.rows) if row)
+        rows = "".join(f"<tr>{row}</tr>" for row in cells)
+        title = f"<caption>{html.escape(self.title.strip())}</caption>" if self.title else ""
+        return f"<table>{title}<thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>"
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Renders one table, or several below each other."""
+
+        def fits(indices: Sequence[int], space: int) -> bool:
+            table = self._drawn(indices, space)
+            return Measurement.get(console, options.update(width=_ENDLESS), table).maximum <= options.max_width
+
+        every = range(len(self.columns))
+        space = 0 if self.keys is not None and not fits(every, 1) and fits(every, 0) else 1
+        parts = [every] if self.keys is None else self._parts(self.keys, lambda some: fits(some, space))
+        for number, indices in enumerate(parts):
+            fold = self.keys is None or not fits(indices, space)
+            yield self._drawn(indices, space, "" if number else self.title, fold=fold)
+
+    def _parts(self, named: int, fits: Callable[[Sequence[int]], bool]) -> Iterator[Sequence[int]]:
+        """Yields the columns of each table."""
+        keys = list(range(min(named, len(self.columns))))
+        taken = list(keys)
+        for index in range(len(keys), len(self.columns)):
+            if len(taken) > len(keys) and not fits([*taken, index]):
+                yield taken
+                taken = list(keys)
+            taken.append(index)
+        yield taken
+
+    def _drawn(self, indices: Sequence[int], space: int, title: str = "", *, fold: bool = False) -> TerminalTable:
+        drawn = TerminalTable(
+            title=Text(title) if title else None, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD,
+            pad_edge=self.keys is None, padding=(0, space, 0, space if self.keys is None else 0),
+        )  # fmt: skip
+        for index in indices:
+            side: Literal["left", "right"] = "left" if self.keys is None or index < self.keys else "right"
+            drawn.add_column(Text(self.columns[index]), justify=side, no_wrap=not fold, overflow="fold")
+        for row in map(_styled, self.rows):
+            if row:
+                drawn.add_row(*(Text(row[index].text, row[index].style) for index in indices))
+            else:
+                drawn.add_section()
+        return drawn
+
+
+def in_lines(text: str, width: int) -> str:
+    """Returns a text in lines of at most `width` letters, broken wherever that is."""
+    return "\n".join(text[at : at + width] for at in range(0, len(text), width))
+
+
+def _styled(row: Sequence[Cell]) -> list[Styled]:
+    return [cell if isinstance(cell, Styled) else Styled(_shown(cell)) for cell in row]
+
+
+def _shown(cell: str | int | float | None) -> str:
+    return f"{cell:.4g}" if isinstance(cell, float) else "" if cell is None else str(cell)
+
+
+def _html_cell(cell: Styled) -> str:
+    style = f' class="{cell.style}"' if cell.style else ""
+    return f"<td{style}>{html.escape(cell.text)}</td>"
+
+
+def _markdown_row(row: Sequence[Styled]) -> str:
+    cells = (cell.text.strip().replace("|", "\\|").replace("\n", " ") for cell in row)
+    marked = (f"**{text}**" if text and "bold" in cell.style else text for text, cell in zip(cells, row, strict=True))
+    return "| " + " | ".join(marked) + " |"
