@@ -85,12 +85,12 @@ def check_page(path: Path) -> None:
     """Refuse a page that could not be written, before the run.
 
     Raises:
-        InputError: There is no place for it, or Bokeh is not installed.
+        InputError: There is no place for it, or matplotlib is not installed.
     """
-    from canhaptic.view.html_page import require_bokeh
+    from canhaptic.view.picture_style import require_matplotlib
 
     check_place(path)
-    require_bokeh()
+    require_matplotlib()
 
 
 def check_place(path: Path) -> None:

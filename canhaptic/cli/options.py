@@ -135,7 +135,9 @@ def _inspect_files(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(option, type=Path, metavar="FILE", help=f"write {what}")
     for option in ("--png", "--svg"):
         parser.add_argument(option, type=Path, metavar="FILE", help="draw the run")
-    parser.add_argument("--html", type=Path, metavar="FILE", help="write one self-contained interactive page")
+    parser.add_argument(
+        "--html", type=Path, metavar="FILE", help="write one self-contained page: pictures, account, contacts, events"
+    )
 
 
 def _new(parser: argparse.ArgumentParser) -> None:

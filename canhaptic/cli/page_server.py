@@ -16,8 +16,8 @@ from typing import Any, Final
 from canhaptic.cli.interrupt import say_interrupted
 from canhaptic.cli.stop_signal import SHELL_OFFSET
 from canhaptic.errors import InputError
+from canhaptic.extras import install_hint
 from canhaptic.view.energy_table import make_console
-from canhaptic.view.html_page import require_bokeh
 
 _HOST: Final = "127.0.0.1"  # no other computer may read, or load, what runs here
 _NAMES: Final = (_HOST, "localhost")
@@ -54,7 +54,10 @@ def usable_port(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: Bokeh is not installed, or the port is taken.
     """
-    require_bokeh()
+    try:
+        import bokeh.server.server  # noqa: F401 - what serves every live page
+    except ImportError as error:
+        raise InputError(f"a live page needs Bokeh; install it with: {install_hint('report')}") from error
     try:
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

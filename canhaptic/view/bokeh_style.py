@@ -7,10 +7,9 @@ zoom and every line that grows.
 from collections.abc import Mapping
 from typing import Final
 
-from bokeh.models import BoxZoomTool, CustomJSHover, CustomJSTickFormatter, HoverTool, Range
+from bokeh.models import CustomJSHover, CustomJSTickFormatter, HoverTool, Range
 from bokeh.plotting import figure
 
-from canhaptic.logs.hdf5 import Array
 from canhaptic.view.si import prefixes_of
 
 _TOOLS: Final = "xpan,xwheel_zoom,xbox_zoom,reset,save"
@@ -63,65 +62,9 @@ def new_panel(title: str, unit: str, time: Range, height: int) -> figure:
     )
     panel.yaxis.axis_label = title
     panel.xaxis.formatter, panel.yaxis.formatter = si_ticks("s"), si_ticks(unit)
-    _plain(panel)
-    return panel
-
-
-def new_plane(title: str, unit: str, across: Array, along: Array, height: int) -> figure:
-    """Returns an empty panel of a plane, both axes to the same scale.
-
-    Args:
-        title: At the left.
-        unit: Unit of both axes, SI.
-        across: Places from left to right, of which the first and the last are the edges, shape (m,).
-        along: The same from bottom to top.
-        height: In pixels, without the ticks.
-    """
-    width = height * float((across[-1] - across[0]) / (along[-1] - along[0]))
-    panel = figure(
-        frame_height=height,
-        frame_width=round(width),
-        x_range=(float(across[0]), float(across[-1])),
-        y_range=(float(along[0]), float(along[-1])),
-        tools=["pan", "wheel_zoom", BoxZoomTool(match_aspect=True), "reset", "save"],
-        output_backend="canvas",
-        min_border_left=90,
-        name=title,
-    )
-    panel.xaxis.formatter = panel.yaxis.formatter = si_ticks(unit)
-    panel.yaxis.axis_label = title
-    _plain(panel)
-    return panel
-
-
-def new_xy(title: str, unit: str, across: str, across_unit: str, height: int) -> figure:
-    """Returns an empty panel of one quantity over another.
-
-    Args:
-        title: At the left.
-        unit: Unit of the quantity, SI.
-        across: Name of the other.
-        across_unit: Its unit, SI.
-        height: In pixels.
-    """
-    panel = figure(
-        height=height,
-        tools="pan,wheel_zoom,box_zoom,reset,save",
-        output_backend="canvas",
-        sizing_mode="stretch_width",
-        min_border_left=90,
-        min_border_right=40,
-        name=title,
-    )
-    panel.xaxis.axis_label, panel.yaxis.axis_label = across, title
-    panel.xaxis.formatter, panel.yaxis.formatter = si_ticks(across_unit), si_ticks(unit)
-    _plain(panel)
-    return panel
-
-
-def _plain(panel: figure) -> None:
     panel.toolbar.logo = None
     panel.grid.grid_line_color = "#E6E6E6"
+    return panel
 
 
 def si_ticks(unit: str) -> CustomJSTickFormatter:
@@ -134,21 +77,20 @@ def _si_hover(unit: str) -> CustomJSHover:
     return CustomJSHover(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_VALUE)
 
 
-def add_hover(panel: figure, main: str, values: Mapping[str, tuple[str, str]], mode: str = "vline") -> None:
+def add_hover(panel: figure, main: str, values: Mapping[str, tuple[str, str]]) -> None:
     """Shows time and values under the pointer.
 
     Args:
         panel: Where.
         main: Name of the line that the pointer follows.
         values: Label -> (column, unit).
-        mode: "vline" over time, "mouse" in a plane.
     """
     renderers = [renderer for renderer in panel.renderers if renderer.name == main]
     tooltips = [("time", "@time{0.0000} s")] + [
         (label, f"@{{{name}}}{{custom}}") for label, (name, _) in values.items()
     ]
     formatters = {f"@{{{name}}}": _si_hover(unit) for name, unit in values.values()}
-    tool = HoverTool(renderers=renderers, mode=mode, tooltips=tooltips, formatters=formatters, line_policy="nearest")
+    tool = HoverTool(renderers=renderers, mode="vline", tooltips=tooltips, formatters=formatters, line_policy="nearest")
     panel.add_tools(tool)
 
 

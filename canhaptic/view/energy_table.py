@@ -75,7 +75,7 @@ def energy_report(result: _Result) -> RenderableType:
     parts: list[RenderableType] = [headline_text(name, of) for name, of in accounts.items() if "verdict" in of]
     parts.append(_heading(result))
     if names:
-        parts.append(_energy_table(result, names))
+        parts.append(energy_table(result))
     for name in ("timing", "link", "method"):
         if result.get(name):
             parts.append(_line(name, result[name]))
@@ -103,7 +103,9 @@ def _heading(result: _Result) -> Text:
     return text
 
 
-def _energy_table(result: _Result, names: list[str]) -> Table:
+def energy_table(result: _Result) -> Table:
+    """Returns the account of every port, one column each, as `run --json` prints it."""
+    names = _ordered(result["ports"])
     ports = [result["ports"][name] for name in names]
     rows: list[list[Cell]] = [[label, *(_cell(cell, port) for port in ports)] for label, cell in _PORT_ROWS]
     rows = [row for row in rows if any(cell != _NOTHING for cell in row[1:])]

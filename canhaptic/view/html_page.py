@@ -1,57 +1,123 @@
-"""Pages that any browser opens without a network, drawn by Bokeh: where it is asked for, and how a page is written."""
+"""Pages that any browser opens without a network: words, pictures and tables that a click sorts, light and dark."""
 
-import math
-from collections.abc import Sequence
+import html
+import re
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from tempfile import TemporaryDirectory
+from typing import Final
+from urllib.parse import quote
 
 from canhaptic.errors import InputError
-from canhaptic.extras import install_hint
 from canhaptic.host.output_file import replacing
+from canhaptic.view.palette import BLUE
+from canhaptic.view.table import Table
 
-if TYPE_CHECKING:
-    from bokeh.models import LayoutDOM, Range1d
+_STYLE: Final = """
+:root { color-scheme: light dark; --ink: #202020; --paper: #ffffff; --blue: #0072b2; }
+:root { --red: #b00020; --green: #00704f; --yellow: #8a5a00; }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #e6e6e6; --paper: #15171a; --blue: #48a9e6; --red: #ff8a80; --green: #5fd3a8; --yellow: #ffc861; }
+}
+body { font: 15px/1.45 system-ui, sans-serif; margin: 1.5em auto; max-width: 84em; padding: 0 1em; }
+body, svg { background: var(--paper); color: var(--ink); }
+svg { fill: var(--ink); max-width: 100%; height: auto; }
+figure, div.table { margin: 0 0 1.5em; overflow-x: auto; }
+table { border-collapse: collapse; font-size: 13px; }
+caption { font-weight: bold; padding: 0.4em; text-align: left; }
+th, td { border-bottom: 1px solid color-mix(in srgb, var(--ink) 15%, var(--paper)); padding: 0.2em 0.6em; }
+th { background: color-mix(in srgb, var(--ink) 6%, var(--paper)); cursor: pointer; vertical-align: bottom; }
+th, td { text-align: right; }
+.key { text-align: left; }
+td.key:first-child { white-space: pre-wrap; }
+.bold { font-weight: bold; } .dim { opacity: 0.6; }
+.red { color: var(--red); } .green { color: var(--green); } .yellow { color: var(--yellow); }
+small, small a { color: color-mix(in srgb, var(--ink) 65%, var(--paper)); }
+summary { cursor: pointer; font-weight: bold; margin-bottom: 0.5em; }
+"""
+_SCRIPT: Final = """
+const scales = {f: 1e-15, p: 1e-12, n: 1e-9, u: 1e-6, m: 1e-3, k: 1e3, M: 1e6, G: 1e9};
+const value = text => {
+  const found = text.match(/^[<>=\\s]*([-+]?\\d+\\.?\\d*(?:e[-+]?\\d+)?)(?![\\w.])\\s*(?:([fpnumkMG])(?=[A-Za-z]))?/);
+  return found ? found[1] * (scales[found[2]] ?? 1) : null;
+};
+for (const head of document.querySelectorAll("th")) head.addEventListener("click", () => {
+  const body = head.closest("table").tBodies[0], sign = head.dataset.down === "1" ? -1 : 1;
+  head.dataset.down = sign === 1 ? "1" : "0";
+  const text = row => row.cells[head.cellIndex].textContent.trim(), blank = words => words === "" || words === "-";
+  const order = (one, other) => {
+    const [a, b] = [text(one), text(other)], [x, y] = [value(a), value(b)];
+    if (blank(a) || blank(b)) return blank(a) - blank(b);
+    return sign * (x !== null && y !== null ? x - y : (x === null) - (y === null) || a.localeCompare(b));
+  };
+  body.append(...[...body.rows].sort(order));
+});
+"""
+_LEAST_SIZE: Final = 0.6
+"""Part of its size below which a picture is not shrunk; a narrower window scrolls it."""
+_GREY: Final = re.compile(r"(?<=: )#([0-9a-f]{2})\1\1\b")
+_PROLOGUE: Final = re.compile(r"^.*?<svg |<metadata>.*?</metadata>", re.DOTALL)
+_WIDTH: Final = re.compile(r'width="([\d.]+)pt"')
 
-_EDGE: Final = 0.1
-"""Decades of a logarithmic range on either side of its whole ones."""
+
+def words(*lines: str) -> str:
+    """Returns one paragraph of lines."""
+    return f"<p>{'<br>'.join(map(html.escape, lines))}</p>"
 
 
-def require_bokeh() -> None:
-    """Imports Bokeh.
+def picture(draw: Callable[[Path], object], title: str, *, folded: bool = False) -> str:
+    """Returns a picture for a page.
 
-    Raises:
-        InputError: It is not installed.
-    """
-    try:
-        import bokeh.plotting  # noqa: F401 - what every page is drawn with
-    except ImportError as error:
-        raise InputError(f"an HTML page needs Bokeh; install it with: {install_hint('report')}") from error
-
-
-def decades(values: Sequence[float]) -> "Range1d":
-    """Returns a logarithmic range of more than two decades: its ticks are powers of ten, which never overlap.
+    Its greys become shades between the colours of text and page, its blue that of the page.
 
     Args:
-        values: Positive; not empty.
+        draw: Draws it into a file, which is an SVG here.
+        title: What it shows.
+        folded: Whether only the title is shown until it is clicked.
     """
-    from bokeh.models import Range1d
+    with TemporaryDirectory(prefix="canhaptic-page-") as folder:
+        file = Path(folder) / "picture.svg"
+        draw(file)
+        drawn = _PROLOGUE.sub("", file.read_text(encoding="utf-8"))
+    found = _WIDTH.search(drawn)
+    least = f"min-width: {_LEAST_SIZE * float(found.group(1)):.0f}pt" if found else ""
+    shaded = _GREY.sub(lambda grey: _shade(int(grey.group(1), 16)), drawn).replace(BLUE.lower(), "var(--blue)")
+    name = html.escape(title, quote=True)
+    shown = f'<figure><svg role="img" aria-label="{name}" style="{least}" {shaded}</figure>'
+    return f"<details><summary>{name}</summary>{shown}</details>" if folded else shown
 
-    low, high = math.floor(math.log10(min(values))), math.ceil(math.log10(max(values)))
-    return Range1d(10.0 ** (low - _EDGE), 10.0 ** (max(high, low + 2) + _EDGE))
+
+def _shade(grey: int) -> str:
+    return f"color-mix(in srgb, var(--ink) {100.0 * (1.0 - grey / 255.0):.3g}%, var(--paper))"
 
 
-def write_page(content: "LayoutDOM", title: str, path: Path) -> None:
-    """Writes a layout of Bokeh as one self-contained page.
+def write_page(path: Path, title: str, parts: Iterable[str | Table]) -> None:
+    """Writes a page.
+
+    Args:
+        path: The page.
+        title: Of the page, and its first heading.
+        parts: HTML, and tables.
 
     Raises:
         InputError: The page cannot be written.
     """
-    from bokeh.embed import file_html
-    from bokeh.resources import INLINE
-
-    text = file_html(content, INLINE, title=title)
+    body = "".join(_table(part) if isinstance(part, Table) else part for part in parts)
+    name = html.escape(title)
+    text = (
+        f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{name}</title>'
+        f"<style>{_STYLE}</style></head><body><h1>{name}</h1>{body}<script>{_SCRIPT}</script></body></html>"
+    )
     try:
         with replacing(path) as page:
             page.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise InputError(f"{path}: the page cannot be written ({error.strerror})") from error
+        raise InputError(f"{path}: the page cannot be written ({error.strerror}); name another file") from error
+
+
+def _table(table: Table) -> str:
+    links = " ".join(
+        f'<a download="table.{kind}" href="data:{media};charset=utf-8,{quote(text)}">{kind.upper()}</a>'
+        for kind, media, text in (("csv", "text/csv", table.csv()), ("json", "application/json", table.json()))
+    )
+    return f'<div class="table">{table.html()}<small>a heading sorts; take it as {links}</small></div>'

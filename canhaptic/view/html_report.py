@@ -1,40 +1,40 @@
-"""`inspect --html`: one file with linked panels that any browser opens without a network; drawn by Bokeh.
+"""`inspect --html`: one page with the account, pictures of the run and of its worst moments, contacts and events."""
 
-Bokeh is imported when a report is written, not before. Colours are those of Okabe and Ito, as in the pictures.
-"""
-
-import html
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from canhaptic.audit.extent import rows_between, rows_to_draw
-from canhaptic.control.verdict import PortResult
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.hdf5 import Array
 from canhaptic.signals import CycleTiming
 from canhaptic.view.decimate import decimate
-from canhaptic.view.html_page import require_bokeh, write_page
-from canhaptic.view.series import PortSeries, losses
+from canhaptic.view.energy_table import energy_table
+from canhaptic.view.html_page import picture, words, write_page
+from canhaptic.view.inspect_table import inspection_tables
+from canhaptic.view.palette import BLUE, GREEN, OVERLAID, PURPLE, VERMILION
+from canhaptic.view.picture_style import axis_scale, drawing, save_picture
+from canhaptic.view.run_picture import draw_energy
+from canhaptic.view.series import FAULTS, losses
 from canhaptic.view.si import si
-from canhaptic.view.task_plane import task_plane
+from canhaptic.view.table import Table
 from canhaptic.view.verdict_bar import verdict_bar
 
 if TYPE_CHECKING:
-    from bokeh.plotting import figure
+    from matplotlib.axes import Axes
 
     from canhaptic.audit.inspection import Inspection
-    from canhaptic.view.html_panels import Panels
 
 _BUCKETS: Final = 1000
-_LINK_POINTS: Final = 4000
+_SPAN: Final = 0.25  # [s] shown on either side of a moment
+_MOST_FAULTS: Final = 3
 _S_PER_NS: Final = 1e-9
-_STYLE: Final = (
-    "<style>body{font-family:system-ui,sans-serif;margin:12px 18px;color:#222}"
-    "table.account td,table.account th{padding:1px 14px 1px 0;text-align:right}"
-    "table.account th:first-child,table.account td:first-child{text-align:left}</style>"
-)
+_Panels = dict[str, tuple[str, dict[str, tuple[Array, Array]]]]
+"""Title -> unit and lines, each as times [s] and values."""
 
 
 def write_html(
@@ -56,83 +56,104 @@ def write_html(
         others: Further runs, drawn over the first in thin dashed lines.
 
     Raises:
-        InputError: The log holds no cycle there, Bokeh is not installed, or the page cannot be written.
+        InputError: The log holds no cycle there, matplotlib is not installed, or the page cannot be written.
     """
     rows = rows_to_draw(log, start, stop)
-    require_bokeh()
-    from canhaptic.view.html_panels import Panels
-
-    panels = Panels(result["from"], result["to"])
-    further = [(other, rows_between(other, start, stop)) for other in others if other.rows]
-    tabs = []
-    for name in sorted(log.ports, key=lambda name: name not in log.groups):  # groups first: they have the account
-        over = {one.path.name: PortSeries(one, name, of_one) for one, of_one in further if name in one.ports}
-        tabs.append(panels.port(PortSeries(log, name, rows), over, task_plane(log, name, rows)))
-    common = [_timing(log, rows, panels), _link(log, rows, panels)]
-    heading = _heading(log, result, others, panels.empty)
-    page = panels.page(heading, tabs, [panel for panel in common if panel is not None])
-    write_page(page, f"{log.path.name} - canhaptic", path)
-
-
-def _timing(log: EnergyLog, rows: slice, panels: "Panels") -> "figure | None":
-    parts = {name: log.timing.read(name, rows.start, rows.stop) * _S_PER_NS for name in CycleTiming._fields}
-    if not any(values.any() for values in parts.values()):
-        return None  # in lock-step virtual time does not advance within a cycle
-    shown = np.unique(np.concatenate([decimate(values, _BUCKETS) for values in parts.values()]))
-    time = log.deadlines(rows.start, rows.stop)[shown] * log.sample_time
-    columns = {name: values[shown].astype(np.float32) for name, values in parts.items()}
-    return panels.timing({"time": time, **columns}, log.sample_time)
+    whole = partial(draw_energy, log, start=start, stop=stop, others=others)
+    parts: list[str | Table] = [words(_facts(result)), verdict_bar(result["ports"]), picture(whole, "the run")]
+    for title, moment in _moments(result):
+        near = partial(draw_energy, log, start=moment - _SPAN, stop=moment + _SPAN, others=others)
+        parts.append(picture(near, title, folded=True))
+    motions = {one.path.name: (one, rows_between(one, start, stop)) for one in others if one.rows}
+    parts.append(picture(partial(_draw_motion, log, rows, motions), "force over position", folded=True))
+    panels, idle = _further(log, rows)
+    if panels:
+        parts.append(picture(partial(_draw_further, panels), "damping, timing, losses", folded=True))
+    if idle:
+        parts.append(words(f"zero throughout, not drawn: {', '.join(idle)}"))
+    write_page(path, log.path.name, [*parts, energy_table(result), *inspection_tables(result)])
 
 
-def _link(log: EnergyLog, rows: slice, panels: "Panels") -> "figure | None":
-    """What was lost, summed; no panel where nothing was."""
-    lost = {name: np.cumsum(values) for name, values in losses(log, rows.start, rows.stop).items()}
-    if not any(total[-1] for total in lost.values()):
-        panels.empty.append("lost")
-        return None
-    picks = [np.array([0, rows.stop - rows.start - 1])]
-    for total in lost.values():
-        changes = np.flatnonzero(np.diff(total, prepend=0))
-        picks.append(changes[:: max(1, len(changes) // _LINK_POINTS)])
-    shown = np.unique(np.concatenate(picks))
-    time = log.deadlines(rows.start, rows.stop)[shown] * log.sample_time
-    return panels.link({"time": time} | {name: total[shown].astype(np.float32) for name, total in lost.items()})
-
-
-def _heading(log: EnergyLog, result: "Inspection", others: Sequence[EnergyLog], empty: Sequence[str]) -> str:
-    facts = [
-        f"<b>{html.escape(log.path.name)}</b>",
-        html.escape(str(result["status"])),
-        f"{result['cycles']} cycles at {si(result['rate'], 'Hz', 3)}",
-        f"configuration {result['config_hash'][:12]}",
-        f"TPDOs received {100.0 * result['link']['success_rate']:.6g} %",
-        f"over it, dashed: <b>{html.escape(', '.join(one.path.name for one in others))}</b>" if others else "",
-    ]
-    rows = [f"<tr><th>port</th>{''.join(f'<th>{title}</th>' for title in _ACCOUNT)}</tr>"]
-    for name, port in result["ports"].items():
-        cells = "".join(f"<td>{_cell(value, port)}</td>" for value in _ACCOUNT.values())
-        rows.append(f"<tr><td><b>{html.escape(name)}</b></td>{cells}</tr>")
-    line = " &nbsp; ".join(fact for fact in facts if fact)
-    left_out = f"<p>zero throughout, not drawn: {html.escape(', '.join(empty))}</p>" if empty else ""
+def _facts(result: "Inspection") -> str:
     return (
-        f"{_STYLE}<p>{line}</p>{verdict_bar(result['ports'])}<table class='account'>{''.join(rows)}</table>{left_out}"
+        f"{result['status']}   {result['cycles']} cycles at {si(result['rate'], 'Hz', 3)}   configuration "
+        f"{result['config_hash'][:12]}   TPDOs received {100.0 * result['link']['success_rate']:.6g} %"
     )
 
 
-def _cell(value: Callable[[PortResult], float], port: PortResult) -> str:
-    try:
-        return si(value(port), "J")
-    except KeyError:  # an axis in a group: its account is the group's
-        return "-"
+def _moments(result: "Inspection") -> Iterator[tuple[str, float]]:
+    """Yields title and time [s] of the moments that are drawn once more, larger."""
+    if result["to"] - result["from"] <= 2.0 * _SPAN:
+        return
+    for name, port in result["ports"].items():
+        if "margin" in port:
+            time = min(max(port["margin"]["time"], result["from"]), result["to"])
+            yield f"{name}: around the least margin, {si(port['margin']['value'], 'J')} at {time:.4g} s", time
+    for event in [event for event in result["events"] if event["kind"] in FAULTS][:_MOST_FAULTS]:
+        time = min(max(event["time"], result["from"]), result["to"])
+        yield f"around {event['kind']} {event['text']} at {event['time']:.4g} s", time
 
 
-_ACCOUNT: Final[dict[str, Callable[[PortResult], float]]] = {
-    "in": lambda port: port["in"],
-    "out": lambda port: port["out"],
-    "dissipated": lambda port: port["dissipated"],
-    "stored at end": lambda port: port["stored"],
-    "surplus, most": lambda port: port["surplus"]["max"],
-    "deficit": lambda port: port["deficit"],
-    "least margin": lambda port: port["margin"]["value"],
-    "least interaction": lambda port: port["least_interaction"],
-}
+def _further(log: EnergyLog, rows: slice) -> tuple[_Panels, list[str]]:
+    """Returns the panels of what the picture of a run leaves out, and the names of those that hold only zeros."""
+    span = rows.start, rows.stop
+    time = log.deadlines(*span) * log.sample_time
+
+    def thinned(values: Array) -> tuple[Array, Array]:
+        shown = decimate(values, _BUCKETS)
+        return time[shown], values[shown].astype(np.float64)
+
+    panels: _Panels = {
+        f"{name}: damping rendered": (
+            port.unit("damping_rendered"),
+            {"damping": thinned(port.read("damping_rendered", *span))},
+        )
+        for name, port in log.ports.items()
+        if name not in log.group_of
+    }
+    timing = {name.replace("_", " "): thinned(log.timing.read(name, *span)) for name in CycleTiming._fields}
+    panels["timing"] = "s", {name: (at, values * _S_PER_NS) for name, (at, values) in timing.items()}
+    panels["lost"] = "", {name: thinned(np.cumsum(of)) for name, of in losses(log, *span).items() if of.any()}
+    shown = {title: panel for title, panel in panels.items() if any(line.any() for _, line in panel[1].values())}
+    return shown, [title for title in panels if title not in shown]
+
+
+def _draw_further(panels: _Panels, path: Path) -> None:
+    with drawing() as figure_type:
+        figure = figure_type(figsize=(8.5, 0.4 + 1.6 * len(panels)), layout="constrained")
+        places = figure.subplots(len(panels), sharex=True, squeeze=False)[:, 0]
+        for place, (title, (unit, lines)) in zip(places, panels.items(), strict=True):
+            largest = max(float(np.abs(line).max()) for _, line in lines.values())
+            scale, prefix = axis_scale(largest) if unit else (1.0, "")
+            stair = "default" if title == "timing" else "steps-post"
+            for (name, (time, line)), colour in zip(
+                lines.items(), cycle((BLUE, GREEN, VERMILION, PURPLE)), strict=False
+            ):
+                place.plot(time, line / scale, color=colour, linewidth=1.0, drawstyle=stair, label=name)
+            _finish(place, title, f"[{prefix}{unit}]" if unit else "")
+        places[-1].set_xlabel("time [s]")
+        save_picture(figure, path)
+
+
+def _draw_motion(log: EnergyLog, rows: slice, others: dict[str, tuple[EnergyLog, slice]], path: Path) -> None:
+    """Draws the effort that acted over the position, one panel per axis: its slope is the stiffness felt."""
+    names = [name for name in log.ports if name not in log.groups]
+    with drawing() as figure_type:
+        figure = figure_type(figsize=(6.0 * len(names), 3.6), layout="constrained")
+        for place, name in zip(figure.subplots(1, len(names), squeeze=False)[0], names, strict=True):
+            runs = {"applied": (log, rows)} | {label: run for label, run in others.items() if name in run[0].ports}
+            for (label, (one, of_one)), colour in zip(runs.items(), cycle((BLUE, *OVERLAID)), strict=False):
+                port = one.ports[name]
+                position, effort = (port.read(key, of_one.start, of_one.stop) for key in ("position", "torque_applied"))
+                shown = np.unique(np.concatenate([decimate(position, _BUCKETS), decimate(effort, _BUCKETS)]))
+                place.plot(position[shown], effort[shown], color=colour, linewidth=0.9, label=label)
+            unit = log.ports[name].unit("torque_applied")
+            place.set_xlabel(f"position [{log.ports[name].unit('position')}]")
+            _finish(place, f"{name}: {'torque' if unit == 'N*m' else 'force'} over position", f"[{unit}]")
+        save_picture(figure, path)
+
+
+def _finish(place: "Axes", title: str, unit: str) -> None:
+    place.set_title(title, fontweight="bold")
+    place.set_ylabel(unit)
+    place.legend(loc="best", fontsize=8.0)

@@ -27,19 +27,22 @@ def inspection_report(result: Inspection) -> RenderableType:
     """Returns everything that `inspect` found, for a terminal."""
     parts: list[RenderableType] = [_header(result), energy_report(result)]
     parts += [_finding_line(finding) for finding in result.get("findings", ())]
-    for name, contacts in result.get("contacts", {}).items():
-        if contacts:
-            port = result["ports"][name]
-            parts.append(_contacts_table(name, contacts, port["unit"], port.get("state_unit", port["unit"])))
-    if result.get("events"):
-        parts.append(_events_table(result["events"]))
-    if result.get("checks"):
-        parts.append(checks_table(result["checks"]))
+    parts += inspection_tables(result)
     for mismatch in result.get("recomputed", []):
         parts.append(_recomputed_line(mismatch))
     if "rederived" in result:
         parts.append(_rederived_line(result["rederived"]))
     return Group(*parts)
+
+
+def inspection_tables(result: Inspection) -> list[Table]:
+    """Returns contacts, events and checks, as far as there are any."""
+    tables = []
+    for name, contacts in result.get("contacts", {}).items():
+        port = result["ports"][name]
+        tables.append(_contacts_table(name, contacts, port["unit"], port.get("state_unit", port["unit"])))
+    tables += [_events_table(result.get("events", [])), checks_table(result.get("checks", []))]
+    return [table for table in tables if table.rows]
 
 
 def _header(result: Inspection) -> Text:

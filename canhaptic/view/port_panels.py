@@ -1,11 +1,10 @@
-"""The panels of one port, on the page of a finished run and on that of a running one: the same lines and colours.
+"""The panels of one port on the page of a running run, in the colours of the picture of a finished one.
 
-Data that are decimated are drawn as plain lines: between two rows that are far apart a stair would show a value for as
-long as nothing is known of it. Only where every row is drawn does a torque stay until the SYNC that changes it.
+Decimated data are drawn as plain lines: between two rows that are far apart a stair would show a value for as long as
+nothing is known of it.
 """
 
 from collections.abc import Mapping, Sequence
-from itertools import cycle
 from typing import Any, Final
 
 import numpy as np
@@ -14,7 +13,7 @@ from bokeh.plotting import figure
 
 from canhaptic.logs.hdf5 import Array
 from canhaptic.view.bokeh_style import add_hover, finished, new_panel
-from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, OVERLAID, VERMILION
+from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, VERMILION
 from canhaptic.view.series import MarkedEvent, PortFacts
 
 OPTIONAL: Final[dict[str, tuple[str, ...]]] = {
@@ -44,11 +43,9 @@ class PortPanels:
     Args:
         facts: Figures of the port.
         time: The range that all panels share.
-        source: Columns of `PortSeries.columns`.
+        source: Columns of `LiveLog`.
         contacts: Columns start and end of each contact [s].
         faults: Columns at [s] and text of each fault.
-        others: Name and source of further runs, drawn over it in thin dashed lines.
-        stairs: Whether every row is drawn.
 
     Attributes:
         panels: Title -> panel, top to bottom; a group has no position, an axis of a group no energy, and only an
@@ -62,11 +59,8 @@ class PortPanels:
         source: ColumnDataSource,
         contacts: ColumnDataSource,
         faults: ColumnDataSource,
-        others: Sequence[tuple[str, ColumnDataSource]] = (),
-        *,
-        stairs: bool = False,
     ) -> None:
-        self._facts, self._time, self._source, self._others, self._stairs = facts, time, source, others, stairs
+        self._facts, self._time, self._source = facts, time, source
         self.panels: dict[str, figure] = {}
         if not facts.is_group:
             self.panels["position"] = self._position()
@@ -84,19 +78,8 @@ class PortPanels:
     def _panel(self, title: str, unit: str, height: int) -> figure:
         return new_panel(f"{self._facts.name}: {title}", unit, self._time, height)
 
-    def _line(self, panel: figure, name: str, hold: str | None = None, **style: Any) -> None:
-        """Draws a column; `hold` says on which side of a row its value acts, where it is drawn as a stair."""
-        if hold is not None and self._stairs:
-            panel.step("time", name, mode=hold, source=self._source, name=name, **style)
-        else:
-            panel.line("time", name, source=self._source, name=name, **style)
-
-    def _other(self, panel: figure, *names: str) -> None:
-        """Draws the other runs over this one."""
-        for (label, source), colour in zip(self._others, cycle(OVERLAID)):
-            for name in names:
-                style = {"color": colour, "line_width": 1.0, "line_dash": [3, 2], "legend_label": label}
-                panel.line("time", name, source=source, **style)
+    def _line(self, panel: figure, name: str, **style: Any) -> None:
+        panel.line("time", name, source=self._source, name=name, **style)
 
     def _position(self) -> figure:
         unit, wall = self._facts.units["position"], self._facts.wall
@@ -106,7 +89,6 @@ class PortPanels:
             panel.hspan(y=[wall], line_color=GREY, line_dash="dashed", legend_label="wall", name="wall")
             edge = {"top": wall} if self._facts.wall_side == "below" else {"bottom": wall}
             panel.add_layout(BoxAnnotation(**edge, fill_color=GREY, fill_alpha=0.10, line_alpha=0.0, level="underlay"))
-        self._other(panel, "position")
         add_hover(panel, "position", {"position": ("position", unit)})
         return finished(panel)
 
@@ -115,18 +97,16 @@ class PortPanels:
         panel = self._panel("torque" if unit == "N*m" else "force", unit, 190)
         label, values = "on the hand" if self._facts.is_display else "applied", {"applied": ("applied", unit)}
         if not self._facts.is_display:
-            self._line(panel, "command", "after", color=ORANGE, line_width=2.5, alpha=0.8, legend_label="commanded")
+            self._line(panel, "command", color=ORANGE, line_width=2.5, alpha=0.8, legend_label="commanded")
             values["commanded"] = ("command", unit)
-        self._line(panel, "applied", "before", color=BLUE, line_width=1.2, legend_label=label)
-        self._other(panel, "applied")
+        self._line(panel, "applied", color=BLUE, line_width=1.2, legend_label=label)
         add_hover(panel, "applied", values)
         return finished(panel)
 
     def _velocity(self) -> figure:
         unit = self._facts.units["command"]
         panel = self._panel("velocity", unit, 190)
-        self._line(panel, "command", "after", color=ORANGE, line_width=1.5, legend_label="commanded")
-        self._other(panel, "command")
+        self._line(panel, "command", color=ORANGE, line_width=1.5, legend_label="commanded")
         add_hover(panel, "command", {"commanded": ("command", unit)})
         return finished(panel)
 
@@ -138,7 +118,6 @@ class PortPanels:
         panel.varea("time", "taken_in", "upper", fill_color=VERMILION, fill_alpha=0.5, name="negative margin", **area)
         self._line(panel, "taken_in", color=BLUE, line_width=1.5, legend_label="in")
         self._line(panel, "dissipated", color=VERMILION, line_width=1.5, line_dash=[6, 3], legend_label="dissipated")
-        self._other(panel, "taken_in", "dissipated")
         names = {"in": "taken_in", "dissipated": "dissipated", "margin": "margin"}
         add_hover(panel, "taken_in", {label: (name, "J") for label, name in names.items()})
         return finished(panel)
@@ -147,13 +126,12 @@ class PortPanels:
         panel = self._panel("surplus", "J", 150)
         self._line(panel, "surplus", color=ORANGE, line_width=1.5, legend_label="surplus to dissipate")
         self._line(panel, "deficit", color=VERMILION, line_dash=[6, 3], legend_label="deficit, summed")
-        self._other(panel, "surplus")
         add_hover(panel, "surplus", {"surplus": ("surplus", "J"), "deficit": ("deficit", "J")})
         return finished(panel)
 
     def _damping(self) -> figure:
         unit = self._facts.units["damping"]
         panel = self._panel("damping", unit, 130)
-        self._line(panel, "damping", "after", color=GREEN, line_width=1.2, legend_label="damping rendered")
+        self._line(panel, "damping", color=GREEN, line_width=1.2, legend_label="damping rendered")
         add_hover(panel, "damping", {"damping": ("damping", unit)})
         return finished(panel)

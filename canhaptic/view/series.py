@@ -1,24 +1,15 @@
-"""What is drawn of one port: a few thousand rows out of millions, no spike lost, every row around what matters."""
+"""What is drawn of one port: its units, its wall, what was lost and which events are marked."""
 
-from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.audit.extent import contacts
 from canhaptic.logs.columns import Event
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
-from canhaptic.view.decimate import decimate
 
 FAULTS: Final = frozenset({"fault", "emcy", "stop", "limit"})
 """Kinds of events that are marked."""
-_BUCKETS: Final = 400  # per quantity; about twice as many rows
-_FULL_SPAN: Final = 0.25  # [s] drawn row by row on either side of the worst margin and of each fault
-_FULL_PLACES: Final = 10
-_FULL_ROWS: Final = 2000  # at each of them, at most
-
-
 COLUMNS: Final = {
     "position": "position",
     "command": "torque_command",
@@ -82,74 +73,6 @@ def losses(log: EnergyLog, start: int, stop: int) -> dict[str, Array]:
         if name not in log.groups:
             lost[f"{name}: TPDOs missed"] = (port.read("fresh", start, stop) == 0).astype(np.int64)
     return lost | {"cycles not in the log": dropped}
-
-
-class PortSeries:
-    """The rows to draw of one port.
-
-    Attributes:
-        facts: Name, units, wall.
-        columns: time [s] and what `facts.units` names, each of the same length; single precision but for the time.
-        is_whole: Whether every row is drawn, none left out.
-        sample_time: [s]
-        worst: Time of the least margin [s].
-        contacts: First and last time of each contact [s], greatest torque in it, and energy taken in.
-        faults: Events to mark, each with its time [s].
-    """
-
-    def __init__(self, log: EnergyLog, name: str, rows: slice) -> None:
-        self.facts = port_facts(log, name)
-        self.sample_time = log.sample_time
-        self._rows = rows
-        self._port = log.ports[name]
-        index = log.timing["sync_index"][rows]
-        time = log.deadlines(rows.start, rows.stop) * log.sample_time
-        full = self._columns()
-        worst = int(full["margin"].argmin())
-        self.worst = float(time[worst])
-        self.faults = faults_of(log, name, index)
-        self.contacts = self._contacts(time, full)
-        places = [int(np.searchsorted(index, fault.event.sync_index)) for fault in self.faults]
-        shown = self._shown(full, [worst, *places])
-        self.is_whole = len(shown) == len(time)
-        self.columns: dict[str, Array] = {"time": time[shown]} | {key: values[shown] for key, values in full.items()}
-        self.columns["upper"] = np.maximum(self.columns["taken_in"], self.columns["dissipated"])
-
-    def _read(self, name: str) -> Array:
-        return self._port.read(name, self._rows.start, self._rows.stop)
-
-    def _columns(self) -> dict[str, Array]:
-        """Every row of what is drawn, in single precision: an hour of doubles would take half a gigabyte."""
-        taken_in = np.cumsum(self._read("h_i"), dtype=np.longdouble)
-        dissipated = np.cumsum(self._read("h_r"), dtype=np.longdouble)
-        columns = {
-            "taken_in": taken_in.astype(np.float32),
-            "dissipated": dissipated.astype(np.float32),
-            "margin": (taken_in - dissipated).astype(np.float32),
-            "deficit": np.cumsum(self._read("deficit")).astype(np.float32),
-        }
-        del taken_in, dissipated
-        return columns | {key: self._read(name).astype(np.float32) for key, name in COLUMNS.items()}
-
-    def _contacts(self, time: Array, full: dict[str, Array]) -> dict[str, list[float]]:
-        found = [] if self.facts.is_member else contacts(self._read("branch"))
-        before = [max(0, first - 1) for first, _ in found]
-        return {
-            "start": [float(time[first]) for first, _ in found],
-            "end": [float(time[last]) for _, last in found],
-            "peak": [float(np.abs(full["applied"][first : last + 1]).max()) for first, last in found],
-            "energy": [
-                float(full["taken_in"][last]) - float(full["taken_in"][start])
-                for start, (_, last) in zip(before, found, strict=True)
-            ],
-        }
-
-    def _shown(self, full: dict[str, Array], places: Sequence[int]) -> Array:
-        count = len(full["position"])
-        picks = [decimate(values, _BUCKETS) for values in full.values()]
-        span = min(_FULL_ROWS // 2, round(_FULL_SPAN / self.sample_time))
-        picks += [np.arange(max(0, row - span), min(count, row + span)) for row in places[:_FULL_PLACES]]
-        return np.unique(np.concatenate(picks))
 
 
 def faults_of(log: EnergyLog, port: str, index: Array) -> list[MarkedEvent]:

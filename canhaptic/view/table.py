@@ -3,6 +3,8 @@
 import csv
 import html
 import io
+import json
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
@@ -24,7 +26,7 @@ class Styled(NamedTuple):
 
 
 Cell = str | int | float | Styled | None
-"""A float is shown with four digits; None is an empty cell."""
+"""A float is shown with four digits, NaN as a dash; None is an empty cell."""
 
 
 @dataclass(frozen=True)
@@ -52,33 +54,40 @@ class Table:
             if row and len(row) != len(self.columns):
                 raise ValueError(f"{self.title}: row {number} has {len(row)} cells, expected {len(self.columns)}")
 
-    def records(self) -> list[dict[str, str | int | float | None]]:
-        """Returns one mapping of headings to plain values per row, for JSON."""
-        heads = [" ".join(head.split()) for head in self.columns]
-        plain = ([cell.text if isinstance(cell, Styled) else cell for cell in row] for row in self.rows if row)
-        return [dict(zip(heads, row, strict=True)) for row in plain]
+    def json(self) -> str:
+        """Returns a list with one object per row, headings as keys; what is no finite number is null."""
+        return json.dumps([dict(zip(self._heads(), row, strict=True)) for row in self._plain()], allow_nan=False)
 
     def csv(self) -> str:
         """Returns headings and rows separated by commas, numbers with all their digits."""
         text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerows([[" ".join(head.split()) for head in self.columns], *(r.values() for r in self.records())])
+        csv.writer(text, lineterminator="\n").writerows([self._heads(), *self._plain()])
         return text.getvalue()
+
+    def _heads(self) -> list[str]:
+        return [" ".join(head.split()) for head in self.columns]
+
+    def _plain(self) -> list[list[str | int | float | None]]:
+        return [[_plain(cell) for cell in row] for row in self.rows if row]
 
     def markdown(self) -> str:
         """Returns heading and table for a page of documentation; a bold cell stays bold."""
         lines = [f"### {self.title.strip()}", ""] if self.title else []
-        lines += [_markdown_row([Styled(" ".join(head.split())) for head in self.columns])]
+        lines += [_markdown_row([*map(Styled, self._heads())])]
         lines += ["|" + "---|" * len(self.columns), *(_markdown_row(row) for row in map(_styled, self.rows) if row)]
         return "\n".join(lines) + "\n"
 
     def html(self) -> str:
-        """Returns a `<table>` whose cells carry their styles as classes."""
-        heads = "".join(f"<th>{html.escape(' '.join(head.split()))}</th>" for head in self.columns)
-        cells = ("".join(map(_html_cell, row)) for row in map(_styled, self.rows) if row)
+        """Returns a `<table>`; the classes of a cell are its style, and `key` where it names its row."""
+        heads = "".join(self._html_cell("th", index, Styled(head)) for index, head in enumerate(self._heads()))
+        cells = ("".join(self._html_cell("td", *cell) for cell in enumerate(_styled(row))) for row in self.rows if row)
         rows = "".join(f"<tr>{row}</tr>" for row in cells)
         title = f"<caption>{html.escape(self.title.strip())}</caption>" if self.title else ""
         return f"<table>{title}<thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>"
+
+    def _html_cell(self, kind: str, index: int, cell: Styled) -> str:
+        classes = f"{'key ' if self.keys is None or index < self.keys else ''}{cell.style}".strip()
+        return f'<{kind} class="{classes}">{html.escape(cell.text)}</{kind}>'
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Renders one table, or several below each other."""
@@ -126,17 +135,21 @@ def in_lines(text: str, width: int) -> str:
     return "\n".join(text[at : at + width] for at in range(0, len(text), width))
 
 
+def _plain(cell: Cell) -> str | int | float | None:
+    if isinstance(cell, Styled):
+        return cell.text
+    return None if isinstance(cell, float) and not math.isfinite(cell) else cell
+
+
 def _styled(row: Sequence[Cell]) -> list[Styled]:
-    return [cell if isinstance(cell, Styled) else Styled(_shown(cell)) for cell in row]
+    return [cell if isinstance(cell, Styled) else Styled(shown(cell)) for cell in row]
 
 
-def _shown(cell: str | int | float | None) -> str:
-    return f"{cell:.4g}" if isinstance(cell, float) else "" if cell is None else str(cell)
-
-
-def _html_cell(cell: Styled) -> str:
-    style = f' class="{cell.style}"' if cell.style else ""
-    return f"<td{style}>{html.escape(cell.text)}</td>"
+def shown(cell: str | int | float | None) -> str:
+    """Returns the words of a cell without a look."""
+    if isinstance(cell, float):
+        return "-" if math.isnan(cell) else f"{cell:.4g}"
+    return "" if cell is None else str(cell)
 
 
 def _markdown_row(row: Sequence[Styled]) -> str:

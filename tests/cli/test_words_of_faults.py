@@ -79,18 +79,19 @@ sys.exit(main(sys.argv[2:]))
 """
 
 
-@pytest.mark.slow_for("bokeh*")
+@pytest.mark.slow_for("matplotlib-plot-words1")
 @pytest.mark.parametrize(
     ("library", "extra", "words"),
     [
         ("matplotlib", "plot", ["run", DEMO, "--duration", "1000000", "--png", "a.png"]),
-        ("bokeh", "report", ["inspect", "absent.h5", "--html", "a.html"]),
+        ("matplotlib", "plot", ["inspect", "absent.h5", "--html", "a.html"]),
         *(
             pytest.param(*row, marks=pytest.mark.slow)  # each is a process that imports everything
             for row in (
                 ("matplotlib", "plot", ["compare", DEMO, "--duration", "1000000", "--png", "a.png"]),
-                ("bokeh", "report", ["accuracy", DEMO, "--budget", "100000", "--html", "a.html"]),
-                ("bokeh", "report", ["map", "absent.h5", "--html", "a.html"]),
+                ("matplotlib", "plot", ["accuracy", DEMO, "--budget", "100000", "--html", "a.html"]),
+                ("matplotlib", "plot", ["map", "absent.h5", "--html", "a.html"]),
+                ("bokeh", "report", ["scope", "absent.h5"]),
             )
         ),
     ],

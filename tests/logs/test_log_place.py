@@ -6,7 +6,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -169,9 +168,8 @@ def test_pictures_pages_tables_and_scenes_go_onto_regular_files_alone(
     assert main(["run", DEMO, "--duration", "0.1", "--log", str(log)]) == 0
     mine = tmp_path / "mine.txt"
     mine.write_text("mine")
-    with_bokeh = {".html": ["inspect", str(log), "--html"]} if find_spec("bokeh") else {}  # of another extra
     for suffix, words in {
-        **with_bokeh,
+        ".html": ["inspect", str(log), "--html"],
         ".png": ["inspect", str(log), "--png"],
         ".csv": ["inspect", str(log), "--csv"],
         ".yaml": ["commission", DEMO, "--yes", "--out"],

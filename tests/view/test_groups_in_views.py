@@ -1,7 +1,7 @@
 """A log with a group of axes in every view: account with the group, position and torque with the axes."""
 
+import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from canhaptic.scene.load import load_scene
 from canhaptic.view import html_report
 from canhaptic.view.live_log import LiveLog
 from canhaptic.view.run_picture import energy_figure
-from canhaptic.view.series import PortSeries
+from canhaptic.view.series import port_facts
 from canhaptic.view.task_plane import task_plane
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "xy_box.yaml"
@@ -62,11 +62,9 @@ def test_the_truths_of_the_parts_of_a_run_add_up_to_that_of_the_whole(path: Path
 
 def test_only_what_a_port_has_is_drawn(path: Path) -> None:
     with EnergyLog.open(path) as log:
-        stage, x = (PortSeries(log, name, slice(0, log.rows)) for name in ("stage", "x"))
-    assert (stage.facts.is_group, stage.facts.is_member) == (True, False)
-    assert (x.facts.is_group, x.facts.is_member) == (False, True)
-    assert x.contacts["start"] == []
-    assert stage.contacts["start"]
+        stage, x = (port_facts(log, name) for name in ("stage", "x"))
+    assert (stage.is_group, stage.is_member) == (True, False)
+    assert (x.is_group, x.is_member) == (False, True)
 
 
 def test_a_look_at_a_growing_log_knows_groups(path: Path) -> None:
@@ -86,38 +84,26 @@ def test_the_picture_has_one_column_for_the_group(path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def page(path: Path) -> Any:
-    """The layout that `inspect --html` would write."""
-    pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
-    written: list[Any] = []
-    with pytest.MonkeyPatch.context() as patch, EnergyLog.open(path) as log:
-        patch.setattr(html_report, "write_page", lambda content, *_: written.append(content))
+def page(path: Path) -> str:
+    """The page that `inspect --html` writes."""
+    pytest.importorskip("matplotlib")
+    with EnergyLog.open(path) as log:
         html_report.write_html(log, path.with_suffix(".html"), inspect(log))
-    return written[0]
+    return path.with_suffix(".html").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
-def test_the_page_has_a_tab_for_the_group_and_for_each_axis(page: Any) -> None:
-    from bokeh.models import Button, TabPanel
+def test_the_page_has_the_account_of_the_group_and_the_force_of_each_axis(page: str) -> None:
+    heads = re.findall(r"<th[^>]*>([^<]*)</th>", page)
+    assert heads[:4] == ["energy account", "stage", "x", "y"]
+    assert page.count("passive at the motor: yes") == 1
+    assert [name for name in ("x", "y", "stage") if f"<!-- {name}: force over position -->" in page] == ["x", "y"]
+    assert "around the least margin" in page
 
-    assert sorted(tab.title for tab in page.select({"type": TabPanel})) == ["stage", "x", "y"]
-    assert {button.label for button in page.select({"type": Button})} == {"whole run", "stage: worst margin"}
-    assert page.select_one({"name": "heading"}).text.count("passive at the motor: yes") == 1
 
-
-def test_the_page_shows_path_and_room(path: Path, page: Any) -> None:
-    panel = page.select_one({"name": "stage: path"})
-    drawn = panel.select_one({"name": "path"}).data_source.data
-    with EnergyLog.open(path) as log:
-        assert np.max(drawn["x"]) == log.ports["x"]["position"].max()
-        assert np.max(drawn["y"]) == log.ports["y"]["position"].max()
-    surface = panel.select_one({"name": "surface"}).data_source.data
-    x = np.concatenate([np.asarray(line) for line in surface["xs"]])
-    y = np.concatenate([np.asarray(line) for line in surface["ys"]])
-    assert np.nanmax(x) == pytest.approx(0.03, abs=2e-4)
-    assert (np.nanmin(y), np.nanmax(y)) == pytest.approx((-0.02, 0.02), abs=2e-4)
-    width, height = ((there.end - there.start) for there in (panel.x_range, panel.y_range))
-    assert panel.frame_width / panel.frame_height == pytest.approx(width / height, rel=0.01)  # to the same scale
+@pytest.mark.slow
+def test_the_page_shows_path_and_room(page: str) -> None:
+    assert all(f"<!-- {title} -->" in page for title in ("stage: path", "surface"))
 
 
 @pytest.mark.slow

@@ -1,74 +1,29 @@
+import json
+import math
 import re
 import subprocess
 import sys
 from pathlib import Path
+from urllib.parse import unquote
 
 import h5py
 import numpy as np
 import pytest
 
-from canhaptic.audit.extent import contacts
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.view import html_report
+from canhaptic.view.html_page import words, write_page
 from canhaptic.view.run_picture import energy_figure
-from canhaptic.view.series import PortSeries
+from canhaptic.view.table import Table
 from tests.view import typed
 from tests.view.chromium import chromium
-from tests.view.hour_run import SPIKE, write_hour
+from tests.view.hour_run import write_hour
 from tests.view.synthetic_run import write_run, write_troubled_run
 
 ROOT = Path(__file__).parents[2]
-READY = "window.Bokeh && Bokeh.documents.length && Bokeh.documents[0].is_idle"
-
-
-@pytest.mark.slow
-def test_what_is_drawn_keeps_spikes_and_every_row_around_worst_margin_and_faults(tmp_path: Path) -> None:
-    write_hour(tmp_path / "run.h5", rows=200_000)
-    with EnergyLog.open(tmp_path / "run.h5") as log:
-        series = PortSeries(log, "handle", slice(0, log.rows))
-    time, position = series.columns["time"], series.columns["position"]
-    assert len(time) < 12_000
-    assert np.all(np.diff(time) > 0)
-    assert position.max() == np.float32(SPIKE)
-    assert series.columns["margin"].min() == series.columns["margin"][np.searchsorted(time, series.worst)]
-    for place in (series.worst, series.faults[0].time):
-        around = time[(time > place - 0.2) & (time < place + 0.2)]
-        assert len(around) in (399, 400)
-    touching = position < -0.02
-    assert abs(len(series.contacts["start"]) - 100) <= 1
-    assert touching.any()
-
-
-def test_contacts_are_drawn_with_their_peak_and_energy_and_faults_with_their_port(tmp_path: Path) -> None:
-    write_run(tmp_path / "run.h5", cycles=3000, ports=("handle", "knob"))
-    with EnergyLog.open(tmp_path / "run.h5") as log:
-        handle, knob = (PortSeries(log, name, slice(0, log.rows)) for name in ("handle", "knob"))
-        port, found = log.ports["handle"], contacts(log.ports["handle"]["branch"])
-        assert len(found) == 2
-        for place, (first, last) in enumerate(found):
-            rows = slice(first, last + 1)
-            assert handle.contacts["start"][place] == pytest.approx(first * 1e-3)
-            assert handle.contacts["end"][place] == pytest.approx(last * 1e-3)
-            assert handle.contacts["peak"][place] == pytest.approx(np.abs(port["torque_applied"][rows]).max(), rel=1e-6)
-            assert handle.contacts["energy"][place] == pytest.approx(port["h_i"][rows].sum(), abs=1e-7)
-    shown = ("time", "position", "command", "applied", "damping", "margin", "surplus")
-    assert [handle.facts.units[name] for name in shown] == ["s", "m", "N", "N", "N*s/m", "J", "J"]
-    assert [knob.facts.units[name] for name in shown] == ["s", "rad", "N*m", "N*m", "N*m*s/rad", "J", "J"]
-    assert [(fault.event.sync_index, fault.time) for fault in handle.faults] == [(1500, pytest.approx(1.5))]
-    assert knob.faults == []
-
-
-class Taken:
-    """Replaces the panels and keeps what they are given."""
-
-    def timing(self, columns: dict[str, np.ndarray], period: float) -> dict[str, np.ndarray]:
-        assert period == 1e-3  # [s]
-        return columns
-
-    def link(self, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        return columns
+READY = "document.readyState == 'complete'"
 
 
 @pytest.mark.slow
@@ -77,20 +32,22 @@ def test_late_cycles_and_lost_frames_are_drawn(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "run.h5", "r+") as file:
         file["timing/dropped_before"][60] = 4
     with EnergyLog.open(tmp_path / "run.h5") as log:
-        rows = slice(0, log.rows)
-        timing, link = html_report._timing(log, rows, Taken()), html_report._link(log, rows, Taken())  # type: ignore[arg-type]
-    assert timing["wakeup_lateness"].max() == pytest.approx(950e-6)  # [s]
-    assert timing["time"][timing["wakeup_lateness"].argmax()] == pytest.approx(0.030)
-    missed, dropped = link["handle: TPDOs missed"], link["cycles not in the log"]
-    steps = np.searchsorted(link["time"], [0.0095, 0.0105, 0.0115, 0.1015]) - 1  # each lasts until the next
+        panels, idle = html_report._further(log, slice(0, log.rows))
+    assert idle == ["handle: damping rendered"]
+    time, lateness = panels["timing"][1]["wakeup lateness"]
+    assert lateness.max() == pytest.approx(950e-6)  # [s]
+    assert time[lateness.argmax()] == pytest.approx(0.030)
+    (time, missed), (_, dropped) = (
+        panels["lost"][1][name] for name in ("handle: TPDOs missed", "cycles not in the log")
+    )
+    steps = np.searchsorted(time, [0.0095, 0.0105, 0.0115, 0.1015]) - 1  # each lasts until the next
     assert missed[steps].tolist() == [0.0, 1.0, 2.0, 3.0]
     assert (dropped[0], dropped[-1]) == (0.0, 4.0)
-    assert link["time"][dropped.argmax()] == pytest.approx(0.062)
+    assert time[dropped.argmax()] == pytest.approx(0.062)
 
 
 @pytest.mark.slow
 def test_a_part_of_a_run_can_be_drawn_and_an_empty_log_cannot(tmp_path: Path) -> None:
-    pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
     write_run(tmp_path / "run.h5", cycles=600, ports=("handle", "knob"))
     assert (
         typed.inspect(tmp_path / "run.h5", "--html", tmp_path / "part.html", "--from", "0.1", "--to", "0.3", "--json")
@@ -134,7 +91,6 @@ def inspect_apart(*words: str | Path) -> float:
 
 @pytest.mark.slow
 def test_an_hour_is_inspected_in_little_memory_and_opens_in_a_browser(tmp_path: Path) -> None:
-    pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
     log, page_file = tmp_path / "hour.h5", tmp_path / "hour.html"
     write_hour(log)
     assert inspect_apart(log, "--html", page_file) < 500.0
@@ -148,40 +104,74 @@ def test_an_hour_is_inspected_in_little_memory_and_opens_in_a_browser(tmp_path: 
 
 
 @pytest.mark.slow
-def test_the_page_zooms_to_the_worst_margin_and_hovers_with_units(tmp_path: Path) -> None:
-    pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
+def test_worst_margin_and_faults_are_drawn_once_more_larger(tmp_path: Path) -> None:
     write_run(tmp_path / "run.h5", cycles=4000, ports=("handle", "knob"))
     assert typed.inspect(tmp_path / "run.h5", "--html", tmp_path / "run.html", "--json") == 0
+    titles = re.findall("<summary>(.*?)</summary>", (tmp_path / "run.html").read_text(encoding="utf-8"))
+    assert [title.split(",")[0] for title in titles[:2]] == [
+        f"{n}: around the least margin" for n in ("handle", "knob")
+    ]
+    assert titles[2] == "around emcy 0x8130 heartbeat lost at 2 s"
+    assert titles[3:] == ["force over position", "damping, timing, losses"]
+
+
+@pytest.mark.slow
+def test_a_click_on_a_heading_sorts_values_with_their_prefixes_and_puts_blanks_last(tmp_path: Path) -> None:
+    cells = [["b", "12 mm"], ["a", "3 m"], ["d", ""], ["c", "900 um"], ["e", "-"]]
+    write_page(tmp_path / "page.html", "a page", [Table("", ("name", "size"), cells, keys=1)])
     with chromium() as page:
-        page.open((tmp_path / "run.html").as_uri())
-        page.wait_for(READY)
-        models = "[...Bokeh.documents[0]._all_models.values()]"
-        time = f"{models}.filter(m => m.type == 'Figure')[0].x_range"
-        ranges = f"new Set({models}.filter(m => m.type == 'Figure').map(m => m.x_range.id)).size"
-        assert page.value(ranges) == 1 + 2  # one time axis for all panels over time; one of position for each port
-        assert page.value(f"{time}.end - {time}.start") == pytest.approx(3.999)
-        click = f"{models}.find(m => m.type == 'Button' && m.label.endsWith('worst margin')).trigger_event"
-        assert page.value(f"typeof ({click})") == "function"
-        page.value("""(() => {
-            const view = (function find(v) {
-                if (v.model && v.model.type == 'Button' && v.model.label == 'handle: worst margin') return v;
-                for (const c of (v.children ? v.children() : [])) { const f = find(c); if (f) return f; }
-            })(Object.values(Bokeh.index)[0] || [...Bokeh.index.roots][0]);
-            view.click(); })()""")
-        assert 0.2 < page.value(f"{time}.end - {time}.start") <= 0.51
-        pointers = f"{models}.filter(m => m.type == 'CustomJSHover')"
-        units = page.value(f"[...new Set({pointers}.map(m => m.args.unit))]")
-        assert {"m", "rad", "N", "N*m", "J", "s", "N*s/m"} <= set(units)
-        metres = f"{models}.find(m => m.type == 'CustomJSTickFormatter' && m.args.unit == 'm')"
-        ticks = page.value(f"{metres}.doFormat([0, 0.05, 0.1], {{}})")
-        assert ticks == ["0 mm", "50 mm", "100 mm"]
-        page.screenshot(tmp_path / "zoomed.png")
+        page.open((tmp_path / "page.html").as_uri())
+        page.wait_for("document.readyState == 'complete'")
+        names = "[...document.querySelectorAll('tbody tr')].map(row => row.cells[0].textContent).join('')"
+        page.value("document.querySelectorAll('th')[1].click()")
+        assert page.value(names) == "cbade"
+        page.value("document.querySelectorAll('th')[1].click()")
+        assert page.value(names) == "abcde"
+        page.value("document.querySelectorAll('th')[0].click()")
+        assert page.value(names) == "abcde"
         assert page.faults == []
 
 
 @pytest.mark.slow
+def test_pictures_follow_the_colours_of_the_page_by_day_and_by_night(tmp_path: Path) -> None:
+    write_run(tmp_path / "run.h5", cycles=200)
+    assert typed.inspect(tmp_path / "run.h5", "--html", tmp_path / "run.html", "--json") == 0
+    with chromium() as page:
+        lightness = {}
+        for scheme in ("light", "dark"):
+            page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+            page.open((tmp_path / "run.html").as_uri())
+            page.wait_for("document.readyState == 'complete'")
+            colours = (
+                "[document.body, document.querySelector('#patch_1 path'), document.querySelector('#ytick_1 use')]"
+                ".map((part, i) => getComputedStyle(part)[i ? 'fill' : 'backgroundColor'])"
+            )
+            lightness[scheme] = [min(map(float, re.findall(r"[\d.]+", text)[:3])) for text in page.value(colours)]
+            assert page.faults == []
+    assert lightness["light"][0] == 255.0
+    assert lightness["dark"][0] < 40.0
+    assert lightness["light"][1] > 0.9  # the paper of the picture, 0 to 1
+    assert lightness["dark"][1] < 0.2
+
+
+def test_a_page_is_valid_text_without_network_and_takes_its_tables_along(tmp_path: Path) -> None:
+    table = Table("walls <1>", ("name", "k [N/m]"), [["soft & warm", 12.5], ["hard", math.nan]], keys=1)
+    write_page(tmp_path / "page.html", "a <page>", [words("one & two"), table])
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "a &lt;page&gt;" in text
+    assert "one &amp; two" in text
+    assert not re.search(r"(src|href)=\"(?!data:)", text)
+    links = dict(re.findall(r'href="data:([^;]+);charset=utf-8,([^"]*)"', text))
+    assert unquote(links["text/csv"]) == table.csv()
+    assert json.loads(unquote(links["application/json"])) == [
+        {"name": "soft & warm", "k [N/m]": 12.5}, {"name": "hard", "k [N/m]": None},
+    ]  # fmt: skip
+    with pytest.raises(InputError, match="cannot be written"):
+        write_page(tmp_path / "missing" / "page.html", "a page", [])
+
+
+@pytest.mark.slow
 def test_a_run_of_other_ports_is_not_laid_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
     write_run(tmp_path / "run.h5", cycles=200)
     write_run(tmp_path / "again.h5", cycles=200)
     assert typed.inspect(tmp_path / "run.h5", "--overlay", tmp_path / "again.h5", "--svg", tmp_path / "both.svg") == 0

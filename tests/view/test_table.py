@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import math
 from html.parser import HTMLParser
 
 import pytest
@@ -68,9 +69,16 @@ def test_html_and_csv_hold_every_cell_whatever_its_letters(table: Table) -> None
 
 @given(tables())
 def test_a_record_has_the_plain_value_of_every_column(table: Table) -> None:
-    for row, record in zip(table.rows, json.loads(json.dumps(table.records())), strict=True):
+    for row, record in zip(table.rows, json.loads(table.json()), strict=True):
         assert list(record) == list(table.columns)
         assert list(record.values()) == [cell.text if isinstance(cell, Styled) else cell for cell in row]
+
+
+def test_what_is_no_finite_number_is_null_and_blank_for_programs_and_named_for_people() -> None:
+    table = Table("", ("a", "b"), [[math.nan, math.inf]])
+    assert json.loads(table.json()) == [{"a": None, "b": None}]
+    assert table.csv() == "a,b\n,\n"
+    assert '<td class="key">-</td><td class="key">inf</td>' in table.html()
 
 
 @given(tables())

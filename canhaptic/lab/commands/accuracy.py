@@ -70,8 +70,7 @@ def _study_display(scene: Scene, arguments: argparse.Namespace) -> int:
 
 
 def _report(result: dict[str, object], arguments: argparse.Namespace) -> None:
-    from canhaptic.lab.render.accuracy_page import write_accuracy_page
-    from canhaptic.lab.render.accuracy_picture import draw_accuracy
+    from canhaptic.lab.render.accuracy_picture import draw_accuracy, write_accuracy_page
     from canhaptic.lab.studies.accuracy.accuracy_table import accuracy_report, markdown
 
     if arguments.json:

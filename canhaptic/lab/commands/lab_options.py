@@ -44,7 +44,7 @@ def _accuracy(parser: argparse.ArgumentParser) -> None:
         "--beyond-bus", action="store_true", help="study a rate that the bus cannot carry; no run could keep it"
     )
     parser.add_argument("--png", metavar="FILE", type=Path, help="picture of the study (.png, .svg, .pdf)")
-    parser.add_argument("--html", metavar="FILE", type=Path, help="page with hover and zoom")
+    parser.add_argument("--html", metavar="FILE", type=Path, help="self-contained page: advice, picture, tables")
     parser.add_argument("--markdown", metavar="FILE", type=Path, help="the tables as Markdown")
     add_json(parser)
 

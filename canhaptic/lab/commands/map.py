@@ -39,7 +39,7 @@ def execute(arguments: argparse.Namespace) -> int:
         draw_map(columns, caption, arguments.png)
         note_file("picture", arguments.png)
     if arguments.html is not None:
-        from canhaptic.lab.render.map_page import write_map
+        from canhaptic.lab.render.map_picture import write_map
 
         write_map(columns, caption, arguments.html)
         note_file("page", arguments.html)

@@ -1,4 +1,4 @@
-"""A study of accuracy as a picture: error against time, energy against evaluations, and the loop's choices as rows.
+"""A study of accuracy as a picture and as a page: error against time, energy against evaluations, the loop as rows.
 
 Pareto front ringed and joined; the tolerance as a dashed line; a method that is not stable is named in the legend.
 """
@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Final
 
 from canhaptic.errors import InputError
 from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR
-from canhaptic.lab.studies.accuracy.accuracy_table import Row, part_of
+from canhaptic.lab.studies.accuracy.accuracy_table import Row, accuracy_tables, advice_lines, heading, part_of
 from canhaptic.lab.studies.accuracy.advice import front
 from canhaptic.lab.studies.accuracy.candidates import COMPILED, OURS
+from canhaptic.view.html_page import picture, words, write_page
 from canhaptic.view.palette import BLUE, GREEN, ORANGE, PALE, PURPLE, SKY, VERMILION
 from canhaptic.view.picture_style import drawing, require_matplotlib, save_picture
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-STYLES: Final[dict[str, tuple[str, str]]] = {
+_STYLES: Final[dict[str, tuple[str, str]]] = {
     OURS: (GREEN, "o"),
     COMPILED: (GREEN, "*"),
     "semi-implicit Euler": (PALE, "v"),
@@ -29,7 +30,7 @@ STYLES: Final[dict[str, tuple[str, str]]] = {
     "MuJoCo Euler": (PURPLE, "P"),
     "MuJoCo RK4": (SKY, "X"),
 }
-GROUPS: Final[dict[str, str]] = {
+_GROUPS: Final[dict[str, str]] = {
     "as it is": "#000000",
     "sample rate": BLUE,
     "RPDO": VERMILION,
@@ -54,7 +55,7 @@ def draw_accuracy(result: Row, path: str | Path) -> None:
         loop = [row for row in result["loop"] if row["position_error"]]
         figure = figure_type(figsize=(14.5, max(6.4, 1.6 + 0.22 * len(loop))), dpi=110, layout="constrained")
         panels = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.05))
-        time = price_of(result)
+        time = _price_of(result)
         _draw_ladder(panels[0], result, time[0], "position_error")
         panels[0].set_xlabel(time[1])
         panels[0].set_ylabel(f"largest error of the position [{result['unit']}]")
@@ -68,7 +69,18 @@ def draw_accuracy(result: Row, path: str | Path) -> None:
         save_picture(figure, path)
 
 
-def price_of(result: Row) -> tuple[str, str]:
+def write_accuracy_page(result: Row, path: Path) -> None:
+    """Writes a study as one self-contained page: advice, picture, tables.
+
+    Raises:
+        InputError: matplotlib is not installed, the page cannot be written, or nothing was measured.
+    """
+    shown = picture(lambda file: draw_accuracy(result, file), "what accuracy costs")
+    said = words(*advice_lines(result)), words(*heading(result))
+    write_page(path, f"{result['scene']} - accuracy", [*said, shown, *accuracy_tables(result, wide=True)])
+
+
+def _price_of(result: Row) -> tuple[str, str]:
     """Returns the key and the name of the price to draw: time, or evaluations where nothing was timed."""
     if any(row.get("us_per_period") for row in result["plant"]):
         return "us_per_period", "wall time per period [us], least of interleaved repeats"
@@ -89,7 +101,7 @@ def _draw_ladder(panel: "Axes", result: Row, price: str, error: str) -> None:
     stable = [row for row in rows if row["status"] == "ok"]
     floor = FLOOR * result["reference"]["travel" if error == "position_error" else "energy"]
     for method in dict.fromkeys(row["method"] for row in result["plant"]):
-        colour, marker = STYLES[method]
+        colour, marker = _STYLES[method]
         lines = _lines([row for row in stable if row["method"] == method])
         lost = sum(row["method"] == method and row["status"] != "ok" for row in result["plant"])
         label = f"{method} ({lost} unstable)" if lost else method
@@ -122,7 +134,7 @@ def _draw_loop(panel: "Axes", loop: Sequence[Row], result: Row) -> None:
     """Draws one row per variant: position error, with its price in words."""
     places = list(range(len(loop)))[::-1]
     for place, row in zip(places, loop, strict=True):
-        colour = GROUPS[row["group"]]
+        colour = _GROUPS[row["group"]]
         panel.plot([row["position_error"]], [place], "o", color=colour, markersize=6.0)
         panel.plot([row["energy_error"]], [place], "|", color=colour, markersize=9.0, markeredgewidth=1.6)
     base = next((row for row in loop if row["is_scene"]), None)
@@ -130,7 +142,7 @@ def _draw_loop(panel: "Axes", loop: Sequence[Row], result: Row) -> None:
         panel.axvline(base["position_error"], color="black", linewidth=0.8, linestyle=":")
     panel.set_yticks(places, [f"{row['group']}: {row['setting'].replace('_', ' ')}" for row in loop], fontsize=8.0)
     for label, row in zip(panel.get_yticklabels(), loop, strict=True):
-        label.set_color(GROUPS[row["group"]])
+        label.set_color(_GROUPS[row["group"]])
     panel.set_xscale("log")
     panel.set_ylim(-0.8, len(loop) + 0.2)
     panel.grid(axis="y", visible=False)

@@ -27,6 +27,9 @@ _WORDS: Final = {"passive": "passive, device included", "near": "and stiffness w
 _LEAST_DAMPING: Final = 0.05
 """Below it the axis of the damping is linear [N*s/m]."""
 _DPI: Final = 110
+_LEAST: Final = 1e-6
+"""Energy from which a cell is coloured [J]."""
+_WHITE, _BLACK = "#fffffe", "#000001"  # on coloured cells; no greys, which a dark page would turn over
 _DARK: Final = 3e-3
 """Energy from which a cell is so dark that its number is white [J]."""
 
@@ -131,14 +134,21 @@ def _draw_given_out(found: Found, path: Path) -> None:
         size = 5.0 + 0.75 * len(scenes), 2.4 + 0.34 * len(names)
         figure = figure_type(figsize=size, dpi=_DPI, layout="constrained")
         panel = figure.subplots()
-        norm = LogNorm(1e-6, max(1e-5, float(np.nanmax(most, initial=1e-5))))
-        drawn = panel.imshow(np.where(most > 1e-6, most, np.nan), norm=norm, cmap="magma_r", aspect="auto")
+        norm = LogNorm(_LEAST, max(1e-5, float(np.nanmax(most, initial=1e-5))))
+        drawn = panel.imshow(np.where(most > _LEAST, most, np.nan), norm=norm, cmap="magma_r", aspect="auto")
         for row, name in enumerate(names):
             for column, scene in enumerate(scenes):
                 cases = _cell(found, name, scene, "cases")
                 dark = cases > 0 and most[row, column] > _DARK
                 text = "" if np.isnan(cases) else f"{cases:.0f}"
-                panel.text(column, row, text, ha="center", va="center", color="white" if dark else "black")
+                panel.text(
+                    column,
+                    row,
+                    text,
+                    ha="center",
+                    va="center",
+                    color=_WHITE if dark else _BLACK if most[row, column] > _LEAST else "black",
+                )
         panel.set_xticks(range(len(scenes)), scenes, rotation=35, ha="right")
         panel.set_yticks(range(len(names)), names)
         panel.grid(visible=False)

@@ -1,14 +1,13 @@
-"""A study of the accuracy of an admittance display as a picture, and as a page with hover and zoom.
+"""A study of the accuracy of an admittance display as a picture, and as a page with its table.
 
 One row for each change of the scene: how far position and energy are from the ideal display, the mass that is felt, and
 the energy that was given out.
 """
 
-import html
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from canhaptic.axis_units import mass_unit
 from canhaptic.errors import InputError
@@ -18,13 +17,9 @@ from canhaptic.lab.studies.accuracy.display_accuracy_table import (
     display_accuracy_table,
     heading,
 )
-from canhaptic.view.html_page import decades, require_bokeh, write_page
+from canhaptic.view.html_page import picture, words, write_page
 from canhaptic.view.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from canhaptic.view.picture_style import drawing, save_picture
-
-if TYPE_CHECKING:
-    from bokeh.models import Plot
-
 
 _COLOURS: Final = {
     "the scene": "#000000", "rate": BLUE, "algorithm": GREEN, "sampling": ORANGE, "sensor": PURPLE, "encoder": SKY,
@@ -96,41 +91,10 @@ def draw_display_accuracy(result: DisplayStudy, path: str | Path) -> None:
 
 
 def write_display_accuracy_page(result: DisplayStudy, path: Path) -> None:
-    """Writes a study as one self-contained page: the same columns with hover and zoom, and the table.
+    """Writes a study as one self-contained page: the picture and the table.
 
     Raises:
-        InputError: Nothing was measured, Bokeh is not installed, or the page cannot be written.
+        InputError: Nothing was measured, matplotlib is not installed, or the page cannot be written.
     """
-    require_bokeh()
-    from bokeh.layouts import column, gridplot
-    from bokeh.models import Div
-
-    rows, unit = _drawn(result), result["unit"]
-    words = "".join(f"<p>{html.escape(line)}</p>" for line in heading(result))
-    panels = [_panel(rows, one, shows_names=not number) for number, one in enumerate(_figures(unit))]
-    layout = column(
-        Div(text=words), gridplot([panels], merge_tools=True), Div(text=display_accuracy_table(result).html())
-    )
-    write_page(layout, f"{result['scene']} - accuracy", path)
-
-
-def _panel(rows: list[ChangeRow], one: _Figure, *, shows_names: bool) -> "Plot":
-    from bokeh.models import ColumnDataSource, HoverTool
-    from bokeh.plotting import figure
-
-    names, values = [_name(row) for row in rows], [one.value(row) for row in rows]
-    panel = figure(
-        width=450 if shows_names else 270, height=110 + 22 * len(rows), y_range=names[::-1], x_axis_label=one.title,
-        x_axis_type="log" if one.is_steep else "linear", tools="pan,wheel_zoom,box_zoom,reset,save",
-    )  # fmt: skip
-    shown = [max(value, _LEAST) if one.is_steep else value for value in values]
-    colours = [_COLOURS.get(row["changed"], VERMILION) for row in rows]
-    source = ColumnDataSource({"name": names, "shown": shown, "value": values, "colour": colours})
-    panel.scatter("shown", "name", source=source, size=9, color="colour")
-    if one.is_steep:
-        panel.x_range = decades(shown)
-    elif not any(values):
-        panel.xaxis.ticker = [0.0]
-    panel.add_tools(HoverTool(tooltips=[("", "@name"), (one.title, "@value")]))
-    panel.yaxis.visible = shows_names
-    return panel
+    shown = picture(lambda file: draw_display_accuracy(result, file), "errors of the loop and of the plant")
+    write_page(path, f"{result['scene']} - accuracy", [words(*heading(result)), shown, display_accuracy_table(result)])

@@ -1,4 +1,4 @@
-"""A map as a picture (.png, .svg, .pdf): one column per algorithm, scales shared along a row."""
+"""A map as a picture (.png, .svg, .pdf) and as a page: one column per algorithm, scales shared along a row."""
 
 import textwrap
 from collections.abc import Sequence
@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from canhaptic.lab.studies.map.panel import Cells, Lines, Panel, common_limits
+from canhaptic.view.html_page import picture, words, write_page
 from canhaptic.view.picture_style import drawing, save_picture
+from canhaptic.view.table import Cell, Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,6 +30,7 @@ _LINES: Final[dict[str, dict[str, Any]]] = {
 }
 _MANY: Final = 5
 """Lines from which a legend is written smaller."""
+_WHITE: Final = "#fffffe"  # no grey, which a dark page would turn over
 _MARKS: Final = "osv^<>DPX*hpd"
 
 
@@ -47,6 +50,28 @@ def draw_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: str 
         lines = textwrap.wrap(caption, _LETTERS * len(columns), break_long_words=False)
         figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=9.5, color="#404040")
         save_picture(figure, path)
+
+
+def write_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: Path) -> None:
+    """Writes panels as one self-contained page: the picture, and the numbers of every panel but those of dots.
+
+    Raises:
+        InputError: matplotlib is not installed, or the page cannot be written.
+    """
+    tables = [_table(panel) for column in columns for panel in column if panel is not None]
+    shown = picture(lambda file: draw_map(columns, caption, file), "map")
+    write_page(path, "Map", [words(caption), shown, *(table for table in tables if table.rows)])
+
+
+def _table(panel: Panel) -> Table:
+    if isinstance(panel, Lines):
+        points: list[list[Cell]] = [
+            [line.label, float(x), float(y)] for line in panel.lines for x, y in zip(line.x, line.y, strict=True)
+        ]
+        return Table(panel.title, ("line", panel.x_label, panel.y_label), points, keys=1)
+    title = f"{panel.title}; across: {panel.x_label}"
+    cells = [] if panel.dots else np.column_stack((panel.y, panel.values)).tolist()
+    return Table(title, [panel.y_label, *(f"{x:.4g}" for x in panel.x)], cells, keys=0)
 
 
 def _draw_row(figure: "Figure", axes: "Sequence[Axes]", panels: Sequence[Panel | None]) -> None:
@@ -101,7 +126,8 @@ def _draw_cells(figure: "Figure", place: "Axes", panel: Cells, limits: tuple[flo
     drawn: ScalarMappable
     colours = "magma_r" if panel.more_is_worse else "viridis"
     if panel.dots:
-        drawn = place.scatter(panel.x, panel.y, c=panel.values, norm=norm, cmap=colours, s=14.0, edgecolors="none")
+        drawn = place.scatter(panel.x, panel.y, c=panel.values, norm=norm, cmap=colours, s=14.0, edgecolors="none",
+                                rasterized=True)  # fmt: skip
     else:
         drawn = place.pcolormesh(*panel.edges(), panel.values, norm=norm, cmap=colours, rasterized=True)
         _draw_contour(place, panel)
@@ -113,5 +139,5 @@ def _draw_contour(place: "Axes", panel: Cells) -> None:
         return
     if not np.nanmin(panel.values) < panel.contour < np.nanmax(panel.values):
         return
-    drawn = place.contour(panel.x, panel.y, panel.values, levels=[panel.contour], colors="white", linewidths=1.2)
+    drawn = place.contour(panel.x, panel.y, panel.values, levels=[panel.contour], colors=_WHITE, linewidths=1.2)
     place.clabel(drawn, fmt=f"{100.0 * panel.contour:g} %%", fontsize=8.0)

@@ -31,7 +31,6 @@ def test_json_is_one_object_and_page_and_tables_are_written(
     capsys: Captured, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(control_thread, "_TURNS", 1)
-    pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
     files = {kind: tmp_path / f"a.{kind}" for kind in ("html", "markdown")}
     words = [word for kind, path in files.items() for word in (f"--{kind}", str(path))]
     words += ["--duration", "0.01 s", "--budget", "0.001", "--tolerance", "1 um", "--json"]

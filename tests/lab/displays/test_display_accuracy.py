@@ -75,7 +75,6 @@ def test_a_picture_is_drawn(tmp_path: Path) -> None:
 
 def test_page_and_markdown_show_every_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
-    pytest.importorskip("bokeh")
     files = {name: tmp_path / f"study.{name}" for name in ("html", "markdown")}
     words = [word for name, path in files.items() for word in (f"--{name}", str(path))]
     assert main(["accuracy", str(NODE), "--duration", "0.03", "--json", *words]) == 0
