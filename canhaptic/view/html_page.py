@@ -12,6 +12,7 @@ from canhaptic.errors import InputError
 from canhaptic.host.output_file import replacing
 from canhaptic.view.palette import BLUE
 from canhaptic.view.table import Table
+from canhaptic.view.terminal import visible
 
 _STYLE: Final = """
 :root { color-scheme: light dark; --ink: #202020; --paper: #ffffff; --blue: #0072b2; }
@@ -110,7 +111,7 @@ def write_page(path: Path, title: str, parts: Iterable[str | Table]) -> None:
     )
     try:
         with replacing(path) as page:
-            page.write_text(text, encoding="utf-8")
+            page.write_text(visible(text), encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: the page cannot be written ({error.strerror}); name another file") from error
 

@@ -166,6 +166,10 @@ def test_a_page_is_valid_text_without_network_and_takes_its_tables_along(tmp_pat
     assert json.loads(unquote(links["application/json"])) == [
         {"name": "soft & warm", "k [N/m]": 12.5}, {"name": "hard", "k [N/m]": None},
     ]  # fmt: skip
+    write_page(tmp_path / "page.html", "of \udcff", [Table("", ("name",), [["es\x1bcape"]])])  # a path that is no UTF-8
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "of \\udcff" in text
+    assert "es\\x1bcape" in text
     with pytest.raises(InputError, match="cannot be written"):
         write_page(tmp_path / "missing" / "page.html", "a page", [])
 
