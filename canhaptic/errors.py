@@ -10,7 +10,7 @@
     |  `- LogFormatError                     2   an energy log or bus log that cannot be read
     |- LogWriteError (OSError)              2   a log that cannot be written where it was asked for
     |- CheckFailedError                      1   a comparison or check the user asked for failed
-    |- EventLimitError (RuntimeError)        1   a simulated plant changed its mode more often than is allowed
+    |- EventLimitError (RuntimeError)        1   a simulated plant takes more events or products than are allowed
     |- WorkersLostError (RuntimeError)       1   the processes of a sweep died again and again
     `- RigError (RuntimeError)               3   drive or link; the drive is left without torque
        |- StartError                         3   a step of the fail-closed start was not confirmed
@@ -115,19 +115,22 @@ class CheckFailedError(CanHapticError):
 
 
 class EventLimitError(CanHapticError, RuntimeError):
-    """A simulated plant had more events in one sample time than `accuracy.max_events`; it cannot be moved on.
+    """A simulated plant had more events in one sample time than `accuracy.max_events`, or took too many products.
 
     Attributes:
         most: Events that are allowed.
         state: Modes and states of the plant, as text.
+        products: Products that are allowed, where these are used up; 0 where events are.
     """
 
-    def __init__(self, most: int, state: str, where: str = "plant") -> None:
-        self.most, self.state = most, state
-        super().__init__(
-            f"{where}: got more than {most} changes of mode in one sample time, expected at most accuracy.max_events "
-            f"{most}; give the contact damping, widen a gap, or raise accuracy.max_events. State: {state}"
-        )
+    def __init__(self, most: int, state: str, where: str = "plant", products: int = 0) -> None:
+        self.most, self.state, self.products = most, state, products
+        got = f"{most} changes of mode in one sample time, expected at most accuracy.max_events {most}"
+        remedy = "give the contact damping, widen a gap, or raise accuracy.max_events"
+        if products:
+            got = f"{products} products in one sample time, expected at most that many at accuracy.max_events {most}"
+            remedy = "it swings too fast to follow: give it damping, more mass or less stiffness, or raise max_events"
+        super().__init__(f"{where}: got more than {got}; {remedy}. State: {state}")
 
 
 class WorkersLostError(CanHapticError, RuntimeError):

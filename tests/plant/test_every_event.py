@@ -42,7 +42,7 @@ def linear_systems(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray,
 def test_the_bounds_hold_at_every_instant_of_a_step(system):
     """Chord and curvature of a guard along the flow, by an exponential of its own, at 17 instants of the step."""
     rates, guards, state, level = system
-    bounds, step = guard_bounds(guards, rates, 1.0, 0), 0.5**level
+    bounds, step = guard_bounds(guards, rates, 1.0), 0.5**level
     speeds = np.abs(bounds.scaled @ state)
     off, moved = bounds.chord[level] @ speeds, bounds.spread[level] @ speeds
     begin, end = guards @ state, guards @ exponential(rates * step) @ state
@@ -58,7 +58,7 @@ def test_the_bounds_hold_at_every_instant_of_a_step(system):
 
 def test_the_bounds_fall_as_the_square_of_the_step_and_as_the_step():
     rates = np.array([[0.0, 1.0, 0.0], [-9.0, -1.0, 2.0], [0.0, 0.0, 0.0]])
-    bounds = guard_bounds(np.eye(3)[:1], rates, 0.1, 0)
+    bounds = guard_bounds(np.eye(3)[:1], rates, 0.1)
     speeds = np.abs(bounds.scaled @ np.ones(3))
     chord, spread = bounds.chord[:, 0] @ speeds, bounds.spread[:, 0] @ speeds
     assert np.allclose(chord[8:20] / chord[9:21], 4.0, rtol=0.02)

@@ -36,7 +36,7 @@ def held_systems(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray, f
 def test_no_guard_is_reached_in_the_holds_that_are_promised(system):
     """Against torques at random and at their limits, by an exponential of its own at 9 instants of each hold."""
     rates, guards, state, largest, seed = system
-    bounds = guard_bounds(guards, rates, 1.0, 0)
+    bounds = guard_bounds(guards, rates, 1.0)
     holds = GuardHorizon(guards, bounds.scaled, bounds.slack[0], exponential(rates)).holds(state, largest)
     flows, chance = [exponential(rates * (part / 8)) for part in range(9)], np.random.default_rng(seed)
     for _ in range(3):
@@ -52,7 +52,7 @@ def test_a_body_at_a_steady_speed_is_followed_almost_to_the_stop(largest):
     """x' = v, v' = u: the closest that torques can push it is v t + largest t^2 / 2."""
     rates = np.array([[0.0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 0], [0, 0, 0, 0]])
     guard, state = np.array([[-1.0, 0.0, 0.0, 20.0]]), np.array([0.0, 1.0, 0.0, 1.0])
-    bounds = guard_bounds(guard, rates, 1.0, 0)
+    bounds = guard_bounds(guard, rates, 1.0)
     holds = GuardHorizon(guard, bounds.scaled, bounds.slack[0], exponential(rates)).holds(state, largest)
     reach = 20.0 if not largest else (math.sqrt(1.0 + 2.0 * largest * 20.0) - 1.0) / largest
     assert reach - 3.0 <= holds <= reach
@@ -103,7 +103,7 @@ def test_a_swing_that_ends_every_hold_where_it_began_is_not_taken_for_rest(start
     rates = np.zeros((4, 4))
     rates[0, 1], rates[1, 0], rates[1, 2] = 1.0, -((2.0 * math.pi) ** 2), 1.0
     guard, state = np.array([[1.0, 0.0, 0.0, limit]]), np.array([start, 0.0, 0.0, 1.0])
-    bounds = guard_bounds(guard, rates, 1.0, 0)
+    bounds = guard_bounds(guard, rates, 1.0)
     horizon = GuardHorizon(guard, bounds.scaled, bounds.slack[0], exponential(rates))
     assert horizon.holds(state, largest) == 0
     far = GuardHorizon(100.0 * guard + [[0, 0, 0, 9e3]], bounds.scaled, 100.0 * bounds.slack[0], exponential(rates))

@@ -34,10 +34,10 @@ from canhaptic.sim.plant import splitting, stepper
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.assembly import PlantModel, collect
 from canhaptic.sim.plant.effort_forces import Bristle, Effort
-from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
+from canhaptic.sim.plant.hybrid_automaton import PRODUCTS_EACH, HybridAutomaton
 from canhaptic.sim.plant.mode_arrays import Books, evaluate, flat_tables, largest_term, move, pace, stored
 from canhaptic.sim.plant.propagator import TICKS
-from canhaptic.sim.plant.stepper import COUNTS, MODE, NONE, ModeTables, StepperSettings
+from canhaptic.sim.plant.stepper import COUNTS, EVENTS, LIMIT, MODE, NONE, ModeTables, StepperSettings
 
 _PRODUCTS: Final = {
     getattr(stepper, function.__name__): function for function in (move, evaluate, pace, largest_term, stored)
@@ -103,7 +103,9 @@ class EventModes:
     ) -> None:
         accuracy = accuracy or AccuracyParameters()
         self._machine = machine = HybridAutomaton(scene, accuracy.max_events, accuracy.event_bits)
-        self._settings = StepperSettings(accuracy.max_events, accuracy.event_bits, machine.tick_time)
+        self._settings = StepperSettings(
+            accuracy.max_events, accuracy.event_bits, machine.tick_time, PRODUCTS_EACH * accuracy.max_events
+        )
         self._start, self._first = machine.state.copy(), machine.modes.index(machine.mode)
         self._is_booked = works_are_booked(scene) if is_booked is None else is_booked
         self._substeps = accuracy.substeps
@@ -162,7 +164,10 @@ class EventModes:
         machine, plant = self._machine, plants.plant
         where = f"plant before {cycle * TICKS * machine.tick_time:.9g} s"
         described = machine.described(int(plant.counts[MODE]), [float(value) for value in plant.state])
-        return EventLimitError(self._settings.max_events, described, where)
+        used_up = plant.counts[EVENTS] < plant.counts[LIMIT]
+        return EventLimitError(
+            self._settings.max_events, described, where, self._settings.max_products if used_up else 0
+        )
 
     def _tables(self) -> ModeTables:
         tables = flat_tables(self._machine.modes, self._machine.targets, len(self._machine.scene.works))

@@ -17,6 +17,12 @@ Start.  At a step h where ||F h|| <= 1/4: X = exp(|F| h) - I is at least |exp(F 
 
 All are upper bounds for every spectrum; they fall as h^2 and as h, so that halving a step decides. They are strict
 up to rounding, which is below the part of a guard's largest term that `stepper.py` takes for zero.
+
+They hold at every length, also where h is a million periods of a fast mode: both doublings use nothing but the flow, for
+which the triangle inequality is all that is asked. So a step may be as long as the hold, whatever swings in it. A mode
+at rest has no part in d and widens no bound; one that swings has, and the step is halved until its swing is small
+against the guard. For an undamped mode |exp(F h)| grows by at most a number per level, so that E and S at T are large, and
+finite: they are cut at a number beyond which nothing is excluded, for a product of infinity with a rate of 0 is none.
 """
 
 from typing import Final, NamedTuple
@@ -28,6 +34,7 @@ from canhaptic.sim.plant.propagator import Array, halvings_of, taylor_flow
 
 _LOOSENING: Final = 1.0 + 1e-9
 """The bounds are raised by it for their own rounding."""
+_USELESS: Final = 1e140  # a bound this large excludes nothing; its square is still a number
 
 
 class GuardBounds(NamedTuple):
@@ -48,20 +55,19 @@ class GuardBounds(NamedTuple):
     spread: Array
 
 
-def guard_bounds(guards: Array, rates: Array, sample_time: float, base: int) -> GuardBounds:
+def guard_bounds(guards: Array, rates: Array, sample_time: float) -> GuardBounds:
     """Return the bounds of the guards of one mode.
 
     Args:
         guards: Rows of the guards, shape (c, n).
         rates: F of dz/dt = F z, shape (n, n).
-        sample_time: T [s].
-        base: Level of the largest step that is taken; the rates are scaled to weigh alike there.
+        sample_time: T [s], the largest step; the rates are scaled to weigh alike there.
     """
     moving = rates.any(axis=1) if len(guards) else np.zeros(len(rates), dtype=bool)
     chord, spread = (_LOOSENING * bound[:, :, moving] for bound in _bounds(guards, rates, sample_time))
-    largest = chord[base].max(axis=1, initial=0.0)
+    largest = chord[0].max(axis=1, initial=0.0)
     largest[largest == 0.0] = 1.0
-    weights = (chord[base] / largest[:, None]).max(axis=0, initial=0.0)
+    weights = (chord[0] / largest[:, None]).max(axis=0, initial=0.0)
     weights = np.maximum(weights, 1e-3 * weights.max(initial=0.0))  # a rate that matters at finer steps only
     weights[weights == 0.0] = 1.0
     chord, spread, bend = chord / weights, spread / weights, (guards @ rates)[:, moving] / weights
@@ -89,8 +95,8 @@ def _bounds(guards: Array, rates: Array, sample_time: float) -> tuple[Array, Arr
             spreads.append(spread)
         flow = np.abs(identity + change)
         further = path @ change
-        chord = 0.5 * np.abs(further) + np.maximum(chord, chord @ flow)
-        spread = np.maximum(spread, np.abs(slopes @ change) + spread @ flow)
+        chord = np.minimum(0.5 * np.abs(further) + np.maximum(chord, chord @ flow), _USELESS)
+        spread = np.minimum(np.maximum(spread, np.abs(slopes @ change) + spread @ flow), _USELESS)
         path = 2.0 * path + further
         change = 2.0 * change + change @ change
     return np.array(chords[::-1]), np.array(spreads[::-1])

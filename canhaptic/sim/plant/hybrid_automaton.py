@@ -29,6 +29,8 @@ from canhaptic.sim.plant.stepper import (
     StepperSettings,
 )
 
+PRODUCTS_EACH: Final = 512
+"""Products in one sample time for each event that is allowed: four times the dearest event."""
 _ACCOUNTS: Final = ("motor", "user", "dissipated")
 
 
@@ -52,7 +54,7 @@ class HybridAutomaton:
     def __init__(self, scene: PlantModel, max_events: int, event_bits: int) -> None:
         self.scene = scene
         self.tick_time = scene.sample_time / TICKS
-        self._settings = StepperSettings(max_events, event_bits, self.tick_time)
+        self._settings = StepperSettings(max_events, event_bits, self.tick_time, PRODUCTS_EACH * max_events)
         self._modes: list[Mode] = []
         self._stored: list[Callable[[Array], float]] = []  # by mode
         self._index: dict[tuple[str, ...], int] = {}
@@ -248,7 +250,16 @@ class HybridAutomaton:
             EventLimitError: It has.
         """
         if left and self.events > self._most:
-            raise EventLimitError(self._settings.max_events, self.described(self._counts[MODE], self.state.tolist()))
+            raise self._limit_error()
+
+    def _require_finished(self, left: int) -> None:
+        """Refuses to go on when time is left before any limit of events: the products are used up."""
+        if left and self._counts[EVENTS] < self._counts[LIMIT]:
+            raise self._limit_error(self._settings.max_products)
+
+    def _limit_error(self, products: int = 0) -> EventLimitError:
+        state = self.described(self._counts[MODE], self.state.tolist())
+        return EventLimitError(self._settings.max_events, state, products=products)
 
     def described(self, mode: int, state: Sequence[float]) -> str:
         """Parts with their modes, and the states, as text.
@@ -266,6 +277,7 @@ class HybridAutomaton:
         while True:
             self.state, self._moved, ticks = self._step(ticks)
             if self._counts[MISSING] == NONE:
+                self._require_finished(ticks)
                 return ticks
             self._enter_missing()
 
@@ -316,7 +328,7 @@ class HybridAutomaton:
         resets = [reset_matrix(leaving, len(self.scene.names)).dot for leaving in mode.exits]
         bounds = mode.bounds
         row = ModeTables(
-            mode.flows, mode.works, mode.base, mode.guards, len(mode.exits),
+            mode.flows, mode.works, mode.guards, len(mode.exits),
             bounds.slack.tolist(), bounds.chord.tolist(), bounds.bend.tolist(), bounds.spread.tolist(),
             [NONE] * len(mode.exits), [bool(leaving.resets) for leaving in mode.exits], resets,
             [leaving.work for leaving in mode.exits],

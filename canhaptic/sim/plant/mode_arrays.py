@@ -109,7 +109,7 @@ def flat_tables(modes: Sequence[Mode], targets: Sequence[Sequence[int]], works: 
     flows = np.array([[matrix_of(flow).T for flow in mode.flows] for mode in modes])
     forms = np.array([[_columns(matrix_of(work), size, works) for work in mode.works] for mode in modes])
     return ModeTables(
-        flows, forms, np.array([mode.base for mode in modes]), guards, np.array([len(mode.exits) for mode in modes]),
+        flows, forms, guards, np.array([len(mode.exits) for mode in modes]),
         slack, chord, bend, spread, target, jumps, resets, loss, np.array([mode.storage for mode in modes]),
     )  # fmt: skip
 

@@ -1,7 +1,7 @@
 """PlantModel -> data of one mode: flows, work forms and guards. No scene-specific code is made or run."""
 
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,8 +11,6 @@ from canhaptic.sim.plant.guard_bounds import GuardBounds, guard_bounds
 from canhaptic.sim.plant.propagator import Array, dyadic_flows
 
 _Product = Callable[[Array, Array], object]
-
-_LARGEST_PHASE: Final = 0.8  # [rad] of the fastest oscillation in one guarded step: guards are then near parabolas
 
 
 class Exit(NamedTuple):
@@ -30,7 +28,6 @@ class Mode(NamedTuple):
     key: tuple[str, ...]  # mode of each part
     flows: list[_Product]  # by level: z -> z after T / 2^level
     works: list[_Product]  # by level: z -> for each work [form times shifted z, unit row]; then the shifted z
-    base: int  # largest step whose guards are near parabolas, as a level
     guards: Array  # values and rates of the guards, and the scaled rates of the state as rows, shape (2 c + m, n)
     bounds: GuardBounds
     exits: list[Exit]
@@ -54,10 +51,9 @@ def compile_mode(scene: PlantModel, key: tuple[str, ...]) -> Mode:
             exits.append(Exit(i, guard.mode, guard.resets, work))
     values = np.array(guards).reshape(len(guards), rows.size)
     flows, works = _forms(rows, scene)
-    base = _base_level(rows.rates, scene.sample_time) if exits else 0
-    bounds = guard_bounds(values, rows.rates, scene.sample_time, base)
+    bounds = guard_bounds(values, rows.rates, scene.sample_time)
     guarded = np.concatenate([values, values @ rows.rates, bounds.scaled])
-    return Mode(key, flows, works, base, guarded, bounds, exits, rows.storage)
+    return Mode(key, flows, works, guarded, bounds, exits, rows.storage)
 
 
 def _forms(rows: Rows, scene: PlantModel) -> tuple[list[_Product], list[_Product]]:
@@ -89,14 +85,6 @@ def _stacked(forms: Array, shift: Array) -> Array:
         blocks[:, kind, size + kind, -1] = 1.0  # times the component one: picks the total of this kind
     last = np.broadcast_to(shift, (levels, size, size))
     return np.concatenate([blocks.reshape(levels, -1, size), last], axis=1)
-
-
-def _base_level(rates: Array, sample_time: float) -> int:
-    fastest = float(np.abs(np.linalg.eigvals(rates).imag).max())
-    level = 0
-    while fastest * sample_time * 0.5**level > _LARGEST_PHASE and level < LEVELS:
-        level += 1
-    return level
 
 
 def initial_state(scene: PlantModel) -> Array:

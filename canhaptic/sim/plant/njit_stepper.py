@@ -125,6 +125,7 @@ class CompiledMachine(HybridAutomaton):
                 self._enter_missing()
                 left = self._run_on(left)
                 positions[done - 1] = self.state[0]
+            self._require_finished(left)
             self.check_limit(left)
 
     def _free_tables(self) -> tuple[Array, Array, Array]:

@@ -390,9 +390,8 @@ class Plant:
         try:
             self._run(ticks)
         except EventLimitError as error:
-            raise EventLimitError(
-                error.most, error.state, f"plant before {self._tick * machine.tick_time:.9g} s"
-            ) from None
+            where = f"plant before {self._tick * machine.tick_time:.9g} s"
+            raise EventLimitError(error.most, error.state, where, error.products) from None
         self.position = machine.state.item(0)
 
     def _expect(self, ticks: int, torque: float) -> None:

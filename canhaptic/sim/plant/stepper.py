@@ -2,7 +2,9 @@
 
 A hold is taken in the largest steps that the mode allows. When a guard is below zero at the end of a step, or the
 strict bound of `guard_bounds.py` does not exclude that it was inside, the step is halved, down to one tick; there the
-mode changes. No root finder and no adaptive step. It stops at a number of events that the caller sets.
+mode changes. A step that was accepted is followed by one twice as long, then four times, and so on up to the whole hold:
+the flow is exact and the bound strict at every length, so that only guards keep a step short, and no fast mode that is at
+rest does. No root finder and no adaptive step. It stops at a number of events, or of products, that the caller sets.
 
 The first six functions are all that process numbers in bulk. Interpreted, a table holds bound products of NumPy
 (`flow.dot`: half the cost of `numpy.dot`); compiled, it holds arrays, and these six are replaced.
@@ -37,7 +39,6 @@ class ModeTables(NamedTuple):
 
     flows: Any  # by level: z -> z after T / 2^level
     works: Any  # by level: z -> what `book` needs
-    base: Any  # largest step whose guards are near parabolas, as a level
     guards: Any  # values of the guards, their rates, and the scaled rates of the state as rows
     guard_counts: Any
     slack: Any  # these four as in `guard_bounds.GuardBounds`
@@ -57,6 +58,7 @@ class StepperSettings(NamedTuple):
     max_events: int  # in one hold
     event_level: int
     tick_time: float  # [s]
+    max_products: int  # in one call
 
 
 @dataclass(frozen=True, slots=True)  # read at every step: half the cost of the fields of a NamedTuple
@@ -242,13 +244,14 @@ def run(
     """Move by `ticks` under constant inputs, through every event on the way.
 
     Returns:
-        State, spare state, and the ticks left: above zero with counts[MISSING] set or at counts[LIMIT] only.
+        State, spare state, and the ticks left: above zero with counts[MISSING] set or at a limit only.
     """
     state, moved, before = settle(tables, state, moved, books, counts, values[0])
     mode, after = counts[MODE], values[1]
-    flows, guards, count, base = tables.flows[mode], tables.guards[mode], tables.guard_counts[mode], tables.base[mode]
-    level, window, known, event_level, tried = base, -1, -1, settings.event_level, 0
-    while ticks and counts[MISSING] == NONE and counts[EVENTS] < counts[LIMIT]:
+    flows, guards, count = tables.flows[mode], tables.guards[mode], tables.guard_counts[mode]
+    level, climb, window, known, event_level, tried = 0, 1, -1, -1, settings.event_level, 0
+    most = settings.max_products
+    while ticks and tried < most and counts[MISSING] == NONE and counts[EVENTS] < counts[LIMIT]:
         while TICKS >> level > ticks or (ticks - (TICKS >> level) == known and level < event_level):
             level += 1
         tried += 1
@@ -264,7 +267,7 @@ def run(
         if broken != NONE and level < event_level:
             window = ticks - (TICKS >> level)
             known = known if broken == _DOUBTFUL else window  # a guard is below zero there, however one comes to it
-            level += 1
+            level, climb = level + 1, 1
             continue
         book(tables.works[mode][level], state, books)
         state, moved = moved, state
@@ -274,10 +277,9 @@ def run(
             state, moved, before = settle(tables, state, moved, books, counts, before)
             mode = counts[MODE]
             flows, guards, count = tables.flows[mode], tables.guards[mode], tables.guard_counts[mode]
-            base = level = tables.base[mode]
-            window = known = -1
-        elif ticks <= window:
-            level, window = base, -1
+            level, climb, window, known = 0, 1, -1, -1
+        elif ticks <= window or window < 0:
+            level, climb, window = max(0, level - climb), min(2 * climb, LEVELS), -1
     counts[PRODUCTS] += tried
     return state, moved, ticks
 
@@ -289,7 +291,7 @@ def run_holds(
     """Take one sample time under each torque and write the position after it.
 
     Returns:
-        State, spare state, sample times begun, and the ticks left of the last one: above zero at the limit of events;
+        State, spare state, sample times begun, and the ticks left of the last one: above zero at a limit;
         above zero, or zero, with counts[MISSING] set, when a mode has to be compiled first.
     """
     for k in range(len(torques)):
