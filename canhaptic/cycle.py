@@ -303,7 +303,7 @@ def run(
         if isinstance(error, RigError):
             error.records = error.records or tuple(rig.records)
             raise
-        text = f"the cycle failed, torque is zero: {type(error).__name__}: {error}"
+        text = f"the cycle failed at SYNC {rig.sync_index}, torque is zero: {type(error).__name__}: {error}"
         raise CycleFailedError(text, rig.records) from error
     except BaseException:
         rig.stop(ramp=False)

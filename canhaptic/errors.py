@@ -11,6 +11,7 @@
     |- LogWriteError (OSError)              2   a log that cannot be written where it was asked for
     |- CheckFailedError                      1   a comparison or check the user asked for failed
     |- EventLimitError (RuntimeError)        1   a simulated plant takes more events or products than are allowed
+    |- OwnCodeError (RuntimeError)           1   own code of a scene raised, or returned no finite number
     |- WorkersLostError (RuntimeError)       1   the processes of a sweep died again and again
     `- RigError (RuntimeError)               3   drive or link; the drive is left without torque
        |- StartError                         3   a step of the fail-closed start was not confirmed
@@ -131,6 +132,20 @@ class EventLimitError(CanHapticError, RuntimeError):
             got = f"{products} products in one sample time, expected at most that many at accuracy.max_events {most}"
             remedy = "it swings too fast to follow: give it damping, more mass or less stiffness, or raise max_events"
         super().__init__(f"{where}: got more than {got}; {remedy}. State: {state}")
+
+
+class OwnCodeError(CanHapticError, RuntimeError):
+    """Own code of a scene raised, or returned what is no number; it is not asked again.
+
+    Attributes:
+        program: File and class.
+        what: It did.
+    """
+
+    def __init__(self, program: str, what: str, where: str = "") -> None:
+        self.program, self.what = program, what
+        place = f" {where}" if where else ""
+        super().__init__(f"{program}{place}: {what}; correct the program")
 
 
 class WorkersLostError(CanHapticError, RuntimeError):

@@ -24,6 +24,8 @@ def method_line(scene: Scene, plants: Sequence[Plant] = (), periods: int = 0, pr
         if axis.simulation is not None
         for effect in axis.simulation.effects
     }
+    for hand in (axis.simulation.user for axis in scene.axes if axis.simulation is not None):
+        orders[f"hand {type(hand).__name__}"] = getattr(hand, "order", None)
     for mechanism in (of.mechanism for of in scene.mechanisms):
         orders[mechanism.name] = getattr(mechanism.parameters, "order", None)
     approximate = {name: order for name, order in orders.items() if order is not None}

@@ -22,8 +22,14 @@ from typing import Any, Final
 
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.input_file import read_regular
+from canhaptic.own_results import watch
 from canhaptic.scene.components import OWN_MODULE, CodeUse
 
+_RETURN_NUMBERS: Final[Mapping[str, tuple[str, ...]]] = {
+    "environment": ("potential", "effort", "true_state", "admissible", "stored_energy", "state_of_energy", "relaxed"),
+    "passivity algorithm": ("step", "hold"),
+}
+"""Kind -> methods watched from the start; those of hands and effects are where the plant is put together."""
 _MARK: Final = ".py:"
 _LARGEST: Final = 1_000_000  # [bytes]
 ENTRY_POINT_GROUPS: Final[Mapping[str, str]] = {
@@ -78,10 +84,13 @@ class OwnCode:
         Raises:
             ParameterError: Not allowed, not a file of the scene's folder, or the code fails.
         """
-        if _names_own_code(reference):
-            return self.load(reference, kind)
-        found = installed(kind).get(reference)
-        return None if found is None else self._plug_in(found)
+        found = None if _names_own_code(reference) else installed(kind).get(reference)
+        if found is None and not _names_own_code(reference):
+            return None
+        own = self.load(reference, kind) if found is None else self._plug_in(found)
+        if isinstance(own, type):
+            watch(own, _RETURN_NUMBERS.get(kind, ()))
+        return own
 
     def _plug_in(self, found: EntryPoint) -> Any:
         package = f"{found.dist.name} {found.dist.version}" if found.dist is not None else found.value

@@ -31,8 +31,9 @@ def torque_history(axis: AxisScene, scene: Scene, holds: int, accuracy: Accuracy
 
 
 def declared_order(simulation: AxisSimulation) -> int | None:
-    """Return the least order in the substep that an effect of the plant declares; None where all are exact."""
-    orders = [getattr(effect.parameters, "order", None) for effect in simulation.effects]
+    """Return the least order in the substep that an effect or an own hand declares; None where all are exact."""
+    parts = (*(effect.parameters for effect in simulation.effects), simulation.user)
+    orders = [getattr(part, "order", None) for part in parts]
     return min((order for order in orders if order is not None), default=None)
 
 

@@ -12,6 +12,7 @@ from typing import ClassVar, Final, Literal, NamedTuple, Protocol
 import numpy as np
 
 from canhaptic.errors import ParameterError
+from canhaptic.own_results import FORCE, watch
 from canhaptic.sim.plant.propagator import Array
 
 Account = Literal["motor", "user", "dissipated"]
@@ -231,6 +232,9 @@ def collect(axis: _PlantPart, user: _PlantPart | None, effects: Sequence[_Effect
         user.add_to(scene)
     for effect in (effect for effect in ranked if effect.rank > 0):
         _add(effect, scene)
+    for part in (*scene.commands, *scene.efforts):
+        watch(type(part), ("apply", "force"), FORCE)
+        watch(type(part), ("stored",))
     return scene
 
 

@@ -18,11 +18,11 @@ Start.  At a step h where ||F h|| <= 1/4: X = exp(|F| h) - I is at least |exp(F 
 All are upper bounds for every spectrum; they fall as h^2 and as h, so that halving a step decides. They are strict
 up to rounding, which is below the part of a guard's largest term that `stepper.py` takes for zero.
 
-They hold at every length, also where h is a million periods of a fast mode: both doublings use nothing but the flow, for
-which the triangle inequality is all that is asked. So a step may be as long as the hold, whatever swings in it. A mode
-at rest has no part in d and widens no bound; one that swings has, and the step is halved until its swing is small
-against the guard. For an undamped mode |exp(F h)| grows by at most a number per level, so that E and S at T are large, and
-finite: they are cut at a number beyond which nothing is excluded, for a product of infinity with a rate of 0 is none.
+They hold at every length, also where h is a million periods of a fast mode: the doublings ask for the flow and the
+triangle inequality, and for nothing of the spectrum. So a step may be as long as the hold. A mode at rest has no part
+in d and widens no bound; of one that swings the step is halved until its swing is small against the guard. With every
+level E and S of an undamped mode grow by a factor; they are cut at a number that excludes nothing and stays finite,
+since infinity times a rate of 0 would be no number.
 """
 
 from typing import Final, NamedTuple

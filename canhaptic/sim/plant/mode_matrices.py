@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from canhaptic.sim.plant.accuracy_parameters import LEVELS
 from canhaptic.sim.plant.assembly import PlantModel, Rows
 from canhaptic.sim.plant.guard_bounds import GuardBounds, guard_bounds
 from canhaptic.sim.plant.propagator import Array, dyadic_flows

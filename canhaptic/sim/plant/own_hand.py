@@ -9,13 +9,18 @@ each substep at the middle of the substep and solved together with the motion (`
 substep where it is smooth.
 """
 
+from typing import ClassVar
+
 from canhaptic.errors import ParameterError
+from canhaptic.own_results import FORCE, watch
 from canhaptic.sim.plant.assembly import Account, NonlinearForce, PlantModel
 from canhaptic.sim.plant.user import UserParameters
 
 
 class OwnHand(UserParameters):
     """A grip and a force of one's own on the handle."""
+
+    order: ClassVar[int | None] = 2  # of the error in the substep, by the splitting
 
     def force(self, time: float, position: float, velocity: float) -> float:
         """Return the force on the handle, towards +q [N or N*m].
@@ -45,6 +50,7 @@ class _OwnForce(NonlinearForce):
     account: Account | None = "user"
 
     def __init__(self, hand: OwnHand) -> None:
+        watch(type(hand), ("force",), FORCE)
         self._hand = hand
         self._time = 0.0
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
 
-from canhaptic.errors import EventLimitError, ParameterError
+from canhaptic.errors import EventLimitError, OwnCodeError, ParameterError
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, LinearPart, PlantModel, Rows, collect
@@ -128,6 +128,7 @@ class Plant:
         self._splitting = self._split() if self.scene.efforts else None
         self._timetable: Timetable | None = None
         self._hold = self._chosen_hold()
+        self._moves = self._hold  # until own code fails: then it stands, for the drives to be stopped
         self._is_linear = self._hold == self._linear_hold
         self._is_flat = self._is_linear or self._hold == self._commanded_hold
         self._passing = min((command.passes for command in self.scene.commands), default=math.inf)
@@ -166,6 +167,7 @@ class Plant:
     def reset(self) -> None:
         """Return to the initial state, before `begin`, with all energies zero."""
         self._machine.reset()
+        self._hold = self._moves
         for keeper in (*self.scene.commands, self._splitting, self._timetable):
             if keeper:
                 keeper.reset()
@@ -378,21 +380,30 @@ class Plant:
 
     def _general_hold(self, ticks: int, torque: float) -> None:
         machine = self._machine
-        for command in self.scene.commands:
-            torque = command.apply(torque, ticks * machine.tick_time)
-        if self._looks_ahead:
-            if ticks == TICKS and abs(torque) <= self._free_torque:
-                self.position = machine.period(torque)
-                return
-            self._expect(ticks, torque)
-        machine.state[-2] = torque
-        machine.allow_events(self._tick - ticks, self._tick)
         try:
+            for command in self.scene.commands:
+                torque = command.apply(torque, ticks * machine.tick_time)
+            if self._looks_ahead:
+                if ticks == TICKS and abs(torque) <= self._free_torque:
+                    self.position = machine.period(torque)
+                    return
+                self._expect(ticks, torque)
+            machine.state[-2] = torque
+            machine.allow_events(self._tick - ticks, self._tick)
             self._run(ticks)
         except EventLimitError as error:
-            where = f"plant before {self._tick * machine.tick_time:.9g} s"
-            raise EventLimitError(error.most, error.state, where, error.products) from None
+            raise EventLimitError(error.most, error.state, f"plant {self._before}", error.products) from None
+        except OwnCodeError as error:
+            self._hold = self._stand
+            raise OwnCodeError(error.program, error.what, self._before) from error
         self.position = machine.state.item(0)
+
+    @property
+    def _before(self) -> str:
+        return f"before {self._tick * self._machine.tick_time:.9g} s"
+
+    def _stand(self, ticks: int, torque: float) -> None:
+        """Stays where it is."""
 
     def _expect(self, ticks: int, torque: float) -> None:
         """Check a torque against the look-ahead, and end the look-ahead when it is larger or changes inside a hold."""

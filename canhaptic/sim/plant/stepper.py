@@ -2,9 +2,9 @@
 
 A hold is taken in the largest steps that the mode allows. When a guard is below zero at the end of a step, or the
 strict bound of `guard_bounds.py` does not exclude that it was inside, the step is halved, down to one tick; there the
-mode changes. A step that was accepted is followed by one twice as long, then four times, and so on up to the whole hold:
-the flow is exact and the bound strict at every length, so that only guards keep a step short, and no fast mode that is at
-rest does. No root finder and no adaptive step. It stops at a number of events, or of products, that the caller sets.
+mode changes. After a step that was accepted, longer ones are tried, up to the whole hold: the flow is exact and the
+bound strict at every length, so that guards alone keep a step short, and no fast mode at rest does. No root finder, and
+no step that an error estimate adapts. It stops at a number of events, or of products, that the caller sets.
 
 The first six functions are all that process numbers in bulk. Interpreted, a table holds bound products of NumPy
 (`flow.dot`: half the cost of `numpy.dot`); compiled, it holds arrays, and these six are replaced.

@@ -1,0 +1,60 @@
+"""What own code gives back: a number of a size that forces have, or the run ends with who gave what."""
+
+import sys
+from collections.abc import Callable, Iterable
+from functools import wraps
+from numbers import Real
+from pathlib import Path
+from typing import Any, Final
+
+from canhaptic.errors import CanHapticError, OwnCodeError
+
+FORCE: Final = 1e10
+"""Largest force that own code of the plant may return [N or N*m]; its motion still fits an encoder and its energy."""
+_ANY: Final = 1e100
+"""Largest number where a search may ask far from where the axis is [SI]; its square and the sums of it are numbers."""
+
+
+def watch(kind: type, names: Iterable[str], largest: float = _ANY) -> None:
+    """Makes methods of an own class refuse all but a number, or a balance whose torque is one; others stay as they are.
+
+    Args:
+        kind: The class; methods that it inherits from canhaptic are not touched.
+        names: Methods that return a number, where it has them.
+        largest: Of the numbers.
+    """
+    for owner in kind.__mro__:
+        if not owner.__module__.startswith("canhaptic."):
+            for name in names:
+                method = vars(owner).get(name)
+                if callable(method) and not hasattr(method, "__wrapped__"):
+                    setattr(owner, name, _watched(method, largest))
+
+
+def _watched(method: Callable[..., Any], largest: float) -> Callable[..., Any]:
+    @wraps(method)
+    def watched(self: object, *arguments: object, **named: object) -> Any:
+        try:
+            value = method(self, *arguments, **named)
+        except CanHapticError:
+            raise
+        except Exception as error:  # own code may raise anything
+            raise OwnCodeError(
+                _program_of(self), f"{method.__name__} raised {type(error).__name__}: {error}"
+            ) from error
+        number = getattr(value, "torque", value)
+        if not (isinstance(number, Real) and -largest <= float(number) <= largest):  # NaN as well
+            shown = repr(number)[:100]
+            raise OwnCodeError(
+                _program_of(self), f"{method.__name__} returned {shown}, expected a number within +-{largest:g}"
+            )
+        return value
+
+    return watched
+
+
+def _program_of(owner: object) -> str:
+    """Returns `file.py:Class`."""
+    kind = type(owner)
+    file = getattr(sys.modules.get(kind.__module__), "__file__", None) or kind.__module__
+    return f"{Path(file).name}:{kind.__qualname__}"
