@@ -1,0 +1,162 @@
+"""The odd habits of drives and sensors, one at a time, and what a rig makes of each: the table of docs/drives.md."""
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple
+
+import can
+
+from tests.drive.odd_slave import MILLISECOND, READ_ONLY, OddSensor, OddSlave
+
+Outcome = Literal["refused", "ended", "runs"]
+BEGIN, END = "<!-- habits: begin -->\n", "<!-- habits: end -->\n"
+
+
+class Habit(NamedTuple):
+    """One habit, and the words of the message that names it."""
+
+    what: str
+    outcome: Outcome
+    words: str
+    take_on: Callable[[OddSlave], object]
+    rig: Literal["torque", "display", "sensor"] = "torque"
+
+
+def objects(**values: str) -> Callable[[OddSlave], None]:
+    """Objects as another master or a vendor's tool left them: x60b2_0="c8 00"."""
+
+    def take_on(slave: OddSlave) -> None:
+        for name, data in values.items():
+            index, sub = name[1:].split("_")
+            slave.objects[int(index, 16), int(sub)] = bytes.fromhex(data)
+
+    return take_on
+
+
+def sets(**values: object) -> Callable[[OddSlave], None]:
+    """Attributes of the slave."""
+
+    def take_on(slave: OddSlave) -> None:
+        for name, value in values.items():
+            assert hasattr(slave, name), name
+            setattr(slave, name, value)
+
+    return take_on
+
+
+def both(*habits: Callable[[OddSlave], object]) -> Callable[[OddSlave], None]:
+    """Several parts of one habit."""
+
+    def take_on(slave: OddSlave) -> None:
+        for habit in habits:
+            habit(slave)
+
+    return take_on
+
+
+def in_motion(act: Callable[[OddSlave], object]) -> Callable[[OddSlave], None]:
+    """Something that happens 20 SYNCs after the drive was enabled."""
+    return sets(script={20: act})
+
+
+def deaf_to(*can_ids: int) -> Callable[[OddSlave], None]:
+    """Frames that it ignores from now on."""
+    return sets(hears=lambda message: message.arbitration_id not in can_ids)
+
+
+def sends(can_id: int, data: str, **kind: bool) -> Callable[[OddSlave], None]:
+    """A frame that nobody asked for."""
+    return lambda slave: slave.bus.send(
+        can.Message(arbitration_id=can_id, data=bytes.fromhex(data), **{"is_extended_id": False, **kind})
+    )
+
+
+def sensor(**values: object) -> Callable[[OddSlave], None]:
+    """Another sensor than one that answers each SYNC."""
+    return sets(sensor=OddSensor(**values))  # type: ignore[arg-type]
+
+
+def left_enabled(slave: OddSlave) -> None:
+    """As a master that died left it."""
+    slave.state, slave.nmt, slave.held, slave.target = "enabled", 0x05, 300, 300
+
+
+def storm(slave: OddSlave) -> None:
+    """The same EMCY over and over."""
+    for _ in range(50):
+        slave.emcy(0x3210)
+
+
+def aborts(name: str, code: bytes = READ_ONLY) -> Callable[[OddSlave], None]:
+    """A write that is refused."""
+    index, sub = name[1:].split("_")
+    return lambda slave: slave.aborts.update({(int(index, 16), int(sub)): code})
+
+
+def keeps(name: str) -> Callable[[OddSlave], None]:
+    """A write that is confirmed and changes nothing."""
+    index, sub = name[1:].split("_")
+    return lambda slave: slave.frozen.add((int(index, 16), int(sub)))
+
+
+HABITS = [
+    # --- found before any torque ---
+    Habit("is not there", "refused", "no answer", sets(is_deaf_to_sdo=True)),
+    Habit("is no CiA 402 drive", "refused", "0x1000 = 0x00030191", objects(x1000_0="91 01 03 00")),
+    Habit("has no torque mode", "refused", "bit 9", objects(x6502_0="6d 00 00 00")),
+    Habit("keeps its mode", "refused", "0x6061 = 0", sets(refuses_mode=True)),
+    Habit("sends no heartbeat", "refused", "no heartbeat", sets(has_heartbeat=False)),
+    Habit("ignores NMT", "refused", "OPERATIONAL", deaf_to(0x000)),
+    Habit(
+        "is in a fault",
+        "refused",
+        "FAULT with error code 0x603F = 0x3210",
+        both(sets(state="fault"), objects(x603f_0="10 32")),
+    ),
+    Habit("has STO open", "refused", "check the safety inputs (STO)", sets(sto=True)),
+    Habit("ignores its RPDO", "refused", "enable", deaf_to(0x205)),
+    Habit("sends no TPDO", "refused", "sends no TPDO on SYNC", sets(tpdo_every=1 << 60)),
+    Habit("sends a TPDO of another length", "refused", "no complete answer", sets(tpdo_length=7)),
+    Habit("refuses the TPDO map", "refused", "PDO map", aborts("x1a00_2")),
+    Habit("keeps its transmission type", "refused", "Transmission type", keeps("x1400_2")),
+    Habit("keeps another torque limit", "refused", "0x6072", keeps("x6072_0")),
+    Habit("refuses the watchdog", "refused", "watchdog", aborts("x1016_1")),
+    Habit("keeps 0x6007", "refused", "0x6007", keeps("x6007_0")),
+    Habit("refuses 0x60C2", "refused", "no_interpolation_period", aborts("x60c2_1")),
+    Habit("has another rated torque", "refused", "rated_torque: got 10", objects(x6076_0="98 3a 00 00")),
+    Habit("keeps a target torque", "refused", "0x6071", both(objects(x6071_0="64 00"), keeps("x6071_0"))),
+    # --- endures ---
+    Habit("was left enabled with a torque", "runs", "", left_enabled),
+    Habit("loses each third SDO request", "runs", "", sets(lost_requests=3)),
+    Habit("is in NMT stopped at first", "runs", "", sets(nmt=0x04)),
+    Habit("answers late in the cycle", "runs", "", sets(tpdo_after=4 * MILLISECOND)),
+    Habit("sends each TPDO twice", "runs", "", sets(tpdo_copies=2)),
+    Habit("sends an EMCY 0x0000", "runs", "", in_motion(lambda slave: slave.emcy(0x0000))),
+    Habit(
+        "remote and 29-bit frames",
+        "runs",
+        "",
+        in_motion(both(sends(0x185, "", is_remote_frame=True), sends(0x185, "00", is_extended_id=True))),
+    ),
+    # --- ends while it runs ---
+    Habit("falls silent", "ended", "heartbeat stopped", in_motion(sets(has_heartbeat=False))),
+    Habit("sends no more TPDOs", "ended", "no TPDO for too many SYNCs", in_motion(sets(tpdo_every=1 << 60))),
+    Habit("loses all RPDOs", "ended", "its RPDOs are lost", in_motion(deaf_to(0x205))),
+    Habit("sends an EMCY", "ended", "EMCY 0x3210 DC link over-voltage", in_motion(lambda slave: slave.emcy(0x3210))),
+    Habit("sends a storm of EMCYs", "ended", "EMCY 0x3210", in_motion(storm)),
+    Habit("faults", "ended", "EMCY 0x7120 motor", in_motion(lambda slave: slave.fault(0x7120))),
+    Habit("faults without an EMCY", "ended", "the drive is in FAULT", in_motion(sets(state="fault"))),
+    Habit("is disabled by STO", "ended", "left OPERATION ENABLED", in_motion(sets(state="disabled"))),
+    Habit("resets itself", "ended", "left NMT OPERATIONAL", in_motion(both(sends(0x705, "00"), sets(nmt=0x7F)))),
+    Habit("goes to NMT stopped", "ended", "left NMT OPERATIONAL", in_motion(both(sets(nmt=0x04), sends(0x705, "04")))),
+    Habit("jumps by a metre", "ended", "moved faster than the speed limit", in_motion(sets(speed=100_000))),
+    Habit("follows no more", "ended", "bit 12", in_motion(sets(statusword=0x0210))),
+    Habit("another master sends SYNC", "ended", "SYNC (COB-ID 0x080)", in_motion(sends(0x080, ""))),
+    Habit("another master sends RPDOs", "ended", "RPDO of handle", in_motion(sends(0x205, "0f 00 64 00"))),
+]
+
+
+def table() -> str:
+    """The table of docs/drives.md."""
+    whose = {"torque": "the drive", "display": "a display's drive", "sensor": "a force sensor"}
+    rows = [f"| {whose[h.rig]} | {h.what} | {h.outcome} | {h.words or '-'} |" for h in HABITS]
+    return "\n".join(["| who | habit | the rig | words of the message |", "| --- | --- | --- | --- |", *rows]) + "\n"
