@@ -133,10 +133,9 @@ class _Replay:
         places = {bus.name: place for place, bus in enumerate(self._scene.buses)}
         for axis, drive in zip(self._scene.axes, drives, strict=True):
             where = places[axis.bus], drive.axis.node_id
+            listed = {od.COMMUNICATION_CYCLE_PERIOD} & drive.dictionary.keys()
             drive.left_out = frozenset(
-                index
-                for index in (od.COMMUNICATION_CYCLE_PERIOD, *drive.axis.offsets)
-                if drive.dictionary.get_variable(index) is not None and not self._recording.has_sdo(*where, index)
+                index for index in (*listed, *drive.axis.offsets) if not self._recording.has_sdo(*where, index)
             )
             self._left_out += [f"{drive.axis.name}: 0x{index:04X}" for index in sorted(drive.left_out)]
 

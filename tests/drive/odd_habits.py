@@ -124,6 +124,10 @@ HABITS = [
     Habit("refuses 0x60C2", "refused", "no_interpolation_period", aborts("x60c2_1")),
     Habit("has another rated torque", "refused", "rated_torque: got 10", objects(x6076_0="98 3a 00 00")),
     Habit("keeps a target torque", "refused", "0x6071", both(objects(x6071_0="64 00"), keeps("x6071_0"))),
+    Habit("adds a 0x60B2 that no dictionary lists", "refused", "0x60b2:00 = 200, not in the dictionary", objects(
+        x60b2_0="c8 00")),
+    Habit("adds a 0x60B0 that no dictionary lists", "refused", "0x60b0:00 = 200, not in the dictionary", objects(
+        x60b0_0="c8 00 00 00"), "display"),
     # --- endures ---
     Habit("was left enabled with a torque", "runs", "", left_enabled),
     Habit("loses each third SDO request", "runs", "", sets(lost_requests=3)),

@@ -9,7 +9,6 @@ from canhaptic.drive.axis_parameters import LARGEST_U16
 from canhaptic.drive.can.pdo_setup import rpdo_transmission_type, write_map
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
-from canhaptic.errors import SdoError
 
 _REMEDIES: Final = {
     "presence": "check power, node ID, bit rate and cable",
@@ -62,14 +61,9 @@ class CanBringUp(BringUp):
         if listed is None or not listed.readable or index in drive.left_out:
             return
         with self.step("SYNC period"):
-            try:
-                seen = drive.sdo.read(index)
-            except SdoError as error:
-                if error.code is None:
-                    raise
-                return  # listed, but not in the drive: then it times no SYNC
+            seen = self._read_if_there(index)
         wanted, rest = divmod(drive.sample_time_ns, 1000)
-        if seen == 0 or (seen == wanted and not rest):
+        if not seen or (seen == wanted and not rest):  # listed, but not in the drive: then it times no SYNC
             return
         if not listed.writable:
             text = f"{drive.sdo.describe(index)} = {seen} us"

@@ -267,15 +267,25 @@ class BringUp(ABC):
         drive = self._drive
         for index in drive.axis.offsets:
             variable = drive.dictionary.get_variable(index)
-            if variable is None or index in drive.left_out:
+            if index in drive.left_out:
                 continue
-            if variable.writable:
+            if variable is not None and variable.writable:
                 self._write_confirmed("offsets", index, 0, 0)
-            elif variable.readable:
+            elif variable is None or variable.readable:
                 with self.step("offsets"):
-                    seen = self._sdo.read(index)
+                    seen = self._read_if_there(index)
                 if seen:
-                    raise self.refusal("offsets", f"{self._sdo.describe(index)} = {seen}, read-only", "0")
+                    why = "not in the dictionary" if variable is None else "read-only"
+                    raise self.refusal("offsets", f"{self._sdo.describe(index)} = {seen}, {why}", "0")
+
+    def _read_if_there(self, index: int) -> int | None:
+        """Returns the value of an object that the drive need not have; None where it has none; raises SdoError."""
+        try:
+            return self._sdo.read(index)
+        except SdoError as error:
+            if error.code is None:
+                raise
+            return None
 
     def _rated_torque(self) -> None:
         drive = self._drive

@@ -79,7 +79,7 @@ def disable(exchange: CyclicExchange, trust: Trust) -> list[str]:
     confirmed = [drive for drive in reachable if _is_disabled(drive)]
     _leave_operational(confirmed)  # before any waiting: no heartbeat goes out meanwhile
     others = [drive for drive in reachable if drive not in confirmed]
-    _try_each(drive.leave_operational for drive in others if not drive.is_operational)  # STOPPED takes no SDO
+    _try_each(drive.leave_operational for drive in others if drive not in operational)  # STOPPED takes no SDO
     problems = {drive: _confirm_disabled(drive) for drive in others}
     _leave_operational([drive for drive in others if not problems[drive]])
     return [f"{drive.axis.name}: {problem}" for drive, problem in problems.items() if problem]
