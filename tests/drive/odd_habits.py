@@ -128,6 +128,10 @@ HABITS = [
         x60b2_0="c8 00")),
     Habit("adds a 0x60B0 that no dictionary lists", "refused", "0x60b0:00 = 200, not in the dictionary", objects(
         x60b0_0="c8 00 00 00"), "display"),
+    Habit("demands 0x1006", "refused", "set the drive's 0x1006 (cycle period)", sets(needs_period=True)),
+    Habit("demands a SYNC counter", "refused", "0x1019", sets(needs_counter=True)),
+    Habit("says that it demands a SYNC counter", "refused", "set its 0x1019 to 0", both(sets(needs_period=True), sets(
+        period_fault=0x8240))),
     # --- endures ---
     Habit("was left enabled with a torque", "runs", "", left_enabled),
     Habit("loses each third SDO request", "runs", "", sets(lost_requests=3)),
@@ -154,6 +158,10 @@ HABITS = [
     Habit("goes to NMT stopped", "ended", "left NMT OPERATIONAL", in_motion(both(sets(nmt=0x04), sends(0x705, "04")))),
     Habit("jumps by a metre", "ended", "moved faster than the speed limit", in_motion(sets(speed=100_000))),
     Habit("follows no more", "ended", "bit 12", in_motion(sets(statusword=0x0210))),
+    Habit("has a narrow window of the following error", "ended", "0x6065", in_motion(
+        lambda slave: slave.fault(0x8611)), "display"),
+    Habit("has limits of its own of the position", "ended", "0x607D", in_motion(
+        lambda slave: slave.fault(0x8612)), "display"),
     Habit("another master sends SYNC", "ended", "SYNC (COB-ID 0x080)", in_motion(sends(0x080, ""))),
     Habit("another master sends RPDOs", "ended", "RPDO of handle", in_motion(sends(0x205, "0f 00 64 00"))),
 ]

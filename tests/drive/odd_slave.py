@@ -74,7 +74,8 @@ class OddSlave:
     tpdo_length: int = 8
     tpdo_copies: int = 1
     has_heartbeat: bool = True
-    needs_period: bool = False  # FAULT 0x8700 where 0x1006 is 0
+    needs_period: bool = False  # faults where 0x1006 is 0
+    period_fault: int = 0x8700
     needs_counter: bool = False  # a SYNC without a counter is none
     sto: bool = False
     refuses_mode: bool = False
@@ -211,7 +212,7 @@ class OddSlave:
         if self.state == "enabled" and not self.was_enabled:
             self.was_enabled = True
             if self.needs_period and not any(self.objects[0x1006, 0]):
-                self.fault(0x8700)
+                self.fault(self.period_fault)
 
     def fault(self, code: int) -> None:
         self.state = "fault"

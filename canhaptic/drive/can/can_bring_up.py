@@ -17,7 +17,8 @@ _REMEDIES: Final = {
     "PDO map": "compare the EDS with the drive's firmware, or choose other PDOs (rpdo_number, tpdo_numbers; quirks: "
     "demand_absent, manufacturer_event)",
     "NMT operational": "the drive stays out of OPERATIONAL; check its EMCY and its configuration",
-    "PDO exchange": "the drive sends no TPDO on SYNC; check 0x1005 and the transmission types",
+    "PDO exchange": "the drive sends no TPDO on SYNC; check 0x1005, the transmission types, and that 0x1019 is 0 (this "
+    "master counts no SYNCs)",
     "bus": "check the interface, cable and termination",
 }
 

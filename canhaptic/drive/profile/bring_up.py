@@ -148,9 +148,9 @@ class BringUp(ABC):
             seen = str(error).removeprefix(f"{self._drive.axis.name}: ")
             raise self.refusal(name, seen, "a working bus") from error
 
-    def refusal(self, name: str, seen: str, expected: str) -> StartError:
-        """Return the error of a step."""
-        return StartError(self._drive.axis.name, name, seen, expected, self._remedies[name])
+    def refusal(self, name: str, seen: str, expected: str, remedy: str = "") -> StartError:
+        """Return the error of a step, by default with the remedy of that step."""
+        return StartError(self._drive.axis.name, name, seen, expected, remedy or self._remedies[name])
 
     def expect(self, name: str, item: str, seen: int, expected: int) -> None:
         """Compare a value read back; raise StartError where it differs."""

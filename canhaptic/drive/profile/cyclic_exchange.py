@@ -18,6 +18,10 @@ class CyclicExchange(Protocol):
         """Sample times between the last two SYNCs."""
 
     @property
+    def skipped(self) -> int:
+        """SYNCs missed and left out since `begin`."""
+
+    @property
     def sample_time_ns(self) -> int:
         """The sample time [ns]."""
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from itertools import count
 from typing import Final
 
+from canhaptic.canopen.code_texts import emcy_remedy
 from canhaptic.canopen.objects import POSITION_ACTUAL, Controlword, StatusBit
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
 from canhaptic.drive.profile.cyclic_exchange import CyclicExchange
@@ -118,7 +119,7 @@ def _enable(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
     states = {drive: drive.state for drive in exchange.drives}
     while True:
         for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
-            _refuse_fault(drive, bring_up)
+            _refuse_fault(exchange, drive, bring_up)
             state, now = drive.state, exchange.now()
             if state is not states[drive]:
                 states[drive], begin[drive] = state, now
@@ -143,9 +144,11 @@ def _enable_time(drive: TorqueAxis) -> int:
     return round(max(drive.axis.step_timeout, drive.quirks.enable_time) * 1e9)
 
 
-def _refuse_fault(drive: TorqueAxis, bring_up: BringUp) -> None:
+def _refuse_fault(exchange: CyclicExchange, drive: TorqueAxis, bring_up: BringUp) -> None:
     if drive.state in FAULTED or drive.emergency is not None:
-        raise bring_up.refusal("enable", bring_up.fault_text(), PowerState.OPERATION_ENABLED.value)
+        code = 0 if drive.emergency is None else drive.emergency.code
+        remedy = emcy_remedy(code, exchange.silence * 1e-9, exchange.skipped)
+        raise bring_up.refusal("enable", bring_up.fault_text(), PowerState.OPERATION_ENABLED.value, remedy)
 
 
 def _state_text(drive: TorqueAxis) -> str:
