@@ -357,7 +357,8 @@ class Rig:
         others = next((others for one, others in self._needed if one is drive), ())
         names = ", ".join(other.axis.name for other in others)
         together = f" without the TPDOs of all of {names}, which render together" if names else ""
-        return f"{drive.policy.missed} SYNCs in a row{together}, limit {self.bus.stop_cycles}"
+        missing = f" without {drive.culprit}" if drive.culprit and not names else ""
+        return f"{drive.policy.missed} SYNCs in a row{missing}{together}, limit {self.bus.stop_cycles}"
 
     def _emergency_remedy(self, drive: ServoDrive) -> str:
         """Remedy for the drive's EMCY; "" where its code belongs to the drive's own manual."""

@@ -104,12 +104,11 @@ class CanBringUp(BringUp):
     def process_data(self) -> Confirmation:
         """Confirmation by every TPDO after a SYNC."""
         drive = self._drive
-        cob_ids = ", ".join(f"{tpdo.cob_id:#05x}" for tpdo in drive.map.tpdos)
         return Confirmation(
             "PDO exchange",
             "every TPDO after a SYNC",
             lambda: drive.is_complete,
-            lambda: f"no complete answer from COB-ID {cob_ids}",
+            lambda: f"no {drive.culprit} of the right length",
             lambda: None,
         )
 

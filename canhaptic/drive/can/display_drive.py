@@ -85,12 +85,19 @@ class DisplayDrive(ServoDrive):
                 self._statistics.short += 1
                 return
             if not self._pending & bit:
-                self._count_surplus()
+                self._count_surplus(bit)
                 return
             self._stage[2] = int.from_bytes(data[begin:end], node.order, signed=node.signed)
             self._take_part(bit)
 
         return take
+
+    def part(self, bits: int) -> str:
+        """Returns the names of the frames of a sample; that of the sensor comes last."""
+        sensor, frames = self._sensor, super().part(bits)
+        if sensor is None or not bits >> len(self.map.tpdos):
+            return frames
+        return f"{frames}, ".lstrip(", ") + f"frame {sensor.frame_id:#05x} of the force sensor"
 
     def command_sensor(self, command: od.NmtCommand) -> None:
         """Send an NMT command to a sensor that is a CANopen node of its own.

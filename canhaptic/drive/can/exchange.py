@@ -63,6 +63,16 @@ class Exchange:
         self._since_heartbeat = self.beat_cycles
         self._next = self.deadline = self.woken = self.heard = self._synced = self._logged = self.clock.now()
 
+    def leave_one_out(self) -> None:
+        """Let the next SYNC go out one sample time later, and handle what comes until the present window ends.
+
+        Raises:
+            LinkError: A bus failed.
+        """
+        self._next += self._period
+        for link in self.links:
+            link.pump(self._synced + self._window_ns)
+
     def sync(self) -> None:
         """Wait for the deadline, send SYNC on every bus and take the TPDOs until all arrived or their time is over.
 

@@ -99,7 +99,13 @@ class ServoDrive(TorqueAxis):
 
     def refuse_tpdos(self) -> None:
         """Close the window: a later TPDO must not count for the next SYNC."""
+        if self._pending:
+            self.culprit = self.part(self._pending)
         self._pending = 0
+
+    def part(self, bits: int) -> str:
+        """Returns the names of the frames of a sample."""
+        return ", ".join(f"TPDO {plan.cob_id:#05x}" for n, plan in enumerate(self.map.tpdos) if bits >> n & 1)
 
     # --- out --------------------------------------------------------------------------------------------------------
 
@@ -183,7 +189,7 @@ class ServoDrive(TorqueAxis):
                 self._statistics.short += 1
                 return
             if not self._pending & bit:
-                self._count_surplus()
+                self._count_surplus(bit)
                 return
             if is_whole:  # `_complete` written out: this runs for every drive in every cycle
                 self._values = values = unpack(data)
@@ -212,11 +218,13 @@ class ServoDrive(TorqueAxis):
         self.statusword = self._values[0]
         self.window.pending -= 1
 
-    def _count_surplus(self) -> None:
+    def _count_surplus(self, bit: int) -> None:
         if self.window.is_open:
             self._statistics.duplicate += 1
         else:
             self._statistics.late += 1
+            self.unasked += 1
+            self.culprit = self.part(bit)
 
     def _take_heartbeat(self, data: bytearray) -> None:
         if len(data) != 1:

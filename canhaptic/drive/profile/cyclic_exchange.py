@@ -42,6 +42,9 @@ class CyclicExchange(Protocol):
     def begin(self) -> None:
         """Let the next SYNC go out at once and count from there."""
 
+    def leave_one_out(self) -> None:
+        """Let the next SYNC go out one sample time later, and take what still answers the last; raise LinkError."""
+
     def sync(self) -> None:
         """Wait for the next deadline, send SYNC and take its answers; raise LinkError."""
 

@@ -13,6 +13,9 @@ from canhaptic.drive.profile.torque_axis import TorqueAxis
 
 _PLAUSIBLE_COUNTS: Final = 1 << 15  # a shifted map is wrong by 2^16 and more; a hand moves less between two frames
 _WRAP: Final = 1 << 32
+_ORDER: Final = (
+    "set transmission type 1, inhibit time 0 and event timer 0 of that TPDO (0x1800 and up), or lower bus.rate"
+)
 _PATIENCE: Final = 3  # heartbeats after which a drive that has not confirmed is asked again
 
 
@@ -81,8 +84,7 @@ def _enter_operational(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -
 
 def _exchange_zero_torque(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
     """Cycle until every drive answers SYNC, then read back its target torque and its torque demand."""
-    _cycle_until(exchange, bring_ups, lambda bring_up: bring_up.process_data())
-    _cycle(exchange, bring_ups)  # a synchronous RPDO acts only now
+    _require_order(exchange, bring_ups)
     for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
         with bring_up.step("zero torque"):
             target = _read(exchange, drive, drive.axis.target)
@@ -91,6 +93,29 @@ def _exchange_zero_torque(exchange: CyclicExchange, bring_ups: Sequence[BringUp]
             raise bring_up.refusal("zero torque", seen, drive.rest_text)
         if drive.read_back == "demand" and drive.reported_per_mille != 0:
             raise bring_up.refusal("zero torque", f"0x6074 = {drive.reported_per_mille} in the TPDO", "0")
+
+
+def _require_order(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
+    """Cycles until every drive answers two SYNCs, of which the first is followed by a pause, and sends nothing in it.
+
+    What comes in the pause answers an older SYNC, or none: it would be taken for the answer of the next.
+    """
+    drives, begin = exchange.drives, exchange.now()
+    while True:
+        _cycle_until(exchange, bring_ups, lambda bring_up: bring_up.process_data())
+        with bring_ups[0].step("bus"):
+            exchange.leave_one_out()
+        before = [drive.unasked for drive in drives]
+        _cycle(exchange, bring_ups)  # a synchronous RPDO acts only now
+        wrong = [n for n, drive in enumerate(drives) if drive.unasked > before[n] or not drive.is_complete]
+        if not wrong:
+            return
+        drive, bring_up = drives[wrong[0]], bring_ups[wrong[0]]
+        if exchange.now() - begin > round(drive.axis.step_timeout * 1e9):
+            is_late = drive.unasked > before[wrong[0]]
+            seen = "process data that answer no SYNC, or an older one" if is_late else "no answer to one SYNC of two"
+            wanted = "each SYNC answered before the part tpdo_timeout of its cycle ends, and nothing sent between"
+            raise bring_up.refusal("PDO exchange", f"{drive.culprit}: {seen}", wanted, _ORDER)
 
 
 def _read(exchange: CyclicExchange, drive: TorqueAxis, index: int) -> int:

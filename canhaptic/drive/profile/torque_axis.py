@@ -66,6 +66,8 @@ class TorqueAxis(ABC):
         answers: Whether the drive answered an SDO since the last start.
         left_out: Objects that the start leaves out, as an older master did whose run is replayed.
         controlword: Controlword sent with the next torque.
+        unasked: Process data since the last `reset` that came in no window of a SYNC.
+        culprit: The process data that came so, or did not come in the last window, in words.
         unheard: SYNCs since the last `reset` whose process data did not come in their window.
         read_back_bound: Error bound of a torque that is measured (0x6077): sum over the holds of its largest difference
             from
@@ -129,7 +131,8 @@ class TorqueAxis(ABC):
         self.controlword = int(od.Controlword.DISABLE_VOLTAGE)
         self._values: tuple[int, ...] | list[int] = (0, 0, 0)  # statusword, position counts, torque per mille
         self.is_complete = False
-        self.unheard = 0
+        self.unheard = self.unasked = 0
+        self.culprit = ""
         self.read_back_bound = 0.0
         self._spread = 0.0  # per mille: how far the torque is from what may have acted instead, see `read_back_bound`
         self._lowest = self._highest = 0  # per mille: of all commands that acted, or should have
