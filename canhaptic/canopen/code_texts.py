@@ -125,8 +125,8 @@ _EMCY_REMEDIES: Final = {  # code, or its group with zeros behind; `silence` [ms
     0x8611: "the position was farther from its target than 0x6065 of the drive allows, for longer than 0x6066: widen "
     "them with the vendor's tool, lower acceleration_limit and speed_limit, and check what holds the motor",
     0x8612: "a target was beyond 0x607D or 0x607B of the drive: set position_low and position_high within them",
-    0x8700: "the drive missed the SYNC of this computer; this computer skipped {skipped} cycles: set the drive's 0x1006 "
-    "(cycle period) to that of bus.rate and its 0x1019 (SYNC counter) to 0, and see `canhaptic check`, host",
+    0x8700: "the drive missed the SYNC of this computer; this computer skipped {skipped} cycles: set the drive's "
+    "0x1006 (cycle period) to that of bus.rate and its 0x1019 (SYNC counter) to 0, and see `canhaptic check`, host",
 }
 
 _EMCY_MASKS: Final = (0xFFFF, 0xFFF0, 0xFF00, 0xF000)  # of an error code: itself, then ever wider groups
