@@ -43,7 +43,7 @@ import yaml
 _NO_CODE = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 _LONGEST_FILE, _LONGEST_FUNCTION = 400, 40  # lines
 _FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
-_VAGUE_ARGUMENT = re.compile(r"^\s+\*{0,2}\w+: (?:Of|That)\b", re.MULTILINE)
+VAGUE_ARGUMENT = re.compile(r"^\s+\*{0,2}\w+: (?:Of|That)\b", re.MULTILINE)
 _RUN = """
 import json, sys
 from canhaptic.cli.main import main
@@ -81,7 +81,7 @@ def count(top: Path, package: str = "canhaptic") -> dict[str, Any]:
         "code_lab": sum(lines[module.name] for module in modules if _is_lab(module)),
         "loaded": _loaded_code(top, lines),
         "crossing": _crossing(modules),
-        "vague_arguments": sum(len(_VAGUE_ARGUMENT.findall(module.text)) for module in modules),
+        "vague_arguments": sum(len(VAGUE_ARGUMENT.findall(module.text)) for module in modules),
         "long_files": [module.name for module in modules if module.text.count("\n") > _LONGEST_FILE],
         "long_functions": [name for module in modules for name in _long_functions(module)],
         "names": len(names),

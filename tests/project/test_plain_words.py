@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tools.count_structure import VAGUE_ARGUMENT
+
 ROOT = Path(__file__).resolve().parents[2]
 TICS = {
     "beside": r"\bbeside\b(?!')",
@@ -110,6 +112,25 @@ def found(path: Path) -> list[str]:
         for hit in pattern.finditer(text)
     ]
     return [f"{path.relative_to(ROOT)}:{number}: {name}: {' '.join(place.split())}" for number, name, place in hits]
+
+
+def vague_arguments(folder: Path) -> list[str]:
+    """Every entry of `Args:` or `Attributes:` that says what the argument belongs to, and not what it is."""
+    return [
+        f"{path.relative_to(folder)}: {entry.strip()}"
+        for path in sorted(folder.rglob("*.py"))
+        for entry in VAGUE_ARGUMENT.findall(path.read_text(encoding="utf-8"))
+    ]
+
+
+def test_every_argument_says_what_it_is():
+    assert vague_arguments(ROOT / "canhaptic") == []
+
+
+@pytest.mark.parametrize("entry", ["settings: Of the run.", "environment: That is rendered."])
+def test_an_argument_that_says_what_it_belongs_to_is_found(tmp_path, entry):
+    (tmp_path / "module.py").write_text(f'def f(x):\n    """Do.\n\n    Args:\n        {entry}\n    """\n')
+    assert vague_arguments(tmp_path) == [f"module.py: {' '.join(entry.split()[:2])}"]
 
 
 def test_no_text_has_a_tic():
