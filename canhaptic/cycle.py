@@ -237,14 +237,14 @@ class Cycle:
 
 
 def _judge(axes: int, groups: "Sequence[AxisGroup]") -> "EnergyAudit":
-    """Returns what compares the accounts with the simulated plant; a run with real drives loads nothing of it."""
+    """Return what compares the accounts with the simulated plant; a run with real drives loads nothing of it."""
     from canhaptic.control.energy_audit import EnergyAudit
 
     return EnergyAudit(axes, groups)
 
 
 def _grouped(controllers: Sequence[Controller], groups: "Sequence[AxisGroup]", dry_run: bool) -> "GroupedControllers":
-    """Returns what steps groups and axes together; no other run loads it."""
+    """Return what steps groups and axes together; no other run loads it."""
     from canhaptic.control.multi_axis.axis_group import GroupedControllers
 
     return GroupedControllers(controllers, groups, dry_run)

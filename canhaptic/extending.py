@@ -79,12 +79,12 @@ __all__ = [
 
 
 def __dir__() -> list[str]:
-    """Returns the public names."""
+    """Return the public names."""
     return sorted(__all__)
 
 
 def __getattr__(name: str) -> Any:
-    """Imports a public name on its first use (PEP 562)."""
+    """Import a public name on its first use (PEP 562)."""
     module = next((module for module, names in _PLACES.items() if name in names), None)
     if module is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -16,12 +16,12 @@ _ANY: Final = 1e100
 
 
 def watch(kind: type, names: Iterable[str], largest: float = _ANY) -> None:
-    """Makes methods of an own class refuse all but a number, or a balance whose torque is one; others stay as they are.
+    """Make methods of an own class refuse all but a number, or a balance whose torque is one; others stay as they are.
 
     Args:
         kind: The class; methods that it inherits from canhaptic are not touched.
         names: Methods that return a number, where it has them.
-        largest: Of the numbers.
+        largest: Largest size of the numbers.
     """
     for owner in kind.__mro__:
         if not owner.__module__.startswith("canhaptic."):
@@ -54,7 +54,7 @@ def _watched(method: Callable[..., Any], largest: float) -> Callable[..., Any]:
 
 
 def _program_of(owner: object) -> str:
-    """Returns `file.py:Class`."""
+    """Return `file.py:Class`."""
     kind = type(owner)
     file = getattr(sys.modules.get(kind.__module__), "__file__", None) or kind.__module__
     return f"{Path(file).name}:{kind.__qualname__}"

@@ -377,7 +377,7 @@ class OnDemand:
         self._path = path
 
     def model_of(self, _section: object = None) -> type[Parameters]:
-        """Returns the model."""
+        """Return the model."""
         model: type[Parameters] = load({"": self._path}, "", "model")
         return model
 
@@ -385,7 +385,7 @@ class OnDemand:
         return core_schema.with_info_plain_validator_function(self.read)
 
     def read(self, value: object, info: ValidationInfo[Any]) -> object:
-        """Returns the parameters of a section, in the units of its axis or of what the model itself moves in."""
+        """Return the parameters of a section, in the units of its axis or of what the model itself moves in."""
         model, context = self.model_of(), info.context
         if isinstance(value, model):
             return value

@@ -38,7 +38,7 @@ class EnergyAudit:
         self._groups = [(axes + place, group) for place, group in enumerate(groups)]
 
     def compare(self, ledgers: Sequence[Ledger], truths: Sequence[Truth], balances: Sequence[EnergyBalance]) -> None:
-        """Takes the truth of the SYNC whose balances the ledgers have just taken.
+        """Take the truth of the SYNC whose balances the ledgers have just taken.
 
         Args:
             ledgers: Ledger of each axis.

@@ -242,7 +242,7 @@ class Rig:
                 line.step()
 
     def sdo(self, axis: str | int) -> "BackgroundSdo":
-        """Returns SDO access to the drive of an axis, by name or number, during the running cycle and from any thread.
+        """Return SDO access to the drive of an axis, by name or number, during the running cycle and from any thread.
 
         The first call loads what it needs; make it before `start` where a late SYNC matters.
 
@@ -259,7 +259,7 @@ class Rig:
         return BackgroundSdo(drive, self._lines()[self.links.index(drive.link)])
 
     def _lines(self) -> "tuple[SdoLine, ...]":
-        """Returns the SDO traffic of each bus, made with the first request for it; open while the rig runs."""
+        """Return the SDO traffic of each bus, made with the first request for it; open while the rig runs."""
         from canhaptic.drive.can.background_sdo import SdoLine
 
         with self._making_lines:

@@ -201,7 +201,7 @@ def require_buildable(scene: Scene) -> None:
 
 
 def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) -> "DriveGroup":
-    """Returns the simulated drives of a scene on one connection to the bus.
+    """Return the simulated drives of a scene on one connection to the bus.
 
     Args:
         scene: Has a `simulation`.
@@ -269,7 +269,7 @@ def _build_groups(scene: Scene, channels: Sequence[str | int | None], stack: Exi
 
 
 def _far_side(scene: Scene, groups: "Sequence[DriveGroup]") -> "Drives | None":
-    """Returns all simulated drives in the order of the axes; None with real ones."""
+    """Return all simulated drives in the order of the axes; None with real ones."""
     if len(groups) < 2:
         return groups[0] if groups else None
     from canhaptic.sim.drive.can.drive_group import DriveGroups
@@ -290,7 +290,7 @@ def _build_faulty_bus(scene: Scene, index: int, bus: can.BusABC, stack: ExitStac
 
 
 def _build_clock(scene: Scene, pace: _Pace, groups: "Sequence[DriveGroup]", faulty: "Mapping[int, FaultyBus]") -> Clock:
-    """Returns the clock, which drives the simulated drives, and the faults between them and the master if any."""
+    """Return the clock, which drives the simulated drives, and the faults between them and the master if any."""
     peers: list[SimulatedPeer] = [faulty[n].around(group) if n in faulty else group for n, group in enumerate(groups)]
     clock: Clock = VirtualClock(peers) if pace == "free" else WallClock(peers, scene.bus.spin_margin)
     for faulty_bus in faulty.values():

@@ -30,10 +30,10 @@ class _CodeReading(Protocol):
     """Code of its user that a scene names; see `OwnCode`, which is loaded where a scene names some."""
 
     def is_left(self, reference: str, kind: str) -> bool:
-        """Returns whether a name is of own code that stays unread."""
+        """Return whether a name is of own code that stays unread."""
 
     def find(self, reference: str, kind: str) -> Any:
-        """Returns the class of the user's own that a name means; None where it means none."""
+        """Return the class of the user's own that a name means; None where it means none."""
 
 
 class SceneReading(Protocol):
@@ -205,7 +205,7 @@ class OwnModel(OnDemand):
         return core_schema.with_info_plain_validator_function(self.read, serialization=plain)
 
     def read(self, value: object, info: ValidationInfo[Any]) -> object:
-        """Returns the parameters of a section."""
+        """Return the parameters of a section."""
         if not isinstance(value, MarkedMapping) or "type" not in value:
             return super().read(value, info)
         name, code, model = value["type"], info.context.code, self.model_of()

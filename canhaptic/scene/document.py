@@ -286,7 +286,7 @@ def mark_plain(value: Any, source: str, path: tuple[str, ...] = ()) -> Any:
 
 
 def read_mapping(value: object, at: SourceLocation, faults: Diagnostics, what: str) -> MarkedMapping | None:
-    """Returns a value that must be a mapping; None, with a fault, when it is something else."""
+    """Return a value that must be a mapping; None, with a fault, when it is something else."""
     if isinstance(value, MarkedMapping):
         return value
     faults.add(at, f"got {shown(value)}, expected a mapping of {what}")
@@ -294,7 +294,7 @@ def read_mapping(value: object, at: SourceLocation, faults: Diagnostics, what: s
 
 
 def read_list(value: object, at: SourceLocation, faults: Diagnostics, what: str) -> MarkedList | None:
-    """Returns a value that must be a list; None, with a fault, when it is something else."""
+    """Return a value that must be a list; None, with a fault, when it is something else."""
     if isinstance(value, MarkedList):
         return value
     faults.add(at, f"got {shown(value)}, expected a list of {what}")
@@ -302,7 +302,7 @@ def read_list(value: object, at: SourceLocation, faults: Diagnostics, what: str)
 
 
 def refuse_unknown_keys(section: MarkedMapping, known: Iterable[str], faults: Diagnostics) -> None:
-    """Notes every key of a section that is none of the known ones, with the nearest name."""
+    """Note every key of a section that is none of the known ones, with the nearest name."""
     names = tuple(known)
     for key in section:
         if key not in names:

@@ -48,7 +48,7 @@ def experiment_account(experiment: Experiment, status: str, elapsed: float) -> R
 
 
 def _method(experiment: Experiment) -> str:
-    """Returns how the far side was computed, with its price; empty with real drives, which load nothing of it."""
+    """Return how the far side was computed, with its price; empty with real drives, which load nothing of it."""
     scene, plants, cycles = experiment.scene, experiment.plants, experiment.cycle.cycles
     if not scene.simulated:
         return ""
@@ -59,7 +59,7 @@ def _method(experiment: Experiment) -> str:
 
 
 def _advise(axis: AxisScene, port: PortResult) -> None:
-    """Adds what keeps a wall away that was not felt."""
+    """Add what keeps a wall away that was not felt."""
     from canhaptic.scene.first_contact import advice, can_be_tried
 
     if can_be_tried(axis):

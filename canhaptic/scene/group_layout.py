@@ -32,7 +32,7 @@ class Members(NamedTuple):
     axes: tuple[str, ...]
 
     def as_group(self, units: dict[str, Motion]) -> MarkedMapping:
-        """Returns a group in the units of its axes, and what it renders in those of its task space."""
+        """Return a group in the units of its axes, and what it renders in those of its task space."""
         motions = {units[name] for name in self.axes if name in units}
         motor = next(iter(motions)) if len(motions) == 1 else None
         section = self.section.copy()
@@ -54,7 +54,7 @@ class Members(NamedTuple):
         return section
 
     def as_mechanism(self) -> MarkedMapping:
-        """Returns a simulated mechanism; its hand moves in metres, for linear and rotary motors."""
+        """Return a simulated mechanism; its hand moves in metres, for linear and rotary motors."""
         section = MarkedMapping(self.section.mark)
         section.put("axes", self.axes or NOTED, section.mark, self.section.value_at("axes"))
         section.set("mechanism", self.section.without("axes", "hand"))

@@ -34,7 +34,7 @@ def guesses_left(scene: Scene) -> list[Guess]:
 
 
 def refuses_guesses(scene: Scene, run: "Runner | None" = None) -> bool:
-    """Returns whether a run of the scene is refused while values are marked: drives may be real.
+    """Return whether a run of the scene is refused while values are marked: drives may be real.
 
     Args:
         scene: The scene.

@@ -77,7 +77,7 @@ def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence
 def _members(
     written: MarkedMapping, simulation: MarkedMapping | None, faults: Diagnostics
 ) -> "tuple[list[Members], list[Members]]":
-    """Returns groups and simulated mechanisms; a scene without them loads nothing of their layout."""
+    """Return groups and simulated mechanisms; a scene without them loads nothing of their layout."""
     if written.get("groups") is None and (simulation is None or simulation.get("mechanisms") is None):
         return [], []
     from canhaptic.scene.group_layout import check_group_axes, members_of
@@ -328,7 +328,7 @@ def _own_parts(name: str, simulation: MarkedMapping, faults: Diagnostics) -> Mar
 
 
 def _drive(parts: MarkedMapping, axis: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
-    """Returns the simulated drive's parameters; its scaling is the axis's unless it is given one of its own."""
+    """Return the simulated drive's parameters; its scaling is the axis's unless it is given one of its own."""
     from canhaptic.scene.simulated_defaults import mirror_quirks
 
     at = parts.value_at("drive")

@@ -140,7 +140,7 @@ def _read(
 def _validated(
     sections: MarkedMapping, laid: MarkedMapping, faults: Diagnostics, context: SceneContext
 ) -> Scene | None:
-    """Returns the scene; None when it has faults, which are all noted."""
+    """Return the scene; None when it has faults, which are all noted."""
     try:
         scene = scene_adapter().validate_python(laid, context=context)
         if context.has_code:

@@ -360,7 +360,7 @@ class Scene:
         }
 
     def config_hash(self, release: "Release | None" = None, logged: Mapping[str, Any] | None = None) -> str:
-        """Returns the SHA-256 of the configuration in effect, dictionaries by content.
+        """Return the SHA-256 of the configuration in effect, dictionaries by content.
 
         Args:
             release: Earlier release whose logs are compared: its names, and its keys that are gone; None for this one.

@@ -30,7 +30,7 @@ _SELECTOR: Final = "algorithm"
 
 
 def overrides_now(overrides: Iterable[str]) -> list[str]:
-    """Returns overrides of an earlier release by the names of now, without those of keys that are gone."""
+    """Return overrides of an earlier release by the names of now, without those of keys that are gone."""
     found = []
     for text in overrides:
         path, equals, value = text.partition("=")
@@ -46,7 +46,7 @@ def overrides_now(overrides: Iterable[str]) -> list[str]:
 def in_form_of(
     release: Release, resolved: Mapping[str, Any], later: Collection[str], logged: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Returns a configuration in effect as the logs of an earlier release have hashed it.
+    """Return a configuration in effect as the logs of an earlier release have hashed it.
 
     Args:
         release: Release that wrote the log.
@@ -68,13 +68,13 @@ def in_form_of(
 
 
 def _put_gone(section: dict[str, Any], gone: Mapping[str, Mapping[str, Any]], then: Mapping[str, Any]) -> None:
-    """Gives a section `passivity` the keys that its algorithm had then, in place."""
+    """Give a section `passivity` the keys that its algorithm had then, in place."""
     for algorithm in ("", section[_SELECTOR]):
         section |= {key: then.get(key, default) for key, default in gone.get(algorithm, {}).items()}
 
 
 def _in_old_names(old: dict[str, Any], later: Collection[str]) -> dict[str, Any]:
-    """Gives a configuration in effect the names and the keys of the first release, in place."""
+    """Give a configuration in effect the names and the keys of the first release, in place."""
     keys, algorithms = ({new: name for name, new in table.items()} for table in (OLD_KEYS, OLD_ALGORITHMS))
     for owner in (*old["axes"].values(), *old.get("groups", {}).values()):
         section = {keys.get(key, key): value for key, value in owner[_SECTION].items()}

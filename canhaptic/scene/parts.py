@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 def build_plant(simulation: AxisSimulation, sample_time_ns: int, *, compiled: bool = False) -> "Plant":
-    """Returns the motor and user of one axis, at rest until the first SYNC with the drive enabled.
+    """Return the motor and user of one axis, at rest until the first SYNC with the drive enabled.
 
     Args:
         simulation: Plant, user and effects.
@@ -117,7 +117,7 @@ def build_axis_controllers(scene: Scene) -> list[Controller]:
 
 
 def build_axis_groups(scene: Scene) -> "list[AxisGroup]":
-    """Returns the groups of a scene, at rest."""
+    """Return the groups of a scene, at rest."""
     if not scene.groups:
         return []
     from canhaptic.control.multi_axis.axis_group import AxisGroup
@@ -152,7 +152,7 @@ def _axis_meter(axis: AxisScene, algorithm: str) -> AxisMeter:
 
 
 def build_group(scene: Scene, group: GroupScene) -> "GroupController":
-    """Returns the controller of one group.
+    """Return the controller of one group.
 
     Raises:
         ParameterError: Network, kinematics and axes do not fit together, or a value is missing.
@@ -198,7 +198,7 @@ def _build_display_group(scene: Scene, group: GroupScene) -> "GroupController":
 
 
 def build_mechanism(of: MechanismScene, sample_time_ns: int) -> "Mechanism":
-    """Returns a simulated mechanism, at rest until the last of its drives is enabled.
+    """Return a simulated mechanism, at rest until the last of its drives is enabled.
 
     Raises:
         ParameterError: It cannot be in the pose of its parameters.
@@ -239,7 +239,7 @@ def require_torque_axis(axis: AxisScene) -> None:
 def build_simulated_drive(
     axis: AxisScene, simulation: AxisSimulation, bus: can.BusABC, sample_time_ns: int
 ) -> "SimulatedDrive":
-    """Returns the drive of one axis with motor and user behind it; it reads its dictionary itself."""
+    """Return the drive of one axis with motor and user behind it; it reads its dictionary itself."""
     from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 
     plant = build_plant(simulation, sample_time_ns)
@@ -254,7 +254,7 @@ def build_mechanism_drive(
     bus: can.BusABC,
     sample_time_ns: int,
 ) -> "SimulatedDrive":
-    """Returns the drive of one axis that moves a mechanism with others."""
+    """Return the drive of one axis that moves a mechanism with others."""
     from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 
     node_id, eds = axis.parameters.node_id, axis.parameters.eds
@@ -265,7 +265,7 @@ def build_mechanism_drive(
 
 
 def shared_motors(scene: Scene) -> "dict[str, MechanismMotor]":
-    """Returns the motors of all simulated mechanisms, by the name of their axis."""
+    """Return the motors of all simulated mechanisms, by the name of their axis."""
     from canhaptic.sim.plant.mechanism.shared_mechanism import SharedMechanism
 
     motors: dict[str, MechanismMotor] = {}

@@ -39,7 +39,7 @@ return `${(value / scale).toPrecision(5)} ${prefix}${unit}`;
 
 
 def new_panel(title: str, unit: str, time: Range, height: int) -> figure:
-    """Returns an empty panel over time.
+    """Return an empty panel over time.
 
     Args:
         title: Before the unit, at the left.
@@ -68,17 +68,17 @@ def new_panel(title: str, unit: str, time: Range, height: int) -> figure:
 
 
 def si_ticks(unit: str) -> CustomJSTickFormatter:
-    """Returns what writes the ticks of an axis with one SI prefix, chosen by the largest of them."""
+    """Return what writes the ticks of an axis with one SI prefix, chosen by the largest of them."""
     return CustomJSTickFormatter(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_TICKS)
 
 
 def _si_hover(unit: str) -> CustomJSHover:
-    """Returns what writes a value under the pointer with five digits and its SI prefix."""
+    """Return what writes a value under the pointer with five digits and its SI prefix."""
     return CustomJSHover(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_VALUE)
 
 
 def add_hover(panel: figure, main: str, values: Mapping[str, tuple[str, str]]) -> None:
-    """Shows time and values under the pointer.
+    """Show time and values under the pointer.
 
     Args:
         panel: Where.
@@ -95,7 +95,7 @@ def add_hover(panel: figure, main: str, values: Mapping[str, tuple[str, str]]) -
 
 
 def finished(panel: figure) -> figure:
-    """Puts the legend above the panel, where nothing can lie on the data."""
+    """Put the legend above the panel, where nothing can lie on the data."""
     legend = panel.legend[0]
     legend.orientation, legend.location, legend.click_policy = "horizontal", "right", "hide"
     legend.border_line_alpha, legend.padding, legend.margin, legend.spacing = 0.0, 0, 0, 16

@@ -12,7 +12,7 @@ _TIMING_COLOURS: Final = (BLUE, GREEN, VERMILION, PURPLE)
 
 
 def timing_panel(time: Range, source: ColumnDataSource, period: float) -> figure:
-    """Returns the panel of durations within the cycle.
+    """Return the panel of durations within the cycle.
 
     Args:
         time: The range that all panels share.
@@ -30,7 +30,7 @@ def timing_panel(time: Range, source: ColumnDataSource, period: float) -> figure
 
 
 def link_panel(time: Range, source: ColumnDataSource) -> figure:
-    """Returns the panel of what was lost, summed; every change is a row of `source`, so that its stairs are true."""
+    """Return the panel of what was lost, summed; every change is a row of `source`, so that its stairs are true."""
     panel = new_panel("lost", "", time, 130)
     panel.y_range = DataRange1d(start=-0.05, min_interval=1.0)
     names = [name for name in source.data if name != "time"]

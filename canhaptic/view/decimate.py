@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 
 def decimate(values: NDArray[np.generic], buckets: int) -> NDArray[np.intp]:
-    """Returns the indices of samples to draw: the least and the greatest of every bucket, in order, both ends kept.
+    """Return the indices of samples to draw: the least and the greatest of every bucket, in order, both ends kept.
 
     Args:
         values: Shape (n,); NaN is drawn where it is.

@@ -45,13 +45,13 @@ class SafeConsole(Console):
     """A console that shows every text with `visible`; its own colours and styles go through."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
-        """Yields the parts of what is shown."""
+        """Yield the parts of what is shown."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(visible(segment.text), segment.style)
 
 
 def make_console(file: IO[str] | None = None) -> Console:
-    """Returns a console on standard output, as wide as COLUMNS says, else the terminal; 100 columns without either."""
+    """Return a console on standard output, as wide as COLUMNS says, else the terminal; 100 columns without either."""
     console = SafeConsole(highlight=False, file=file)
     if console.is_terminal or os.environ.get("COLUMNS", "").isdecimal():
         return console
@@ -59,7 +59,7 @@ def make_console(file: IO[str] | None = None) -> Console:
 
 
 def print_energy(result: _Result, console: Console | None = None) -> None:
-    """Prints the account of a run.
+    """Print the account of a run.
 
     Args:
         result: As `run --json` prints it.
@@ -69,7 +69,7 @@ def print_energy(result: _Result, console: Console | None = None) -> None:
 
 
 def energy_report(result: _Result) -> RenderableType:
-    """Returns the word of each port, energy table, timing line, link line and method line of a run."""
+    """Return the word of each port, energy table, timing line, link line and method line of a run."""
     names = _ordered(result.get("ports", {}))
     accounts = {name: result["ports"][name] for name in names}
     parts: list[RenderableType] = [headline_text(name, of) for name, of in accounts.items() if "verdict" in of]
@@ -83,7 +83,7 @@ def energy_report(result: _Result) -> RenderableType:
 
 
 def _ordered(ports: Mapping[str, PortResult]) -> list[str]:
-    """Returns the names of the ports, each group before its axes."""
+    """Return the names of the ports, each group before its axes."""
     names: dict[str, None] = {}
     for name, port in ports.items():
         if port.get("group") in ports:
@@ -104,7 +104,7 @@ def _heading(result: _Result) -> Text:
 
 
 def energy_table(result: _Result) -> Table:
-    """Returns the account of every port, one column each, as `run --json` prints it."""
+    """Return the account of every port, one column each, as `run --json` prints it."""
     names = _ordered(result["ports"])
     ports = [result["ports"][name] for name in names]
     rows: list[list[Cell]] = [[label, *(_cell(cell, port) for port in ports)] for label, cell in _PORT_ROWS]
@@ -140,7 +140,7 @@ def _cell(cell: Callable[[_Port], str | Styled], port: _Port) -> str | Styled:
 
 
 def _counted(ports: Sequence[_Result], key: _Counts) -> list[str]:
-    """Returns the names of what happened at some port."""
+    """Return the names of what happened at some port."""
     return list(dict.fromkeys(name for port in ports for name, count in port.get(key, {}).items() if count))
 
 
@@ -149,7 +149,7 @@ def _count_text(port: _Result, key: _Counts, name: str) -> str:
 
 
 def energy(value: float) -> str:
-    """Returns an energy [J] with its unit padded, so that numbers in a column line up."""
+    """Return an energy [J] with its unit padded, so that numbers in a column line up."""
     number, _, unit = si(value, "J").partition(" ")
     return f"{number} {unit:<2}"
 
@@ -191,7 +191,7 @@ def _share(name: Literal["stiffness", "damping"]) -> Callable[[PortResult], str]
 
 
 def _silent(port: PortResult) -> str | Styled:
-    """Returns how many holds of contact had no torque; a wall that renders nothing is absent."""
+    """Return how many holds of contact had no torque; a wall that renders nothing is absent."""
     contact = port["contact"]
     if contact["holds"] and contact["without_torque"] == contact["holds"]:
         return Styled("all   ", "bold red")
@@ -199,7 +199,7 @@ def _silent(port: PortResult) -> str | Styled:
 
 
 def _resolution(port: PortResult) -> str:
-    """Returns how far the booked energy may be from the true one."""
+    """Return how far the booked energy may be from the true one."""
     resolution = port["energy_resolution"]
     return energy(resolution) if resolution else "exact   "
 
@@ -223,7 +223,7 @@ def _surplus(which: Literal["end", "max"]) -> Callable[[PortResult], str]:
 
 
 def _friction(port: PortResult) -> str | Styled:
-    """Returns by how much an axis was faster than the declared friction and hand let it be."""
+    """Return by how much an axis was faster than the declared friction and hand let it be."""
     excess = port["friction_excess"]
     return Styled(f"{excess:.3g} {effort_unit(port['unit'])}   ", "bold red") if excess else "none   "
 

@@ -23,7 +23,7 @@ _WORDS: Final[dict[Headline, str]] = {
 
 
 def headline_text(name: str, port: PortResult) -> Text:
-    """Returns the first line of a port that has an account of its own.
+    """Return the first line of a port that has an account of its own.
 
     Args:
         name: Name of the port.
@@ -38,7 +38,7 @@ def headline_text(name: str, port: PortResult) -> Text:
 
 
 def _reasons(port: PortResult) -> list[tuple[str, str]]:
-    """Returns what follows the word, each with what separates it from the words before."""
+    """Return what follows the word, each with what separates it from the words before."""
     word, plant = port["verdict"], port.get("plant_passive")
     found: list[tuple[str, str]] = []
     if word == "yes":

@@ -62,12 +62,12 @@ _WIDTH: Final = re.compile(r'width="([\d.]+)pt"')
 
 
 def words(*lines: str) -> str:
-    """Returns one paragraph of lines."""
+    """Return one paragraph of lines."""
     return f"<p>{'<br>'.join(map(html.escape, lines))}</p>"
 
 
 def picture(draw: Callable[[Path], object], title: str, *, folded: bool = False) -> str:
-    """Returns a picture for a page.
+    """Return a picture for a page.
 
     Its greys become shades between the colours of text and page, its blue that of the page.
 
@@ -93,11 +93,11 @@ def _shade(grey: int) -> str:
 
 
 def write_page(path: Path, title: str, parts: Iterable[str | Table]) -> None:
-    """Writes a page.
+    """Write a page.
 
     Args:
         path: The page.
-        title: Of the page, and its first heading.
+        title: Title of the page, and its first heading.
         parts: HTML, and tables.
 
     Raises:

@@ -45,7 +45,7 @@ def write_html(
     stop: float | None = None,
     others: Sequence[EnergyLog] = (),
 ) -> None:
-    """Writes a run as one self-contained page.
+    """Write a run as one self-contained page.
 
     Args:
         log: An open energy log.
@@ -82,7 +82,7 @@ def _facts(result: "Inspection") -> str:
 
 
 def _moments(result: "Inspection") -> Iterator[tuple[str, float]]:
-    """Yields title and time [s] of the moments that are drawn once more, larger."""
+    """Yield title and time [s] of the moments that are drawn once more, larger."""
     if result["to"] - result["from"] <= 2.0 * _SPAN:
         return
     for name, port in result["ports"].items():
@@ -95,7 +95,7 @@ def _moments(result: "Inspection") -> Iterator[tuple[str, float]]:
 
 
 def _further(log: EnergyLog, rows: slice) -> tuple[_Panels, list[str]]:
-    """Returns the panels of what the picture of a run leaves out, and the names of those that hold only zeros."""
+    """Return the panels of what the picture of a run leaves out, and the names of those that hold only zeros."""
     span = rows.start, rows.stop
     time = log.deadlines(*span) * log.sample_time
 
@@ -136,7 +136,7 @@ def _draw_further(panels: _Panels, path: Path) -> None:
 
 
 def _draw_motion(log: EnergyLog, rows: slice, others: dict[str, tuple[EnergyLog, slice]], path: Path) -> None:
-    """Draws the effort that acted over the position, one panel per axis: its slope is the stiffness felt."""
+    """Draw the effort that acted over the position, one panel per axis: its slope is the stiffness felt."""
     names = [name for name in log.ports if name not in log.groups]
     with drawing() as figure_type:
         figure = figure_type(figsize=(6.0 * len(names), 3.6), layout="constrained")

@@ -24,7 +24,7 @@ _NAME_WIDTH: Final = 24  # of a quantity; longer ones go on in the next line
 
 
 def inspection_report(result: Inspection) -> RenderableType:
-    """Returns everything that `inspect` found, for a terminal."""
+    """Return everything that `inspect` found, for a terminal."""
     parts: list[RenderableType] = [_header(result), energy_report(result)]
     parts += [_finding_line(finding) for finding in result.get("findings", ())]
     parts += inspection_tables(result)
@@ -36,7 +36,7 @@ def inspection_report(result: Inspection) -> RenderableType:
 
 
 def inspection_tables(result: Inspection) -> list[Table]:
-    """Returns contacts, events and checks, as far as there are any."""
+    """Return contacts, events and check, as far as there are any."""
     tables = []
     for name, contacts in result.get("contacts", {}).items():
         port = result["ports"][name]
@@ -74,7 +74,7 @@ def _events_table(events: list[LoggedEvent]) -> Table:
 
 
 def checks_table(checks: list[Outcome]) -> Table:
-    """Returns the outcome of every check."""
+    """Return the outcome of every check."""
     rows: list[list[Cell]] = [
         [
             check["check"], check["name"],
@@ -123,7 +123,7 @@ def _rederived_line(rederived: "Rederived") -> Text:
 
 
 def comparison_report(comparison: LogComparison) -> RenderableType:
-    """Returns the difference of two runs as `compare` found it."""
+    """Return the difference of two runs as `compare` found it."""
     first, second = comparison["rows"]
     if comparison["identical"]:
         return Text(f" identical: {first} cycles, every quantity equal bit for bit", style="green")

@@ -70,7 +70,7 @@ class LiveLog:
         self._run: tuple[int, str, tuple[str, ...]] | None = None
 
     def look(self) -> News | None:
-        """Returns what is new; None while there is no log that can be read."""
+        """Return what is new; None while there is no log that can be read."""
         try:
             if self._run is None:
                 require_readable(self.path)
@@ -111,7 +111,7 @@ class LiveLog:
         )
 
     def _summed(self, port: str, name: str, values: Array) -> Array:
-        """Returns the running sum of a column, which goes on where the last look ended."""
+        """Return the running sum of a column, which goes on where the last look ended."""
         total = self._sums.get((port, name), 0) + np.cumsum(values)
         if len(total):
             self._sums[port, name] = total[-1]

@@ -33,7 +33,7 @@ _PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"), (1e-12, "p
 
 
 def require_matplotlib() -> None:
-    """Imports matplotlib.
+    """Import matplotlib.
 
     Raises:
         InputError: It is not installed.
@@ -50,7 +50,7 @@ def require_matplotlib() -> None:
 
 @contextmanager
 def drawing() -> "Iterator[type[Figure]]":
-    """Yields matplotlib's `Figure`, which needs no display; what is drawn meanwhile has the style of the package.
+    """Yield matplotlib's `Figure`, which needs no display; what is drawn meanwhile has the style of the package.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -66,7 +66,7 @@ def drawing() -> "Iterator[type[Figure]]":
 
 
 def save_picture(figure: "Figure", path: str | Path) -> None:
-    """Writes a figure into a file; its suffix says how (.png, .svg, .pdf).
+    """Write a figure into a file; its suffix says how (.png, .svg, .pdf).
 
     Raises:
         InputError: The file cannot be written.
@@ -81,5 +81,5 @@ def save_picture(figure: "Figure", path: str | Path) -> None:
 
 
 def axis_scale(largest: float) -> tuple[float, str]:
-    """Returns the scale and SI prefix of an axis by its largest value, which they put between 1 and 1000 if below 1."""
+    """Return the scale and SI prefix of an axis by its largest value, which they put between 1 and 1000 if below 1."""
     return next(((scale, prefix) for scale, prefix in _PREFIXES if largest >= scale), _PREFIXES[0])

@@ -25,12 +25,12 @@ OPTIONAL: Final[dict[str, tuple[str, ...]]] = {
 
 
 def is_empty(name: str, columns: Mapping[str, Array]) -> bool:
-    """Returns whether a panel would show nothing but zeros."""
+    """Return whether a panel would show nothing but zeros."""
     return name in OPTIONAL and not any(np.any(columns[column]) for column in OPTIONAL[name])
 
 
 def fault_columns(faults: Sequence[MarkedEvent]) -> dict[str, list[float] | list[str]]:
-    """Returns the columns `at` and `text` of faults."""
+    """Return the columns `at` and `text` of faults."""
     return {
         "at": [fault.time for fault in faults],
         "text": [f"{fault.event.kind}: {fault.event.text}" for fault in faults],

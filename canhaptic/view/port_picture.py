@@ -53,7 +53,7 @@ class PortPicture:
         self._faults = faults_of(log, name, log.timing["sync_index"][rows])
 
     def draws(self) -> list[str]:
-        """Returns the names of the panels that show something: position and torque always, others where not zero."""
+        """Return the names of the panels that show something: position and torque always, others where not zero."""
         energy = self._column("h_i").any() or self._column("h_r").any()
         surplus = self._column("h_dis").any() or self._column("deficit").any()
         shown = {
@@ -67,7 +67,7 @@ class PortPicture:
         return [name for name, is_shown in shown.items() if is_shown]
 
     def draw(self, panels: "Mapping[str, Axes]") -> None:
-        """Draws into axes, by the names that `draws` returned."""
+        """Draw into axes, by the names that `draws` returned."""
         parts = {
             "position": self._draw_position,
             "velocity": self._draw_velocity,
@@ -86,7 +86,7 @@ class PortPicture:
             panels["position"].set_title(f"{self._name}: position", fontweight="bold")
 
     def draw_over(self, panels: "Mapping[str, Axes]", scales: Mapping[str, float], name: str, colour: str) -> None:
-        """Draws the same quantities over the panels of another run, whose scales they take."""
+        """Draw the same quantities over the panels of another run, whose scales they take."""
         lines = {
             "position": self._of_movers("position"),
             "velocity": self._of_movers("torque_command"),
@@ -104,11 +104,11 @@ class PortPicture:
         return self._port.read(name, self._rows.start, self._rows.stop)
 
     def _of_movers(self, name: str) -> list[Array]:
-        """Returns a quantity of the axis, or of each axis of the group."""
+        """Return a quantity of the axis, or of each axis of the group."""
         return [port.read(name, self._rows.start, self._rows.stop) for port in self._movers]
 
     def _line(self, axes: "Axes", values: Array, scale: float, stair: str = "default", **style: Any) -> None:
-        """Draws a line; as a stair only where every row is drawn, for nothing is known between rows far apart."""
+        """Draw a line; as a stair only where every row is drawn, for nothing is known between rows far apart."""
         shown = decimate(values, _BUCKETS)
         drawn = stair if len(shown) == len(values) else "default"
         axes.plot(self._time[shown], values[shown] / scale, drawstyle=drawn, **style)
@@ -128,7 +128,7 @@ class PortPicture:
         _finish(axes, "position", f"{prefix}{self._movers[0].unit('position')}")
 
     def _draw_velocity(self, axes: "Axes") -> None:
-        """Draws the velocities that an admittance display commands."""
+        """Draw the velocities that an admittance display commands."""
         commands = self._of_movers("torque_command")
         scale, prefix = self._prefix("velocity", *commands)
         for command, name, colour in zip(commands, self._axes or ("commanded",), cycle(_OF_AXES)):
@@ -137,7 +137,7 @@ class PortPicture:
         _finish(axes, title, f"{prefix}{self._movers[0].unit('torque_command')}")
 
     def _draw_path(self, axes: "Axes", plane: TaskPlane) -> None:
-        """Draws the path of the handle against the surface, material shaded, both axes to the same scale."""
+        """Draw the path of the handle against the surface, material shaded, both axes to the same scale."""
         scale, prefix = axis_scale(float(np.nanmax(np.abs(plane.path))))
         _draw_material(axes, plane, scale)
         axes.plot(*(plane.path / scale).T, color=BLUE, linewidth=1.0, label="path")
@@ -160,7 +160,7 @@ class PortPicture:
         _finish(axes, "torque" if unit == "N*m" else "force", f"{prefix}{unit}")
 
     def _draw_torques_of_axes(self, axes: "Axes") -> None:
-        """Draws what each axis of a group applied; what was commanded is drawn wide and pale behind it."""
+        """Draw what each axis of a group applied; what was commanded is drawn wide and pale behind it."""
         applied = self._of_movers("torque_applied")
         commands = [] if self._is_display else self._of_movers("torque_command")
         unit = self._movers[0].unit("torque_applied")
@@ -195,7 +195,7 @@ class PortPicture:
         _finish(axes, "surplus", f"{prefix}J")
 
     def _prefix(self, panel: str, *lines: Array) -> tuple[float, str]:
-        """Returns the scale and SI prefix of a panel that shows all of these lines, and keeps the scale."""
+        """Return the scale and SI prefix of a panel that shows all of these lines, and keep the scale."""
         largest = max(abs(float(limit(line, initial=0.0))) for line in lines for limit in (np.nanmin, np.nanmax))
         scale, prefix = axis_scale(largest)
         self.scales[panel] = scale
@@ -210,7 +210,7 @@ class PortPicture:
             axes.axvline(fault.time, color=VERMILION, linewidth=0.9, linestyle=":")
 
     def faults(self) -> str:
-        """Returns one line of words per marked fault, for below the time axis."""
+        """Return one line of words per marked fault, for below the time axis."""
         return "".join(
             f"\n{time:.4g} s: {event.kind} {event.text[:60]}" for time, event in self._faults[:_MAX_FAULTS_NAMED]
         )

@@ -35,7 +35,7 @@ def draw_energy(
     stop: float | None = None,
     others: Sequence[EnergyLog] = (),
 ) -> None:
-    """Draws a run into a file; its suffix says how (.png, .svg, .pdf).
+    """Draw a run into a file; its suffix says how (.png, .svg, .pdf).
 
     The wall is drawn where the log's attributes `NAME.wall_position` and `NAME.wall_side` say so.
 
@@ -60,7 +60,7 @@ def energy_figure(
     others: Sequence[EnergyLog] = (),
     labels: Sequence[str] = (),
 ) -> "Figure":
-    """Returns the matplotlib figure of a run; the arguments are those of `draw_energy`.
+    """Return the matplotlib figure of a run; the arguments are those of `draw_energy`.
 
     Args:
         log: An open energy log.
@@ -88,7 +88,7 @@ def energy_figure(
 def _layout(
     figure_type: "type[Figure]", pictures: Mapping[str, PortPicture]
 ) -> "tuple[Figure, dict[str, dict[str, Axes]]]":
-    """Returns an empty figure, and of each port its panels by name, top to bottom, all but paths over one time axis."""
+    """Return an empty figure, and of each port its panels by name, top to bottom, all but paths over one time axis."""
     wanted = {name: picture.draws() for name, picture in pictures.items()}
     rows = [row for row in _HEIGHTS if any(row in names for names in wanted.values())]
     heights = [_HEIGHTS[row] for row in rows]

@@ -55,7 +55,7 @@ class ScopePage:
         document.add_periodic_callback(self.update, max(50, round(1000 * period)))
 
     def update(self) -> None:
-        """Takes what is new into the page."""
+        """Take what is new into the page."""
         news = self._log.look()
         if news is None:
             if self._log.trouble:
@@ -108,7 +108,7 @@ class _LivePort:
             panel.visible = title not in OPTIONAL
 
     def take(self, news: News, keep: Array) -> None:
-        """Takes the new rows that `keep` says, their contacts, and all faults."""
+        """Take the new rows that `keep` says, their contacts, and all faults."""
         time, rows = news.time[keep], news.ports[self._name]
         columns = {key: rows[key][keep] for key in _LINES}
         faults = [e for e in news.events if e.event.kind in FAULTS and e.event.port in {"", self._name}]
@@ -135,7 +135,7 @@ def _stream(source: ColumnDataSource, time: Array, columns: Mapping[str, Array])
 
 
 def _status(news: News, last: News) -> str:
-    """Returns what the log says by now, with the values of the last look that found rows."""
+    """Return what the log says by now, with the values of the last look that found rows."""
     facts = [
         f"<b>{html.escape(news.status)}</b>",
         f"{news.rows} cycles",

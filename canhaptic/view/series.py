@@ -45,7 +45,7 @@ class PortFacts(NamedTuple):
 
 
 def port_facts(log: EnergyLog, name: str) -> PortFacts:
-    """Returns what the attributes of a log say of a port."""
+    """Return what the attributes of a log say of a port."""
     port = log.ports[name]
     effort = port.unit("torque_applied")
     units = dict.fromkeys(_ENERGIES, "J") | {
@@ -62,7 +62,7 @@ def port_facts(log: EnergyLog, name: str) -> PortFacts:
 
 
 def losses(log: EnergyLog, start: int, stop: int) -> dict[str, Array]:
-    """Returns for each row what was lost before it: SYNCs not sent, TPDOs that did not come, rows without room."""
+    """Return for each row what was lost before it: SYNCs not sent, TPDOs that did not come, rows without room."""
     index = log.timing.read("sync_index", max(0, start - 1), stop).astype(np.int64)
     dropped = log.timing.read("dropped_before", start, stop).astype(np.int64)
     deadlines = log.deadlines(max(0, start - 1), stop).astype(np.int64)
@@ -76,7 +76,7 @@ def losses(log: EnergyLog, start: int, stop: int) -> dict[str, Array]:
 
 
 def faults_of(log: EnergyLog, port: str, index: Array) -> list[MarkedEvent]:
-    """Returns the events to mark that concern a port and lie within the SYNCs of `index`.
+    """Return the events to mark that concern a port and lie within the SYNCs of `index`.
 
     The fault that ended a run came with a SYNC that has no row any more; it is moved to the last one that has.
     """

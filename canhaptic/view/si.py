@@ -8,7 +8,7 @@ _UNPREFIXED: Final = {"1", "", "%", "rad"}  # units that do not take a prefix we
 
 
 def prefixes_of(unit: str) -> list[tuple[float, str]]:
-    """Returns scale and SI prefix of every prefix that a unit takes, the largest first."""
+    """Return scale and SI prefix of every prefix that a unit takes, the largest first."""
     if unit in _UNPREFIXED:
         return [(1.0, "")]
     largest = 0 if unit == "s" else max(_PREFIXES)
@@ -16,7 +16,7 @@ def prefixes_of(unit: str) -> list[tuple[float, str]]:
 
 
 def si(value: float, unit: str, digits: int = 4) -> str:
-    """Returns a value with a prefixed unit, such as `12.34 mJ`.
+    """Return a value with a prefixed unit, such as `12.34 mJ`.
 
     Args:
         value: In the unit.
@@ -42,7 +42,7 @@ def si(value: float, unit: str, digits: int = 4) -> str:
 
 
 def _pad_digits(number: str, digits: int) -> str:
-    """Keeps trailing zeros, so that a column of numbers reads at one glance: 1.5 -> 1.500."""
+    """Keep trailing zeros, so that a column of numbers reads at one glance: 1.5 -> 1.500."""
     shown = sum(letter.isdigit() for letter in number.lstrip("-0."))
     if shown >= digits:
         return number

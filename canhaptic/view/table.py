@@ -55,11 +55,11 @@ class Table:
                 raise ValueError(f"{self.title}: row {number} has {len(row)} cells, expected {len(self.columns)}")
 
     def json(self) -> str:
-        """Returns a list with one object per row, headings as keys; what is no finite number is null."""
+        """Return a list with one object per row, headings as keys; what is no finite number is null."""
         return json.dumps([dict(zip(self._heads(), row, strict=True)) for row in self._plain()], allow_nan=False)
 
     def csv(self) -> str:
-        """Returns headings and rows separated by commas, numbers with all their digits."""
+        """Return headings and rows separated by commas, numbers with all their digits."""
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerows([self._heads(), *self._plain()])
         return text.getvalue()
@@ -71,14 +71,14 @@ class Table:
         return [[_plain(cell) for cell in row] for row in self.rows if row]
 
     def markdown(self) -> str:
-        """Returns heading and table for a page of documentation; a bold cell stays bold."""
+        """Return heading and table for a page of documentation; a bold cell stays bold."""
         lines = [f"### {self.title.strip()}", ""] if self.title else []
         lines += [_markdown_row([*map(Styled, self._heads())])]
         lines += ["|" + "---|" * len(self.columns), *(_markdown_row(row) for row in map(_styled, self.rows) if row)]
         return "\n".join(lines) + "\n"
 
     def html(self) -> str:
-        """Returns a `<table>`; the classes of a cell are its style, and `key` where it names its row."""
+        """Return a `<table>`; the classes of a cell are its style, and `key` where it names its row."""
         heads = "".join(self._html_cell("th", index, Styled(head)) for index, head in enumerate(self._heads()))
         cells = ("".join(self._html_cell("td", *cell) for cell in enumerate(_styled(row))) for row in self.rows if row)
         rows = "".join(f"<tr>{row}</tr>" for row in cells)
@@ -90,7 +90,7 @@ class Table:
         return f'<{kind} class="{classes}">{html.escape(cell.text)}</{kind}>'
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Renders one table, or several below each other."""
+        """Render one table, or several below each other."""
 
         def fits(indices: Sequence[int], space: int) -> bool:
             table = self._drawn(indices, space)
@@ -104,7 +104,7 @@ class Table:
             yield self._drawn(indices, space, "" if number else self.title, fold=fold)
 
     def _parts(self, named: int, fits: Callable[[Sequence[int]], bool]) -> Iterator[Sequence[int]]:
-        """Yields the columns of each table."""
+        """Yield the columns of each table."""
         keys = list(range(min(named, len(self.columns))))
         taken = list(keys)
         for index in range(len(keys), len(self.columns)):
@@ -131,7 +131,7 @@ class Table:
 
 
 def in_lines(text: str, width: int) -> str:
-    """Returns a text in lines of at most `width` letters, broken wherever that is."""
+    """Return a text in lines of at most `width` letters, broken wherever that is."""
     return "\n".join(text[at : at + width] for at in range(0, len(text), width))
 
 
@@ -146,7 +146,7 @@ def _styled(row: Sequence[Cell]) -> list[Styled]:
 
 
 def shown(cell: str | int | float | None) -> str:
-    """Returns the words of a cell without a look."""
+    """Return the words of a cell without a look."""
     if isinstance(cell, float):
         return "-" if math.isnan(cell) else f"{cell:.4g}"
     return "" if cell is None else str(cell)

@@ -40,7 +40,7 @@ class TaskPlane(NamedTuple):
 
 
 def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
-    """Returns path and surface of a group; None where there is no such picture.
+    """Return path and surface of a group; None where there is no such picture.
 
     Args:
         log: An open energy log.
@@ -78,14 +78,14 @@ def _build(table: dict[str, str], section: Mapping[str, str]) -> Any:
 
 
 def _has_surface(rendered: Rendered) -> bool:
-    """Returns whether some spring begins at an edge, and no state moves by itself."""
+    """Return whether some spring begins at an edge, and no state moves by itself."""
     tables = rendered.network.tables
     edges = zip(tables.lower, tables.upper, strict=True)
     return not tables.moving and any(low != high for low, high in edges)
 
 
 def _depth(rendered: Rendered, position: Sequence[float]) -> float:
-    """Returns how far the spring that is deepest is beyond its edge; negative in free space [m or rad]."""
+    """Return how far the spring that is deepest is beyond its edge; negative in free space [m or rad]."""
     tables, values = rendered.network.tables, coordinates_at(rendered.geometry, position)
     deepest = -np.inf
     for row, low, high in zip(tables.gain, tables.lower, tables.upper, strict=True):

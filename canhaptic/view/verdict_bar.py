@@ -24,7 +24,7 @@ _COLOURS: Final[dict[Headline, str]] = {
 
 
 def verdict_bar(ports: Mapping[str, PortResult]) -> str:
-    """Returns a bar of HTML with the verdicts of every account, and the word of a port where that is another one."""
+    """Return a bar of HTML with the verdicts of every account, and the word of a port where that is another one."""
     said: list[tuple[str, Headline]] = []
     for name, port in ports.items():
         if "verdict" in port and port["verdict"] not in (port.get("passive", "yes"), port.get("passive_at_handle")):

@@ -53,7 +53,7 @@ DISPLAY_GROUP_ALGORITHMS: Final[dict[str, str]] = {
 def build_display_controller(
     environment: Any, algorithm_name: str, parameters: "Parameters | None", properties: "DisplayProperties"
 ) -> "Controller":
-    """Returns the controller of one admittance display, at rest.
+    """Return the controller of one admittance display, at rest.
 
     Args:
         environment: Environment to render.
@@ -76,7 +76,7 @@ def build_display_group(
     properties: "Sequence[DisplayProperties]",
     kinematics: "Kinematics | None" = None,
 ) -> "GroupController":
-    """Returns the controller of several admittance displays with one account, at rest.
+    """Return the controller of several admittance displays with one account, at rest.
 
     Args:
         environment: Environment to render, a class of `DISPLAY_NETWORKS`.

@@ -47,7 +47,7 @@ def build_group_controller(
     parameters: "Parameters | None",
     loops: "Sequence[LoopProperties]",
 ) -> "GroupController":
-    """Returns a controller of a group of axes, at rest and without stored energy.
+    """Return a controller of a group of axes, at rest and without stored energy.
 
     Args:
         environment: Environment to render; a class of `NETWORKS`, or anything with `build`.

@@ -66,7 +66,7 @@ class GuardedGroupMemory(NamedTuple):
 
 
 def settings_of(world: World, parameters: GuardedParameters, loops: tuple[LoopProperties, ...]) -> GuardedGroupSettings:
-    """Returns what is fixed for a run.
+    """Constants of a run.
 
     Raises:
         ParameterError: No declared property certifies any torque, or a group cannot honour a key.
@@ -105,7 +105,7 @@ def settings_of(world: World, parameters: GuardedParameters, loops: tuple[LoopPr
 
 
 def _refuse_keys_of_one_axis(parameters: GuardedParameters) -> None:
-    """Refuses what the certificates of a single axis alone can use.
+    """Refuse what the certificates of a single axis alone can use.
 
     Raises:
         ParameterError: Such a key is declared; it names it.

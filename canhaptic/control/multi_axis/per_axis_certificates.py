@@ -208,7 +208,7 @@ def worst_of(memory: PerAxisMemory, first: int, end: int, share: float, least: f
 
 
 def given_at_most(limits: PerAxisLimits, memory: PerAxisMemory, share: float) -> tuple[float, float, float]:
-    """Returns the parabola A + B l + C l^2 that at a share l is the most that all axes may give out [J]."""
+    """Return the parabola A + B l + C l^2 that at a share l is the most that all axes may give out [J]."""
     least = 0.0 if limits.is_late else -inf
     fixed = linear = square = 0.0
     cell = place = 0

@@ -44,7 +44,7 @@ class PerAxisMemory(NamedTuple):
 
 
 def per_axis_limits(axes: AxisLimits, delay: int, losses: int) -> PerAxisLimits:
-    """Returns what is fixed for a run."""
+    """Constants of a run."""
     whole = [b + d for b, d in zip(axes.before, axes.during, strict=True)]
     first = max([d / r if r else 0.0 for d, r in zip(axes.during, whole, strict=True)])
     is_late = any(axes.timing.share)

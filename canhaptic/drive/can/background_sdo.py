@@ -211,7 +211,7 @@ class SdoLine:
     # --- the thread of the cycle --------------------------------------------------------------------------------------
 
     def open(self) -> None:
-        """Takes requests from now on, unless it does."""
+        """Take requests from now on, unless it does."""
         with self._starting:  # the first request for SDO may open it while the rig starts
             if self._is_open:
                 return

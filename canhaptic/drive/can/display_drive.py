@@ -93,7 +93,7 @@ class DisplayDrive(ServoDrive):
         return take
 
     def part(self, bits: int) -> str:
-        """Returns the names of the frames of a sample; that of the sensor comes last."""
+        """Return the names of the frames of a sample; that of the sensor comes last."""
         sensor, frames = self._sensor, super().part(bits)
         if sensor is None or not bits >> len(self.map.tpdos):
             return frames

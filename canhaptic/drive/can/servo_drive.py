@@ -104,7 +104,7 @@ class ServoDrive(TorqueAxis):
         self._pending = 0
 
     def part(self, bits: int) -> str:
-        """Returns the names of the frames of a sample."""
+        """Return the names of the frames of a sample."""
         return ", ".join(f"TPDO {plan.cob_id:#05x}" for n, plan in enumerate(self.map.tpdos) if bits >> n & 1)
 
     # --- out --------------------------------------------------------------------------------------------------------

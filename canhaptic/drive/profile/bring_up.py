@@ -279,7 +279,7 @@ class BringUp(ABC):
                     raise self.refusal("offsets", f"{self._sdo.describe(index)} = {seen}, {why}", "0")
 
     def _read_if_there(self, index: int) -> int | None:
-        """Returns the value of an object that the drive need not have; None where it has none; raises SdoError."""
+        """Return the value of an object that the drive need not have; None where it has none; raise SdoError."""
         try:
             return self._sdo.read(index)
         except SdoError as error:

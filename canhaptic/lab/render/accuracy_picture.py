@@ -43,7 +43,7 @@ _GROUPS: Final[dict[str, str]] = {
 
 
 def draw_accuracy(result: Row, path: str | Path) -> None:
-    """Draws a study into a file; its suffix says how (.png, .svg, .pdf).
+    """Draw a study into a file; its suffix says how (.png, .svg, .pdf).
 
     Raises:
         InputError: matplotlib is not installed, the file cannot be written, or nothing was measured.
@@ -70,7 +70,7 @@ def draw_accuracy(result: Row, path: str | Path) -> None:
 
 
 def write_accuracy_page(result: Row, path: Path) -> None:
-    """Writes a study as one self-contained page: advice, picture, tables.
+    """Write a study as one self-contained page: advice, picture, tables.
 
     Raises:
         InputError: matplotlib is not installed, the page cannot be written, or nothing was measured.
@@ -81,7 +81,7 @@ def write_accuracy_page(result: Row, path: Path) -> None:
 
 
 def _price_of(result: Row) -> tuple[str, str]:
-    """Returns the key and the name of the price to draw: time, or evaluations where nothing was timed."""
+    """Return the key and the name of the price to draw: time, or evaluations where nothing was timed."""
     if any(row.get("us_per_period") for row in result["plant"]):
         return "us_per_period", "wall time per period [us], least of interleaved repeats"
     return "evaluations_per_period", "evaluations of the equations of motion per period"
@@ -123,7 +123,7 @@ def _draw_ladder(panel: "Axes", result: Row, price: str, error: str) -> None:
 
 
 def _lines(own: Sequence[Row]) -> list[list[Row]]:
-    """Returns the rows of one method as lines along which one thing changes: for ours substeps, else event bits."""
+    """Return the rows of one method as lines along which one thing changes: for ours substeps, else event bits."""
     if not own or own[0]["accuracy"] is None or len({row["accuracy"]["substeps"] for row in own}) < 2:
         return [list(own)] if own else []
     bits = sorted({row["accuracy"]["event_bits"] for row in own})
@@ -131,7 +131,7 @@ def _lines(own: Sequence[Row]) -> list[list[Row]]:
 
 
 def _draw_loop(panel: "Axes", loop: Sequence[Row], result: Row) -> None:
-    """Draws one row per variant: position error, with its price in words."""
+    """Draw one row per variant: position error, with its price in words."""
     places = list(range(len(loop)))[::-1]
     for place, row in zip(places, loop, strict=True):
         colour = _GROUPS[row["group"]]

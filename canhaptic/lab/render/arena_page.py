@@ -19,7 +19,7 @@ _CASE: Final = (
 
 
 def write_arena_page(found: Found, path: Path) -> None:
-    """Writes an arena as one self-contained page.
+    """Write an arena as one self-contained page.
 
     Raises:
         InputError: matplotlib is not installed, or the page cannot be written.

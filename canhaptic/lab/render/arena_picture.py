@@ -35,7 +35,7 @@ _DARK: Final = 3e-3
 
 
 def _draw_borders(found: Found, path: Path) -> None:
-    """Draws the K-B plot: passive, and passive and near, each without delay and late.
+    """Draw the K-B plot: passive, and passive and near, each without delay and late.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
@@ -55,7 +55,7 @@ def _draw_borders(found: Found, path: Path) -> None:
 
 
 def _save_with_legend(figure: "Figure", panel: "Axes", path: Path) -> None:
-    """Saves a picture with the lines of one panel explained on its right."""
+    """Save a picture with the lines of one panel explained on its right."""
     handles, labels = panel.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right upper", fontsize=8.0)
     save_picture(figure, path)
@@ -89,7 +89,7 @@ def _line(name: str, number: int) -> dict[str, Any]:
 
 
 def _draw_impedance(found: Found, path: Path) -> None:
-    """Draws the impedance rendered over the one asked for, size and angle, without delay and late.
+    """Draw the impedance rendered over the one asked for, size and angle, without delay and late.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
@@ -120,7 +120,7 @@ def _draw_ratio(panel: "Axes", found: Found, delay: int, key: str) -> None:
 
 
 def _draw_given_out(found: Found, path: Path) -> None:
-    """Draws who gives out energy where: cells by the most energy beyond the device, with the number of cases.
+    """Draw who gives out energy where: cells by the most energy beyond the device, with the number of cases.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
@@ -162,7 +162,7 @@ def _cell(found: Found, name: str, scene: str, key: str) -> float:
 
 
 def pictures_of(found: Found) -> Sequence[tuple[str, str, Callable[[Found, Path], None]]]:
-    """Returns (file name, title, function that draws it) of every picture that an arena has."""
+    """Return (file name, title, function that draws it) of every picture that an arena has."""
     whole = [("arena_given_out.png", "Who gives out energy where", _draw_given_out)]
     if found.get("borders"):
         whole.insert(0, ("arena_kb.png", "Stiffness over damping", _draw_borders))

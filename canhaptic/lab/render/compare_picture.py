@@ -37,7 +37,7 @@ _PAPER: Final[Any] = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", 
 
 
 def draw_comparison(comparison: Comparison, path: str | Path) -> None:
-    """Draws a comparison into a file; its suffix says how (.png, .svg, .pdf).
+    """Draw a comparison into a file; its suffix says how (.png, .svg, .pdf).
 
     Raises:
         InputError: matplotlib is not installed, the file cannot be written, or no algorithm ran.
@@ -65,12 +65,12 @@ def _caption(comparison: Comparison) -> str:
 
 
 def _drawn(axis: AxisComparison) -> dict[str, LoopRun]:
-    """Returns the runs of an axis that were not ended before their first SYNC."""
+    """Return the runs of an axis that were not ended before their first SYNC."""
     return {name: run for name, run in axis.runs.items() if run.position.size}
 
 
 def _draw_axis(axis: AxisComparison, comparison: Comparison, panels: NDArray[Any]) -> None:
-    """Draws one axis into bands of three rows of panels."""
+    """Draw one axis into bands of three rows of panels."""
     unit = axis.unit
     runs, reference, period = _drawn(axis), axis.reference, comparison.sample_time
     places = [tuple(band[:, k]) for band in np.split(panels, len(panels) // 3) for k in range(panels.shape[1])]
@@ -105,14 +105,14 @@ _Scale = tuple[float, str, tuple[float, float]]
 
 
 def _comparable(lines: list[Array]) -> list[Array]:
-    """Returns the lines without those whose range would flatten the rest."""
+    """Return the lines without those whose range would flatten the rest."""
     ranges = [float(np.ptp(line)) for line in lines]
     usual = float(np.median(ranges))
     return [line for line, size in zip(lines, ranges, strict=True) if size <= _FLATTENING * usual]
 
 
 def _scale(*lines: Array) -> _Scale:
-    """Returns factor, SI prefix and limits that show all lines with room around them."""
+    """Return factor, SI prefix and limits that show all lines with room around them."""
     low = min(float(line.min(initial=0.0)) for line in lines)
     high = max(float(line.max(initial=0.0)) for line in lines)
     room = _ROOM * max(high - low, 1e-12)
@@ -126,7 +126,7 @@ def _times(values: Array, period: float) -> Array:
 
 
 def _line(panel: "Axes", time: Array, values: Array, scale: _Scale, **style: Any) -> None:
-    """Draws a line, cut off a little outside the panel so that a diverged run keeps its direction."""
+    """Draw a line, cut off a little outside the panel so that a diverged run keeps its direction."""
     low, high = scale[2]
     far = 3.0 * (high - low)
     shown = decimate(values, _BUCKETS)

@@ -15,7 +15,7 @@ _Account = Mapping[str, Any]
 
 
 def comparison_report(result: _Account) -> RenderableType:
-    """Returns tables and remarks of a comparison.
+    """Return tables and remarks of a comparison.
 
     Args:
         result: Plain values, as `compare --json` prints them.
@@ -36,7 +36,7 @@ def _heading(result: _Account) -> Text:
 
 
 def _engines(result: _Account) -> list[str]:
-    """Returns what computed the runs: python, numba."""
+    """Return what computed the runs: python, numba."""
     every = (account["engine"] for axis in result["axes"].values() for account in axis["algorithms"].values())
     return sorted({engine.partition(":")[0] for engine in every if engine}) or ["python"]
 

@@ -12,7 +12,7 @@ from canhaptic.view.table import Table
 
 
 def snippet(result: dict[str, Any]) -> str:
-    """Returns the wall as YAML for a scene."""
+    """Return the wall as YAML for a scene."""
     stiffness, damping = stiffness_unit(result["unit"]), damping_unit(result["unit"])
     passivity: dict[str, Any] = {"algorithm": "guarded", **result["loop"], **result["hand"]}
     if "network" in result:
@@ -27,7 +27,7 @@ def snippet(result: dict[str, Any]) -> str:
 
 
 def design_report(result: dict[str, Any]) -> RenderableType:
-    """Returns what a terminal shows of a design.
+    """Return what a terminal shows of a design.
 
     Args:
         result: Plain values, as `canhaptic design --json` prints them.
@@ -73,7 +73,7 @@ def _price(result: dict[str, Any]) -> list[Text]:
 
 
 def _felt(result: dict[str, Any]) -> list[RenderableType]:
-    """Returns what the hand feels: walls that are held for a push, what drags it, and when a contact begins."""
+    """Return what the hand feels: walls that are held for a push, what drags it, and when a contact begins."""
     if "felt" not in result:
         return []
     felt, motion = result["felt"], result["unit"]
@@ -102,7 +102,7 @@ def _felt(result: dict[str, Any]) -> list[RenderableType]:
 
 
 def _drags(rows: list[dict[str, Any]], motion: str) -> list[RenderableType]:
-    """Returns what drags in free motion earn for the contacts after them."""
+    """Return what drags in free motion earn for the contacts after them."""
     if not rows:
         return []
     title = f"energy of a start, {si(rows[0]['energy'], 'J', 2)}, earned before a contact"

@@ -46,7 +46,7 @@ def _figures(unit: str) -> tuple[_Figure, ...]:
 
 
 def _drawn(result: DisplayStudy) -> list[ChangeRow]:
-    """Returns the rows that have figures.
+    """Return the rows that have figures.
 
     Raises:
         InputError: None has.
@@ -63,7 +63,7 @@ def _name(row: ChangeRow) -> str:
 
 
 def draw_display_accuracy(result: DisplayStudy, path: str | Path) -> None:
-    """Draws a study into a file; its suffix says how (.png, .svg, .pdf).
+    """Draw a study into a file; its suffix says how (.png, .svg, .pdf).
 
     Raises:
         InputError: matplotlib is not installed, the file cannot be written, or nothing was measured.
@@ -91,7 +91,7 @@ def draw_display_accuracy(result: DisplayStudy, path: str | Path) -> None:
 
 
 def write_display_accuracy_page(result: DisplayStudy, path: Path) -> None:
-    """Writes a study as one self-contained page: the picture and the table.
+    """Write a study as one self-contained page: the picture and the table.
 
     Raises:
         InputError: Nothing was measured, matplotlib is not installed, or the page cannot be written.

@@ -35,7 +35,7 @@ _MARKS: Final = "osv^<>DPX*hpd"
 
 
 def draw_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: str | Path) -> None:
-    """Draws panels into a file; its suffix says how.
+    """Draw panels into a file; its suffix says how.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
@@ -53,7 +53,7 @@ def draw_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: str 
 
 
 def write_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: Path) -> None:
-    """Writes panels as one self-contained page: the picture, and the numbers of every panel but those of dots.
+    """Write panels as one self-contained page: the picture, and the numbers of every panel but those of dots.
 
     Raises:
         InputError: matplotlib is not installed, or the page cannot be written.
@@ -93,7 +93,7 @@ def _draw_row(figure: "Figure", axes: "Sequence[Axes]", panels: Sequence[Panel |
 
 
 def _mark_values(place: "Axes", panel: Panel) -> None:
-    """Puts the marks of a logarithmic axis at the values themselves where those are few."""
+    """Put the marks of a logarithmic axis at the values themselves where those are few."""
     places = panel.marks()
     if places:
         place.set_xticks(places, [f"{value:g}" for value in places])

@@ -253,7 +253,7 @@ class HybridAutomaton:
             raise self._limit_error()
 
     def _require_finished(self, left: int) -> None:
-        """Refuses to go on when time is left before any limit of events: the products are used up."""
+        """Refuse to go on when time is left before any limit of events: the products are used up."""
         if left and self._counts[EVENTS] < self._counts[LIMIT]:
             raise self._limit_error(self._settings.max_products)
 

@@ -217,7 +217,7 @@ class Plant:
             self._free_torque = -1.0  # the look-ahead rested on the old place
 
     def move_hand(self, place: float) -> None:
-        """Moves a `PointerHand` to a position [m or rad] for the following holds; allowed between two holds only."""
+        """Move a `PointerHand` to a position [m or rad] for the following holds; allowed between two holds only."""
         from canhaptic.sim.plant.pointer_hand import PLACE
 
         self.set_states({PLACE: place})

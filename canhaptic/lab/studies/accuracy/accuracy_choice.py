@@ -54,7 +54,7 @@ class AccuracyChoice:
     setting: Setting
 
     def as_plain(self) -> dict[str, object]:
-        """Returns the choice as the resolved configuration and the log keep it."""
+        """Return the choice as the resolved configuration and the log keep it."""
         error = self.setting.error
         return {
             "tolerance": self.tolerance,
@@ -67,7 +67,7 @@ class AccuracyChoice:
 
 
 def with_chosen_accuracy(scene: Scene) -> Scene:
-    """Returns the scene with the accuracy of every simulated plant chosen; the scene itself where it is not `auto`.
+    """Return the scene with the accuracy of every simulated plant chosen; the scene itself where it is not `auto`.
 
     Raises:
         InputError: scipy is missing, or no setting keeps the tolerance.
@@ -84,7 +84,7 @@ def with_chosen_accuracy(scene: Scene) -> Scene:
 
 
 def choose(axis: AxisScene, scene: Scene, tolerance: float) -> AccuracyChoice:
-    """Returns the cheapest accuracy of one axis whose position errs by no more than a tolerance [m or rad].
+    """Return the cheapest accuracy of one axis whose position errs by no more than a tolerance [m or rad].
 
     Raises:
         InputError: scipy is missing, no setting keeps the tolerance, or the errors do not fall as declared.
@@ -106,7 +106,7 @@ def choose(axis: AxisScene, scene: Scene, tolerance: float) -> AccuracyChoice:
 
 
 def cheapest(tried: Sequence[Setting], tolerance: float) -> Setting | None:
-    """Returns the setting with the fewest products that keeps the tolerance, as every finer one does.
+    """Return the setting with the fewest products that keeps the tolerance, as every finer one does.
 
     Errors of events and of substeps may cancel by luck, which does not last beyond the holds that were compared.
     """
@@ -122,7 +122,7 @@ def cheapest(tried: Sequence[Setting], tolerance: float) -> Setting | None:
 
 
 def fitted_order(sizes: Sequence[float], errors: Sequence[float], travel: float) -> float | None:
-    """Returns the slope of log error over log size between the coarsest and the finest error that tell of it.
+    """Return the slope of log error over log size between the coarsest and the finest error that tell of it.
 
     Args:
         sizes: Sizes of the steps, relative.
@@ -143,7 +143,7 @@ def fitted_order(sizes: Sequence[float], errors: Sequence[float], travel: float)
 
 
 def _require_order(tried: Sequence[Setting], simulation: AxisSimulation, travel: float, where: str) -> None:
-    """Refuses errors that do not fall as declared: one of them may keep a tolerance by luck.
+    """Refuse errors that do not fall as declared: one of them may keep a tolerance by luck.
 
     Raises:
         InputError: They do not.
@@ -160,7 +160,7 @@ def _require_order(tried: Sequence[Setting], simulation: AxisSimulation, travel:
 
 
 def ladder(simulation: AxisSimulation, sample_time_ns: int) -> list[AccuracyParameters]:
-    """Returns every setting that makes a difference to this plant, coarse to fine."""
+    """Return every setting that makes a difference to this plant, coarse to fine."""
     plant = build_plant(simulation, sample_time_ns)
     most = simulation.accuracy.max_events
     bits: Sequence[int] = (24,)
@@ -177,7 +177,7 @@ def _tried_setting(
     torques: Sequence[float],
     exact: Motion,
 ) -> Setting:
-    """Returns what one setting errs by and costs under the torques."""
+    """Return what one setting errs by and costs under the torques."""
     plant = build_plant(replace(simulation, accuracy=accuracy), sample_time_ns)
     motion = observed(plant, torques)
     error = difference(motion, exact, simulation.plant.mass, sample_time_ns * 1e-9)
@@ -185,7 +185,7 @@ def _tried_setting(
 
 
 def holds_of(scene: Scene, duration: float | None = None) -> int:
-    """Returns how many holds a scene is compared over."""
+    """Return how many holds a scene is compared over."""
     if duration is not None:
         return max(2, round(duration / scene.bus.sample_time))
     whole = HOLDS if scene.run.duration is None else round(scene.run.duration / scene.bus.sample_time)
@@ -193,7 +193,7 @@ def holds_of(scene: Scene, duration: float | None = None) -> int:
 
 
 def require_own_axis(axis: AxisScene, scene: Scene) -> None:
-    """Refuses an axis whose motion is not that of one plant under one controller.
+    """Refuse an axis whose motion is not that of one plant under one controller.
 
     Raises:
         InputError: A group renders on it, or it moves a mechanism with others.

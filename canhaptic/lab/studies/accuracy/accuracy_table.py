@@ -33,7 +33,7 @@ _WIDE_HEADS: Final = ("wall time per simulated s", "median over least")
 
 
 def accuracy_report(result: Row, *, tables: bool = False) -> RenderableType:
-    """Returns the answer, what was studied and, where they are asked for, the tables, for a terminal."""
+    """Return the answer, what was studied and, where they are asked for, the tables, for a terminal."""
     parts: list[RenderableType] = [Text(f" {line}") for line in (*advice_lines(result), "", *heading(result))]
     if not tables:
         return Group(*parts, Text(" every row: --tables"))
@@ -41,14 +41,14 @@ def accuracy_report(result: Row, *, tables: bool = False) -> RenderableType:
 
 
 def markdown(result: Row) -> str:
-    """Returns the same as Markdown, with every table."""
+    """Return the same as Markdown, with every table."""
     lines = ["### Advice", "", *(f"- {line}" for line in advice_lines(result)), ""]
     lines += [*(f"{line}  " for line in heading(result)), ""]
     return "\n".join([*lines, *(table.markdown() for table in accuracy_tables(result, wide=True)), ""])
 
 
 def heading(result: Row) -> list[str]:
-    """Returns what was studied, against what."""
+    """Return what was studied, against what."""
     unit = result["unit"]
     lines = [
         f"{result['scene']}, {part_of(result)}: {result['holds']} sample times at {si(result['rate'], 'Hz', 3)}, "
@@ -75,12 +75,12 @@ def heading(result: Row) -> list[str]:
 
 
 def part_of(result: Row) -> str:
-    """Returns the axis or the group that was studied."""
+    """Return the axis or the group that was studied."""
     return f"{'group' if result.get('is_group') else 'axis'} {result['axis']}"
 
 
 def advice_lines(result: Row) -> list[str]:
-    """Returns the answer, the line that a scene takes for it, and what else is worth knowing."""
+    """Return the answer, the line that a scene takes for it, and what else is worth knowing."""
     advice, unit = result["advice"], result["unit"]
     if advice is None:
         return ["no advice: the study was stopped before its end"]
@@ -102,7 +102,7 @@ def advice_lines(result: Row) -> list[str]:
 
 
 def _effect_advice(result: Row) -> list[str]:
-    """Returns what each effect is worth, and which ones did nothing."""
+    """Return what each effect is worth, and which ones did nothing."""
     effects, unit = result["advice"]["effects"], result["unit"]
     worth = [effect for effect in effects if effect.get("position_error")]
     names = ", ".join(f"{effect['effect']} ({length(effect['position_error'], unit)})" for effect in worth)
@@ -114,7 +114,7 @@ def _effect_advice(result: Row) -> list[str]:
 
 
 def _loop_advice(result: Row) -> str:
-    """Returns what brings the rendered axis nearer to the continuous one and fits the bus, best first."""
+    """Return what brings the rendered axis nearer to the continuous one and fits the bus, best first."""
     base = next((row for row in result["loop"] if row["is_scene"] and row["status"] == "ok"), None)
     if base is None:
         return ""
@@ -146,18 +146,18 @@ def _loop_advice(result: Row) -> str:
 
 
 def _loop_floor(result: Row) -> float:
-    """Returns the error of the position that is the plant's own on the side of the loop [m or rad]."""
+    """Return the error of the position that is the plant's own on the side of the loop [m or rad]."""
     best = result["advice"]["most_exact"] if result["advice"] else None
     return max(_floor(result), 2.0 * best["position_error"] if best else 0.0)
 
 
 def length(value: float, unit: str) -> str:
-    """Returns a position with its unit."""
+    """Return a position with its unit."""
     return si(value, "m", 3) if unit == "m" else f"{value:.3g} rad"
 
 
 def accuracy_tables(result: Row, *, wide: bool = False) -> list[Table]:
-    """Returns every table; with `wide` that of the plant has times per simulated second and their spread."""
+    """Return every table; with `wide` that of the plant has times per simulated second and their spread."""
     unit, floor, plant = result["unit"], _floor(result), result["plant"]
     more: Sequence[str] = _WIDE_HEADS if wide else ()
     rows = [[*_plant_cells(row, unit, floor), *(_wall(row) if wide else ())] for row in plant]
@@ -182,12 +182,12 @@ def _table(title: str, heads: Sequence[str], rows: Sequence[list[str]], marked: 
 
 
 def _floor(result: Row) -> float:
-    """Returns the error of the position that is none [m or rad]."""
+    """Return the error of the position that is none [m or rad]."""
     return FLOOR * float(result["reference"]["travel"]) if result["reference"] else 0.0
 
 
 def _wall(row: Row) -> list[str]:
-    """Returns wall time per simulated second, and its spread."""
+    """Return wall time per simulated second, and its spread."""
     if row.get("wall_per_second") is None:
         return ["", ""]
     return [si(row["wall_per_second"], "s", 3), f"+{100.0 * row['spread']:.0f} %"]

@@ -21,13 +21,13 @@ def meets(row: Row, tolerance: float) -> bool:
 
 
 def cheapest(rows: Sequence[Row], tolerance: float) -> Row | None:
-    """Returns the row with the fewest evaluations that keeps the tolerance; of equals the more exact."""
+    """Return the row with the fewest evaluations that keeps the tolerance; of equals the more exact."""
     good = [row for row in rows if meets(row, tolerance)]
     return min(good, key=lambda row: (row["evaluations"], row["position_error"]), default=None)
 
 
 def pareto(rows: Sequence[Row], price: str, floor: float) -> list[bool]:
-    """Returns for each row whether no other is both cheaper and at least as exact.
+    """Return for each row whether no other is both cheaper and at least as exact.
 
     Args:
         rows: Rows of the ladder.
@@ -45,12 +45,12 @@ def pareto(rows: Sequence[Row], price: str, floor: float) -> list[bool]:
 
 
 def front(points: Sequence[tuple[float, float]]) -> set[tuple[float, float]]:
-    """Returns the points of which no other is as small in both and smaller in one."""
+    """Return the points of which no other is as small in both and smaller in one."""
     return {(x, y) for x, y in set(points) if not any(a <= x and b <= y and (a < x or b < y) for a, b in points)}
 
 
 def advice(rows: Sequence[Row], effects: Sequence[Row], tolerance: float, orders: Sequence[Row] = ()) -> dict[str, Any]:
-    """Returns what to write into the scene, and on what grounds.
+    """Return what to write into the scene, and on what grounds.
 
     Args:
         rows: Rows of the ladder.
@@ -98,7 +98,7 @@ def _lasts(row: Row, ours: Sequence[Row], tolerance: float) -> bool:
 
 
 def line(accuracy: Mapping[str, int]) -> str:
-    """Returns the line that sets an accuracy in a scene."""
+    """Return the line that sets an accuracy in a scene."""
     return "accuracy: {" + ", ".join(f"{key}: {value}" for key, value in accuracy.items()) + "}"
 
 
@@ -108,7 +108,7 @@ def _worth(row: Row) -> float:
 
 
 def error_per_microsecond(error: float, saved: float | None) -> float | None:
-    """Returns the error that leaving an effect out causes for each microsecond that it saves.
+    """Return the error that leaving an effect out causes for each microsecond that it saves.
 
     Args:
         error: Error of the position [m or rad].
@@ -118,7 +118,7 @@ def error_per_microsecond(error: float, saved: float | None) -> float | None:
 
 
 def rank_agreement(one: Sequence[float], other: Sequence[float]) -> float | None:
-    """Returns Spearman's rank correlation; None for fewer than three pairs."""
+    """Return Spearman's rank correlation; None for fewer than three pairs."""
     count = len(one)
     if count < 3:
         return None
@@ -130,7 +130,7 @@ def rank_agreement(one: Sequence[float], other: Sequence[float]) -> float | None
 
 
 def _ranks(values: Sequence[float]) -> list[float]:
-    """Returns the rank of each value; equal values share the mean of theirs."""
+    """Return the rank of each value; equal values share the mean of theirs."""
     order = sorted(range(len(values)), key=values.__getitem__)
     ranks = [0.0] * len(values)
     start = 0

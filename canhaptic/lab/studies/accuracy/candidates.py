@@ -69,7 +69,7 @@ def candidates(
     sample_time_ns: int,
     settings: Sequence[AccuracyParameters],
 ) -> list[Candidate]:
-    """Returns the whole ladder of one plant.
+    """Return the whole ladder of one plant.
 
     Args:
         simulation: The plant, the user and the effects.
@@ -91,7 +91,7 @@ def candidates(
 
 
 def remarks(simulation: AxisSimulation) -> list[str]:
-    """Returns what could not be run, and why."""
+    """Return what could not be run, and why."""
     lines = []
     if not importlib.util.find_spec("mujoco"):
         lines.append(f"MuJoCo: not installed ({install_hint('bench')})")
@@ -108,7 +108,7 @@ def ours(
     *,
     compiled: bool = False,
 ) -> Candidate:
-    """Returns our plant at one accuracy; compiled, it is a method of its own, for its time."""
+    """Return our plant at one accuracy; compiled, it is a method of its own, for its time."""
     solved = replace(simulation, accuracy=accuracy)
     kept = build_plant(solved, sample_time_ns, compiled=compiled)
 
@@ -128,7 +128,7 @@ def ours(
 
 
 def _setting_of(accuracy: AccuracyParameters, plant: Plant) -> str:
-    """Returns what of an accuracy matters to a plant."""
+    """Return what of an accuracy matters to a plant."""
     words = []
     if any(part.has_guards for part in plant.scene.parts):
         words.append(f"{accuracy.event_bits} bits")
@@ -138,12 +138,12 @@ def _setting_of(accuracy: AccuracyParameters, plant: Plant) -> str:
 
 
 def counted(count: int, what: str) -> str:
-    """Returns a number of things in words."""
+    """Return a number of things in words."""
     return f"{count} {what}{'s' if count > 1 else ''}"
 
 
 def stepped(plant: Plant, torques: Sequence[float]) -> None:
-    """Moves a plant from its start, as a drive does: one call a hold."""
+    """Move a plant from its start, as a drive does: one call a hold."""
     plant.reset()
     plant.begin(0)
     move, period, now = plant.advance_to, plant.sample_time_ns, 0

@@ -25,7 +25,7 @@ class ContinuousLoop(NamedTuple):
 def continuous_loop(
     axis: AxisScene, step_ns: int, steps: int, stop: Callable[[], bool] | None = None
 ) -> ContinuousLoop:
-    """Returns what the user would feel without sampling.
+    """Return what the user would feel without sampling.
 
     Args:
         axis: Its environment, plant, user and effects.

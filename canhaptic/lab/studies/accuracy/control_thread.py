@@ -31,7 +31,7 @@ _NS_PER_US: Final = 1e3
 
 
 def exchange_time(scene: Scene) -> float | None:
-    """Returns the time of a cycle in the control thread without its algorithms [us].
+    """Return the time of a cycle in the control thread without its algorithms [us].
 
     None where the scene has real drives, effects on its bus or several buses.
     """
@@ -56,7 +56,7 @@ def exchange_time(scene: Scene) -> float | None:
 
 
 def log_time(scene: Scene) -> float | None:
-    """Returns what writing the energy log costs the control thread in a cycle [us]; None where nothing can be run.
+    """Return what writing the energy log costs the control thread in a cycle [us]; None where nothing can be run.
 
     The least block of a run with the log, less the least of one without; both in lock-step, taken in turn.
     """
@@ -87,13 +87,13 @@ class _TimedFarSide:
         self._far_side = far_side
 
     def process(self, now: int) -> None:
-        """Handles what is due."""
+        """Handle what is due."""
         begin = self.clock.now()
         self._far_side.process(now)
         self.spent += self.clock.now() - begin
 
     def next_due(self) -> int:
-        """Returns the time of the next timer [ns]."""
+        """Return the time of the next timer [ns]."""
         begin = self.clock.now()
         due = self._far_side.next_due()
         self.spent += self.clock.now() - begin
@@ -104,12 +104,12 @@ class _Idle:
     """A controller that does nothing."""
 
     def reset(self) -> None:
-        """Keeps nothing."""
+        """Keep nothing."""
 
     def hold(self) -> EnergyBalance:
-        """Returns rest."""
+        """Return rest."""
         return AT_REST
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Returns rest."""
+        """Return rest."""
         return AT_REST

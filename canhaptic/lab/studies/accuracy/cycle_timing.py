@@ -31,7 +31,7 @@ def interleaved(
     stop: Callable[[], bool],
     progress: Callable[[float], None],
 ) -> dict[str, WallTime]:
-    """Returns the wall time of each candidate, run in turn A B C A B C; what is quick is repeated more often.
+    """Return the wall time of each candidate, run in turn A B C A B C; what is quick is repeated more often.
 
     Args:
         candidates: By name.
@@ -64,7 +64,7 @@ def _wall_time(times: list[int]) -> WallTime:
 
 
 def workload() -> None:
-    """Does the fixed work that every time is a multiple of."""
+    """Do the fixed work that every time is a multiple of."""
     matrix, state = np.eye(6) * 0.999, np.ones(6)
     product = matrix.dot
     for _ in range(_PRODUCTS):

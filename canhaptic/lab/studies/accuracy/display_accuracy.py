@@ -51,7 +51,7 @@ class _Variant(NamedTuple):
 
 
 def study_display(scene: Scene, name: str | None, duration: float | None, stop: Stop) -> DisplayStudy:
-    """Returns the study of one display, or group of displays, as plain values.
+    """Return the study of one display, or group of displays, as plain values.
 
     Args:
         scene: Simulated.
@@ -96,7 +96,7 @@ def study_display(scene: Scene, name: str | None, duration: float | None, stop: 
 
 
 def _steps(scene: Scene) -> int:
-    """Returns the holds of the ideal display in one sample time, a power of two."""
+    """Return the holds of the ideal display in one sample time, a power of two."""
     steps = _FINEST
     while steps > 4 and steps / scene.bus.sample_time > _FASTEST:
         steps //= 2
@@ -108,7 +108,7 @@ def _positions(run: DisplayRun) -> Array:
 
 
 def _apart(run: DisplayRun, ideal: DisplayRun, steps: int) -> tuple[float, float]:
-    """Returns the largest errors of position [m or rad] and energy [J] against the ideal display, at the same times."""
+    """Return the largest errors of position [m or rad] and energy [J] against the ideal display, at the same times."""
     exact, energies = _positions(ideal)[::steps], np.array(ideal.energies[::steps])
     common = min(len(exact), run.cycles)
     position = np.abs(_positions(run)[:common] - exact[:common]).max(initial=0.0)
@@ -142,7 +142,7 @@ def _row(variant: _Variant, ideal: DisplayRun, cycles: int) -> ChangeRow:
 
 
 def _plant_row(scene: Scene, axis: AxisScene, holds: int) -> PlantRow:
-    """Returns how far the plant is from a solver under the commands of the scene's own controller."""
+    """Return how far the plant is from a solver under the commands of the scene's own controller."""
     simulation = simulation_of(axis)
     row: PlantRow = {"axis": axis.parameters.name}
     if reason := why_no_equations(simulation):
@@ -161,7 +161,7 @@ def _plant_row(scene: Scene, axis: AxisScene, holds: int) -> PlantRow:
 
 
 def _variants(scene: Scene, steps: int) -> Iterator[_Variant]:
-    """Yields the scene and its changes; `steps` are the holds of the ideal display in one of its own."""
+    """Yield the scene and its changes; `steps` are the holds of the ideal display in one of its own."""
     rate = 1.0 / scene.bus.sample_time
     yield _Variant("the scene", "", scene, steps)
     for factor in (0.5, 2.0, 4.0):
@@ -175,7 +175,7 @@ def _variants(scene: Scene, steps: int) -> Iterator[_Variant]:
 
 
 def _under_others(scene: Scene) -> Iterator[tuple[str, Scene]]:
-    """Yields the scene under every other algorithm that needs nothing which it does not say."""
+    """Yield the scene under every other algorithm that needs nothing which it does not say."""
     own = scene.groups[0].passivity.name if scene.groups else scene.axes[0].passivity.name
     for name in DISPLAY_GROUP_ALGORITHMS if scene.groups else DISPLAY_ALGORITHMS:
         if name != own:
@@ -192,7 +192,7 @@ def _under(scene: Scene, name: str) -> Scene:
 
 
 def _sensed(scene: Scene, **values: float | str) -> Scene:
-    """Returns a scene with other properties of the simulated sensor; its sampling is declared too."""
+    """Return a scene with other properties of the simulated sensor; its sampling is declared too."""
 
     def changed(axis: AxisScene) -> AxisScene:
         display, simulation = axis.parameters.admittance, simulation_of(axis)
@@ -234,7 +234,7 @@ def _finer(scene: Scene, factor: float) -> Scene:
 
 
 def _ideal(scene: Scene, steps: int) -> Scene:
-    """Returns the ideal display of a scene, with so many holds in one sample time."""
+    """Return the ideal display of a scene, with so many holds in one sample time."""
 
     def changed(axis: AxisScene) -> AxisScene:
         display, simulated = axis.parameters.admittance, simulation_of(axis).admittance

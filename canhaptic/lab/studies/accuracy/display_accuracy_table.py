@@ -62,22 +62,22 @@ HEADS: Final = ("changed", "to", "position", "energy", "mass felt", "given out",
 
 
 def display_accuracy_report(result: DisplayStudy) -> RenderableType:
-    """Returns the tables of a study for a terminal."""
+    """Return the tables of a study for a terminal."""
     return Group(*(Text(f" {line}") for line in heading(result)), display_accuracy_table(result))
 
 
 def display_accuracy_markdown(result: DisplayStudy) -> str:
-    """Returns the same as Markdown."""
+    """Return the same as Markdown."""
     return "\n".join([*(f"{line}  " for line in heading(result)), "", display_accuracy_table(result).markdown()])
 
 
 def display_accuracy_table(result: DisplayStudy) -> Table:
-    """Returns one row for each change of the scene."""
+    """Return one row for each change of the scene."""
     return Table("", HEADS, [_cells(row, result["unit"]) for row in result["loop"]], keys=2)
 
 
 def heading(result: DisplayStudy) -> list[str]:
-    """Returns what was studied, against what, and how far the plant is from a solver."""
+    """Return what was studied, against what, and how far the plant is from a solver."""
     unit, reference = result["unit"], result["reference"]
     lines = [
         f"{result['scene']}, {result['axis']}: {result['holds']} sample times at {result['rate']:g} Hz, "

@@ -46,17 +46,17 @@ class Plants(Protocol):
     evaluations: int
 
     def measure(self) -> Iterator[str]:
-        """Runs every rung once; yields the name of each before it is run."""
+        """Run every rung once; yield the name of each before it is run."""
 
     def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
-        """Runs the plant without each effect; yields the name of each before it is run."""
+        """Run the plant without each effect; yield the name of each before it is run."""
 
     def orders(self) -> list[Row]:
-        """Returns the order of every method with a step."""
+        """Return the order of every method with a step."""
 
 
 def group_side(scene: Scene, holds: int, stop: Callable[[], bool], *, with_compiled: bool) -> Plants:
-    """Returns the plant side of the one group of a scene; arguments as for `PlantSide`.
+    """Return the plant side of the one group of a scene; arguments as for `PlantSide`.
 
     Raises:
         InputError: The loop of the scene does not run to its end, or there are no equations to compare with.
@@ -102,7 +102,7 @@ class _OwnPlants:
         self.without: dict[str, Candidate] = {}
 
     def measure(self) -> Iterator[str]:
-        """Runs every rung once on every plant; yields the name of each before it is run."""
+        """Run every rung once on every plant; yield the name of each before it is run."""
         rows: list[dict[object, Row]] = []
         for axis, side in zip(self._names, self._sides, strict=True):
             for name in side.measure():
@@ -112,7 +112,7 @@ class _OwnPlants:
             self.rows.append({**_worst([of[_rung(candidate)] for of in rows]), "setting": candidate.setting})
 
     def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
-        """Runs every plant without each of its effects; yields the name of each before it is run."""
+        """Run every plant without each of its effects; yield the name of each before it is run."""
         for axis, side in zip(self._names, self._sides, strict=True):
             for name in side.measure_effects(accuracy):
                 yield f"{axis}: {name}"
@@ -120,7 +120,7 @@ class _OwnPlants:
             self.without |= {f"{axis}: {name}".rstrip(): of for name, of in side.without.items()}
 
     def orders(self) -> list[Row]:
-        """Returns the order of every method with a step, by the worst plant."""
+        """Return the order of every method with a step, by the worst plant."""
 
         def declared(method: str) -> int | None:
             found = [side.declared(method) for side in self._sides]
@@ -130,7 +130,7 @@ class _OwnPlants:
 
 
 def _rung(candidate: Candidate) -> tuple[str, object]:
-    """Returns what a rung is on every plant; a setting of ours names only what matters to one of them."""
+    """Return what a rung is on every plant; a setting of ours names only what matters to one of them."""
     return candidate.method, candidate.accuracy or candidate.setting
 
 
@@ -140,7 +140,7 @@ def _spend(parts: Sequence[Candidate]) -> None:
 
 
 def _worst(rows: Sequence[Row]) -> Row:
-    """Returns one row of several plants: the largest errors, and the sum of the prices."""
+    """Return one row of several plants: the largest errors, and the sum of the prices."""
     bad = next((row for row in rows if row["status"] != "ok"), None)
     if bad is not None:
         return bad
@@ -185,7 +185,7 @@ class _Mechanism:
         return order
 
     def measure(self) -> Iterator[str]:
-        """Runs every rung once; yields the name of each before it is run."""
+        """Run every rung once; yield the name of each before it is run."""
         for candidate in self.candidates:
             yield candidate.name
             motion, evaluations, events = candidate.observe()
@@ -193,16 +193,16 @@ class _Mechanism:
                               "evaluations_per_period": evaluations / len(self.torques), "events": events})  # fmt: skip
 
     def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
-        """Yields nothing: a mechanism has no effects."""
+        """Yield nothing: a mechanism has no effects."""
         return iter(())
 
     def orders(self) -> list[Row]:
-        """Returns the order of every method with a step, declared and as fitted to this very scene."""
+        """Return the order of every method with a step, declared and as fitted to this very scene."""
         declared: Mapping[str, int | None] = {OURS: self._order, "RK4": 1 if self._switches else 4}
         return orders_of(self.candidates, self.rows, self.travel, lambda method: declared.get(method))
 
     def _judged(self, motion: Motion) -> Row:
-        """Returns the largest differences from the reference at the end of any hold."""
+        """Return the largest differences from the reference at the end of any hold."""
         exact, period = self._exact, self.scene.bus.sample_time
         with np.errstate(all="ignore"):
             apart = np.einsum("kij,kj->ki", self._inertia, motion.velocity - exact.velocity)
@@ -256,7 +256,7 @@ class _Mechanism:
         return Candidate("RK4", counted(substeps, "step"), 1.0 / substeps, 4, None, run, run)
 
     def _solved(self, model: GroupModel, method: str, rtol: float) -> Motion:
-        """Returns the motion by one of scipy's solvers, hold by hold; errors as for `located_states`."""
+        """Return the motion by one of scipy's solvers, hold by hold; errors as for `located_states`."""
         period = self.scene.bus.sample_time_ns
         states = located_states(model, self.torques.tolist(), period, method, rtol, 1e-3 * rtol, self.stop)
         return _motion_of(model, states)

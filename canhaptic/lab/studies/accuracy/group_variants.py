@@ -41,7 +41,7 @@ class _GroupCase(Case):
         return self.scene.bus.sample_time_ns
 
     def controller(self) -> GroupController:
-        """Returns the algorithm, at rest."""
+        """Return the algorithm, at rest."""
         (group,) = self.scene.groups
         return build_group(self.scene, group)
 
@@ -53,12 +53,12 @@ class _GroupVariant(Variant):
     case: _GroupCase
 
     def render(self, cycles: int, motion: Array, tick: Callable[[], None], engine: ChosenEngine) -> LoopRun:
-        """Returns what it did; see `Variant`."""
+        """Return what it did; see `Variant`."""
         furthest = _TRAVELS * float(np.abs(motion).max()) + float(np.ptp(motion, axis=0).max())
         return render_group_by(engine, self.case.scene, cycles, GroupRecorder(motion.shape[1], furthest, tick))
 
     def work(self, cycles: int) -> tuple[str, float]:
-        """Returns the algorithm with what decides the lengths of its buffers, and the cost of a run; see `Variant`."""
+        """Return the algorithm with what decides the lengths of its buffers, and the cost of a run; see `Variant`."""
         (group,), bus = self.case.scene.groups, self.bus
         is_coarse = any(axis.loop.encoder_count for axis in self.case.scene.axes)
         compiled = f"{group.passivity.name} {bus.sample_time_ns} {bus.delay} {is_coarse}"
@@ -66,7 +66,7 @@ class _GroupVariant(Variant):
 
 
 def finely_solved(scene: Scene, factor: float = 1.0) -> Scene:
-    """Returns a scene with plants of substeps of the same length at `factor` times the rate."""
+    """Return a scene with plants of substeps of the same length at `factor` times the rate."""
     substeps = max(1, round(_SUBSTEPS / factor))
 
     def fine(axis: AxisScene) -> AxisScene:
@@ -80,7 +80,7 @@ def finely_solved(scene: Scene, factor: float = 1.0) -> Scene:
 
 
 def group_variants(scene: Scene) -> list[Variant]:
-    """Returns the one group of a scene and everything next to it, one change each, on finely solved plants."""
+    """Return the one group of a scene and everything next to it, one change each, on finely solved plants."""
     (group,) = scene.groups
     base = finely_solved(scene)
     found = [_variant("as it is", group.passivity.name, base, is_scene=True)]
@@ -159,7 +159,7 @@ _Changes = Callable[[AxisScene], Mapping[str, float | None]]
 
 
 def _with_loops(scene: Scene, loop: _Changes, parameters: _Changes = lambda _axis: {}) -> Scene:
-    """Returns the scene with changes to what is known of the loop of every axis, and to its drive."""
+    """Return the scene with changes to what is known of the loop of every axis, and to its drive."""
     axes = tuple(
         replace(
             axis, loop=axis.loop.model_copy(update=loop(axis)),

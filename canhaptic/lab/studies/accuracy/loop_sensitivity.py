@@ -72,7 +72,7 @@ class Variant:
     fineness: float | None = None  # times that of the scene, infinite for ideal; None where nothing is finer
 
     def render(self, cycles: int, motion: Array, tick: Callable[[], None], engine: ChosenEngine) -> LoopRun:
-        """Returns what it did.
+        """Return what it did.
 
         Args:
             cycles: SYNCs.
@@ -83,7 +83,7 @@ class Variant:
         raise NotImplementedError
 
     def work(self, cycles: int) -> tuple[str, float]:
-        """Returns what has to be compiled for it, and its cost in cycles of a light plant; 0: nothing is compiled."""
+        """Return what has to be compiled for it, and its cost in cycles of a light plant; 0: nothing is compiled."""
         return "", 0.0
 
 
@@ -95,11 +95,11 @@ class _AxisVariant(Variant):
     case: LoopCase
 
     def render(self, cycles: int, motion: Array, tick: Callable[[], None], engine: ChosenEngine) -> LoopRun:
-        """Returns what it did; see `Variant`."""
+        """Return what it did; see `Variant`."""
         return render_by(engine, self.case, cycles, Recorder.around(motion), tick)
 
     def work(self, cycles: int) -> tuple[str, float]:
-        """Returns the algorithm, and the cost of a run; see `Variant`."""
+        """Return the algorithm, and the cost of a run; see `Variant`."""
         return self.case.algorithm, work_of(self.case, cycles)
 
 
@@ -127,7 +127,7 @@ class LoopRow:
 
 
 def variants(axis: AxisScene, scene: Scene) -> Sequence[Variant]:
-    """Returns the scene itself and its variants, one change each, on a finely solved plant."""
+    """Return the scene itself and its variants, one change each, on a finely solved plant."""
     axis = _with_substeps(axis, 1.0)
     base = _variant("as it is", axis.passivity.name, axis, scene.bus, loop_case(axis, scene), is_scene=True)
     found = [base, *_rates(base, scene), *_delays(base, scene), *_algorithms(base, scene), *_filters(base, scene)]
@@ -135,7 +135,7 @@ def variants(axis: AxisScene, scene: Scene) -> Sequence[Variant]:
 
 
 def _with_substeps(axis: AxisScene, factor: float) -> AxisScene:
-    """Returns the axis with substeps of the same length at `factor` times the rate."""
+    """Return the axis with substeps of the same length at `factor` times the rate."""
     fine = AccuracyParameters(substeps=max(1, round(_SUBSTEPS / factor)))
     return replace(axis, simulation=replace(simulation_of(axis), accuracy=fine))
 
@@ -154,7 +154,7 @@ def _rates(base: _AxisVariant, scene: Scene) -> list[_AxisVariant]:
 
 
 def hertz(rate: float) -> str:
-    """Returns a rate with its unit."""
+    """Return a rate with its unit."""
     return f"{rate / 1000.0:g} kHz" if rate >= 1000.0 else f"{rate:g} Hz"
 
 
@@ -225,7 +225,7 @@ def _encoders(base: _AxisVariant) -> list[_AxisVariant]:
 
 
 def fineness(factor: float | None, power: float) -> float:
-    """Returns how much finer a step is by a factor; infinite for none."""
+    """Return how much finer a step is by a factor; infinite for none."""
     return math.inf if factor is None else float(factor**power)
 
 
@@ -241,7 +241,7 @@ def _without_encoder_effects(base: _AxisVariant, scene: Scene) -> list[_AxisVari
 def loop_row(
     variant: Variant, exact: Continuous, duration_ns: int, tick: Callable[[], None], engine: ChosenEngine = "python"
 ) -> LoopRow:
-    """Returns one variant run and judged.
+    """Return one variant run and judged.
 
     Args:
         variant: The loop.
@@ -278,7 +278,7 @@ def _most(values: Array) -> float:
 
 
 def engines_of(variants: Sequence[Variant], duration_ns: int, engine: Engine) -> list[ChosenEngine]:
-    """Returns what computes each variant; "auto" compiles where all of one algorithm take longer than compiling it."""
+    """Return what computes each variant; "auto" compiles where all of one algorithm take longer than compiling it."""
     works = [variant.work(duration_ns // variant.case.sample_time_ns + 1) for variant in variants]
     whole: Counter[str] = Counter()
     for name, work in works:
@@ -287,7 +287,7 @@ def engines_of(variants: Sequence[Variant], duration_ns: int, engine: Engine) ->
 
 
 def bus_figures(variant: Variant, scene: Scene) -> dict[str, Any]:
-    """Returns load and worst cycle of the fullest bus that the axes are on, at the variant's rate."""
+    """Return load and worst cycle of the fullest bus that the axes are on, at the variant's rate."""
     budgets = []
     for bus in dict.fromkeys(variant.buses):
         maps: Sequence[AxisMap] = [

@@ -22,7 +22,7 @@ _EXPRESSIBLE: Final = ("viscous_friction", "encoder_noise", "encoder_quantisatio
 
 
 def inexpressible(simulation: AxisSimulation) -> list[str]:
-    """Returns the effects of a scene that this joint does not have."""
+    """Return the effects of a scene that this joint does not have."""
     hand = ["a hand of one's own"] if isinstance(simulation.user, OwnHand) else []
     return hand + [effect.name for effect in simulation.effects if effect.name not in _EXPRESSIBLE]
 
@@ -54,7 +54,7 @@ damping="{damping!r}"/><geom type="sphere" size="0.01" mass="{self._plant.mass!r
         self._commands = (self._torques + self._forces()).tolist()
 
     def _forces(self) -> Array:
-        """Returns what the hand adds to spring and damper at the start of each step [N or N*m]."""
+        """Return what the hand adds to spring and damper at the start of each step [N or N*m]."""
         user, target, speed = self._user, self._target(), self._speed()
         forces: Array = user.stiffness * target + user.damping * speed + user.push
         return forces[: len(self._torques)]
@@ -84,7 +84,7 @@ damping="{damping!r}"/><geom type="sphere" size="0.01" mass="{self._plant.mass!r
         return data
 
     def run(self) -> list[float]:
-        """Runs it and returns the positions."""
+        """Run it and return the positions."""
         model, data, move, positions = self._model, self._begin(), self._mujoco.mj_step, []
         control, place = data.ctrl, data.qpos
         for command in self._commands:
@@ -94,7 +94,7 @@ damping="{damping!r}"/><geom type="sphere" size="0.01" mass="{self._plant.mass!r
         return positions
 
     def motion(self) -> Motion:
-        """Runs it and returns the motion."""
+        """Run it and return the motion."""
         data = self._begin()
         states = [(data.qpos[0], data.qvel[0])]
         for command in self._commands:

@@ -35,16 +35,16 @@ class StudiedPart(Protocol):
         """Parameters of its axes."""
 
     def plants(self, holds: int, stop: Stop, *, with_compiled: bool) -> Plants:
-        """Returns the plant side; see `PlantSide`."""
+        """Return the plant side; see `PlantSide`."""
 
     def remarks(self) -> list[str]:
-        """Returns what could not be run, and why."""
+        """Return what could not be run, and why."""
 
     def continuous(self, step_ns: int, steps: int, stop: Stop) -> Continuous:
-        """Returns what is felt without sampling."""
+        """Return what is felt without sampling."""
 
     def variants(self) -> Sequence[Variant]:
-        """Returns every loop of the loop side."""
+        """Return every loop of the loop side."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ class _GroupPart:
 
 
 def chosen_part(scene: Scene, name: str | None) -> StudiedPart:
-    """Returns an axis or a group by name; the first axis by default, and the group of an axis that has one.
+    """Return an axis or a group by name; the first axis by default, and the group of an axis that has one.
 
     Raises:
         InputError: There is none of that name, or it is not simulated.

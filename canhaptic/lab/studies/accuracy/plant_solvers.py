@@ -76,7 +76,7 @@ class PlantSide:
         self.effects: list[Row] = []
 
     def measure(self) -> Iterator[str]:
-        """Runs every rung once for its errors and evaluations; yields the name of each before it is run."""
+        """Run every rung once for its errors and evaluations; yield the name of each before it is run."""
         for candidate in self.candidates:
             yield candidate.name
             self.rows.append(self._row(candidate))
@@ -99,7 +99,7 @@ class PlantSide:
         }
 
     def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
-        """Runs the plant without each effect at the chosen accuracy; yields the name of each before it is run.
+        """Run the plant without each effect at the chosen accuracy; yield the name of each before it is run.
 
         Args:
             accuracy: The one that the effects are priced at.
@@ -114,7 +114,7 @@ class PlantSide:
             self.effects.append(self._effect_row(name, accuracy, motion, evaluations))
 
     def _effect_row(self, name: str, accuracy: AccuracyParameters, whole: Motion, base: int) -> Row:
-        """Returns what leaving an effect out changes at one accuracy, the error of the method apart."""
+        """Return what leaving an effect out changes at one accuracy, the error of the method apart."""
         rest = tuple(effect for effect in self._simulation.effects if effect.name != name)
         without = replace(self._simulation, effects=rest)
         try:
@@ -136,11 +136,11 @@ class PlantSide:
         }
 
     def orders(self) -> list[Row]:
-        """Returns the order of every method with a step, declared and as fitted to this very scene."""
+        """Return the order of every method with a step, declared and as fitted to this very scene."""
         return orders_of(self.candidates, self.rows, self.travel, self.declared)
 
     def declared(self, method: str) -> int | None:
-        """Returns the order that a method has on this scene: that of the effects for ours, 1 where modes switch."""
+        """Return the order that a method has on this scene: that of the effects for ours, 1 where modes switch."""
         if method == OURS:
             return declared_order(self._simulation)
         own = next(candidate.order for candidate in self.candidates if candidate.method == method)
@@ -151,7 +151,7 @@ class PlantSide:
 def orders_of(
     tried: Sequence[Candidate], rows: Sequence[Row], travel: float, declared: Callable[[str], int | None]
 ) -> list[Row]:
-    """Returns the order of every method with a step.
+    """Return the order of every method with a step.
 
     Args:
         tried: Every rung.
@@ -179,7 +179,7 @@ def _most_bits(found: Sequence[Candidate]) -> int:
 
 
 def named(candidate: Candidate) -> Row:
-    """Returns what a rung is called."""
+    """Return what a rung is called."""
     accuracy = candidate.accuracy
     return {
         "method": candidate.method,
@@ -189,5 +189,5 @@ def named(candidate: Candidate) -> Row:
 
 
 def _errors_of(found: MotionError) -> Row:
-    """Returns the columns of the errors."""
+    """Return the columns of the errors."""
     return {"position_error": found.position, "force_error": found.force, "energy_error": found.energy}

@@ -84,7 +84,7 @@ class AccuracyStudy:
         self._log_us: float | None = None
 
     def run(self) -> dict[str, Any]:
-        """Returns the result; `status` is "completed", or "stopped" with everything up to there."""
+        """Return the result; `status` is "completed", or "stopped" with everything up to there."""
         self._status = "stopped"
         try:
             self._measure()
@@ -130,7 +130,7 @@ class AccuracyStudy:
             self._progress(self._done)
 
     def _accuracy(self, plant: Plants) -> AccuracyParameters:
-        """Returns the accuracy that effects are priced at: the advised one, else the most exact."""
+        """Return the accuracy that effects are priced at: the advised one, else the most exact."""
         found = advice(plant.rows, [], self.tolerance)
         row = found["chosen"] or found["most_exact"]
         return AccuracyParameters(**row["accuracy"]) if row else AccuracyParameters()
@@ -175,7 +175,7 @@ class AccuracyStudy:
         }
 
     def result(self) -> dict[str, Any]:
-        """Returns everything that was measured so far, as plain values."""
+        """Return everything that was measured so far, as plain values."""
         bus = self.scene.bus
         found: dict[str, Any] = {
             "scene": self.scene.source,
@@ -234,7 +234,7 @@ class AccuracyStudy:
         return rows
 
     def _wall(self, name: str) -> Row:
-        """Returns the time columns of one candidate; None where it was not timed."""
+        """Return the time columns of one candidate; None where it was not timed."""
         time, fixed = self._times.get(name), self._times.get(_WORKLOAD)
         if time is None:
             return dict.fromkeys(("us_per_period", "wall_per_second", "spread", "repeats", "ratio"))
@@ -247,7 +247,7 @@ class AccuracyStudy:
         }
 
     def _effect_rows(self, plant: Plants) -> list[Row]:
-        """Returns the effects with their times; "AXIS: EFFECT" of a group is compared with that axis as it is."""
+        """Return the effects with their times; "AXIS: EFFECT" of a group is compared with that axis as it is."""
         rows = []
         for row in plant.effects:
             whole, _, _ = row["effect"].rpartition(" ")

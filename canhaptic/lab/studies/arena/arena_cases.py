@@ -48,7 +48,7 @@ class CaseGroup:
 
 
 def scenes_named(names: Sequence[str] | None) -> list[Path]:
-    """Returns scenes by their names in `configs/hard` or by file; None means all that render something.
+    """Return scenes by their names in `configs/hard` or by file; None means all that render something.
 
     Raises:
         InputError: No scene has that name.
@@ -64,7 +64,7 @@ def scenes_named(names: Sequence[str] | None) -> list[Path]:
 
 
 def label_of(algorithm: str) -> str:
-    """Returns the name of an algorithm in results: of one's own the file without its folder, and the class."""
+    """Return the name of an algorithm in results: of one's own the file without its folder, and the class."""
     return Path(algorithm).name if is_own(algorithm) else algorithm
 
 
@@ -74,7 +74,7 @@ def is_own(algorithm: str) -> bool:
 
 
 def entry_of(reference: str, path: Path, allow_code: bool) -> ComponentSpec:
-    """Returns the algorithm of one's own that `FILE.py:Class` names, for a scene.
+    """Return the algorithm of one's own that `FILE.py:Class` names, for a scene.
 
     Args:
         reference: File and class.
@@ -92,7 +92,7 @@ def entry_of(reference: str, path: Path, allow_code: bool) -> ComponentSpec:
 
 
 def scene_under(path: Path, algorithm: str, *, allow_code: bool = False) -> Scene:
-    """Returns a scene of one axis under an algorithm that takes from the plant what it cannot do without.
+    """Return a scene of one axis under an algorithm that takes from the plant what it cannot do without.
 
     Raises:
         InputError: The scene has groups or several axes, or own code may not run.
@@ -110,7 +110,7 @@ def scene_under(path: Path, algorithm: str, *, allow_code: bool = False) -> Scen
 
 
 def with_loop(scene: Scene, rate: float, delay: int) -> Scene:
-    """Returns a scene at another rate [Hz] and delay; torques act at their SYNC, as in a loop without a bus."""
+    """Return a scene at another rate [Hz] and delay; torques act at their SYNC, as in a loop without a bus."""
     scene = at_rate(scene, rate)
     timing = {"torque_window": 0.0, "sync_jitter": 0.0}
     bus = scene.bus.model_copy(update={"rpdo": "synchronous" if delay else "event"})
@@ -119,7 +119,7 @@ def with_loop(scene: Scene, rate: float, delay: int) -> Scene:
 
 
 def group_figures(group: CaseGroup, known: Iterable[tuple[int, str]] = ()) -> list[CaseFigures]:
-    """Returns the figures of every case of a group.
+    """Return the figures of every case of a group.
 
     Args:
         group: The cases.
@@ -145,7 +145,7 @@ def group_figures(group: CaseGroup, known: Iterable[tuple[int, str]] = ()) -> li
 
 
 def _reference_of(scene: Scene, cycles: int) -> ContinuousReference | None:
-    """Returns the continuous run of a scene; None where there is none."""
+    """Return the continuous run of a scene; None where there is none."""
     [axis] = scene.axes
     plant, user, effects, seed = plant_parts(axis)
     try:
@@ -161,7 +161,7 @@ def _figures_of(scene: Scene, cycles: int, reference: ContinuousReference | None
 
 
 def _of_run(run: LoopRun, scene: Scene, reference: ContinuousReference | None) -> CaseFigures:
-    """Returns the figures of a run, to four digits."""
+    """Return the figures of a run, to four digits."""
     environment, sample_time = environment_of(scene.axes[0]), scene.bus.sample_time
     found = figures(environment, run, reference, sample_time)
     stiffness = getattr(environment, "stiffness", None)
@@ -183,10 +183,10 @@ def _of_run(run: LoopRun, scene: Scene, reference: ContinuousReference | None) -
 
 
 def part(found: Mapping[str, Any], group: str, name: str) -> float | None:
-    """Returns one figure of a group; None where the group could not be measured."""
+    """Return one figure of a group; None where the group could not be measured."""
     return None if found[group] is None else found[group][name]
 
 
 def rounded(value: float) -> float:
-    """Returns a value to four digits."""
+    """Return a value to four digits."""
     return float(f"{value:.4g}")

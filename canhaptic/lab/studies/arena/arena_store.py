@@ -56,12 +56,12 @@ class ArenaStore:
             return  # cut off by a kill: the case runs again
 
     def finished(self, group: CaseGroup) -> list[CaseFigures]:
-        """Returns what is known of the cases of a group."""
+        """Return what is known of the cases of a group."""
         keys = (_key(group, delay, name) for delay in group.delays for name in group.algorithms)
         return [self._known[key] for key in keys if key in self._known]
 
     def add(self, group: CaseGroup, found: Iterable[CaseFigures]) -> None:
-        """Keeps the figures of cases of a group, all of them on disk once this returns.
+        """Keep the figures of cases of a group, all of them on disk once this returns.
 
         Raises:
             InputError: The file cannot be written.
@@ -95,7 +95,7 @@ def _hash_of(path: Path) -> str:
 
 @cache
 def code_hash() -> str:
-    """Returns the hash of the code that computes."""
+    """Return the hash of the code that computes."""
     package, digest = Path(__file__).resolve().parents[3], hashlib.sha256()
     for path in sorted(path for folder in _COMPUTES for path in (package / folder).rglob("*.py")):
         digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())

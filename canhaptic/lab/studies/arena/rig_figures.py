@@ -43,13 +43,13 @@ Rows = list[dict[str, Any]]
 
 
 def tried_stiffnesses(per_decade: int) -> Array:
-    """Returns the stiffnesses of the K-B plot, rising by equal factors, both ends included, shape (n,) [N/m]."""
+    """Return the stiffnesses of the K-B plot, rising by equal factors, both ends included, shape (n,) [N/m]."""
     least, most = _STIFFNESSES
     return np.geomspace(least, most, 1 + round(per_decade * np.log10(most / least)))
 
 
 def borders(rig: Path, algorithm: str, delay: int, per_decade: int, *, allow_code: bool = False) -> Rows:
-    """Returns the K-B plot of an algorithm: over the damping the stiffest passive wall, and the stiffest near one.
+    """Return the K-B plot of an algorithm: over the damping the stiffest passive wall, and the stiffest near one.
 
     Args:
         rig: Scene of one axis with a wall.
@@ -80,7 +80,7 @@ def borders(rig: Path, algorithm: str, delay: int, per_decade: int, *, allow_cod
 
 
 def _tried(scene: Scene, walls: Mapping[str, Array]) -> Mapping[str, Array]:
-    """Returns the figures of walls, compiled where the algorithm has a kernel."""
+    """Return the figures of walls, compiled where the algorithm has a kernel."""
     cycles = cycles_of(scene, None)
     if not why_not_batchable(scene):
         return run_batch(scene, walls, cycles, metrics=_METRICS)
@@ -94,7 +94,7 @@ def _at_delay(scene: Scene, delay: int) -> Scene:
 
 
 def theory(rig: Path, delay: int) -> dict[str, Rows]:
-    """Returns the lines of theory in the K-B plot by name, each a list of damping and stiffness.
+    """Return the lines of theory in the K-B plot by name, each a list of damping and stiffness.
 
     They are those of the plain wall, and the largest stiffness that a certificate of `guarded` holds; see
     `lab.studies.map.theory`.
@@ -116,7 +116,7 @@ def _points(line: Mapping[float, float | None]) -> Rows:
 
 
 def impedances(rig: Path, algorithm: str, delay: int, *, allow_code: bool = False) -> Rows:
-    """Returns the impedance that an algorithm renders over the one asked for, at each of `FREQUENCIES`.
+    """Return the impedance that an algorithm renders over the one asked for, at each of `FREQUENCIES`.
 
     The environment is a spring with a damper, always in contact: size of the ratio, and its angle [rad].
     """
@@ -146,7 +146,7 @@ def _shaken(scene: Scene, frequency: float) -> LoopRun:
 
 
 def times_of_steps(rig: Path, algorithms: Sequence[str], *, allow_code: bool = False) -> dict[str, float]:
-    """Returns the time of a step [us] of each algorithm on the rig, interleaved; of this machine at this moment."""
+    """Return the time of a step [us] of each algorithm on the rig, interleaved; of this machine at this moment."""
     cases: dict[str, tuple[LoopCase, LoopRun]] = {}
     for name in algorithms:
         try:
@@ -159,7 +159,7 @@ def times_of_steps(rig: Path, algorithms: Sequence[str], *, allow_code: bool = F
 
 
 def mass_widths(rig: Path) -> Rows:
-    """Returns the M-width of the rig at several rates and delays: no algorithm of one torque axis renders a mass."""
+    """Return the M-width of the rig at several rates and delays: no algorithm of one torque axis renders a mass."""
     plant = simulation_of(scene_under(rig, "unprotected").axes[0]).plant
     found = []
     for rate in _RATES:

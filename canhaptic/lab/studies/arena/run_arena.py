@@ -61,7 +61,7 @@ class ArenaPlan:
     allow_code: bool = False
 
     def groups(self) -> list[CaseGroup]:
-        """Returns the cases, those that share a continuous run together."""
+        """Return the cases, those that share a continuous run together."""
         return [
             CaseGroup(path, rate, self.delays, self.algorithms, self.longest, self.allow_code)
             for path in self.scenes
@@ -69,11 +69,11 @@ class ArenaPlan:
         ]
 
     def names(self) -> list[str]:
-        """Returns the names of the algorithms in results, each once."""
+        """Return the names of the algorithms in results, each once."""
         return list(dict.fromkeys(map(label_of, self.algorithms)))
 
     def check(self) -> None:
-        """Looks at every scene and algorithm before anything runs.
+        """Look at every scene and algorithm before anything runs.
 
         Raises:
             InputError: One cannot be used.
@@ -99,7 +99,7 @@ def run_arena(
     progress: Callable[[Progress], None] = lambda _: None,
     stop_requested: Callable[[], bool] = lambda: False,
 ) -> dict[str, Any] | None:
-    """Returns everything that was found as plain values; None where it was stopped, what is finished is then kept.
+    """Return everything that was found as plain values; None where it was stopped, what is finished is then kept.
 
     Args:
         plan: What is run.
@@ -139,7 +139,7 @@ def _run_cases(
     progress: Callable[[Progress], None],
     stop_requested: Callable[[], bool],
 ) -> bool:
-    """Runs what is not in the store; returns whether all is."""
+    """Run what is not in the store; return whether all is."""
     total = sum(len(group.delays) * len(group.algorithms) for group in groups)
     done = begun = sum(len(store.finished(group)) for group in groups)
     progress(Progress(done, total, begun))
@@ -163,7 +163,7 @@ def _run_cases(
 
 
 def _of_rig(plan: ArenaPlan, stop_requested: Callable[[], bool]) -> dict[str, Any]:
-    """Returns what is measured on the rig; what a request to stop leaves out is missing."""
+    """Return what is measured on the rig; what a request to stop leaves out is missing."""
     found: dict[str, list[dict[str, Any]]] = {"borders": [], "impedance": []}
     for name in plan.algorithms:
         for delay in plan.delays:

@@ -30,7 +30,7 @@ def _count(cases: Iterable[CaseFigures], figure: str) -> float:
 def _combined(
     figure: str, by: Callable[[Sequence[float]], Any] = np.median
 ) -> Callable[[Sequence[CaseFigures]], float | None]:
-    """Returns the function from cases to one number: a figure of those that were completed, combined."""
+    """Return the function from cases to one number: a figure of those that were completed, combined."""
 
     def of(cases: Sequence[CaseFigures]) -> float | None:
         values = [case[figure] for case in cases if case["status"] == "completed" and case[figure] is not None]
@@ -62,7 +62,7 @@ COLUMNS: Final[dict[str, Column]] = {
 
 
 def standings(algorithms: Sequence[str], cases: Sequence[CaseFigures]) -> list[Standing]:
-    """Returns one row an algorithm.
+    """Return one row an algorithm.
 
     Args:
         algorithms: In the order of the rows.
@@ -77,7 +77,7 @@ def standings(algorithms: Sequence[str], cases: Sequence[CaseFigures]) -> list[S
 
 
 def ranks(rows: Sequence[Standing]) -> dict[str, dict[str, int]]:
-    """Returns the rank of each algorithm in each ranked figure: one more than how many are better."""
+    """Return the rank of each algorithm in each ranked figure: one more than how many are better."""
     found: dict[str, dict[str, int]] = {row["algorithm"]: {} for row in rows}
     for key, column in COLUMNS.items():
         known = {row["algorithm"]: row[key] for row in rows if row[key] is not None}
@@ -88,7 +88,7 @@ def ranks(rows: Sequence[Standing]) -> dict[str, dict[str, int]]:
 
 
 def given_out(algorithms: Sequence[str], cases: Sequence[CaseFigures]) -> dict[str, dict[str, dict[str, float]]]:
-    """Returns who gives out energy where: algorithm -> scene -> number of cases beyond the device, and the most [J]."""
+    """Return who gives out energy where: algorithm -> scene -> number of cases beyond the device, and the most [J]."""
     found: dict[str, dict[str, dict[str, float]]] = {}
     for name in algorithms:
         of_scene: dict[str, list[float]] = {}
@@ -103,7 +103,7 @@ def given_out(algorithms: Sequence[str], cases: Sequence[CaseFigures]) -> dict[s
 
 
 def result_rows(found: Mapping[str, Any]) -> list[tuple[str, float, str]]:
-    """Returns an arena as (name, value, unit), for a file of results."""
+    """Return an arena as (name, value, unit), for a file of results."""
     rows = [
         (f"{row['algorithm']}: {column.what}", row[key], column.unit)
         for key, column in COLUMNS.items()

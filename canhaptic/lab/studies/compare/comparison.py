@@ -56,7 +56,7 @@ def compare(
     repeats: int = 5,
     progress: Callable[[int], None] | None = None,
 ) -> Comparison:
-    """Returns every algorithm on every axis of a scene.
+    """Return every algorithm on every axis of a scene.
 
     Args:
         scene: With simulated drives.

@@ -46,7 +46,7 @@ _ROWS: Final[tuple[tuple[str, Callable[[DisplayRunCompared], str]], ...]] = (
 
 
 def display_algorithms(algorithms: Sequence[str] | None) -> list[str]:
-    """Returns the names asked for; see `known_algorithms`."""
+    """Return the names asked for; see `known_algorithms`."""
     return known_algorithms(DISPLAY_ALGORITHMS, "admittance algorithm", algorithms)
 
 
@@ -57,7 +57,7 @@ def compare_displays(
     duration: float | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> DisplaysCompared:
-    """Returns the account of every axis, and of every group, under each algorithm, as plain values.
+    """Return the account of every axis, and of every group, under each algorithm, as plain values.
 
     Args:
         scene: Whose axes are admittance displays, with drives simulated in this process.
@@ -94,7 +94,7 @@ def _of_axis(axis: str, found: Mapping[str, Any]) -> DisplayRunCompared:
 
 
 def display_comparison_report(result: DisplaysCompared) -> RenderableType:
-    """Returns one table for each axis, one column for each algorithm."""
+    """Return one table for each axis, one column for each algorithm."""
     parts: list[RenderableType] = [
         Text(f" {result['cycles']} cycles over CAN at {result['rate']:g} Hz, delay {result['delay']} hold(s)")
     ]

@@ -68,7 +68,7 @@ def compare_groups(
     engine: Engine = "python",
     progress: Callable[[int], None] | None = None,
 ) -> GroupsCompared:
-    """Returns the accounts of every group of a scene under each algorithm, as plain values.
+    """Return the accounts of every group of a scene under each algorithm, as plain values.
 
     Args:
         scene: With groups, and all its drives simulated in this process. Axes that render by themselves keep their
@@ -102,7 +102,7 @@ def compare_groups(
 
 
 def group_algorithms(algorithms: Sequence[str] | None) -> list[str]:
-    """Returns the names asked for; see `known_algorithms`."""
+    """Return the names asked for; see `known_algorithms`."""
     return known_algorithms(GROUP_ALGORITHMS, "group algorithm", algorithms)
 
 
@@ -140,7 +140,7 @@ def _without_bus(scene: Scene, names: Sequence[str], cycles: int, progress: Prog
 
 
 def _compiled(scene: Scene, name: str, cycles: int) -> ComparedGroup:
-    """Returns the account of one group; whether it was passive is what the plant's own energies say."""
+    """Return the account of one group; whether it was passive is what the plant's own energies say."""
     try:
         run = render_group_by("numba", _scene_under(scene, name), cycles, GroupRecorder(len(scene.axes)))
     except ParameterError as error:
@@ -161,7 +161,7 @@ def _compiled(scene: Scene, name: str, cycles: int) -> ComparedGroup:
 
 
 def group_comparison_report(result: GroupsCompared) -> RenderableType:
-    """Returns one table per group: a column per algorithm, a row per figure."""
+    """Return one table per group: a column per algorithm, a row per figure."""
     heading = Text(" ")
     heading.append(str(result["scene"]), style="bold")
     path = "over the CAN path" if result["path"] == "can" else "without a bus, compiled"

@@ -66,7 +66,7 @@ class DisplayDesigns(TypedDict):
 def design_displays(
     scene: Scene, margin: float, tolerance: float, progress: Progress = lambda _tried, _most: None
 ) -> DisplayDesigns:
-    """Returns the lightest mass for each display, and group of displays, of a scene, as plain values.
+    """Return the lightest mass for each display, and group of displays, of a scene, as plain values.
 
     Args:
         scene: Scene of admittance displays, simulated, each with a hand.
@@ -107,7 +107,7 @@ class _Trial:
         self.allowance = float(getattr(spec.parameters, "energy_allowance", 0.0))
 
     def figures(self, mass: float) -> list[_Figures]:
-        """Returns the figures of a mass under every hand."""
+        """Return the figures of a mass under every hand."""
         cycles = round(_DURATION / self._scene.bus.sample_time)
         return [display_figures(_with_mass(_with_hand(self._scene, *hand), mass), cycles, _METRICS) for hand in _HANDS]
 
@@ -122,13 +122,13 @@ class _Trial:
         )
 
     def off(self, figures: list[_Figures]) -> float:
-        """Returns how far the mass felt is from the mass asked, for the worst hand."""
+        """Return how far the mass felt is from the mass asked, for the worst hand."""
         shares = [abs(of["mass_felt.share"] - 1.0) for of in figures]
         return 1e9 if np.isnan(shares).any() else max(shares)
 
 
 def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, DisplayDesign]]:
-    """Yields (masses tried so far, what is known of the lightest), from heavy to light.
+    """Yield (masses tried so far, what is known of the lightest), from heavy to light.
 
     Raises:
         CheckFailedError: None passes.
@@ -170,7 +170,7 @@ def _why(figures: list[_Figures], mass: float, trial: _Trial) -> str:
 
 
 def _account(trial: _Trial, mass: float, figures: list[_Figures]) -> DisplayDesign:
-    """Returns what a mass is and costs; the worst of all hands."""
+    """Return what a mass is and costs; the worst of all hands."""
     shares = [of["mass_felt.share"] for of in figures]
     return {
         "mass": mass,
@@ -186,7 +186,7 @@ def _account(trial: _Trial, mass: float, figures: list[_Figures]) -> DisplayDesi
 
 
 def never_acts(scene: Scene) -> float:
-    """Returns the mass above which every display is passive without a guard, M + c tau [kg or kg*m^2].
+    """Return the mass above which every display is passive without a guard, M + c tau [kg or kg*m^2].
 
     For `guarded` the declared values count, for another algorithm those of the simulated plant.
     """
@@ -209,7 +209,7 @@ def _with_hand(scene: Scene, grip: float, stiffness: float) -> Scene:
 
 
 def _held(axis: AxisScene, grip: float, stiffness: float) -> AxisSimulation:
-    """Returns a simulated axis with another hand."""
+    """Return a simulated axis with another hand."""
     simulation = simulation_of(axis)
     display, user = simulation.admittance, simulation.user
     if display is None or user is None:
@@ -236,13 +236,13 @@ def _rounded_up(value: float) -> float:
 
 
 def display_snippet(found: DisplayDesign) -> str:
-    """Returns the mass as YAML for a scene."""
+    """Return the mass as YAML for a scene."""
     environment = {"type": "virtual_mass", "mass": f"{found['mass']:g} {found['unit']}"}
     return str(yaml.safe_dump({"environment": environment}, sort_keys=False))
 
 
 def display_design_report(result: DisplayDesigns) -> RenderableType:
-    """Returns what a terminal shows of a design; `result` as `design_displays` returns it."""
+    """Return what a terminal shows of a design; `result` as `design_displays` returns it."""
     heading = Text(" ")
     heading.append(str(result["scene"]), style="bold")
     heading.append(f"   within {100.0 * result['tolerance']:g} %, margin {100.0 * result['margin']:g} %")

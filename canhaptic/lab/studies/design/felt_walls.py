@@ -41,7 +41,7 @@ _FURTHEST: Final = {"m": 0.5, "rad": 5.0}
 
 
 def felt_of(scene: Scene, algorithm: str, hand: dict[str, float], tolerance: float, stiffness: float) -> dict[str, Any]:
-    """Returns what is felt on the rig of a scene, as plain values.
+    """Return what is felt on the rig of a scene, as plain values.
 
     Args:
         scene: Scene of one simulated axis, with a wall.
@@ -79,7 +79,7 @@ def felt_of(scene: Scene, algorithm: str, hand: dict[str, float], tolerance: flo
 
 
 def _drags(bench: Bench, axis: AxisScene, wall: SpringDamperWall, comes: SlowHand) -> list[dict[str, float | None]]:
-    """Returns what drags earn: nothing where a contact of any speed is felt without, or hand or mass are not known."""
+    """Return what drags earn: nothing where a contact of any speed is felt without, or hand or mass are not known."""
     parameters, loop = bench.case.parameters, axis.loop
     if not isinstance(parameters, GuardedParameters):
         return []
@@ -100,7 +100,7 @@ def _drags(bench: Bench, axis: AxisScene, wall: SpringDamperWall, comes: SlowHan
 
 
 def _certified(axis: AxisScene, push: float) -> float | None:
-    """Returns the stiffness that the hand-force certificate holds at a push; None where it is not declared."""
+    """Return the stiffness that the hand-force certificate holds at a push; None where it is not declared."""
     force, loop = getattr(axis.passivity.parameters, "hand_force", None), axis.loop
     if force is None or loop.moving_mass is None:
         return None
@@ -111,7 +111,7 @@ def _certified(axis: AxisScene, push: float) -> float | None:
 
 
 def _start_speed(bench: Bench, wall: SpringDamperWall, comes: SlowHand) -> float | None:
-    """Returns the least speed tried [m/s or rad/s] that is held, as every faster one tried; None where none is."""
+    """Return the least speed tried [m/s or rad/s] that is held, as every faster one tried; None where none is."""
 
     def is_held(speed: float) -> bool:
         hand = replace(comes, speed=speed)

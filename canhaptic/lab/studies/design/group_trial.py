@@ -91,11 +91,11 @@ class GroupTrial:
         self._has_damping = all(axis.loop.device_damping for axis in scene.axes)
 
     def damping_scale(self, stiffness: float) -> float:
-        """Returns a damping that is hardly rendered."""
+        """Return a damping that is hardly rendered."""
         return _TIME * stiffness
 
     def verdict(self, stiffness: Array, damping: Array) -> TrialVerdict:
-        """Tries networks; see `Trial.verdict`."""
+        """Try networks; see `Trial.verdict`."""
         self.walls += len(stiffness)
         pairs = list(zip(stiffness.tolist(), damping.tolist(), strict=True))
         scenes = [(scene, time) for scene, time in self._hands() for _ in pairs]
@@ -113,7 +113,7 @@ class GroupTrial:
         )  # fmt: skip
 
     def account(self, verdict: TrialVerdict, stiffness: float, damping: float) -> dict[str, Any]:
-        """Returns what the network is and costs."""
+        """Return what the network is and costs."""
         (group,) = self.scene.groups
         axes = [self.scene.axis(name) for name in group.axes]
         worst = max(
@@ -150,7 +150,7 @@ class GroupTrial:
         return replace(scene, groups=(replace(group, network=network),))
 
     def _with_hands_at_rest(self) -> Scene:
-        """Returns the scene with its hands where the torques were largest while they moved."""
+        """Return the scene with its hands where the torques were largest while they moved."""
         period = self.scene.bus.sample_time
         run = render_group(self.scene, round(self._stroke / period), GroupRecorder(len(self.scene.axes)))
         time = int(np.abs(run.torque).max(axis=1).argmax()) * period

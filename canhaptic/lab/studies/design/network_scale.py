@@ -31,7 +31,7 @@ class NetworkScale(NamedTuple):
 
 
 def network_scale(network: Parameters, name: str) -> NetworkScale:
-    """Returns the parameter of a network that a design varies.
+    """Return the parameter of a network that a design varies.
 
     Args:
         network: Network of a scene.
@@ -92,7 +92,7 @@ def _general(network: General, name: str) -> NetworkScale:
 
 
 def _moved_by_ports(network: General) -> list[tuple[int, Storage]]:
-    """Returns the springs and forms that a port moves, each with its place among the storages."""
+    """Return the springs and forms that a port moves, each with its place among the storages."""
     found: list[tuple[int, Storage]] = []
     state = 0
     for place, storage in enumerate(network.storages):
@@ -104,7 +104,7 @@ def _moved_by_ports(network: General) -> list[tuple[int, Storage]]:
 
 
 def _in_proportion(network: General, at_ports: Sequence[tuple[int, Storage]]) -> list[Dissipator]:
-    """Returns a damper in parallel with each spring that a port moves, as large in number as its stiffness."""
+    """Return a damper in parallel with each spring that a port moves, as large in number as its stiffness."""
     found: list[Dissipator] = []
     starts = np.cumsum([0, *(states_of(storage) for storage in network.storages)]).tolist()
     for place, storage in at_ports:
@@ -132,7 +132,7 @@ def _stiffened(storage: Storage, factor: float) -> Storage:
 
 
 def _viscous(part: Dissipator) -> float:
-    """Returns the largest linear coefficient of what dissipates at the ports or in parallel with a spring."""
+    """Return the largest linear coefficient of what dissipates at the ports or in parallel with a spring."""
     if isinstance(part, DampingMatrix):
         return _largest(part.matrix) if part.ports else 0.0
     return 0.0 if part.states else part.viscous
@@ -147,7 +147,7 @@ def _damped(part: Dissipator, factor: float) -> Dissipator:
 
 
 def _largest(matrix: _Matrix) -> float:
-    """Returns the largest eigenvalue of a symmetric matrix that is positive semidefinite."""
+    """Return the largest eigenvalue of a symmetric matrix that is positive semidefinite."""
     return max(0.0, float(np.linalg.eigvalsh(np.array(matrix))[-1]))
 
 

@@ -74,11 +74,11 @@ class TrialVerdict:
     nearly: Booleans  # whether it passes with the tolerance wider by `_SLACK`
 
     def last(self) -> "TrialVerdict":
-        """Returns that of the last wall alone."""
+        """Return that of the last wall alone."""
         return TrialVerdict(*(getattr(self, field.name)[-1:] for field in fields(self)))
 
     def account(self, damping: float) -> dict[str, float | None]:
-        """Returns what the first wall rendered and gave out, as in the result of a design.
+        """Return what the first wall rendered and gave out, as in the result of a design.
 
         Args:
             damping: Damping of the wall; 0: its share is None.
@@ -136,7 +136,7 @@ class Trial:
         self.engine, self.walls, self.remark = "", 0, ""
 
     def verdict(self, stiffness: Array, damping: Array) -> TrialVerdict:
-        """Tries walls.
+        """Try walls.
 
         Args:
             stiffness: Stiffness of each wall, shape (n,) [N/m or N*m/rad].
@@ -163,13 +163,13 @@ class Trial:
         )  # fmt: skip
 
     def damping_scale(self, stiffness: float) -> float:
-        """Returns a damping that is hardly rendered: it stops the mass in one hold, or is half the critical one."""
+        """Return a damping that is hardly rendered: it stops the mass in one hold, or is half the critical one."""
         [axis] = self.scene.axes
         mass = simulation_of(axis).plant.mass
         return max(mass / self.scene.bus.sample_time, math.sqrt(stiffness * mass))
 
     def _look_at(self, result: ChunkResult) -> None:
-        """Notes what computed the trials, and refuses a rig on which none can be made.
+        """Note what computed the trials, and refuse a rig on which none can be made.
 
         Raises:
             InputError: Every wall is refused.
@@ -184,7 +184,7 @@ def verdict_of(
     shares: Array, damped: Array, least: Array, judged: Array, ran: Any, allowance: float, tolerance: float,
     damping: Array,
 ) -> TrialVerdict:  # fmt: skip
-    """Returns what walls did under two hands.
+    """Return what walls did under two hands.
 
     Args:
         shares: Stiffness rendered over asked, shape (2, n).
@@ -203,7 +203,7 @@ def verdict_of(
 
 
 def _furthest(first: Array, second: Array) -> Array:
-    """Returns the share furthest from one; NaN stays."""
+    """Return the share furthest from one; NaN stays."""
     return np.asarray(np.where(np.abs(first - 1.0) >= np.abs(second - 1.0), first, second) + 0.0 * (first + second))
 
 
@@ -215,7 +215,7 @@ def _hand(axis: AxisScene) -> dict[str, float]:
 
 
 def _with_user(scene: Scene, user: dict[str, object]) -> Scene:
-    """Returns the scene with a wall at the origin, the handle in front of it, and another hand."""
+    """Return the scene with a wall at the origin, the handle in front of it, and another hand."""
     [axis] = scene.axes
     overrides = [*scene.overrides]
     plant, simulation = "simulation.plant", axis.simulation
@@ -231,7 +231,7 @@ def _with_user(scene: Scene, user: dict[str, object]) -> Scene:
 
 
 def _declared(axis: AxisScene, scene: Scene) -> dict[str, float]:
-    """Returns the plant that the scene declares.
+    """Return the plant that the scene declares.
 
     Raises:
         InputError: It does not say what moves.

@@ -77,7 +77,7 @@ def design_wall(
     engine: Engine = "auto",
     progress: Callable[[int, int], None] = lambda _tried, _most: None,
 ) -> dict[str, Any]:
-    """Returns the stiffest wall for the rig of a scene, and the largest damping at that stiffness, as plain values.
+    """Return the stiffest wall for the rig of a scene, and the largest damping at that stiffness, as plain values.
 
     Args:
         scene: Scene of one group, simulated; or of one axis, simulated or with `passivity.moving_mass` declared.
@@ -97,7 +97,7 @@ def design_wall(
 
 
 def _trial_of(scene: Scene, tolerance: float, engine: Engine, stack: ExitStack) -> Trial | GroupTrial:
-    """Returns the rig of a scene; a group that Python runs gets a process on each core until the stack is left."""
+    """Return the rig of a scene; a group that Python runs gets a process on each core until the stack is left."""
     if not scene.groups:
         return Trial(scene, tolerance, engine)
     trial, cores = GroupTrial(scene, tolerance, engine), os.cpu_count() or 1
@@ -137,7 +137,7 @@ class _WallSearch:
         progress(0, self._places.most)
 
     def largest_stiffness(self) -> float:
-        """Returns the largest stiffness without damping, a few digits of it.
+        """Return the largest stiffness without damping, a few digits of it.
 
         Raises:
             CheckFailedError: Not even the softest wall passes.
@@ -165,7 +165,7 @@ class _WallSearch:
         )
 
     def largest_dampings(self, stiffnesses: Array) -> list[float]:
-        """Returns the largest damping at each stiffness, shape (n,), 0 where none passes; all are searched at once."""
+        """Return the largest damping at each stiffness, shape (n,), 0 where none passes; all are searched at once."""
         highest = 4.0 * np.array([self._trial.damping_scale(stiffness) for stiffness in stiffnesses.tolist()])
         first, *others = self._places.dampings
         shares = np.concatenate([[0.0], np.logspace(-_DECADES, 0.0, first - 1)])
@@ -175,7 +175,7 @@ class _WallSearch:
         return [_rounded(damping) for damping in low.tolist()]
 
     def _between(self, stiffnesses: Array, dampings: Array) -> tuple[Array, Array]:
-        """Returns the last damping that passes and the first that is out of the question, shape (n,) each.
+        """Return the last damping that passes and the first that is out of the question, shape (n,) each.
 
         Args:
             stiffnesses: Shape (n,).
@@ -189,7 +189,7 @@ class _WallSearch:
         return dampings[rows, edges[:, 0]], dampings[rows, edges[:, 1]]
 
     def below_and_at(self, stiffness: float, damping: float) -> tuple[Booleans, TrialVerdict]:
-        """Returns which weaker walls pass, and the verdict on the wall itself.
+        """Return which weaker walls pass, and the verdict on the wall itself.
 
         A wall is accepted if all weaker ones pass too. They are tried with the factor, the wall itself without.
         """
@@ -207,19 +207,19 @@ class _WallSearch:
 
 
 def _edges(passed: Booleans, nearly: Booleans) -> tuple[int, int]:
-    """Returns the last that passes before any that does not even nearly, -1 for none, and the first that does not."""
+    """Return the last that passes before any that does not even nearly, -1 for none, and the first that does not."""
     first = int(np.logical_and.accumulate(nearly).sum())
     return int(np.flatnonzero(np.append(True, passed[:first]))[-1]) - 1, first
 
 
 def _chosen(parameters: Parameters) -> dict[str, Any]:
-    """Returns what differs from its default; `alpha`, whose unit is its own, is left out."""
+    """Return what differs from its default; `alpha`, whose unit is its own, is left out."""
     fields = {key: field for key, field in type(parameters).model_fields.items() if key != "alpha"}
     return {key: value for key, of in fields.items() if (value := getattr(parameters, key)) != of.default}
 
 
 def _rounded(value: float) -> float:
-    """Returns a value with a few digits, never a larger one."""
+    """Return a value with a few digits, never a larger one."""
     if value <= 0.0:
         return 0.0
     unit = 10.0 ** (math.floor(math.log10(value)) - _DIGITS + 1)
@@ -227,7 +227,7 @@ def _rounded(value: float) -> float:
 
 
 def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: float) -> dict[str, Any]:
-    """Returns what the wall is and costs: its verdict, and one run of it, leant on, next to the continuous wall."""
+    """Return what the wall is and costs: its verdict, and one run of it, leant on, next to the continuous wall."""
     values = {STIFFNESS: stiffness, DAMPING: damping}
     places = places_of(trial.scene, tuple(values))
     overrides = [f"{place}={value!r}" for key, value in values.items() for place in places[key]]

@@ -59,12 +59,12 @@ class MapField:
         self.is_display = is_display(self.scene)
 
     def figure(self, metric: str) -> Array:
-        """Returns a figure, one dimension per key of `keys` and one for all others in a grid; NaN where none is."""
+        """Return a figure, one dimension per key of `keys` and one for all others in a grid; NaN where none is."""
         found = self._shaped(self._table.figure(self.axis, metric))
         return np.where(self.judged(), found, np.nan)
 
     def judged(self) -> Mask:
-        """Returns which scenes were run to their end, shaped as a figure."""
+        """Return which scenes were run to their end, shaped as a figure."""
         found: Mask = self._shaped(self._table.status() == COMPLETED)
         return found
 
@@ -73,12 +73,12 @@ class MapField:
         return metric in self._table.metrics
 
     def label(self, key: str) -> str:
-        """Returns a key with its unit, for an axis of a picture."""
+        """Return a key with its unit, for an axis of a picture."""
         unit = _unit_of(self.scene, key)
         return f"{key} [{unit}]" if unit else key
 
     def level(self, key: str, value: float) -> str:
-        """Returns one value of a key in words, such as `damping 5 N*s/m`."""
+        """Return one value of a key in words, such as `damping 5 N*s/m`."""
         return f"{key.rpartition('.')[2]} {value:.3g} {_unit_of(self.scene, key)}".rstrip()
 
     def _is_varied(self, key: str) -> bool:
@@ -91,7 +91,7 @@ class MapField:
         return found
 
     def _shaped(self, column: NDArray[Any]) -> Any:
-        """Returns a column of this algorithm; of a grid with the numeric keys first, all others last."""
+        """Return a column of this algorithm; of a grid with the numeric keys first, all others last."""
         rows = column[self._rows]
         if not self.is_grid:
             return rows
@@ -103,7 +103,7 @@ class MapField:
 
 
 def fields_of(table: SweepTable, axis: str | None = None, *, allow_code: bool = False) -> list[MapField]:
-    """Returns one field per algorithm.
+    """Return one field per algorithm.
 
     Args:
         table: The file.
@@ -131,7 +131,7 @@ def _levels(column: Any) -> list[Any]:
 
 
 def _scene(table: SweepTable, axis: str, controller: str, allow_code: bool) -> Scene:
-    """Returns the scene before anything varied, of one axis alone."""
+    """Return the scene before anything varied, of one axis alone."""
     overrides = json.loads(table.note("overrides"))
     scene = scene_from_text(table.note("scene"), table.note("source"), overrides, allow_code=allow_code)
     chosen = next(one for one in scene.axes if axis in (one.parameters.name, one.group))
@@ -142,7 +142,7 @@ def _scene(table: SweepTable, axis: str, controller: str, allow_code: bool) -> S
 
 
 def _unit_of(scene: Scene, key: str) -> str:
-    """Returns the unit that the model of a varied key gives it on the axis of a scene; "" for a pure number."""
+    """Return the unit that the model of a varied key gives it on the axis of a scene; "" for a pure number."""
     [axis] = scene.axes
     simulation = axis.simulation
     user = simulation and simulation.user

@@ -25,7 +25,7 @@ _OF_PLAIN_WALL: Final[dict[CurveStyle, str]] = {
 
 
 def headline(fields: list[MapField], z: str, x: str, y: str | None) -> list[Lines]:
-    """Returns one panel for each value of y, of many the least, middle and largest; none where shares are not known.
+    """Return one panel for each value of y, of many the least, middle and largest; none where shares are not known.
 
     Args:
         fields: One an algorithm, of one grid.
@@ -61,7 +61,7 @@ def _panel(fields: list[MapField], z: str, x: str, at: dict[str, float]) -> Line
 
 
 def _theory(fields: list[MapField], x: str, places: Array, at: dict[str, float]) -> list[PanelCurve]:
-    """Returns the lines of theory: of the plain wall, and what the certificates of `guarded` hold."""
+    """Return the lines of theory: of the plain wall, and what the certificates of `guarded` hold."""
     plain = next((one for one in fields if one.algorithm == "unprotected"), fields[0])
     found = [theory_at(plain, {**at, x: float(place)}) for place in places]
     lines = [PanelCurve(label, places, _column(found, name), name) for name, label in _OF_PLAIN_WALL.items()]

@@ -47,7 +47,7 @@ class Lines:
     note: str = ""
 
     def marks(self) -> list[float]:
-        """Returns the values to mark along a logarithmic x; none where they are many."""
+        """Return the values to mark along a logarithmic x; none where they are many."""
         return _few(np.concatenate([line.x for line in self.lines] or [np.empty(0)])) if self.x_log else []
 
     def has_something(self) -> bool:
@@ -75,7 +75,7 @@ class Cells:
     more_is_worse: bool = False
 
     def marks(self) -> list[float]:
-        """Returns the values to mark along a logarithmic x; none where they are many, or no columns."""
+        """Return the values to mark along a logarithmic x; none where they are many, or no columns."""
         return _few(self.x) if self.x_log and not self.dots else []
 
     def has_something(self) -> bool:
@@ -83,7 +83,7 @@ class Cells:
         return bool(np.isfinite(self.values).any())
 
     def edges(self) -> tuple[Array, Array]:
-        """Returns the edges of the cells along x and y, shapes (nx + 1,) and (ny + 1,)."""
+        """Return the edges of the cells along x and y, shapes (nx + 1,) and (ny + 1,)."""
         return _edges_of(self.x, log=self.x_log), _edges_of(self.y, log=self.y_log)
 
 
@@ -96,7 +96,7 @@ def _few(values: Array) -> list[float]:
 
 
 def _edges_of(values: Array, *, log: bool) -> Array:
-    """Returns the edges of cells around sorted values, shape (n + 1,): halfway between neighbours."""
+    """Return the edges of cells around sorted values, shape (n + 1,): halfway between neighbours."""
     scaled = np.log(values) if log else values
     if len(values) == 1:
         half = np.array([0.5 if log else 0.5 * max(abs(float(values[0])), 1.0)])
@@ -108,7 +108,7 @@ def _edges_of(values: Array, *, log: bool) -> Array:
 
 
 def common_limits(panels: Sequence[Panel | None]) -> tuple[float, float]:
-    """Returns limits of the colours that fit every panel of cells in a row."""
+    """Return limits of the colours that fit every panel of cells in a row."""
     cells = [panel for panel in panels if isinstance(panel, Cells)]
     if not cells:
         return 0.0, 1.0
@@ -124,10 +124,10 @@ def common_limits(panels: Sequence[Panel | None]) -> tuple[float, float]:
 
 
 def is_log(values: Array) -> bool:
-    """Returns whether an axis of these values is logarithmic."""
+    """Return whether an axis of these values is logarithmic."""
     return bool(values.min() > 0.0 and values.max() / values.min() >= _LOG_SPAN)
 
 
 def positive(values: Array) -> Array:
-    """Returns values for a logarithmic axis: NaN where there is no place for them."""
+    """Return values for a logarithmic axis: NaN where there is no place for them."""
     return np.where(values > 0.0, values, np.nan)

@@ -33,7 +33,7 @@ class Chosen:
 
 
 def panels_of(fields: list[MapField], chosen: Chosen) -> list[list[Panel | None]]:
-    """Returns the panels of a map, by columns: all algorithms together on top, then one column per algorithm.
+    """Return the panels of a map, by columns: all algorithms together on top, then one column per algorithm.
 
     Raises:
         InputError: A key that was not varied or a figure that was not asked for.
@@ -50,7 +50,7 @@ def panels_of(fields: list[MapField], chosen: Chosen) -> list[list[Panel | None]
 
 
 def _display_panels(field: MapField, chosen: Chosen) -> list[Panel]:
-    """Returns the panels of an admittance display: the mass felt, the energy given out, how often a guard acts."""
+    """Return the panels of an admittance display: the mass felt, the energy given out, how often a guard acts."""
     metrics = [metric for metric in _OF_DISPLAYS if field.has(metric)]
     if len(field.keys) == 1:
         return [_profile(field, field.keys[0], metric) for metric in metrics]
@@ -59,7 +59,7 @@ def _display_panels(field: MapField, chosen: Chosen) -> list[Panel]:
 
 
 def _below(together: list[Lines], columns: list[list[Panel]]) -> list[list[Panel | None]]:
-    """Returns columns with a further row on top, which may be longer or shorter than there are columns."""
+    """Return columns with a further row on top, which may be longer or shorter than there are columns."""
     if not together:
         return [list(column) for column in columns]
     blank: list[Panel | None] = [None] * len(columns[0])
@@ -69,14 +69,14 @@ def _below(together: list[Lines], columns: list[list[Panel]]) -> list[list[Panel
 
 
 def _together(fields: list[MapField], chosen: Chosen) -> list[Lines]:
-    """Returns the panels of all algorithms, unless one judgement was asked for or one key varied."""
+    """Return the panels of all algorithms, unless one judgement was asked for or one key varied."""
     if chosen.judgement is not None or len(fields[0].keys) == 1:
         return []
     return headline(fields, *_keys(fields[0], chosen))
 
 
 def _keys(field: MapField, chosen: Chosen) -> tuple[str, str, str | None]:
-    """Returns what is searched, what is across and what has one line or panel each."""
+    """Return what is searched, what is across and what has one line or panel each."""
     free = [key for key in field.keys if key != chosen.x] or field.keys
     z = _STIFFNESS if _STIFFNESS in free else free[-1]
     others = sorted((key for key in field.keys if key != z), key=_preference)
@@ -95,7 +95,7 @@ def _check(field: MapField, chosen: Chosen) -> None:
 
 
 def _usual_panels(field: MapField, chosen: Chosen, *, beside: bool) -> list[Panel]:
-    """Returns the panels of one algorithm; its border only where no panel shows it with the others'."""
+    """Return the panels of one algorithm; its border only where no panel shows it with the others'."""
     if len(field.keys) == 1:
         profiles = ("margin", "stiffness_rendered.share", _ERROR)
         return [_profile(field, field.keys[0], metric) for metric in profiles if field.has(metric)]
@@ -110,7 +110,7 @@ def _preference(key: str) -> int:
 
 
 def _width(field: MapField, z: str, x: str, y: str | None, judgement: str) -> Panel:
-    """Returns the largest z that passes over x (and y), the worst over every other key."""
+    """Return the largest z that passes over x (and y), the worst over every other key."""
     border = border_of(field, z, [x] if y is None else [x, y], judgement)
     order = np.argsort(field.values[x])
     places = field.values[x][order]
@@ -146,7 +146,7 @@ def _width(field: MapField, z: str, x: str, y: str | None, judgement: str) -> Pa
 def _theory(
     field: MapField, x: str, places: Array, at: dict[str, float], of_level: str, colour: int
 ) -> list[PanelCurve]:
-    """Returns the lines of theory; where a further key is worst of all, theory is taken at the scene's own value."""
+    """Return the lines of theory; where a further key is worst of all, theory is taken at the scene's own value."""
     found = [theory_at(field, {**at, x: float(place)}) for place in places]
     lines = []
     if all(one.colgate is not None for one in found):
@@ -187,7 +187,7 @@ def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
 
 
 def _shown(field: MapField, metric: str) -> tuple[Array, str, str]:
-    """Returns a figure as it is drawn: energies below zero as what is missing, renderings as shares of the asked."""
+    """Return a figure as it is drawn: energies below zero as what is missing, renderings as shares of the asked."""
     values = field.figure(metric)
     if metric in ("margin", "least_interaction", "believed_margin"):
         words = {"margin": "missing in the margin, eq. 4", "least_interaction": "given out beyond what came in"}
@@ -219,7 +219,7 @@ def _asked_damping(field: MapField, values: Array) -> Array:
 
 
 def _worst(values: Array, over: tuple[int, ...], kind: str) -> Array:
-    """Returns the worst: the most energy missing, the largest error, the share furthest from one, else the least."""
+    """Return the worst: the most energy missing, the largest error, the share furthest from one, else the least."""
     if not over:
         return values
     flat = values.reshape(*values.shape[:2], -1)
@@ -231,7 +231,7 @@ def _worst(values: Array, over: tuple[int, ...], kind: str) -> Array:
 
 
 def _profile(field: MapField, key: str, metric: str) -> Panel:
-    """Returns a figure along the only key that was varied."""
+    """Return a figure along the only key that was varied."""
     values, label, kind = _shown(field, metric)
     order = np.argsort(field.values[key])
     flat = _worst(values.reshape(len(order), 1, -1), (2,), kind)[:, 0] if field.is_grid else values

@@ -31,7 +31,7 @@ _TRIED: Final = np.geomspace(1.0, 1e8, 801)
 
 
 def colgate_stiffness(damping: float, wall_damping: float, sample_time: float, delay: int) -> float:
-    """Returns the largest stiffness [N/m or N*m/rad] that the condition above permits.
+    """Return the largest stiffness [N/m or N*m/rad] that the condition above permits.
 
     Args:
         damping: b of the device [N*s/m or N*m*s/rad].
@@ -60,7 +60,7 @@ class Theory(NamedTuple):
 
 
 def theory_at(field: MapField, values: Mapping[str, float]) -> Theory:
-    """Returns what theory says at some values of a field's keys.
+    """Return what theory says at some values of a field's keys.
 
     Args:
         field: Whose scene and axis are meant.
@@ -71,7 +71,7 @@ def theory_at(field: MapField, values: Mapping[str, float]) -> Theory:
 
 
 def theory_of(scene: Scene) -> Theory:
-    """Returns what theory says of the wall of a scene with one simulated axis, for any stiffness."""
+    """Return what theory says of the wall of a scene with one simulated axis, for any stiffness."""
     [axis] = scene.axes
     simulation, environment = axis.simulation, axis.environment.parameters
     if simulation is None or not hasattr(environment, "stiffness"):
@@ -92,7 +92,7 @@ def theory_of(scene: Scene) -> Theory:
 
 
 def _stable_stiffness(scene: Scene) -> float | None:
-    """Returns up to which stiffness the plain wall is stable by its eigenvalues; None where the loop is not linear."""
+    """Return up to which stiffness the plain wall is stable by its eigenvalues; None where the loop is not linear."""
     try:
         radii = spectral_radius(scene, {"environment.stiffness": _TRIED})
     except (ParameterError, NotImplementedError):

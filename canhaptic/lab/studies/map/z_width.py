@@ -40,7 +40,7 @@ class _Border(NamedTuple):
 
 
 def usual_judgement(field: MapField) -> str:
-    """Returns how an algorithm is judged unless the user says otherwise.
+    """Return how an algorithm is judged unless the user says otherwise.
 
     The plain wall promises nothing of its port: with what the device dissipates it is stable or not, by the eigenvalues
     of the loop; where that is not linear, damping and dry friction of the device must cover at any moment what the port
@@ -54,7 +54,7 @@ def usual_judgement(field: MapField) -> str:
 
 
 def _passes(field: MapField, judgement: str) -> Mask:
-    """Returns which scenes pass, shaped as a figure of the field."""
+    """Return which scenes pass, shaped as a figure of the field."""
     if judgement != "stable":
         return np.asarray(field.figure(_ENERGIES[judgement]) >= -PASSIVE_TOLERANCE)
     passed = field.judged()
@@ -67,18 +67,18 @@ def _passes(field: MapField, judgement: str) -> Mask:
 
 
 def passing_share(field: MapField, judgement: str) -> float:
-    """Returns the share of the judged scenes that pass."""
+    """Return the share of the judged scenes that pass."""
     judged = field.judged()
     return float((_passes(field, judgement) & judged).sum() / max(1, judged.sum()))
 
 
 def common_judgement(field: MapField) -> str:
-    """Returns how all algorithms are judged together: as displays, device included, where that is known."""
+    """Return how all algorithms are judged together: as displays, device included, where that is known."""
     return next((name for name in ("covered", "passive") if field.has(_ENERGIES[name])), "margin")
 
 
 def border_of(field: MapField, key: str, kept: list[str], judgement: str, *, near: bool = False) -> _Border:
-    """Returns the largest value of a key that passes, the worst over every key that is not kept.
+    """Return the largest value of a key that passes, the worst over every key that is not kept.
 
     Args:
         field: A grid.

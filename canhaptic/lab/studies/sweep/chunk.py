@@ -54,7 +54,7 @@ USUAL: Final = (*METRICS, RADIUS)
 
 
 def usual_figures(scene: Scene) -> tuple[str, ...]:
-    """Returns the metrics of a sweep that names none: of each kind of display that a scene has."""
+    """Return the metrics of a sweep that names none: of each kind of display that a scene has."""
     displays = [is_display(part) for part in parts_of(scene).values()]
     if not any(displays):
         return USUAL
@@ -86,7 +86,7 @@ class ChunkResult(NamedTuple):
 
 
 def run_chunk(recipe: Recipe, start: int, columns: Mapping[str, Column]) -> ChunkResult:
-    """Returns the figures of the scenes `start` and following.
+    """Return the figures of the scenes `start` and following.
 
     Args:
         recipe: Recipe of the sweep.
@@ -97,7 +97,7 @@ def run_chunk(recipe: Recipe, start: int, columns: Mapping[str, Column]) -> Chun
 
 
 def is_batch_key(recipe: Recipe, key: str) -> bool:
-    """Returns whether scenes that differ in a key fit one batch, for every axis that it touches."""
+    """Return whether scenes that differ in a key fit one batch, for every axis that it touches."""
     names = [batch_key(key, index, name) for index, name in enumerate(recipe.axes)]
     return all(name is None or name in BATCHED for name in names)
 
@@ -118,7 +118,7 @@ class _Chunk:
         self._of_plant = ""
 
     def run(self) -> ChunkResult:
-        """Runs every scene."""
+        """Run every scene."""
         batched = {key for key in self._columns if is_batch_key(self._recipe, key)}
         apart = {key for key in self._columns if key not in batched}
         if RATE in self._columns and self._recipe.cycles is None:
@@ -129,7 +129,7 @@ class _Chunk:
         return ChunkResult(self._figures, self._status, self._engine, self._remark, tuple(self._texts), self._of_plant)
 
     def _permitted(self) -> _Rows:
-        """Returns the rows whose values go together; the others are noted as refused."""
+        """Return the rows whose values go together; the others are noted as refused."""
         refused = []
         for rows in self._groups({key for key in self._columns if key not in self._free}, np.arange(self._count)):
             if is_box_permitted(self._recipe, self._row(int(rows[0]), set(self._columns) - self._free)):
@@ -142,7 +142,7 @@ class _Chunk:
         return np.setdiff1d(np.arange(self._count), np.array(refused, dtype=np.intp))
 
     def _groups(self, keys: set[str], rows: _Rows) -> list[_Rows]:
-        """Returns the rows that share the values of some keys, in the order of their first."""
+        """Return the rows that share the values of some keys, in the order of their first."""
         kinds = np.zeros(len(rows), dtype=np.int64)
         for key in keys:
             numbers = _numbered(self._columns[key])[rows]
@@ -170,7 +170,7 @@ class _Chunk:
             self._one_by_one(rows, reason)
 
     def _closed_form(self, built: Built, rows: _Rows, batched: Sequence[str]) -> str:
-        """Fills in the spectral radius where the loop is linear; returns "" or why it is not."""
+        """Fill in the spectral radius where the loop is linear; return "" or why it is not."""
         reason = ""
         for index, name in enumerate(self._recipe.axes):
             scene = _alone(built, name)
@@ -183,7 +183,7 @@ class _Chunk:
         return reason
 
     def _in_arrays(self, built: Built, rows: _Rows, batched: Sequence[str]) -> str:
-        """Runs the rows as one batch per axis; returns "" or the reason why that cannot be."""
+        """Run the rows as one batch per axis; return "" or the reason why that cannot be."""
         recipe, cycles = self._recipe, cycles_in(self._recipe, built.permitted())
         metrics = [metric for metric in recipe.metrics if metric != RADIUS]
         found: dict[str, Array] = {}
@@ -209,7 +209,7 @@ class _Chunk:
         return ""
 
     def _varied(self, built: Built, scene: Scene, index: int, rows: _Rows, batched: Sequence[str]) -> dict[str, Array]:
-        """Returns what differs inside a batch of one axis, by the names of the batch."""
+        """Return what differs inside a batch of one axis, by the names of the batch."""
         follows = of_plant(built.from_plant)
         varied: dict[str, Array] = {}
         for key in batched:
@@ -253,7 +253,7 @@ class _Chunk:
         self._status[row], self._engine[row], self._remark[row] = status, engine, self._slot(remark)
 
     def _slot(self, remark: str) -> int:
-        """Returns the number of a remark, 0 for none."""
+        """Return the number of a remark, 0 for none."""
         if not remark:
             return 0
         if remark not in self._texts:
@@ -264,7 +264,7 @@ class _Chunk:
 
 
 def _numbered(column: Column) -> NDArray[np.int64]:
-    """Returns a whole number for each value of a column, the same for the same value."""
+    """Return a whole number for each value of a column, the same for the same value."""
     if isinstance(column, np.ndarray):
         return np.unique(column, return_inverse=True)[1]
     known = {value: number for number, value in enumerate(dict.fromkeys(column))}
@@ -272,12 +272,12 @@ def _numbered(column: Column) -> NDArray[np.int64]:
 
 
 def _alone(built: Built, name: str) -> Scene:
-    """Returns the scene of one axis or group alone: they share nothing but the bus."""
+    """Return the scene of one axis or group alone: they share nothing but the bus."""
     return parts_of(built.permitted())[name]
 
 
 def _figures_alone(recipe: Recipe, scene: Scene, asked: Sequence[str]) -> tuple[Mapping[str, float], bool, str]:
-    """Returns the figures of one axis or group, whether its loop was compiled, and why a group's could not be."""
+    """Return the figures of one axis or group, whether its loop was compiled, and why a group's could not be."""
     cycles = cycles_in(recipe, scene)
     if is_display(scene):
         return display_figures(scene, cycles, asked), False, ""
@@ -289,7 +289,7 @@ def _figures_alone(recipe: Recipe, scene: Scene, asked: Sequence[str]) -> tuple[
 
 
 def _remark_of(built: Built, *, is_batched: bool = False) -> str:
-    """Returns what was given to an algorithm, and what of the scene is not in its loop."""
+    """Return what was given to an algorithm, and what of the scene is not in its loop."""
     return _joined(built.remark, not_in_loop(built.permitted(), is_batched=is_batched))
 
 
@@ -307,5 +307,5 @@ def _is_taken(scene: Scene, name: str) -> bool:
 
 @lru_cache(maxsize=64)
 def _free_keys(recipe: Recipe) -> frozenset[str]:
-    """Returns the keys with a range, whose ends decide for all values between."""
+    """Return the keys with a range, whose ends decide for all values between."""
     return frozenset(v.key for v in recipe.varied if v.spacing != "list" and is_batch_key(recipe, v.key))

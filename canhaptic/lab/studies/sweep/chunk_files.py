@@ -64,7 +64,7 @@ class ChunkFiles:
         return descriptor
 
     def read(self, chunk: int, column: str) -> hdf5.Array:
-        """Returns a column of a chunk.
+        """Return a column of a chunk.
 
         Raises:
             LogFormatError: The file is damaged, or was merged while it was read.
@@ -79,7 +79,7 @@ class ChunkFiles:
             ) from error
 
     def write(self, chunk: int, columns: Columns) -> None:
-        """Writes a chunk.
+        """Write a chunk.
 
         Raises:
             LogWriteError: The disk refuses, or the table is open for reading only; what was finished before stays.
@@ -101,13 +101,13 @@ class ChunkFiles:
         self.there.add(chunk)
 
     def clear(self) -> None:
-        """Removes every chunk."""
+        """Remove every chunk."""
         for chunk in self.there:
             self._file(chunk).unlink(missing_ok=True)
         self.there.clear()
 
     def close(self) -> None:
-        """Lets another process write; an empty folder goes."""
+        """Let another process write; an empty folder goes."""
         if self._lock is not None:
             if not self.there:
                 shutil.rmtree(self._folder, ignore_errors=True)
@@ -119,7 +119,7 @@ class ChunkFiles:
 
 
 def write_error(path: Path, error: Exception, kept: str) -> LogWriteError:
-    """Returns why a file of a sweep cannot be written.
+    """Return why a file of a sweep cannot be written.
 
     Args:
         path: Path of the sweep's file.

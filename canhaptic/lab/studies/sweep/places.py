@@ -11,7 +11,7 @@ from canhaptic.scene.overrides import apply_overrides
 
 
 def places_of(scene: Scene, keys: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    """Returns the override paths of each key.
+    """Return the override paths of each key.
 
     Args:
         scene: Loaded without a fault, from text.
@@ -24,7 +24,7 @@ def places_of(scene: Scene, keys: tuple[str, ...]) -> dict[str, tuple[str, ...]]
 
 
 def batch_key(key: str, axis: int, name: str) -> str | None:
-    """Returns what a key is called in a scene of one axis alone; None when it does not touch that axis.
+    """Return what a key is called in a scene of one axis alone; None when it does not touch that axis.
 
     Args:
         key: As given to `--vary`.
@@ -62,7 +62,7 @@ def _places(document: MarkedMapping, key: str) -> tuple[str, ...]:
 
 
 def _shared(owner: object, name: str, key: str, own: list[str]) -> tuple[str, ...]:
-    """Returns the shared place where there is one, or where no axis has one of its own."""
+    """Return the shared place where there is one, or where no axis has one of its own."""
     return (key,) if _has(owner, name) or not own else ()
 
 

@@ -54,7 +54,7 @@ class Points:
         return math.prod(self.shape)
 
     def columns(self, start: int, stop: int) -> dict[str, Column]:
-        """Returns the values of scenes `start` to `stop` by key, each of length stop - start."""
+        """Return the values of scenes `start` to `stop` by key, each of length stop - start."""
         indices = np.unravel_index(np.arange(start, stop), self.shape)
         if not self.samples:
             return {v.key: _picked(v, index) for v, index in zip(self.varied, indices, strict=True)}
@@ -68,7 +68,7 @@ class Points:
 
 
 def make_points(varied: Sequence[Varied], controllers: Sequence[str] = (), samples: int = 0, seed: int = 0) -> Points:
-    """Returns the scenes of a sweep.
+    """Return the scenes of a sweep.
 
     Args:
         varied: Keys with their values.
@@ -99,12 +99,12 @@ def make_points(varied: Sequence[Varied], controllers: Sequence[str] = (), sampl
 
 
 def scene_seed(base: int, index: int) -> int:
-    """Returns the seed of everything random in the scene of a global index: 0 to 10^9."""
+    """Return the seed of everything random in the scene of a global index: 0 to 10^9."""
     return int(scene_seeds(base, np.array([index]))[0])
 
 
 def scene_seeds(base: int, indices: NDArray[np.intp]) -> Array:
-    """Returns the seeds of the scenes of some global indices, whole numbers of shape (n,)."""
+    """Return the seeds of the scenes of some global indices, whole numbers of shape (n,)."""
     return (_hashed(base, 0xC0, indices.astype(np.uint64)) % np.uint64(1_000_000_001)).astype(float)
 
 
@@ -116,7 +116,7 @@ def _picked(varied: Varied, index: NDArray[np.intp]) -> Column:
 
 @lru_cache(maxsize=16)
 def _shares(samples: int, seed: int, order: int) -> Array:
-    """Returns one point in each of n equal strata, shuffled, 0 <= share < 1, shape (samples,)."""
+    """Return one point in each of n equal strata, shuffled, 0 <= share < 1, shape (samples,)."""
     numbers = np.arange(samples, dtype=np.uint64)
     strata = np.argsort(_hashed(seed, 2 * order, numbers), kind="stable")
     within = (_hashed(seed, 2 * order + 1, numbers) >> np.uint64(64 - _MANTISSA)) * 2.0**-_MANTISSA
@@ -125,7 +125,7 @@ def _shares(samples: int, seed: int, order: int) -> Array:
 
 
 def _hashed(seed: int, stream: int, numbers: _Hashes) -> _Hashes:
-    """Returns the finaliser of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014) of seed, stream and each number."""
+    """Return the finaliser of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014) of seed, stream and each number."""
     mixed = np.array([seed * 1024 + stream], dtype=np.uint64)
     for value in (None, numbers):
         mixed = (mixed if value is None else mixed ^ value) + np.uint64(_SEED_STEP)

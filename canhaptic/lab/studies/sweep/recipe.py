@@ -86,7 +86,7 @@ class Built(NamedTuple):
     from_plant: tuple[str, ...] = ()  # loop properties taken from the plant
 
     def permitted(self) -> Scene:
-        """Returns the scene.
+        """Return the scene.
 
         Raises:
             InputError: There is none.
@@ -107,7 +107,7 @@ def make_recipe(
     beyond_bus: bool = False,
     allow_code: bool = False,
 ) -> Recipe:
-    """Returns the recipe of a sweep, every value tried on its own.
+    """Return the recipe of a sweep, every value tried on its own.
 
     Raises:
         InputError: The scene has no text or simulation, or an unknown algorithm is asked for.
@@ -145,7 +145,7 @@ def make_recipe(
 
 @lru_cache(maxsize=256)
 def scene_of(recipe: Recipe, row: Row) -> Built:
-    """Returns the scene of a row of values, checked as if it had been written so.
+    """Return the scene of a row of values, checked as if it had been written so.
 
     Args:
         recipe: Recipe of the sweep.
@@ -165,7 +165,7 @@ def scene_of(recipe: Recipe, row: Row) -> Built:
 
 
 def seeded(recipe: Recipe, scene: Scene, index: int) -> Scene:
-    """Returns a scene with everything random in it by its global index, unless the sweep varies the seed itself."""
+    """Return a scene with everything random in it by its global index, unless the sweep varies the seed itself."""
     if scene.simulation is None or any(varied.key == _SEED for varied in recipe.varied):
         return scene
     seed = scene_seed(recipe.seed, index)
@@ -177,20 +177,20 @@ def seeded(recipe: Recipe, scene: Scene, index: int) -> Scene:
 
 
 def seeds_of(recipe: Recipe, scene: Scene, indices: NDArray[np.intp]) -> Array | None:
-    """Returns what `seeded` gives the first axis of the scenes of some global indices; None where it gives nothing."""
+    """Return what `seeded` gives the first axis of the scenes of some global indices; None where it gives nothing."""
     if scene.simulation is None or any(varied.key == _SEED for varied in recipe.varied):
         return None
     return scene_seeds(recipe.seed, indices)
 
 
 def cycles_in(recipe: Recipe, scene: Scene) -> int:
-    """Returns the SYNCs of a scene."""
+    """Return the SYNCs of a scene."""
     return recipe.cycles or cycles_of(scene, recipe.duration)
 
 
 @lru_cache(maxsize=4096)
 def is_box_permitted(recipe: Recipe, shared: Row) -> bool:
-    """Returns whether every scene with these values is permitted, for all values of the other keys.
+    """Return whether every scene with these values is permitted, for all values of the other keys.
 
     Every limit of a scene is a bound from below or above, so that what holds in the corners of a box holds inside.
     """
@@ -210,7 +210,7 @@ def _corners(free: list[Varied]) -> list[Row]:
 
 
 def _try_alone(recipe: Recipe, varied: Varied) -> None:
-    """Refuses a value that no other value could make right.
+    """Refuse a value that no other value could make right.
 
     Raises:
         SceneError: One is; the message is that of the scene.
@@ -251,7 +251,7 @@ def _overrides(recipe: Recipe, values: Mapping[str, Value], *, with_unit: bool =
 
 
 def _under(scene: Scene, controller: str) -> Built:
-    """Returns the scene with every axis under an algorithm, which takes from the plant what it cannot do without."""
+    """Return the scene with every axis under an algorithm, which takes from the plant what it cannot do without."""
     axes: list[AxisScene] = []
     remark = ""
     from_plant: tuple[str, ...] = ()
@@ -271,11 +271,11 @@ def _under(scene: Scene, controller: str) -> Built:
 
 
 def of_plant(from_plant: tuple[str, ...]) -> dict[str, str]:
-    """Returns which batch key of the loop follows which of the plant, for properties that were taken from it."""
+    """Return which batch key of the loop follows which of the plant, for properties that were taken from it."""
     return {f"passivity.{key}": f"simulation.plant.{PLANT_OF[key]}" for key in from_plant}
 
 
 def _first_line(error: Exception) -> str:
-    """Returns the first fault of an error without the override that it names, which is one of the sweep's own."""
+    """Return the first fault of an error without the override that it names, which is one of the sweep's own."""
     line = str(error).splitlines()[0]
     return line.partition(": ")[2] if line.startswith("--set ") else line

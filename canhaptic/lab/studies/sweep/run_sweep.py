@@ -78,7 +78,7 @@ def sweep(
     stop_requested: Callable[[], bool] = lambda: False,
     **options: Any,
 ) -> Progress:
-    """Runs every scene and keeps the figures in a file; a sweep that was stopped or killed goes on where it was.
+    """Run every scene and keep the figures in a file; a sweep that was stopped or killed goes on where it was.
 
     Args:
         scene: With simulated drives, from a file or text.
@@ -132,7 +132,7 @@ def _make_sweep(
     beyond_bus: bool = False,
     allow_code: bool = False,
 ) -> _Sweep:
-    """Returns a sweep, everything checked that can be before a scene runs.
+    """Return a sweep, everything checked that can be before a scene runs.
 
     Args:
         scene: With simulated drives, from a file or text.
@@ -184,7 +184,7 @@ def _check(metrics: Sequence[str] | None, duration: float | None, cycles: int | 
 
 
 def _pays(scene: Scene, scenes: int, cycles: int) -> bool:
-    """Returns whether compiling takes less time than it saves."""
+    """Return whether compiling takes less time than it saves."""
     if scene.groups:
         parts = [part for part in parts_of(scene).values() if part.groups]
         return scenes * cycles >= WORTH_COMPILING_GROUPS and any(group_case(part).is_compilable for part in parts)
@@ -192,7 +192,7 @@ def _pays(scene: Scene, scenes: int, cycles: int) -> bool:
 
 
 def _is_long(asked: _Sweep) -> bool:
-    """Returns whether Python runs so many cycles that starting processes is a small part of the time."""
+    """Return whether Python runs so many cycles that starting processes is a small part of the time."""
     cycles = asked.recipe.cycles or cycles_of(scene_of(asked.recipe, ()).permitted(), asked.recipe.duration)
     return asked.recipe.engine == "python" and len(asked.points) * cycles >= _WORTH_A_POOL
 
@@ -210,7 +210,7 @@ class _Run:
         self.state = Progress(begun, len(table), begun)
 
     def run(self, executor: Executor | Pool, in_flight: int, stop_requested: Callable[[], bool]) -> None:
-        """Runs what is not in the file yet."""
+        """Run what is not in the file yet."""
         self._progress(self.state)
         try:
             while (self._waiting or self._out) and not stop_requested():
@@ -264,7 +264,7 @@ class _Run:
             self._progress(self.state)
 
     def _lost(self, executor: Executor | Pool, error: BrokenExecutor) -> None:
-        """Begins anew with new workers after one died, unless that does not help."""
+        """Begin anew with new workers after one died, unless that does not help."""
         self._waiting += self._out.values()
         self._out.clear()
         self._losses += 1
@@ -282,7 +282,7 @@ def _varied(one: str | Varied) -> Varied:
 
 
 def _together(recipe: Recipe, points: Points) -> int:
-    """Returns how many scenes of the whole sweep differ in nothing but keys that may differ inside a batch."""
+    """Return how many scenes of the whole sweep differ in nothing but keys that may differ inside a batch."""
     apart = [v for v in points.varied if not is_batch_key(recipe, v.key) or (v.key == RATE and recipe.cycles is None)]
     if points.samples and any(v.spacing != "list" for v in apart):
         return 1
@@ -301,7 +301,7 @@ def _is_not_batchable(scene: Scene, controllers: Sequence[str]) -> bool:
 
 
 def _identity(scene: Scene, recipe: Recipe, points: Points) -> dict[str, Any]:
-    """Returns what two runs must have in common to share a file."""
+    """Return what two runs must have in common to share a file."""
     return {
         "configuration": scene.config_hash(),
         "varied": [
@@ -330,7 +330,7 @@ def _columns(scene: Scene, asked: _Sweep) -> Columnset:
 
 
 def _check_same(table: SweepTable, asked: _Sweep) -> None:
-    """Refuses to go on with a file of something else.
+    """Refuse to go on with a file of something else.
 
     Raises:
         InputError: It is; names what differs.

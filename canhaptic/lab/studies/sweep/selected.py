@@ -32,11 +32,11 @@ class Selected:
         self.table, self._axis, self._controller = table, axis, controller
 
     def count(self) -> int:
-        """Returns how many scenes there are."""
+        """Return how many scenes there are."""
         return sum(int(rows.sum()) for _, _, rows in self._blocks())
 
     def share(self, metric: str, holds: Callable[[Array], NDArray[np.bool_]], *, finite: bool = False) -> float | None:
-        """Returns the share of the scenes whose figure passes; None without any.
+        """Return the share of the scenes whose figure passes; None without any.
 
         Args:
             metric: Name of a figure.
@@ -49,11 +49,11 @@ class Selected:
         return true / count if count else None
 
     def least(self, metric: str) -> float | None:
-        """Returns the least finite figure; None without any."""
+        """Return the least finite figure; None without any."""
         return min((float(values.min()) for values in self._columns(metric, finite=True) if len(values)), default=None)
 
     def median(self, metric: str) -> float | None:
-        """Returns the median of the finite figures, of an even number the mean of both in the middle."""
+        """Return the median of the finite figures, of an even number the mean of both in the middle."""
         count = sum(len(values) for values in self._columns(metric, finite=True))
         if not count:
             return None
@@ -61,7 +61,7 @@ class Selected:
         return low if low == high else math.fsum((0.5 * low, 0.5 * high))
 
     def _ranked(self, metric: str, rank: int) -> float:
-        """Returns the finite figure that `rank` others come before: its bits from the first to the last, in turns."""
+        """Return the finite figure that `rank` others come before: its bits from the first to the last, in turns."""
         known = np.uint64(0)
         for settled in range(0, 64, _DIGIT):
             left = np.uint64(64 - settled - _DIGIT)
@@ -94,6 +94,6 @@ class Selected:
 
 
 def _ordered(values: Array) -> NDArray[np.uint64]:
-    """Returns whole numbers in the order of the values: the bits of a float, those of negative ones inverted."""
+    """Return whole numbers in the order of the values: the bits of a float, those of negative ones inverted."""
     bits = np.ascontiguousarray(values).view(np.uint64)
     return np.where(bits & _SIGN, ~bits, bits | _SIGN)

@@ -20,7 +20,7 @@ _Summary = dict[str, Any]
 
 
 def summary(table: SweepTable) -> _Summary:
-    """Returns the account of a sweep as plain values: what `canhaptic sweep --json` prints."""
+    """Return the account of a sweep as plain values: what `canhaptic sweep --json` prints."""
     done = table.done()
     counts: Counter[tuple[str, str, str]] = Counter()
     for status, engine, remark, number in table.remarks():
@@ -52,7 +52,7 @@ def _by(counts: Counter[tuple[str, str, str]], part: int) -> dict[str, int]:
 
 
 def _figures(table: SweepTable, axis: str) -> dict[str, Any]:
-    """Returns shares and medians over the completed scenes, per algorithm."""
+    """Return shares and medians over the completed scenes, per algorithm."""
     if CONTROLLER not in table.keys:
         return {"of the scene": _shares(Selected(table, axis))}
     return {name: _shares(Selected(table, axis, index)) for index, name in enumerate(table.texts(CONTROLLER))}
@@ -80,7 +80,7 @@ def _shares(selected: Selected) -> dict[str, Any]:
 
 
 def summary_report(found: _Summary) -> RenderableType:
-    """Returns tables of a summary."""
+    """Return tables of a summary."""
     heading = Text(" ")
     heading.append(found["scene"], style="bold")
     heading.append(f"   {found['finished']} of {found['scenes']} scenes   {'  '.join(found['varied'])}")

@@ -74,7 +74,7 @@ class SweepTable:
         self.close()
 
     def close(self) -> None:
-        """Closes the file."""
+        """Close the file."""
         self._chunks.close()
         self._file.close()
 
@@ -93,7 +93,7 @@ class SweepTable:
         return found
 
     def note(self, name: str) -> str:
-        """Returns a text attribute; "" when there is none."""
+        """Return a text attribute; "" when there is none."""
         return str(self._file.attrs.get(name, ""))
 
     @property
@@ -112,17 +112,17 @@ class SweepTable:
         return [str(name) for name in self.identity["metrics"]]
 
     def done(self) -> NDArray[np.bool_]:
-        """Returns which chunks are there, shape (n_chunks,)."""
+        """Return which chunks are there, shape (n_chunks,)."""
         flags = np.asarray(self._file["done"]).astype(bool)
         flags[sorted(self._chunks.there)] = True
         return flags
 
     def span(self, chunk: int) -> tuple[int, int]:
-        """Returns first scene and one beyond the last of a chunk."""
+        """Return first scene and one beyond the last of a chunk."""
         return chunk * self.chunk, min(len(self), (chunk + 1) * self.chunk)
 
     def values(self, key: str, start: int = 0, stop: int | None = None) -> Column:
-        """Returns the values of a key: numbers in SI of shape (n,), or a list of texts."""
+        """Return the values of a key: numbers in SI of shape (n,), or a list of texts."""
         dataset = self._file[f"values/{_name(key)}"]
         found = np.asarray(dataset[start:stop])
         texts = dataset.attrs.get("texts")
@@ -132,36 +132,36 @@ class SweepTable:
         return [known[i] for i in found.tolist()]
 
     def texts(self, key: str) -> list[str]:
-        """Returns the texts that a key may be; `numbers` are indices in them."""
+        """Return the texts that a key may be; `numbers` are indices in them."""
         return [str(text) for text in json.loads(self._file[f"values/{_name(key)}"].attrs["texts"])]
 
     def numbers(self, key: str, start: int = 0, stop: int | None = None) -> hdf5.Array:
-        """Returns the index of every scene's text of a key whose values are texts, shape (n,)."""
+        """Return the index of every scene's text of a key whose values are texts, shape (n,)."""
         return np.asarray(self._file[f"values/{_name(key)}"][start:stop])
 
     def columns(self, start: int, stop: int) -> dict[str, Column]:
-        """Returns the values of some scenes by key."""
+        """Return the values of some scenes by key."""
         return {key: self.values(key, start, stop) for key in self.keys}
 
     def figure(self, axis: str, metric: str, start: int = 0, stop: int | None = None) -> Array:
-        """Returns a figure of every scene, NaN where there is none, shape (n,)."""
+        """Return a figure of every scene, NaN where there is none, shape (n,)."""
         return self._column(f"figures/{_name(axis)}/{metric}", start, stop)
 
     def status(self, start: int = 0, stop: int | None = None) -> NDArray[np.uint8]:
-        """Returns the status of every scene, an index in `STATUS`, shape (n,)."""
+        """Return the status of every scene, an index in `STATUS`, shape (n,)."""
         return self._column("status", start, stop)
 
     def engine(self, start: int = 0, stop: int | None = None) -> NDArray[np.uint8]:
-        """Returns what computed every scene, an index in `ENGINES`, shape (n,)."""
+        """Return what computed every scene, an index in `ENGINES`, shape (n,)."""
         return self._column("engine", start, stop)
 
     def remark(self, scene: int) -> str:
-        """Returns why a scene was refused, why it ran alone, or what its algorithm took from the plant."""
+        """Return why a scene was refused, why it ran alone, or what its algorithm took from the plant."""
         number = int(self._column("remark", scene, scene + 1)[0])
         return self._texts(scene // self.chunk)[number - 1] if number else ""
 
     def remarks(self) -> Iterator[tuple[str, str, str, int]]:
-        """Yields (status, engine, remark, number of scenes) of each chunk in turn, alike ones counted together."""
+        """Yield (status, engine, remark, number of scenes) of each chunk in turn, alike ones counted together."""
         for chunk in np.flatnonzero(self.done()).tolist():
             start, stop = self.span(chunk)
             rows = np.stack([self.status(start, stop), self.engine(start, stop), self._column("remark", start, stop)])
@@ -171,7 +171,7 @@ class SweepTable:
                 yield STATUS[status], ENGINES[engine], texts[number - 1] if number else "", count
 
     def write(self, chunk: int, result: ChunkResult) -> None:
-        """Keeps a chunk, on the disk when this returns.
+        """Keep a chunk, on the disk when this returns.
 
         Raises:
             LogWriteError: The disk refuses; what was finished before stays.
@@ -183,7 +183,7 @@ class SweepTable:
         self._chunks.write(chunk, columns | {"texts": texts, "done": np.ones(1, dtype=np.uint8)})
 
     def merge(self) -> None:
-        """Brings every chunk into the file.
+        """Bring every chunk into the file.
 
         Raises:
             LogWriteError: The disk refuses; the chunks stay.
@@ -202,7 +202,7 @@ class SweepTable:
         self._chunks.clear()
 
     def _column(self, path: str, start: int = 0, stop: int | None = None) -> hdf5.Array:
-        """Returns a column, with what is not merged yet."""
+        """Return a column, with what is not merged yet."""
         found = np.asarray(self._file[path][start:stop])
         places = {"texts": SLOTS, "done": 1}.get(path, self.chunk)  # of a chunk
         if path.startswith("values/") or not self._chunks.there:
@@ -256,7 +256,7 @@ class _Beginning:
 
 
 def create(path: Path, points: Points, chunk: int, columns: Columnset, *, replace: bool = False) -> None:
-    """Makes the file of a sweep with every value in it and no result; it appears whole or not at all.
+    """Make the file of a sweep with every value in it and no result; it appears whole or not at all.
 
     Raises:
         InputError: It exists.
@@ -274,7 +274,7 @@ def create(path: Path, points: Points, chunk: int, columns: Columnset, *, replac
 
 
 def _reserve(path: Path, size: int) -> None:
-    """Asks the disk for the room of the whole file, before HDF5 would learn that there is none."""
+    """Ask the disk for the room of the whole file, before HDF5 would learn that there is none."""
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
     try:
         os.posix_fallocate(descriptor, 0, size + _ROOM_OF_LAYOUT)
@@ -300,7 +300,7 @@ def _copy_attributes(source: h5py.Group, target: h5py.Group) -> None:
 
 
 def _lay_out(file: h5py.File, points: Points, chunk: int, columns: Columnset) -> None:
-    """Makes all columns: the values, and empty ones for the results, which take no room yet."""
+    """Make all columns: the values, and empty ones for the results, which take no room yet."""
     count, chunks = len(points), -(-len(points) // chunk)
     file.attrs["format"], file.attrs["format_version"], file.attrs["chunk"] = _FORMAT, _VERSION, chunk
     file.attrs["identity"] = json.dumps(columns.identity, sort_keys=True)
@@ -348,7 +348,7 @@ def _opened(path: Path) -> h5py.File:
 
 
 def _name(key: str) -> str:
-    """Returns a name without the separator of HDF5."""
+    """Return a name without the separator of HDF5."""
     return key.replace("/", "\u2215")
 
 
@@ -358,5 +358,5 @@ def _path_of(figure: str) -> str:
 
 
 def _cut(text: str) -> bytes:
-    """Returns a text that fits its slot, whole letters only."""
+    """Return a text that fits its slot, whole letters only."""
     return text.encode()[:_TEXT_BYTES].decode("utf-8", "ignore").encode()

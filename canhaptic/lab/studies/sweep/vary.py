@@ -62,7 +62,7 @@ class Varied:
         return tuple(dict.fromkeys((self.values[0], self.values[-1])))
 
     def at(self, shares: Array) -> list[Value] | Array:
-        """Returns the values at shares of the range, 0 <= share < 1, shape (n,): a Latin hypercube's strata.
+        """Return the values at shares of the range, 0 <= share < 1, shape (n,): a Latin hypercube's strata.
 
         A list is divided into as many equal parts as it has values.
         """
@@ -75,7 +75,7 @@ class Varied:
         return low + (high - low) * shares
 
     def yaml(self, value: Value, *, with_unit: bool = False) -> str:
-        """Returns a value as YAML text for an override: in SI, or in the unit as typed so that it can be checked."""
+        """Return a value as YAML text for an override: in SI, or in the unit as typed so that it can be checked."""
         if isinstance(value, str):
             return value
         if with_unit and self.unit:
@@ -91,7 +91,7 @@ class Varied:
 
 
 def parse_vary(text: str) -> Varied:
-    """Returns what a `--vary` option says.
+    """Return what a `--vary` option says.
 
     Raises:
         InputError: It is none of the shapes above, or a number, spacing or count is out of range.
@@ -110,7 +110,7 @@ def parse_vary(text: str) -> Varied:
 
 
 def ranged(key: str, low: float, high: float, count: int, spacing: Literal["lin", "log"] = "lin") -> Varied:
-    """Returns a key with evenly spaced values, ends included, in SI.
+    """Return a key with evenly spaced values, ends included, in SI.
 
     Raises:
         InputError: The ends or the count make no range.
@@ -119,7 +119,7 @@ def ranged(key: str, low: float, high: float, count: int, spacing: Literal["lin"
 
 
 def listed(key: str, values: Sequence[float | int | str]) -> Varied:
-    """Returns a key with exactly these values: numbers in SI, or YAML text."""
+    """Return a key with exactly these values: numbers in SI, or YAML text."""
     kept: list[Value] = [value if isinstance(value, str) else float(value) for value in values]
     return Varied(key, tuple(dict.fromkeys(kept)), "", "list")
 
@@ -177,7 +177,7 @@ def _list(text: str, key: str, items: list[str]) -> Varied:
 
 
 def _plain(text: str, item: str) -> str:
-    """Returns the text of a value that is valid YAML."""
+    """Return the text of a value that is valid YAML."""
     faults = Diagnostics()
     parse_yaml(item, f"--vary {text}", faults, lined=False)
     faults.raise_if_any()
@@ -185,7 +185,7 @@ def _plain(text: str, item: str) -> str:
 
 
 def _number(text: str) -> tuple[float, str] | None:
-    """Returns (number, unit) of `1e3` or `1 kHz`; None when it is no number with a known unit."""
+    """Return (number, unit) of `1e3` or `1 kHz`; None when it is no number with a known unit."""
     text = text.strip().strip("\"'")
     match = _NUMBER.match(text)
     if match is None:
@@ -200,7 +200,7 @@ def _number(text: str) -> tuple[float, str] | None:
 
 
 def _split(text: str, separator: str) -> list[str]:
-    """Splits outside of brackets and quotes."""
+    """Split outside of brackets and quotes."""
     parts, depth, quote = [""], 0, ""
     for letter in text:
         if quote:

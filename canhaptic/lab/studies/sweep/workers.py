@@ -26,7 +26,7 @@ class SerialExecutor(Executor):
     """Runs what is submitted at once, in this thread."""
 
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
-        """Returns a future that is done."""
+        """Return a future that is done."""
         future: Future[T] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
@@ -50,13 +50,13 @@ class Pool:
         self.executor = self._made()
 
     def renew(self) -> Executor:
-        """Returns new processes in the place of the old ones."""
+        """Return new processes in the place of the old ones."""
         self.executor.shutdown(wait=True, cancel_futures=True)
         self.executor = self._made()
         return self.executor
 
     def close(self) -> None:
-        """Ends the processes once they have finished what they are at."""
+        """End the processes once they have finished what they are at."""
         self.executor.shutdown(wait=True, cancel_futures=True)
 
     def _made(self) -> ProcessPoolExecutor:
@@ -80,7 +80,7 @@ def _follow_parent() -> None:
 
 @contextmanager
 def dask_executor(address: str) -> Iterator[tuple[Executor, int]]:
-    """Yields (executor, number of threads of its workers) of a Dask cluster.
+    """Yield (executor, number of threads of its workers) of a Dask cluster.
 
     Args:
         address: Address of the scheduler, as in tcp://10.0.0.5:8786.
