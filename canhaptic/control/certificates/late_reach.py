@@ -60,7 +60,7 @@ def own_share(
 
 
 def takes_in(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Return the largest n that takes energy in by itself, as far as a debt asks for it [N or N*m].
+    """Largest n that takes energy in by itself, limited to the debt [N or N*m].
 
     Older torques push the axis while it acts: as if all of `late` of them were held, and `left` of them after the hold.
     Below -start / gain the axis goes inward in the hold of the torque, so that its tail takes none of that motion.

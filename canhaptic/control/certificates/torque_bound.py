@@ -72,8 +72,8 @@ def bound_memory(declared: Declared, under_way: Buffer, make_buffer: MakeBuffer)
 def turn(declared: Declared, bound: TorqueBound, out: float) -> None:
     """Set the direction out of a contact that begins: 1, -1, or 0 where it has none.
 
-    Torques of a contact in another direction may still be under way: until they have ended, the hand is not bounded
-    along either direction more tightly than against it.
+    Torques of a contact in another direction may still be under way: until they have ended, the hand's
+    displacement against a contact counts along either direction.
     """
     if out != bound.out:
         if bound.out != 0.0:

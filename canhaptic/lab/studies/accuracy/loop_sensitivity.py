@@ -278,7 +278,7 @@ def _most(values: Array) -> float:
 
 
 def engines_of(variants: Sequence[Variant], duration_ns: int, engine: Engine) -> list[ChosenEngine]:
-    """Return what computes each variant; "auto" compiles where all of one algorithm take longer than compiling it."""
+    """Return the engine of each variant; "auto" compiles where all of one algorithm take longer than compiling it."""
     works = [variant.work(duration_ns // variant.case.sample_time_ns + 1) for variant in variants]
     whole: Counter[str] = Counter()
     for name, work in works:

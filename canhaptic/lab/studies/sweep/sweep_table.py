@@ -220,7 +220,7 @@ class SweepTable:
 
 
 class _Beginning:
-    """A file that is made next to another and takes its place, whole and on the disk, or goes.
+    """A file made next to another, which it replaces once it is whole and on the disk; deleted otherwise.
 
     Args:
         path: Path of the other file.
