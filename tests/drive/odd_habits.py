@@ -64,7 +64,7 @@ def deaf_to(*can_ids: int) -> Callable[[OddSlave], None]:
 
 
 def sends(can_id: int, data: str, **kind: bool) -> Callable[[OddSlave], None]:
-    """A frame that nobody asked for."""
+    """A frame without a request."""
     return lambda slave: slave.bus.send(
         can.Message(arbitration_id=can_id, data=bytes.fromhex(data), **{"is_extended_id": False, **kind})
     )

@@ -49,7 +49,7 @@ def upload(index: int, subindex: int) -> Transfer:
             raise ProtocolError(f"more than {_LARGEST} bytes")
         toggle ^= _TOGGLE
     if size is not None and size != len(data):
-        raise ProtocolError(f"{len(data)} bytes came of {size} that were announced")
+        raise ProtocolError(f"{len(data)} of {size} announced bytes came")
     return data
 
 

@@ -128,7 +128,9 @@ class Plant:
         self._splitting = self._split() if self.scene.efforts else None
         self._timetable: Timetable | None = None
         self._hold = self._chosen_hold()
-        self._moves = self._hold  # until own code fails: then it stands, for the drives to be stopped
+        self._moves = (
+            self._hold
+        )  # until own code fails: then the plant stays at rest, so that the drives can be stopped
         self._is_linear = self._hold == self._linear_hold
         self._is_flat = self._is_linear or self._hold == self._commanded_hold
         self._passing = min((command.passes for command in self.scene.commands), default=math.inf)
