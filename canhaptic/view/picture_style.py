@@ -71,6 +71,7 @@ def save_picture(figure: "Figure", path: str | Path) -> None:
     Raises:
         InputError: The file cannot be written.
     """
+    _write_powers_plainly(figure)
     try:
         with drawing(), replacing(Path(path)) as picture:
             figure.savefig(picture)
@@ -78,6 +79,17 @@ def save_picture(figure: "Figure", path: str | Path) -> None:
         raise
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: the picture cannot be written ({error})") from error
+
+
+def _write_powers_plainly(figure: "Figure") -> None:
+    """Write the powers of ten of logarithmic axes without mathematics, which no text of a picture is read as."""
+    from matplotlib.ticker import LogFormatter, LogFormatterMathtext
+
+    for axis in (axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)):
+        if isinstance(axis.get_major_formatter(), LogFormatterMathtext):
+            axis.set_major_formatter(LogFormatter())
+        if isinstance(axis.get_minor_formatter(), LogFormatterMathtext):
+            axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.0, 0.4)))
 
 
 def axis_scale(largest: float) -> tuple[float, str]:

@@ -20,6 +20,7 @@ from canhaptic.scene.load import load_scene
 from canhaptic.signals import Sample
 from canhaptic.view import run_picture
 from canhaptic.view.decimate import decimate
+from canhaptic.view.picture_style import drawing, save_picture
 from canhaptic.view.run_picture import draw_energy
 from tests.drawn import examples
 from tests.view.synthetic_run import TIMING, write_run
@@ -179,3 +180,17 @@ def test_the_path_of_a_five_bar_is_drawn_against_its_disc(five_bar: Path, monkey
     edge = surface[np.abs(np.hypot(surface[:, 0], surface[:, 1] - 0.24) - 0.03) < 1e-4]
     assert np.ptp(edge[:, 0]) == pytest.approx(0.06, rel=0.02)  # the whole disc, 30 mm round (0, 0.24)
     assert np.ptp(edge[:, 1]) == pytest.approx(0.06, rel=0.02)
+
+
+def test_powers_of_ten_are_written_plainly_and_dollars_stay(tmp_path: Path) -> None:
+    with drawing() as figure_type:
+        figure = figure_type()
+        panel = figure.subplots()
+        panel.plot([1e-6, 1.0], [1.0, 2.0])
+        panel.set_xscale("log")
+        panel.set_title("a $name$")
+        save_picture(figure, tmp_path / "a.svg")
+    drawn = (tmp_path / "a.svg").read_text(encoding="utf-8")
+    assert "mathdefault" not in drawn
+    assert "<!-- 1e\N{MINUS SIGN}06 -->" in drawn
+    assert "<!-- a $name$ -->" in drawn
