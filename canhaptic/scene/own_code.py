@@ -84,15 +84,12 @@ class OwnCode:
         Raises:
             ParameterError: Not allowed, not a file of the scene's folder, or the code fails.
         """
-        found = None if _names_own_code(reference) else installed(kind).get(reference)
-        if found is None and not _names_own_code(reference):
-            return None
-        own = self.load(reference, kind) if found is None else self._plug_in(found)
-        if isinstance(own, type):
-            watch(own, _RETURN_NUMBERS.get(kind, ()))
-        return own
+        if _names_own_code(reference):
+            return self.load(reference, kind)
+        found = installed(kind).get(reference)
+        return None if found is None else self._plug_in(found, kind)
 
-    def _plug_in(self, found: EntryPoint) -> Any:
+    def _plug_in(self, found: EntryPoint, kind: str) -> Any:
         package = f"{found.dist.name} {found.dist.version}" if found.dist is not None else found.value
         try:
             chosen = found.load()
@@ -102,6 +99,8 @@ class OwnCode:
                 f"{found.name}: the plug-in {package} cannot be used ({type(error).__name__}: {error})"
             ) from error
         self.hashes[f"{found.name} ({package})"] = hashlib.sha256(source).hexdigest()
+        if isinstance(chosen, type):
+            watch(chosen, _RETURN_NUMBERS.get(kind, ()))
         return chosen
 
     def load(self, reference: str, kind: str) -> Any:
@@ -128,6 +127,7 @@ class OwnCode:
             ]
             raise ParameterError(f"{name}: has no class {attribute!r}, expected one of: {', '.join(classes) or 'none'}")
         self.hashes[name] = digest
+        watch(getattr(module, attribute), _RETURN_NUMBERS.get(kind, ()))
         return getattr(module, attribute)
 
     def _checked(self, name: str) -> Path:

@@ -128,9 +128,7 @@ class Plant:
         self._splitting = self._split() if self.scene.efforts else None
         self._timetable: Timetable | None = None
         self._hold = self._chosen_hold()
-        self._moves = (
-            self._hold
-        )  # until own code fails: then the plant stays at rest, so that the drives can be stopped
+        self._moves = self._hold  # until own code fails: then the body stays, so that the drives can be stopped
         self._is_linear = self._hold == self._linear_hold
         self._is_flat = self._is_linear or self._hold == self._commanded_hold
         self._passing = min((command.passes for command in self.scene.commands), default=math.inf)
@@ -396,7 +394,7 @@ class Plant:
         except EventLimitError as error:
             raise EventLimitError(error.most, error.state, f"plant {self._before}", error.products) from None
         except OwnCodeError as error:
-            self._hold = self._stand
+            self._hold = self._stay
             raise OwnCodeError(error.program, error.what, self._before) from error
         self.position = machine.state.item(0)
 
@@ -404,8 +402,8 @@ class Plant:
     def _before(self) -> str:
         return f"before {self._tick * self._machine.tick_time:.9g} s"
 
-    def _stand(self, ticks: int, torque: float) -> None:
-        """Stays where it is."""
+    def _stay(self, ticks: int, torque: float) -> None:
+        """Stay where it is."""
 
     def _expect(self, ticks: int, torque: float) -> None:
         """Check a torque against the look-ahead, and end the look-ahead when it is larger or changes inside a hold."""
