@@ -101,6 +101,7 @@ def keeps(name: str) -> Callable[[OddSlave], None]:
 HABITS = [
     # --- found before any torque ---
     Habit("is not there", "refused", "no answer", sets(is_deaf_to_sdo=True)),
+    Habit("has no node ID (LSS)", "refused", "a node without a node ID (LSS)", sets(unconfigured=True)),
     Habit("is no CiA 402 drive", "refused", "0x1000 = 0x00030191", objects(x1000_0="91 01 03 00")),
     Habit("has no torque mode", "refused", "bit 9", objects(x6502_0="6d 00 00 00")),
     Habit("keeps its mode", "refused", "0x6061 = 0", sets(refuses_mode=True)),
@@ -175,7 +176,9 @@ HABITS = [
         "set its 0x1019 to 0",
         both(sets(needs_period=True), sets(period_fault=0x8240)),
     ),
+    Habit("shares its node ID with another node", "refused", "two nodes have the node ID 5", sets(answers=2)),
     # --- endures ---
+    Habit("boots 3 s late", "runs", "", sets(boots_at=3000 * MILLISECOND)),
     Habit("was left enabled with a torque", "runs", "", left_enabled),
     Habit("loses each third SDO request", "runs", "", sets(lost_requests=3)),
     Habit("is in NMT stopped at first", "runs", "", sets(nmt=0x04)),
@@ -201,6 +204,7 @@ HABITS = [
     Habit("goes to NMT stopped", "ended", "left NMT OPERATIONAL", in_motion(both(sets(nmt=0x04), sends(0x705, "04")))),
     Habit("jumps by a metre", "ended", "moved faster than the speed limit", in_motion(sets(speed=100_000))),
     Habit("follows no more", "ended", "bit 12", in_motion(sets(statusword=0x0210))),
+    Habit("is pushed by a hand while it starts", "runs", "", sets(speed=5000, is_pushed_until="enabled"), "display"),
     Habit(
         "has a narrow window of the following error",
         "ended",

@@ -83,6 +83,7 @@ class OddSlave:
     clears_emcy: bool = False
     script: dict[int, Callable[["OddSlave"], None]] = field(default_factory=dict)  # by SYNC since it was enabled
     speed: int = 0  # counts per SYNC at which a hand moves it
+    is_pushed_until: str = ""  # state at which the hand lets go
     is_position_drive: bool = False
     unconfigured: bool = False  # LSS: no node ID
     # --- state ---
@@ -90,7 +91,8 @@ class OddSlave:
     nmt: int = 0x7F
     position: int = 1000
     held: int = 0  # per mille: acts while enabled
-    target: int = 0  # of the last RPDO
+    image: bytes = b""  # target in the last RPDO
+    target: int = 0
     force: int = 0
     now: int = 0
     enabled_syncs: int = 0
@@ -162,8 +164,7 @@ class OddSlave:
                 for _ in range(self.answers if answer else 0):
                     self.later(300_000, 0x580 + self.node, answer)
         elif can_id == 0x200 + self.node and self.nmt == 0x05:
-            self.target = int.from_bytes(data[2:], "little", signed=True)
-            self.objects[0x607A if self.is_position_drive else 0x6071, 0] = data[2:]
+            self.image = data[2:]
             self.control(int.from_bytes(data[:2], "little"))
 
     def take_lss(self, message: can.Message) -> None:
@@ -227,7 +228,12 @@ class OddSlave:
 
     def take_sync(self) -> None:
         self.syncs += 1
+        if self.image:  # a synchronous RPDO acts now
+            self.target = int.from_bytes(self.image, "little", signed=True)
+            self.objects[0x607A if self.is_position_drive else 0x6071, 0] = self.image
         demand = self.force if self.is_position_drive else self.torque
+        if self.state == self.is_pushed_until:
+            self.speed = 0
         self.position += self.speed
         if self.state == "enabled":
             self.enabled_syncs += 1

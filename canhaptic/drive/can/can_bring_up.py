@@ -9,6 +9,7 @@ from canhaptic.drive.axis_parameters import LARGEST_U16
 from canhaptic.drive.can.pdo_setup import rpdo_transmission_type, write_map
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
+from canhaptic.errors import StartError
 
 _REMEDIES: Final = {
     "presence": "check power, node ID, bit rate and cable",
@@ -22,6 +23,10 @@ _REMEDIES: Final = {
     "bus": "check the interface, cable and termination",
 }
 
+_NO_NODE_ID: Final = "give it its node ID with the vendor's tool, and store it"
+_LSS_REQUEST, _LSS_ANSWER, _LSS_IDENTIFY = 0x7E5, 0x7E4, 0x4C  # identify non-configured remote slave
+_LSS_TIMEOUT: Final = 100_000_000  # [ns]
+
 
 class CanBringUp(BringUp):
     """Configures one CANopen drive, step by step."""
@@ -31,8 +36,28 @@ class CanBringUp(BringUp):
     def __init__(self, drive: ServoDrive) -> None:
         super().__init__(drive, _REMEDIES)
 
+    def refusal(self, name: str, seen: str, expected: str, remedy: str = "") -> StartError:
+        """Return the error of a step; two nodes with one ID are the cause of anything else."""
+        drive = self._drive
+        if drive.sdo.is_doubled:
+            name, seen, expected = "node ID", "more than one answer to each SDO request", "one"
+            remedy = f"two nodes have the node ID {drive.axis.node_id}; give one of them another"
+        return super().refusal(name, seen, expected, remedy)
+
     def _command_pre_operational(self) -> None:
         self._drive.leave_operational()
+
+    def _explain_absence(self) -> None:
+        """Ask for nodes without a node ID (LSS, CiA 305, 6.4.6), which take no SDO."""
+        link = self._drive.link
+        found: list[object] = []
+        link.subscribe(_LSS_ANSWER, found.append)
+        link.send(_LSS_REQUEST, bytes([_LSS_IDENTIFY]) + bytes(7))
+        link.wait_for(lambda: bool(found), _LSS_TIMEOUT)
+        link.unsubscribe(_LSS_ANSWER)
+        if found:
+            wanted = f"node {self._drive.axis.node_id}"
+            raise self.refusal("presence", "a node without a node ID (LSS)", wanted, _NO_NODE_ID)
 
     def _monitor(self) -> None:
         """Request heartbeats."""
@@ -72,6 +97,8 @@ class CanBringUp(BringUp):
         self._write_confirmed("SYNC period", index, 0, 0 if rest else wanted)
 
     def _map(self) -> None:
+        if self._drive.sdo.is_doubled:
+            raise self.refusal("node ID", "", "")
         self._sync_period()
         drive = self._drive
         rpdo_type = rpdo_transmission_type(drive.bus, drive.axis)

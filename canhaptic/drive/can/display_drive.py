@@ -132,6 +132,7 @@ class DisplayDrive(ServoDrive):
         super().reset()
         self.force.reset()
         self._target = 0
+        self._rest_targets: tuple[int, ...] = ()  # the last two that were sent while the drive was not enabled
 
     def sample(self, sync_index: int, periods: int = 1, *, is_whole: bool = True) -> Sample:
         """Report of the drive for the SYNC just answered, or of the last one; see `ServoDrive.sample`."""
@@ -182,6 +183,7 @@ class DisplayDrive(ServoDrive):
         """
         if self._is_position:
             if self.state is not PowerState.OPERATION_ENABLED:
+                self._rest_targets = (self._target, self.position_counts)
                 self._target = self.position_counts
             self._target = (self._target + torque_per_mille + _WRAP // 2) % _WRAP - _WRAP // 2
             torque_per_mille = self._target
@@ -191,6 +193,8 @@ class DisplayDrive(ServoDrive):
         """Whether a target read from the drive is that of a drive at rest."""
         if not self._is_position:
             return target == 0
+        if target in self._rest_targets:  # a hand may move the axis meanwhile
+            return True
         return abs((target - self.position_counts + _WRAP // 2) % _WRAP - _WRAP // 2) <= _NEAR
 
     def disable_unconfirmed(self) -> None:

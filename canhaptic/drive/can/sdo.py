@@ -22,6 +22,8 @@ from canhaptic.errors import LinkError, SdoError
 ATTEMPTS: Final = 3
 """How often an unanswered first request is sent."""
 
+_FEWEST_SURPLUS: Final = 3  # answers; a bus may double a frame now and then
+
 
 class _NoAnswerError(Exception):
     """The node said nothing."""
@@ -39,6 +41,8 @@ class _Client:
         self._object = b"\0\0\0"  # index and subindex of the transfer, as on the wire
         self._request = b""  # awaited for an answer; empty while none is
         self._answer: bytes | None = None
+        self._owed: dict[bytes, int] = {}  # answers still to come, by their first four bytes
+        self.asked = self.surplus = 0  # first requests sent, and answers to them beyond one for each
         self.listen()
 
     def listen(self) -> None:
@@ -82,6 +86,10 @@ class _Client:
     def _ask(self, request: bytes) -> bytes:
         for _ in range(self._attempts if sdo_transfer.initiates(request) else 1):
             self._answer, self._request = None, request
+            if sdo_transfer.initiates(request):
+                head = sdo_transfer.first_answer(request)
+                self._owed[head] = max(0, self._owed.get(head, 0)) + 1
+                self.asked += 1
             self._link.send(self._request_cob_id, request)
             answered = self._link.wait_for(self._is_answered, self._timeout)
             self._request = b""
@@ -95,6 +103,13 @@ class _Client:
         if len(data) != FRAME_LENGTH:
             self._link.statistics.short += 1
             return
+        head = bytes([data[0] & 0xE0, *data[1:4]])
+        if head in self._owed:
+            self._owed[head] -= 1
+            if self._owed[head] < 0:
+                self.surplus += 1
+                self._link.statistics.late += 1
+                return
         if not self._request or not sdo_transfer.may_answer(data, self._request, self._object):
             self._link.statistics.late += 1
             return
@@ -199,6 +214,11 @@ class SdoChannel:
             return value.to_bytes(size, "little", signed=value < 0)
         except OverflowError as error:
             raise self.failure("write", index, subindex, f"{value} does not fit {size} bytes") from error
+
+    @property
+    def is_doubled(self) -> bool:
+        """Whether most requests were answered more than once, as where two nodes have one ID."""
+        return self._client.surplus >= _FEWEST_SURPLUS and 2 * self._client.surplus > self._client.asked
 
     def describe(self, index: int, subindex: int = 0) -> str:
         """Return an object as `0x6072:00 Max torque`."""

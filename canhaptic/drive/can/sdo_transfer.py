@@ -78,6 +78,12 @@ def initiates(request: bytes) -> bool:
     return request[0] & _SPECIFIER in (_UPLOAD, _DOWNLOAD)
 
 
+def first_answer(request: bytes) -> bytes:
+    """Returns how the first answer to a request begins, unless it is an abort: specifier and object."""
+    specifier = _UPLOAD_ANSWER if request[0] & _SPECIFIER == _UPLOAD else _DOWNLOAD_ANSWER
+    return bytes([specifier]) + request[1:4]
+
+
 def may_answer(answer: bytes | bytearray, request: bytes, of_object: bytes) -> bool:
     """Whether a frame of a server may answer a request: of the same kind, and of the same object if it names one.
 

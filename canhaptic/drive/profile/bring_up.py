@@ -100,6 +100,10 @@ class BringUp(ABC):
     def _command_pre_operational(self) -> None:
         """Command the state in which a drive is configured; raise LinkError."""
 
+    def _explain_absence(self) -> None:
+        """Raises StartError where it is found why the drive does not answer."""
+        return
+
     @abstractmethod
     def _monitor(self) -> None:
         """Request reports of the drive's communication state."""
@@ -176,11 +180,20 @@ class BringUp(ABC):
 
     def _presence(self) -> None:
         drive = self._drive
-        self._disable_if_powered()
-        with self.step("bus"):
-            self._command_pre_operational()
-        with self.step("presence"):
-            device_type = self._sdo.read(od.DEVICE_TYPE)
+        deadline = drive.now() + round(drive.axis.start_timeout * 1e9)
+        while True:
+            self._disable_if_powered()
+            with self.step("bus"):
+                self._command_pre_operational()
+            try:
+                device_type = self._sdo.read(od.DEVICE_TYPE)
+                break
+            except SdoError as error:
+                if error.code is None and not isinstance(error.__cause__, LinkError) and drive.now() < deadline:
+                    continue  # it may not have booted yet
+                with self.step("presence"):
+                    self._explain_absence()
+                    raise
         drive.is_foreign = device_type & 0xFFFF != od.CIA402_PROFILE
         drive.answers = not drive.is_foreign
         if drive.is_foreign:

@@ -71,6 +71,8 @@ class TorqueAxisParameters(Parameters):
     """Whether start may reset a fault of the drive before it begins; never done in the cycle."""
     sdo_timeout: Annotated[float, quantity("s", ge=1e-3, le=10.0)] = 0.3
     """Time in which the drive must answer an SDO request; then it is repeated."""
+    start_timeout: Annotated[float, quantity("s", ge=0.0, le=60.0)] = 5.0
+    """Time in which the drive must answer for the first time, as after its power came on."""
     step_timeout: Annotated[float, quantity("s", ge=1e-2, le=60.0)] = 1.0
     """Time in which the drive must confirm one step of the start."""
 
