@@ -17,10 +17,12 @@ OLD_ALGORITHMS: Final = {"direct": "unprotected", "original": "a_priori_dissipat
 """Algorithm of one axis in the first release -> its name now."""
 GONE_KEYS: Final = ("compiled", "prediction_holds", "may_cut")
 """Keys of `passivity`, and of `simulation`, that no scene has any more."""
+_Plain = dict[str, Any]
+"""A resolved section, as JSON holds it."""
 Release = Literal["0.1", "0.2"]
 RELEASES: Final[tuple[Release, ...]] = get_args(Release)
 """Earlier releases whose logs are still compared with their scenes."""
-_GONE: Final[dict[str, dict[str, dict[str, Any]]]] = {
+_GONE: Final[dict[str, dict[str, _Plain]]] = {
     "axes": {"guarded": {"prediction_holds": 0.75}},
     "groups": {"": {"compiled": False}, "guarded": {"prediction_holds": 0.5, "may_cut": False}},
 }
@@ -45,7 +47,7 @@ def overrides_now(overrides: Iterable[str]) -> list[str]:
 
 def in_form_of(
     release: Release, resolved: Mapping[str, Any], later: Collection[str], logged: Mapping[str, Any]
-) -> dict[str, Any]:
+) -> _Plain:
     """Return a configuration in effect as the logs of an earlier release have hashed it.
 
     Args:
@@ -67,13 +69,13 @@ def in_form_of(
     return old if release == "0.2" else _in_old_names(old, later)
 
 
-def _put_gone(section: dict[str, Any], gone: Mapping[str, Mapping[str, Any]], then: Mapping[str, Any]) -> None:
+def _put_gone(section: _Plain, gone: Mapping[str, Mapping[str, Any]], then: Mapping[str, Any]) -> None:
     """Give a section `passivity` the keys that its algorithm had then, in place."""
     for algorithm in ("", section[_SELECTOR]):
         section |= {key: then.get(key, default) for key, default in gone.get(algorithm, {}).items()}
 
 
-def _in_old_names(old: dict[str, Any], later: Collection[str]) -> dict[str, Any]:
+def _in_old_names(old: _Plain, later: Collection[str]) -> _Plain:
     """Give a configuration in effect the names and the keys of the first release, in place."""
     keys, algorithms = ({new: name for name, new in table.items()} for table in (OLD_KEYS, OLD_ALGORITHMS))
     for owner in (*old["axes"].values(), *old.get("groups", {}).values()):
