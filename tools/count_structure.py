@@ -11,7 +11,7 @@ code             lines with a token that is not a comment, without strings that 
 loaded           code of the modules that a run of one axis imports, in a process of its own: `canhaptic run` of
                  `configs/demo.yaml`, without `canhaptic/sim/`, so that it is about what a real axis loads
 crossing         classes and functions that a module of another room imports by name; a room is a child of the package
-long files       files of more than 400 lines
+folders          files of each folder, its `__init__.py` left out
 long functions   functions of more than 40 lines, their docstring left out
 names            classes and functions at the top level of a module whose own name has no leading underscore, also
                  in modules and packages whose name has one; constants (top-level assignments) are counted apart
@@ -41,7 +41,7 @@ from typing import Any
 import yaml
 
 _NO_CODE = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
-_LONGEST_FILE, _LONGEST_FUNCTION = 400, 40  # lines
+_LONGEST_FUNCTION = 40  # lines
 _FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 VAGUE_ARGUMENT = re.compile(r"^\s+\*{0,2}\w+: (?:Of|That)\b", re.MULTILINE)
 _RUN = """
@@ -71,7 +71,7 @@ class _Module:
 
 def count(top: Path, package: str = "canhaptic") -> dict[str, Any]:
     """Returns the counts of the package in the folder `top`, by name; for circles and double names, the lists."""
-    modules = list(_modules(top, package))
+    modules = list(modules_of(top, package))
     lines = {module.name: _code_lines(module) for module in modules}
     names = [name for module in modules for name in _public_definitions(module)]
     imports = _imports(modules)
@@ -82,8 +82,8 @@ def count(top: Path, package: str = "canhaptic") -> dict[str, Any]:
         "loaded": _loaded_code(top, lines),
         "crossing": _crossing(modules),
         "vague_arguments": sum(len(VAGUE_ARGUMENT.findall(module.text)) for module in modules),
-        "long_files": [module.name for module in modules if module.text.count("\n") > _LONGEST_FILE],
-        "long_functions": [name for module in modules for name in _long_functions(module)],
+        "folders": files_by_folder(top / package),
+        "long_functions": long_functions(modules),
         "names": len(names),
         "constants": sum(len(_public_constants(module)) for module in modules),
         "names_by_room": dict(Counter(module.room for module in modules for _ in _public_definitions(module))),
@@ -96,12 +96,19 @@ def count(top: Path, package: str = "canhaptic") -> dict[str, Any]:
     }
 
 
+def files_by_folder(top: Path) -> dict[str, int]:
+    """Returns how many files each folder of a package has, without its `__init__.py`; folders from `top` on."""
+    places = (path.parent.relative_to(top).as_posix() for path in top.rglob("*.py") if path.name != "__init__.py")
+    return dict(sorted(Counter(places).items()))
+
+
 def crossing_names(top: Path, package: str = "canhaptic") -> list[str]:
     """Returns the classes and functions of the package in the folder `top` that a module of another room imports."""
-    return _crossing(list(_modules(top, package)))
+    return _crossing(list(modules_of(top, package)))
 
 
-def _modules(top: Path, package: str) -> Iterator[_Module]:
+def modules_of(top: Path, package: str) -> Iterator[_Module]:
+    """Reads every source file of the package in the folder `top`."""
     for path in sorted((top / package).rglob("*.py")):
         parts = path.relative_to(top).with_suffix("").parts
         is_package = parts[-1] == "__init__"
@@ -146,7 +153,7 @@ def loaded_modules(top: Path, *options: str, scene: str = "configs/demo.yaml", d
 
 def code_of(top: Path, names: Iterable[str]) -> int:
     """Returns the lines of code of modules of the package in the folder `top`."""
-    lines = {module.name: _code_lines(module) for module in _modules(top, "canhaptic")}
+    lines = {module.name: _code_lines(module) for module in modules_of(top, "canhaptic")}
     return sum(lines[name] for name in names)
 
 
@@ -167,9 +174,10 @@ def _crossing(modules: list[_Module]) -> list[str]:
     return sorted(found)
 
 
-def _long_functions(module: _Module) -> list[str]:
-    functions = (node for node in ast.walk(module.tree) if isinstance(node, _FUNCTIONS))
-    return [f"{module.name}.{node.name}" for node in functions if _length(node) > _LONGEST_FUNCTION]
+def long_functions(modules: Iterable[_Module]) -> list[str]:
+    """Returns the functions of more than 40 lines without their docstrings."""
+    found = ((module, node) for module in modules for node in ast.walk(module.tree) if isinstance(node, _FUNCTIONS))
+    return [f"{module.name}.{node.name}" for module, node in found if _length(node) > _LONGEST_FUNCTION]
 
 
 def _length(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
@@ -306,7 +314,7 @@ def _rows(counts: Mapping[str, Any]) -> dict[str, str]:
         "lines of code that a run of one axis loads, without `sim`": f"{counts['loaded'] or 0:,}",
         "names that cross a room": str(len(counts["crossing"])),
         "arguments that begin with Of or That": str(counts["vague_arguments"]),
-        "files over 400 lines": str(len(counts["long_files"])),
+        "files of a folder, most": str(max(counts["folders"].values(), default=0)),
         "functions over 40 lines": str(len(counts["long_functions"])),
         "public classes and functions": f"{counts['names']:,}",
         "public constants": f"{counts['constants']:,}",

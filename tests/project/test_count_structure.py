@@ -5,7 +5,7 @@ from typing import Final
 
 import pytest
 
-from tools.count_structure import count, crossing_names, main
+from tools.count_structure import count, crossing_names, long_functions, main, modules_of
 
 FILES = {
     "canhaptic/__init__.py": '"""Doc."""\n',
@@ -87,15 +87,15 @@ def test_the_laboratory_is_counted_apart_and_a_name_crosses_a_room_once(tree: Pa
     assert counts["loaded"] is None
 
 
-def test_files_and_functions_that_are_too_long_are_named(tree: Path) -> None:
+def test_functions_that_are_too_long_are_named_and_a_docstring_does_not_count(tree: Path) -> None:
     body = "    pass\n" * 39
-    for name, lines in (("fits", 400), ("long", 401)):
-        functions = f'def at_most():\n    """A\n    b."""\n{body}\n\ndef beyond():\n{body}    pass\n'
-        rest = "# a comment\n" * (lines - functions.count("\n"))
-        (tree / "canhaptic" / f"{name}.py").write_text(functions + rest, encoding="utf-8")
-    counts = count(tree)
-    assert counts["long_files"] == ["canhaptic.long"]
-    assert counts["long_functions"] == ["canhaptic.fits.beyond", "canhaptic.long.beyond"]
+    functions = f'def at_most():\n    """A\n    b."""\n{body}\n\ndef beyond():\n{body}    pass\n'
+    (tree / "canhaptic/long.py").write_text(functions, encoding="utf-8")
+    assert count(tree)["long_functions"] == ["canhaptic.long.beyond"]
+
+
+def test_files_are_counted_by_folder_without_those_that_make_a_package(tree: Path) -> None:
+    assert count(tree)["folders"] == {".": 1, "other": 1, "room": 2}
 
 
 def test_circles_are_found_between_modules_and_between_siblings(tree: Path) -> None:
@@ -147,3 +147,8 @@ def test_the_quick_count_of_any_is_that_of_the_syntax_tree_where_no_text_names_i
     exact = count(tree)["any_per_1000"]
     quick = any_by_room(tree / "canhaptic")
     assert exact["room"] == round(quick["room"], 1) > 0.0
+
+
+@pytest.mark.slow
+def test_no_function_has_more_than_40_lines_without_its_docstring() -> None:
+    assert long_functions(modules_of(ROOT, "canhaptic")) == []
