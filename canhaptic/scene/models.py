@@ -271,8 +271,8 @@ def _known_bus(bus: BusParameters, info: Info[SceneContext]) -> BusParameters:
     return bus
 
 
-_LATER_KEYS: Final = ("energy_loss_limit",)
-"""Keys of an axis that logs of the first release do not have."""
+_LATER_KEYS: Final = (("energy_loss_limit", None), ("start_timeout", 5.0))
+"""Keys of an axis that logs of the first release do not have, with their defaults."""
 LATER_LOOP_KEYS: Final = (
     *("device_friction", "device_friction_bound", "sync_jitter", "torque_window", "current_lag"),
     *("torque_rate_limit", "power_limit"),
@@ -375,8 +375,8 @@ class Scene:
         del resolved["log"]
         for axis in self.axes:
             resolved["axes"][axis.parameters.name]["eds"] = axis.dictionary_hash()
-            for key in _LATER_KEYS:
-                if getattr(axis.parameters, key) is None:
+            for key, default in _LATER_KEYS:
+                if getattr(axis.parameters, key) == default:
                     del resolved["axes"][axis.parameters.name][key]
             _drop_later(resolved["axes"][axis.parameters.name])
             if self.auto_accuracy is not None and axis.simulation is not None:
