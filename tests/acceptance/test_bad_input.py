@@ -66,7 +66,9 @@ CASES = {
     "node id twice": Case((SECOND_AXIS,), 2, ("got 1, which is the node_id of another axis already",)),
     "EDS missing": Case(("axes.0.eds=none.eds",), 2, ("axes.0.eds: got 'none.eds', no such file",)),
     "bus overload": Case(("bus.bitrate=125 kbit/s",), 2, ("does not fit the bus", "rate", "bitrate")),
-    "drive absent": Case(NO_FAR_SIDE, 3, ("handle: presence", "node 1: no answer", "check power")),
+    "drive absent": Case(
+        (*NO_FAR_SIDE, "axes.0.start_timeout=0 s"), 3, ("handle: presence", "node 1: no answer", "check power")
+    ),
     "drive in fault": Case((), 3, ("handle: drive state", "FAULT", "0x3210"), drive_in_fault),
     "wrong device type": Case(
         ("simulation.drive.objects.0x1000=0x00030191",), 3, ("handle: device type", "0x00030191", "0x0192")
