@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from canhaptic.errors import InputError as InputError
     from canhaptic.errors import RigError as RigError
     from canhaptic.lab.batch import run_batch as run_batch
-    from canhaptic.lab.studies.compare.comparison import compare as compare
+    from canhaptic.lab.studies.compare import compare as compare
     from canhaptic.logs.energy_reader import EnergyLog as EnergyLog
-    from canhaptic.replay.replayed_run import replay_bus_log as replay_bus_log
+    from canhaptic.replay import replay_bus_log as replay_bus_log
     from canhaptic.scene.build import Experiment as Experiment
     from canhaptic.scene.build import build as build
     from canhaptic.scene.load import load_scene as load_scene
@@ -79,10 +79,10 @@ _PUBLIC: Final = {
     "build": "canhaptic.scene.build",
     "build_controller": "canhaptic.control.passivity",
     "build_group_controller": "canhaptic.control.multi_axis",
-    "compare": "canhaptic.lab.studies.compare.comparison",
+    "compare": "canhaptic.lab.studies.compare",
     "load_scene": "canhaptic.scene.load",
     "recompute": "canhaptic.audit.recompute",
-    "replay_bus_log": "canhaptic.replay.replayed_run",
+    "replay_bus_log": "canhaptic.replay",
     "run": "canhaptic.cycle",
     "run_batch": "canhaptic.lab.batch",
     "scene_from_mapping": "canhaptic.scene.load",

@@ -11,20 +11,18 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
-from canhaptic.control.energy_loss import EnergyLossMeter
-from canhaptic.control.ledger import Ledger
+from canhaptic.control.ledger import EnergyLossMeter, Ledger
 from canhaptic.control.passivity.controller import Controller
-from canhaptic.drive.clock import VirtualClock
+from canhaptic.drive.clock import DurationHistogram, VirtualClock
 from canhaptic.drive.profile.link_policy import StopReason, reason_of
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CycleFailedError, EmergencyError, InputError, LogWriteError, RigError
-from canhaptic.histogram import DurationHistogram
 from canhaptic.meters import RunMeters
 from canhaptic.signals import CycleTiming, Measured, Sample, Truth
 
 if TYPE_CHECKING:
     from canhaptic.control.energy_audit import EnergyAudit
-    from canhaptic.control.multi_axis.axis_group import AxisGroup, GroupedControllers
+    from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupedControllers
 
 _HELD, _NO_CERTIFICATE = Branch.HELD.value, Certificate.NONE.value
 _FEWEST_UNCHANGED: Final = 20  # SYNCs; or those of a second
@@ -245,7 +243,7 @@ def _judge(axes: int, groups: "Sequence[AxisGroup]") -> "EnergyAudit":
 
 def _grouped(controllers: Sequence[Controller], groups: "Sequence[AxisGroup]", dry_run: bool) -> "GroupedControllers":
     """Return what steps groups and axes together; no other run loads it."""
-    from canhaptic.control.multi_axis.axis_group import GroupedControllers
+    from canhaptic.control.multi_axis.group_controller import GroupedControllers
 
     return GroupedControllers(controllers, groups, dry_run)
 

@@ -11,7 +11,7 @@ from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, ROUNDIN
 from canhaptic.signals import Measured, Sample
 
 if TYPE_CHECKING:
-    from canhaptic.control.multi_axis.axis_group import AxisGroup
+    from canhaptic.control.multi_axis.group_controller import AxisGroup
 
 _HELD: Final = Branch.HELD.value
 _BRANCH: Final = EnergyBalance._fields.index("branch")  # a field by its number costs a fifth of one by its name

@@ -17,7 +17,6 @@ from math import inf
 from typing import Final, NotRequired, TypedDict, cast
 
 from canhaptic.control.balance import Certificate
-from canhaptic.control.dry_run import claim_nothing
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.verdict import (
     Headline,
@@ -25,6 +24,7 @@ from canhaptic.control.verdict import (
     RenderedShares,
     Verdict,
     account_verdict,
+    claim_nothing,
     contradict,
     handle_verdict,
     headline,

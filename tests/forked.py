@@ -17,7 +17,10 @@ from functools import partial
 from typing import Any, NoReturn
 
 from canhaptic.cli.main import main
-from canhaptic.logs import energy_sink, writer  # noqa: F401 - imported once, here
+from canhaptic.logs import (
+    energy_sink,  # noqa: F401 - imported once, here
+    writer,
+)
 from canhaptic.logs.writer_process import WriterProcess
 
 _FRESH = WriterProcess._spawn

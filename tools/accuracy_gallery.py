@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.lab.render.accuracy_picture import draw_accuracy
-from canhaptic.lab.studies.accuracy.accuracy_table import advice_lines, length, markdown
-from canhaptic.lab.studies.accuracy.advice import advice
+from canhaptic.lab.studies.accuracy.accuracy_table import advice, advice_lines, length, markdown
 from canhaptic.lab.studies.accuracy.study import AccuracyStudy
 from canhaptic.scene.load import load_scene
 from tools.bench.report import write_result

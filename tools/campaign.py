@@ -35,7 +35,7 @@ from canhaptic.cli.main import main as command
 from canhaptic.errors import CanHapticError
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.replay.roles import roles_of
+from canhaptic.replay import roles_of
 from canhaptic.scene.load import load_scene
 from tools.mutations import mutated_dictionary, mutated_frames, mutated_hdf5, mutated_scene
 

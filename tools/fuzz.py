@@ -59,11 +59,11 @@ def bus_log() -> Target:
 
 def sdo_client() -> Target:
     """Answers to an upload and to a download, 8 bytes each."""
-    from canhaptic.drive.can import sdo_transfer
-    from canhaptic.drive.can.sdo_transfer import ProtocolError
+    from canhaptic.drive.can import sdo
+    from canhaptic.drive.can.sdo import ProtocolError
 
     def answer(data: bytes) -> None:
-        for transfer in (sdo_transfer.upload(0x1008, 0), sdo_transfer.download(0x1008, 0, bytes(20))):
+        for transfer in (sdo.upload(0x1008, 0), sdo.download(0x1008, 0, bytes(20))):
             next(transfer)
             with suppress(ProtocolError, StopIteration):
                 for start in range(0, len(data) - 7, 8):

@@ -16,8 +16,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from canhaptic.view.palette import BLUE, GREEN, PALE, VERMILION
-from canhaptic.view.picture_style import STYLE
+from canhaptic.view.picture_style import BLUE, GREEN, PALE, STYLE, VERMILION
 from tools.bench.report import RESULTS, write_result
 from tools.paper_runs import LATE, ROOT, Record, figures_of, record
 from tools.paper_traps import traps

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from canhaptic import load_scene
 from canhaptic.control.balance import Branch, EnergyBalance
 from canhaptic.control.ledger import LedgerSummary
+from canhaptic.lab.loop.axis_loop import environment_of, plant_parts
 from canhaptic.lab.loop.over_can import walk_over_can
-from canhaptic.lab.loop.scenes import environment_of, plant_parts
-from canhaptic.lab.reference.continuous_reference import ContinuousReference, continuous_reference
+from canhaptic.lab.reference import ContinuousReference, continuous_reference
 from canhaptic.scene.models import Scene
 from canhaptic.signals import Sample, Truth
 

@@ -14,17 +14,15 @@ from unittest.mock import patch
 import numpy as np
 
 from canhaptic.control.balance import Branch
+from canhaptic.control.damping import largest_stable_damping, least_oscillating_damping
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import Axis, AxisMemory, Hold, HoldSettings, open_hold
 from canhaptic.control.passivity.internal_dissipation import InternalDissipation, solve
-from canhaptic.control.passivity.root import solve_balance
-from canhaptic.control.passivity.storage import Storage
-from canhaptic.control.passivity.stored_model import StoredModelSettings
-from canhaptic.control.recovery import largest_stable_damping, least_oscillating_damping
-from canhaptic.kernels.binding import bound
+from canhaptic.control.passivity.stored_model import Storage, StoredModelSettings, solve_balance
+from canhaptic.kernels.records import bound
 from canhaptic.lab.loop.axis_loop import render
 from tools.bench.standard_cases import (
     FIGURES_7_9,

@@ -23,12 +23,11 @@ from canhaptic.errors import CanHapticError
 from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.bus_reader import Frame, read_bus_log
 from canhaptic.logs.decoder import BusDecoder
-from canhaptic.scene.build import build, build_drive_group
-from canhaptic.scene.bus import private_channel
+from canhaptic.scene.build import build, build_drive_group, private_channel
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
-from canhaptic.scene.node_names import describe_nodes
 from canhaptic.scene.parts import build_axis_controllers, build_servo_drive
+from canhaptic.scene.recorded_names import describe_nodes
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 FOLDER: Final = ROOT / "tests" / "recordings"

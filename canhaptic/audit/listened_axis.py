@@ -15,9 +15,7 @@ from canhaptic.canopen.eds import read_dictionary
 from canhaptic.canopen.force_node import ForceNode
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import Frame
-from canhaptic.logs.pdo_decoder import PdoField, PdoMaps
-from canhaptic.logs.sdo_decoder import SdoDecoder
-from canhaptic.logs.statusword import ENABLED, state_text
+from canhaptic.logs.decoder import ENABLED, PdoField, PdoMaps, SdoDecoder, state_text
 from canhaptic.signals import Sample
 
 _RATED_TORQUE_COUNTS: Final[Mapping[str, float]] = {"rated_torque_micro": 1e-6}

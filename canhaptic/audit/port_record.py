@@ -1,19 +1,110 @@
-"""Figures of a port in an energy log in addition to its ledger, read in pieces from a finished or a growing log."""
+"""Figures of a port in an energy log in addition to its ledger, read in pieces from a finished or a growing log.
+
+Selection of the rows of a log: a span of time, or each contact.
+
+Stored values that no run writes: signs of a damaged log or a faulty logger.
+
+They are numbers that are not finite, and running counts that fall.
+"""
 
 from math import inf
+from typing import Final, TypedDict
 
 import numpy as np
 
 from canhaptic.control.balance import OUT_OF_CONTACT, Branch, certificates_of
-from canhaptic.control.dry_run import claim_nothing
 from canhaptic.control.friction_watch import FrictionDeclared, FrictionWatch
-from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, PortResult
-from canhaptic.errors import LogFormatError
+from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, PortResult, claim_nothing
+from canhaptic.errors import InputError, LogFormatError
 from canhaptic.logs.columns import ACTIVE_LIMITS, FRICTION_DECLARED
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
 from canhaptic.meters import ActiveLimits, Promise
 from canhaptic.result import rendered_shares, withdraw_certificates
+
+
+def rows_between(log: EnergyLog, start: float | None, stop: float | None) -> slice:
+    """Return the rows from time `start` [s] on and before `stop` [s]; None: from the beginning, to the end.
+
+    Raises:
+        InputError: No cycle lies between them.
+    """
+    if start is None and stop is None:
+        return slice(0, log.rows)
+    time = log.time
+    first = 0 if start is None else int(np.searchsorted(time, start))
+    last = log.rows if stop is None else int(np.searchsorted(time, stop))
+    if first >= last:
+        end = f"{time[-1]:.6g}" if len(time) else "0"
+        raise InputError(f"{log.path}: no cycle from {start} s to {stop} s; the log ends at {end} s")
+    return slice(first, last)
+
+
+def rows_to_draw(log: EnergyLog, start: float | None, stop: float | None) -> slice:
+    """The same rows, of a log that holds any.
+
+    Raises:
+        InputError: It holds no cycle, or none between them.
+    """
+    if log.rows == 0:
+        raise InputError(f"{log.path}: the log holds no cycle, there is nothing to draw")
+    return rows_between(log, start, stop)
+
+
+def contacts(branch: Array) -> list[tuple[int, int]]:
+    """Return (first, last) row of every stretch in which a hold was booked by another branch than `free`.
+
+    A contact continues across a hold whose sample was lost.
+    """
+    booked = np.where(branch != Branch.HELD.value, np.arange(len(branch)), 0)
+    touching = np.isin(branch[np.maximum.accumulate(booked)], (Branch.FREE.value, Branch.HELD.value), invert=True)
+    edges = np.flatnonzero(np.diff(touching, prepend=False, append=False))
+    return [(int(start), int(end) - 1) for start, end in zip(edges[::2], edges[1::2], strict=True)]
+
+
+_BLOCK: Final = 65_536  # rows held in memory at a time
+_COUNTS: Final = frozenset({"uncommanded"})
+"""Columns that count from the beginning of a run; a recomputation does not have them."""
+
+
+class ImpossibleValue(TypedDict):
+    """A column with such values."""
+
+    dataset: str
+    what: str
+    rows: int  # how many
+    cycle: int  # the first
+
+
+def impossible_values(log: EnergyLog) -> list[ImpossibleValue]:
+    """Return each column with such values.
+
+    Raises:
+        LogFormatError: A column cannot be read.
+    """
+    groups = {f"ports/{name}": port for name, port in log.ports.items()}
+    groups |= {f"truth/{name}": truth for name, truth in log.truth.items()}
+    found: list[ImpossibleValue] = []
+    for group, quantities in groups.items():
+        for name in quantities:
+            rows, first, before = 0, -1, 0
+            for start in range(0, log.rows, _BLOCK):
+                values = quantities.read(name, start, start + _BLOCK)
+                if name in _COUNTS:
+                    values = values.astype(np.int64)
+                    bad = np.flatnonzero(np.diff(values, prepend=before) < 0)
+                    before = int(values[-1])
+                elif values.dtype.kind == "f":
+                    bad = np.flatnonzero(~np.isfinite(values))
+                else:
+                    break
+                first = start + int(bad[0]) if first < 0 and len(bad) else first
+                rows += len(bad)
+            if rows:
+                cycle = int(log.timing.read("sync_index", first, first + 1)[0])
+                what = "a count that falls" if name in _COUNTS else "no finite number"
+                found.append({"dataset": f"{group}/{name}", "what": what, "rows": rows, "cycle": cycle})
+    return found
 
 
 class PortRecord:

@@ -9,7 +9,7 @@ import numpy as np
 
 from canhaptic.audit.port_record import limits_of
 from canhaptic.control.balance import Certificate, EnergyBalance
-from canhaptic.control.multi_axis.axis_group import GroupedControllers
+from canhaptic.control.multi_axis.group_controller import GroupedControllers
 from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog

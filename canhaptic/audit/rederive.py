@@ -15,18 +15,17 @@ from canhaptic.audit.recompute import logged_rows
 from canhaptic.audit.user_checks import Outcome
 from canhaptic.canopen import objects as od
 from canhaptic.control.balance import EnergyBalance
-from canhaptic.control.dry_run import claim_nothing
 from canhaptic.control.ledger import Ledger
-from canhaptic.control.multi_axis.axis_group import GroupedControllers
-from canhaptic.control.verdict import Headline, PortResult, Verdict
+from canhaptic.control.multi_axis.group_controller import GroupedControllers
+from canhaptic.control.verdict import Headline, PortResult, Verdict, claim_nothing
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.meters import RunMeters, promise_of
 from canhaptic.result import overall, port_account, with_groups
-from canhaptic.scene.channels import Channels
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controllers, build_axis_groups, build_axis_meters, group_places
+from canhaptic.scene.recorded_names import Channels
 from canhaptic.signals import Sample
 
 

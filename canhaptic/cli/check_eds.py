@@ -10,10 +10,9 @@ from rich.console import Console
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.cli.output import write_json
 from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan
-from canhaptic.drive.display_survey import display_of
 from canhaptic.drive.profile.display_parameters import Mode
 from canhaptic.drive.profile.fitness import Verdict
-from canhaptic.drive.survey import MOST_AXES, Suitability, Survey, survey, unconfigured_axis
+from canhaptic.drive.survey import MOST_AXES, Suitability, Survey, display_of, survey, unconfigured_axis
 from canhaptic.errors import InputError
 from canhaptic.scene.profiles import profile_of_vendor, profile_values
 from canhaptic.view.energy_table import make_console

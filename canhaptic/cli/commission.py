@@ -8,17 +8,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from canhaptic.cli.arguments import check_place, scene_of
+from canhaptic.cli.long_command import StopSignal
+from canhaptic.cli.options import check_place, scene_of
 from canhaptic.cli.output import failure, note_file, write_failure, write_file, write_json, write_note
-from canhaptic.cli.stop_signal import StopSignal
-from canhaptic.commission.dialogue import Dialogue, Unattended
 from canhaptic.commission.display_tests import REQUIRED as OF_DISPLAYS
 from canhaptic.commission.display_tests import commission_displays
-from canhaptic.commission.findings import Report
-from canhaptic.commission.laws import CommissioningLimits
 from canhaptic.commission.sequence import REQUIRED as OF_TORQUES
 from canhaptic.commission.sequence import commission
-from canhaptic.commission.session import Session
+from canhaptic.commission.session import CommissioningLimits, Dialogue, Report, Session, Unattended
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.scene.edited_text import edited_scene
 from canhaptic.scene.models import Scene

@@ -10,10 +10,9 @@ from typing import Any
 from canhaptic.cli.output import write_line, write_note
 from canhaptic.logs.bus_reader import SkippedKind, describe_skipped, read_bus_log
 from canhaptic.logs.decoder import BusDecoder
-from canhaptic.scene.channels import Channels
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
-from canhaptic.scene.node_names import describe_nodes
+from canhaptic.scene.recorded_names import Channels, describe_nodes
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -8,17 +8,15 @@ from contextlib import ExitStack
 
 import can
 
-from canhaptic.cli.arguments import scene_of
+from canhaptic.cli.long_command import StopSignal
+from canhaptic.cli.options import scene_of
 from canhaptic.cli.output import write_note
-from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import InputError, LinkError
 from canhaptic.host.realtime import Realtime
-from canhaptic.scene.build import build_drive_group
-from canhaptic.scene.bus import open_bus, suffers, with_effects
-from canhaptic.scene.further_bus import NamedBus
-from canhaptic.scene.models import Scene
-from canhaptic.sim.drive.can.drive_group import DriveGroup
+from canhaptic.scene.build import build_drive_group, open_bus, suffers, with_effects
+from canhaptic.scene.models import NamedBus, Scene
+from canhaptic.sim.drive.can.drive_node import DriveGroup
 
 _LONGEST_WAIT = 50_000_000  # [ns] between two looks at the stop signal
 _POLL_PERIOD = 50_000  # [ns] between two looks at several buses that cannot be waited on together

@@ -6,11 +6,10 @@ from typing import Final
 
 from rich.console import Console
 
-from canhaptic.audit.inspection import Inspection, inspect
-from canhaptic.audit.log_difference import compare
+from canhaptic.audit.inspection import Inspection, compare, inspect
 from canhaptic.audit.recompute import recompute_all, scene_of
 from canhaptic.audit.user_checks import Checked, Outcome, check
-from canhaptic.cli.arguments import check_page, check_picture, check_place
+from canhaptic.cli.options import check_page, check_picture, check_place
 from canhaptic.cli.output import write_json
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog

@@ -2,8 +2,8 @@
 
 import argparse
 
-from canhaptic.cli.arguments import check_place
 from canhaptic.cli.check_eds import survey_of
+from canhaptic.cli.options import check_place
 from canhaptic.cli.output import note_file, write_file, write_line
 from canhaptic.errors import InputError
 from canhaptic.scene.starter import starter_scene

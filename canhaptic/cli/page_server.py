@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from canhaptic.cli.interrupt import say_interrupted
-from canhaptic.cli.stop_signal import SHELL_OFFSET
+from canhaptic.cli.long_command import SHELL_OFFSET
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
 from canhaptic.view.energy_table import make_console

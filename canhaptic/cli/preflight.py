@@ -3,7 +3,7 @@
 import argparse
 from typing import Final
 
-from canhaptic.cli.arguments import scene_of
+from canhaptic.cli.options import scene_of
 from canhaptic.cli.output import write_json
 from canhaptic.host.socketcan_state import PreflightFinding, preflight
 from canhaptic.view.energy_table import make_console

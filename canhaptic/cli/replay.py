@@ -5,14 +5,13 @@ import argparse
 from rich.text import Text
 
 from canhaptic.audit.recompute import scene_of as scene_of_log
-from canhaptic.cli.arguments import scene_of
+from canhaptic.cli.options import scene_of
 from canhaptic.cli.output import write_json
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import describe_skipped
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.repair import require_readable
-from canhaptic.replay.difference import FrameWords
-from canhaptic.replay.replayed_run import ReplayResult, replay_bus_log
+from canhaptic.replay import FrameWords, ReplayResult, replay_bus_log
 from canhaptic.view.energy_table import energy_report, make_console
 
 

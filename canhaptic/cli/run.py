@@ -7,19 +7,16 @@ from pathlib import Path
 from typing import Final
 
 from canhaptic.axis_units import effort_unit
-from canhaptic.cli.arguments import check_picture, require_new, scene_of
+from canhaptic.cli.long_command import StopSignal, run_progress
+from canhaptic.cli.options import check_picture, require_new, scene_of
 from canhaptic.cli.output import failure, note_file, write_failure, write_json, write_line, write_note
-from canhaptic.cli.progress import run_progress
-from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError
 from canhaptic.result import RunResult
-from canhaptic.scene.build import Experiment, build
+from canhaptic.scene.build import Experiment, build, logs_elsewhere
 from canhaptic.scene.experiment_account import experiment_account
-from canhaptic.scene.guesses import require_no_guesses
-from canhaptic.scene.log_places import logs_elsewhere
-from canhaptic.scene.models import Scene
+from canhaptic.scene.models import Scene, require_no_guesses
 
 _NOT_PASSIVE: Final = 1  # exit status of --strict
 _KEPT: Final = ("yes", "no contact", "dry run")
@@ -74,7 +71,7 @@ def _withheld(result: RunResult) -> str:
 
 def _fails(result: RunResult) -> bool:
     """Report a port that is not shown as passive, if there is one; no contact is no failure."""
-    from canhaptic.view.headline import headline_text
+    from canhaptic.view.energy_table import headline_text
 
     for name, account in result["ports"].items():
         if account.get("verdict", "yes") not in _KEPT:

@@ -3,5 +3,5 @@
     scan and identify -> stand still at zero torque -> move by hand -> pulse -> sweep -> pull the master -> time
 
 Each step is a run of the whole rig, through the limiter, the link policy and the stop of every other run; only the
-source of the torque differs (`laws.py`). A step that applies torque asks first.
+source of the torque differs (`session.py`). A step that applies torque asks first.
 """

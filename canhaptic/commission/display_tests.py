@@ -15,11 +15,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.commission.findings import StepVerdict
-from canhaptic.commission.laws import OpenLoop, sweep
-from canhaptic.commission.session import Session
-from canhaptic.commission.wall_trial import SURE
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
+from canhaptic.commission.mass_and_friction import SURE
+from canhaptic.commission.session import OpenLoop, Session, StepVerdict, sweep
+from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
 from canhaptic.errors import InputError
 
 _REST: Final = 1.0  # [s] without a hand

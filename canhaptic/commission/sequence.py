@@ -1,13 +1,340 @@
-"""The steps in their order; findings before a fault are kept."""
+"""The steps in their order, and those that send no torque: which drives answer, hand motion, watchdog.
 
+Search for drives on the bus and check against the configuration. SDO only; nothing is enabled.
+
+The axis at zero torque: whether it stays at rest, and whether the encoder counts as the configuration states.
+
+Test of the drives' watchdogs by a silent master, and of the cycle's timing.
+"""
+
+from collections.abc import Sequence
+from functools import partial
 from typing import Final
 
-from canhaptic.commission.find_drives import identify
-from canhaptic.commission.hand_motion import STANDSTILL, move_by_hand, stand_still
-from canhaptic.commission.session import Session
+from canhaptic.axis_units import effort_unit
+from canhaptic.canopen import objects as od
+from canhaptic.commission.session import NO_TORQUE, OpenLoop, Session, StepVerdict
 from canhaptic.commission.torque_tests import identify_dynamics, pulse, time_the_read_back
-from canhaptic.commission.watchdog import pull_the_master, time_the_cycle
-from canhaptic.errors import InputError
+from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.servo_drive import ServoDrive
+from canhaptic.drive.profile.power_states import TORQUE_FREE, drive_state
+from canhaptic.errors import InputError, RigError, SdoError, StartError
+
+_NODES: Final = range(1, 128)
+_ASK_DEVICE_TYPE: Final = bytes.fromhex("40 00 10 00 00 00 00 00")
+_PAUSE: Final = 500_000  # [ns] between two questions: the answers of a slow drive must not pile up
+_PATIENCE: Final = 300_000_000  # [ns] for the last of them
+_MODES: Final = ("pp", "vl", "pv", "tq", "", "hm", "ip", "csp", "csv", "cst")
+
+
+def _scan(link: Link, known: Sequence[int], master: int) -> list[int]:
+    """Node IDs that answer on a bus besides those of the configuration; each is asked for 0x1000.
+
+    Args:
+        link: The bus.
+        known: Node IDs of the configuration; they are not asked.
+        master: Node ID of the master.
+
+    Raises:
+        LinkError: The bus failed.
+    """
+    answered: set[int] = set()
+    asked = [node for node in _NODES if node not in known and node != master]
+
+    def take(node: int, _data: bytearray) -> None:
+        answered.add(node)
+
+    for node in asked:
+        link.subscribe(od.SDO_RESPONSE_BASE + node, partial(take, node))
+    try:
+        for node in asked:
+            link.send(od.SDO_REQUEST_BASE + node, _ASK_DEVICE_TYPE)
+            link.pump(link.clock.now() + _PAUSE)
+        link.pump(link.clock.now() + _PATIENCE)
+    finally:
+        for node in asked:
+            link.unsubscribe(od.SDO_RESPONSE_BASE + node)
+    return sorted(answered)
+
+
+def identify(session: Session) -> None:
+    """Scan every bus and compare each drive with the configuration and its dictionary.
+
+    Raises:
+        StartError: A drive of the configuration does not answer.
+    """
+    for link in session.rig.links:
+        on_link = [n for n, drive in enumerate(session.drives) if drive.link is link]
+        known = [session.drives[n].axis.node_id for n in on_link]
+        strangers = _scan(link, known, session.scene.bus.master_id)
+        found = ", ".join(str(node) for node in sorted([*known, *strangers]))
+        text = f"node {', '.join(map(str, strangers))} is not in the configuration: identify it before you go on"
+        expected = ", ".join(map(str, sorted(known)))
+        session.judged(on_link[0], "nodes on the bus", expected, found, good=not strangers, text=text)
+    for axis, drive in enumerate(session.drives):
+        _presence(session, axis, drive)
+        _identity(session, axis, drive)
+        _modes(session, axis, drive)
+        _rated_torque(session, axis, drive)
+
+
+def _presence(session: Session, axis: int, drive: ServoDrive) -> None:
+    try:
+        device_type = drive.sdo.read(od.DEVICE_TYPE)
+    except SdoError as error:
+        raise StartError(
+            drive.axis.name, "presence", str(error), "an answer", "check power, node ID, bit rate and cable"
+        ) from error
+    profile = device_type & 0xFFFF
+    session.judged(
+        axis, "device profile", f"{od.CIA402_PROFILE:#06x}", f"{profile:#06x}", good=profile == od.CIA402_PROFILE,
+        text="no CiA 402 drive; check node_id", otherwise=StepVerdict.FAILED,
+    )  # fmt: skip
+    session.propose(axis, "node_id", None, comment="this drive answered")
+
+
+def _identity(session: Session, axis: int, drive: ServoDrive) -> None:
+    """Compare 0x1018 with the configuration's values, or else with those of the dictionary."""
+    information = drive.dictionary.device_information
+    expected = {
+        "vendor_id": (1, drive.axis.vendor_id, information.vendor_number),
+        "product_code": (2, drive.axis.product_code, information.product_number),
+    }
+    for key, (subindex, demanded, of_dictionary) in expected.items():
+        item = key.replace("_", " ")
+        try:
+            found = drive.sdo.read(od.IDENTITY, subindex)
+        except SdoError:
+            session.found(axis, item, "", "not readable", StepVerdict.UNKNOWN)
+            continue
+        wanted = demanded if demanded is not None else of_dictionary
+        if not wanted:
+            session.found(axis, item, "not given", f"{found:#010x}", StepVerdict.MEASURED)
+        else:
+            text = "the EDS is of another drive: take the one of this drive and firmware"
+            session.judged(axis, item, f"{wanted:#010x}", f"{found:#010x}", good=found == wanted, text=text)
+        if demanded is None and found:
+            session.propose(axis, key, found, comment="refuses another drive at this node ID")
+
+
+def _modes(session: Session, axis: int, drive: ServoDrive) -> None:
+    try:
+        modes = drive.sdo.read(od.SUPPORTED_DRIVE_MODES)
+    except SdoError:
+        session.found(axis, "modes (0x6502)", "cst", "not readable", StepVerdict.UNKNOWN, "is 0x6060 = 10 accepted?")
+        return
+    names = ", ".join(name for bit, name in enumerate(_MODES) if name and modes >> bit & 1)
+    serves = bool(modes & od.CYCLIC_SYNC_TORQUE_BIT)
+    text = "no cyclic synchronous torque: other firmware, or another drive"
+    session.judged(axis, "modes (0x6502)", "cst", names, good=serves, text=text, otherwise=StepVerdict.FAILED)
+
+
+def _rated_torque(session: Session, axis: int, drive: ServoDrive) -> None:
+    parameters = drive.axis
+    unit = effort_unit(parameters.unit)
+    configured = "" if parameters.rated_torque is None else f"{parameters.rated_torque:g} {unit}"
+    try:
+        counts = drive.sdo.read(od.RATED_TORQUE)
+    except SdoError:
+        counts = 0
+    if not counts:
+        text = "the configuration alone says what 1000 per mille are; see the torque scale below"
+        session.found(axis, "rated torque (0x6076)", configured, "0 or not readable", StepVerdict.UNKNOWN, text)
+        return
+    of_motor = counts * drive.quirks.rated_torque_resolution
+    at_axis = of_motor * parameters.transmission
+    found = f"{at_axis:g} {unit}" + (f" ({of_motor:g} N*m at the motor)" if parameters.transmission != 1.0 else "")
+    same = parameters.rated_torque is None or abs(at_axis - parameters.rated_torque) <= 0.01 * parameters.rated_torque
+    text = "correct rated_torque or transmission: every torque is wrong by this ratio"
+    session.judged(axis, "rated torque (0x6076)", configured, found, good=same, text=text)
+
+
+STANDSTILL: Final = "standstill at zero torque"
+"""What the report calls the step."""
+_WATCHED: Final = 1.0  # [s] that an axis must stand still
+_UNATTENDED: Final = 0.4  # [s] of the simulated hand's motion
+_LONGEST: Final = 120.0  # [s] that a person may take
+_FEWEST_COUNTS: Final = 200  # half a per cent
+_TOLERANCE: Final = 0.02  # a hand with a ruler
+_DRIFT: Final = 0.25  # part of the travel that an axis without torque may move by itself
+
+
+def stand_still(session: Session, axis: int) -> bool:
+    """Enable the drive with zero torque; return False when the axis moves by itself.
+
+    Raises:
+        RigError: Drive or link failed.
+    """
+    name, unit = session.axes[axis].parameters.name, session.axes[axis].parameters.unit
+    law = session.play(axis, NO_TORQUE, session.cycles(_WATCHED))
+    if not law.positions:  # the operator stopped it
+        session.not_tried(STANDSTILL, [axis])
+        return False
+    drift = abs(law.positions[-1] - law.positions[0])
+    swing = max(law.positions) - min(law.positions)
+    still = drift <= _DRIFT * session.limits.travel
+    text = f"{name} moves without torque: weight, a wrong offset of the drive, or somebody pushes"
+    found = f"{drift:.3g} {unit}, noise {swing:.3g}"
+    session.judged(axis, STANDSTILL, "", found, good=still, text=text, otherwise=StepVerdict.FAILED)
+    return still
+
+
+def move_by_hand(session: Session, axis: int) -> None:
+    """Compare a distance moved by hand with the encoder's; the drive holds zero torque meanwhile.
+
+    Raises:
+        RigError: Drive or link failed.
+    """
+    parameters = session.axes[axis].parameters
+    unit = parameters.unit
+    begin: list[float] = []
+    ready = session.dialogue.until_ready(
+        f"{parameters.name}: move the handle by a distance that you can measure, in the direction that shall count as "
+        "positive; hold it there and press Enter",
+        session.cycles(_UNATTENDED),
+    )
+
+    def done() -> bool:
+        truth = session.truth(axis)
+        if truth is not None and not begin:
+            begin.append(truth)
+        return ready()
+
+    session.truths = ()
+    law = session.play(axis, NO_TORQUE, session.cycles(_LONGEST), done)
+    if not law.positions:
+        session.not_tried("encoder", [axis])
+        return
+    truth = session.truth(axis)
+    moved = None if truth is None or not begin else truth - begin[0]
+    measured = law.positions[-1] - law.positions[0]
+    stated = session.dialogue.number(f"{parameters.name}: how far was it, with its sign?", unit, moved)
+    counts = abs(measured) * parameters.counts_per_unit
+    if not stated or counts < _FEWEST_COUNTS:
+        text = f"the encoder moved by {counts:.0f} counts, at least {_FEWEST_COUNTS} and a measured distance are needed"
+        session.found(axis, "encoder", "", f"{measured:.4g} {unit}", StepVerdict.UNKNOWN, text)
+        return
+    session.encoder_ratios[axis] = abs(measured / stated)
+    _judge(session, axis, measured / stated)
+
+
+def _judge(session: Session, axis: int, ratio: float) -> None:
+    parameters = session.axes[axis].parameters
+    right = ratio > 0.0
+    direction = parameters.direction if right else -parameters.direction
+    text = "the encoder counts the other way"
+    session.judged(axis, "encoder direction", str(parameters.direction), str(direction), good=right, text=text)
+    if not right:
+        session.propose(axis, "direction", direction)
+    counts = parameters.counts_per_unit * abs(ratio)
+    same = abs(abs(ratio) - 1.0) <= _TOLERANCE
+    text = f"every position is wrong by {abs(ratio):.4g}; gear, counts per turn or 0x608F"
+    unit = f"count/{parameters.unit}"
+    configured, found = f"{parameters.counts_per_unit:g} {unit}", f"{counts:.6g} {unit}"
+    session.judged(axis, "encoder counts", configured, found, good=same, text=text)
+    text = "agrees with a distance moved by hand" if same else "by a distance moved by hand; round it to the data"
+    session.propose(axis, "counts_per_unit", None if same else counts, unit, text)
+
+
+_LOST: Final[tuple[str, ...]] = ("missed_tpdos", "late", "error_frames")
+_LEAST_JITTER: Final = 0.01
+_MARGIN: Final = 2.0
+_SILENCES: Final = 3  # of the longest silence that the drives are configured to bear
+
+
+def pull_the_master(session: Session) -> None:
+    """Enable every drive at zero torque, fall silent, and check whether they leave OPERATION ENABLED by themselves.
+
+    Raises:
+        RigError: Drive or link failed otherwise than intended.
+    """
+    asked = "watchdog: the drives are enabled at zero torque, then the master falls silent. Now?"
+    axes = range(len(session.axes))
+    if not session.agreed(asked, "watchdog", axes, "a killed master may leave a torque on"):
+        return
+    rig = session.rig
+    rig.start()
+    try:
+        silence = _SILENCES * rig.bus.master_silence_ns
+        for link in rig.links:
+            link.pump(link.clock.now() + silence)
+        for axis in axes:
+            _judge_watchdog(session, axis)
+    finally:
+        _end(session)
+
+
+def _judge_watchdog(session: Session, axis: int) -> None:
+    drive = session.drives[axis]
+    limit = f"within {_SILENCES * session.rig.bus.master_silence_ns / 1e6:g} ms"
+    try:
+        state = drive_state(drive.sdo.read(od.STATUSWORD))
+    except SdoError as error:
+        session.found(axis, "watchdog", limit, "no answer", StepVerdict.FAILED, str(error))
+        return
+    stopped = state in TORQUE_FREE
+    emergency = f", {drive.emergency}" if drive.emergency is not None else ""
+    text = "a killed master leaves its torque on: set axes[].watchdog, 0x1016 and 0x6007, or a relay"
+    found = f"{state.value}{emergency}"
+    session.judged(axis, "watchdog", limit, found, good=stopped, text=text, otherwise=StepVerdict.FAILED)
+
+
+def _end(session: Session) -> None:
+    """Disable the drives that are still enabled, and reset the faults that this test caused, if the person agrees."""
+    try:
+        session.rig.stop(ramp=False)
+    except RigError as error:
+        session.dialogue.tell(f"  {error}")
+    if session.dialogue.confirm("watchdog: reset the faults that this test has made (no drive is enabled by it)?"):
+        session.rig.reset_faults()
+
+
+def time_the_cycle(session: Session, seconds: float) -> None:
+    """Run the whole rig at zero torque and report frames and, at real pace, times.
+
+    Raises:
+        RigError: Drive or link failed.
+    """
+    laws = [OpenLoop(NO_TORQUE) for _ in session.axes]
+    before = session.rig.link_statistics()
+    cycle = session.run(laws, session.cycles(seconds))
+    statistics = session.rig.link_statistics()
+    lost = {"skipped_syncs": statistics["skipped_syncs"]}  # counted from the start of a run, the others of the link
+    lost.update((name, statistics[name] - before[name]) for name in _LOST)
+    clean = not any(lost.values())
+    found = f"{cycle.cycles} cycles, " + ("no frame lost" if clean else _words(lost))
+    text = "see `canhaptic check` (bus load, host) and `canhaptic preflight`; try bus.realtime"
+    session.judged(0, "cycle", f"{1.0 / session.sample_time:g} Hz", found, good=clean, text=text)
+    _propose_jitter(session, cycle.timing["wakeup_lateness"].maximum * 1e-9 / session.sample_time)
+    if session.experiment.pace == "free":
+        session.found(
+            0, "timing", "", "lock-step", StepVerdict.UNKNOWN, "simulated drives without a clock of their own"
+        )
+        return
+    for name, histogram in cycle.timing.items():
+        p50, p99 = histogram.quantile(0.5) * 1e6, histogram.quantile(0.99) * 1e6
+        found = f"p50 {p50:.0f} us, p99 {p99:.0f} us"
+        session.found(0, name.replace("_", " "), "", found, StepVerdict.MEASURED)
+
+
+def _propose_jitter(session: Session, latest: float) -> None:
+    """Propose the jitter of a hold, as a part of the sample time.
+
+    Args:
+        session: Session with its axes.
+        latest: Largest lateness of a SYNC [sample times]; 0 where time is virtual.
+    """
+    for axis, scene in enumerate(session.axes):
+        jitter = max(_LEAST_JITTER, _MARGIN * latest)
+        if session.experiment.pace == "free":
+            jitter = scene.loop.sync_jitter or _LEAST_JITTER
+        comment = f"at least 1 %, or {_MARGIN:g} times the largest lateness of a SYNC in this run"
+        session.propose(axis, "passivity.sync_jitter", jitter, "1", comment)
+
+
+def _words(counts: dict[str, float]) -> str:
+    return ", ".join(f"{name.replace('_', ' ')} {count:g}" for name, count in counts.items() if count)
+
 
 REQUIRED: Final = (STANDSTILL, "torque sign", "moving mass", "mass on a shaft", "torque lag", "watchdog")
 """What must have been verified of every axis before its scene is one to run."""

@@ -1,22 +1,349 @@
-"""The rig under commissioning: one experiment, run again and again with torques computed in advance."""
+"""The rig under commissioning: one experiment, run again and again with torques computed in advance.
+
+Dialogue of commissioning with the person at the machine.
+
+Findings of commissioning, row by row, and the values that follow from them.
+
+Torques computed in advance, and the record of the axis's motion under them.
+"""
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import math
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Final
+from enum import Enum
+from typing import Annotated, Any, Final, NamedTuple, Protocol, cast
+
+import numpy as np
 
 from canhaptic.axis_units import effort_unit
-from canhaptic.commission.dialogue import Dialogue
-from canhaptic.commission.findings import Report, StepFinding, StepVerdict, Value
-from canhaptic.commission.laws import NO_TORQUE, CommissioningLimits, OpenLoop
+from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.can.display_drive import DisplayDrive
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.rig import Rig
-from canhaptic.errors import InputError
+from canhaptic.errors import ControlError, InputError
 from canhaptic.scene.build import Experiment, build
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.edited_text import Change, is_written
+from canhaptic.scene.models import LOOP_KEYS, AxisScene, Scene
 from canhaptic.signals import Truth
+from canhaptic.units import Parameters, quantity
+from canhaptic.view.table import Cell, Styled, Table
+
+
+class Dialogue(Protocol):
+    """A person at a terminal, or no person with a simulated drive.
+
+    Where a simulated plant knows the answer it is passed in as `truth`; a person is never shown it.
+    """
+
+    def tell(self, text: str) -> None:
+        """State the present action."""
+
+    def confirm(self, question: str) -> bool:
+        """Return whether the person agrees; no answer is no."""
+
+    def number(self, question: str, unit: str, truth: float | None) -> float | None:
+        """Number in `unit`, or None without an answer."""
+
+    def until_ready(self, text: str, cycles: int) -> Callable[[], bool]:
+        """Ask the person to do something; return a function, called once per cycle, that reports completion.
+
+        Args:
+            text: Request to the person.
+            cycles: Number of cycles after which it counts as done without a person.
+        """
+
+
+class Unattended:
+    """Agrees to everything and answers from the truth: for simulated drives alone."""
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self.tell = tell
+
+    def confirm(self, question: str) -> bool:
+        """Agrees."""
+        self.tell(f"{question} yes")
+        return True
+
+    def number(self, question: str, unit: str, truth: float | None) -> float | None:
+        """True value of the simulated plant."""
+        self.tell(f"{question} {'unknown' if truth is None else f'{truth:.6g} {unit}'}")
+        return truth
+
+    def until_ready(self, text: str, cycles: int) -> Callable[[], bool]:
+        """Wait for a number of cycles."""
+        self.tell(text)
+        left = iter(range(cycles))
+        return lambda: next(left, None) is None
+
+
+class StepVerdict(Enum):
+    """Verdict of one row."""
+
+    AGREES = "agrees"  # measured, and as configured
+    DIFFERS = "differs"  # measured, and not as configured: the value found is to be used
+    MEASURED = "measured"  # there was nothing to compare it with
+    FAILED = "failed"  # do not put a hand on this rig
+    UNKNOWN = "not verified"
+
+
+class StepFinding(NamedTuple):
+    """One item that was checked."""
+
+    axis: str
+    item: str
+    configured: str
+    found: str
+    verdict: StepVerdict
+    text: str = ""  # what it means, or what to do
+
+
+class Value(NamedTuple):
+    """A value for the scene."""
+
+    axis: str
+    key: str  # path in the axis, as `counts_per_unit` or `passivity.moving_mass`
+    value: float | int | str | None  # SI; None: the one that the scene has is right
+    unit: str
+    comment: str = ""
+
+    @property
+    def text(self) -> str | None:
+        """Text of a value as in a scene; None: as the scene has it now."""
+        factor, unit = _SHOWN_IN.get(self.unit, (1.0, self.unit))
+        if not isinstance(self.value, float):  # whole where the drive has it
+            return None if self.value is None else str(self.value)
+        return f"{self.value * factor:.6g} {unit}".rstrip()
+
+
+_SHOWN_IN: Final = {"s": (1e6, "us"), "1": (100.0, "%")}
+"""Units of the package -> factor to those in which small values are written, and their names."""
+_MENDED: Final = ("moving mass", "dry friction, least")
+"""Findings whose failure is a wrong declaration, which the measured value replaces."""
+_COLOURS: Final = {
+    StepVerdict.AGREES: "green",
+    StepVerdict.DIFFERS: "yellow",
+    StepVerdict.FAILED: "bold red",
+    StepVerdict.MEASURED: "cyan",
+    StepVerdict.UNKNOWN: "dim",
+}
+
+
+class Report:
+    """Grows step by step, so that earlier findings survive a later error."""
+
+    def __init__(self) -> None:
+        self.findings: list[StepFinding] = []
+        self.values: list[Value] = []
+
+    def add(self, finding: StepFinding) -> None:
+        """Take a row."""
+        self.findings.append(finding)
+
+    def propose(self, value: Value) -> None:
+        """Take a value."""
+        self.values.append(value)
+
+    @property
+    def failed(self) -> bool:
+        """Whether any finding forbids the use of this rig."""
+        return any(finding.verdict is StepVerdict.FAILED for finding in self.findings)
+
+    @property
+    def differs(self) -> bool:
+        """Whether the configuration is to be corrected."""
+        return any(finding.verdict is StepVerdict.DIFFERS for finding in self.findings)
+
+    def changes(self, scene: Scene) -> list[Change]:
+        """Return the values as changes of a scene; of several axes of a group, the largest of what all share."""
+        values: dict[tuple[str, ...], Value] = {}
+        for value in self.values:
+            path = _path(scene, value)
+            before = values.get(path)
+            if before is None or not isinstance(before.value, float) or before.value < cast(float, value.value):
+                values[path] = value
+        return [Change(path, value.text, value.comment or None) for path, value in values.items()]
+
+    def unfinished(self, axes: Collection[str], items: Collection[str]) -> list[str]:
+        """Reason why a scene with these values is not ready to run; empty where all is verified.
+
+        Args:
+            axes: Names of all axes.
+            items: Items that must have been verified for each.
+        """
+        seen = {(row.axis, row.item) for row in self.findings if row.verdict is not StepVerdict.UNKNOWN}
+        missing = [f"{axis}: {item}: not verified" for axis in axes for item in items if (axis, item) not in seen]
+        return missing + [
+            f"{row.axis}: {row.item}: {row.found}"
+            for row in self.findings
+            if row.verdict is StepVerdict.FAILED and row.item not in _MENDED
+        ]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the report as plain values."""
+        return {
+            "status": "failed" if self.failed else "differs" if self.differs else "ok",
+            "findings": [{**row._asdict(), "verdict": row.verdict.value} for row in self.findings],
+            "values": [{**value._asdict(), "text": value.text} for value in self.values],
+        }
+
+    def table(self) -> Table:
+        """Return the rows as a table for a terminal."""
+        rows: list[list[Cell]] = [
+            [*row[:4], Styled(row.verdict.value, _COLOURS[row.verdict]), row.text] for row in self.findings
+        ]
+        return Table("commissioning", ("axis", "what", "configured", "found", "verdict", ""), rows)
+
+    def values_table(self, written: str) -> Table:
+        """Return the values, with where they were written, as a table for a terminal."""
+        rows: list[list[Cell]] = [
+            [value.axis, value.key, value.text or "as it is", value.comment] for value in self.values
+        ]
+        return Table(written, ("axis", "key", "value", ""), rows)
+
+
+def _path(scene: Scene, value: Value) -> tuple[str, ...]:
+    """Place of a value in a scene, present or future."""
+    index = [axis.parameters.name for axis in scene.axes].index(value.axis)
+    own, group = ("axes", str(index), *value.key.split(".")), scene.axes[index].group
+    head, _, key = value.key.rpartition(".")
+    if head != "passivity" or is_written(scene.text, own):
+        return own
+    if group and key not in LOOP_KEYS:
+        return ("groups", group, head, key)
+    return own if group or len(scene.axes) > 1 or is_written(scene.text, own[:3]) else (head, key)
+
+
+NO_TORQUE: Final[tuple[float, ...]] = ()
+
+
+class CommissioningLimits(Parameters):
+    """Limits of commissioning."""
+
+    torque: Annotated[float, quantity("1", gt=0.0, le=0.3)] = 0.1
+    """Largest torque, as a part of the rated torque; never beyond `torque_limit` of the axis."""
+    travel: Annotated[float, quantity("m", "rad", gt=0.0)] = 0.02
+    """Distance from where a step began after which its torque is taken away."""
+    speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] = 0.5
+    """Speed after which its torque is taken away."""
+
+
+class OpenLoop:
+    """A controller that renders nothing: it plays torques, one a cycle, and drops to zero when the axis goes too far.
+
+    The energy that it puts in is booked as deficit: nothing here is passive, and the account says so.
+
+    Args:
+        torques: One per cycle [N or N*m]; zero after the last.
+        travel: Largest distance from the first position [m or rad].
+        largest_step: Largest displacement in one sample time [m or rad].
+
+    Attributes:
+        positions: Position at every SYNC since `reset` [m or rad].
+        applied: Torque of the hold that ended there [N or N*m].
+        sent: Torque returned there [N or N*m].
+        tripped: Reason why the torque was removed; "" if it was not.
+        has_gap: Whether a sample was lost: the positions then do not belong to consecutive SYNCs.
+    """
+
+    def __init__(self, torques: Sequence[float], travel: float = math.inf, largest_step: float = math.inf) -> None:
+        self._torques = tuple(torques)
+        self._travel = travel
+        self._largest_step = largest_step
+        self.reset()
+
+    def reset(self) -> None:
+        """Clear the record, and begin with the first torque."""
+        self.positions: list[float] = []
+        self.applied: list[float] = []
+        self.sent: list[float] = []
+        self.tripped = ""
+        self.has_gap = False
+        self._next = 0
+        self._last = AT_REST
+
+    def hold(self) -> EnergyBalance:
+        """End the torques: a measurement with a gap is useless."""
+        self.tripped, self.has_gap = self.tripped or "a TPDO was lost", True
+        self._last = self._last._replace(torque=0.0, h_i=0.0, h_m=0.0, deficit=0.0, branch=Branch.HELD.value)
+        return self._last
+
+    def step(self, position: float, torque_applied: float) -> EnergyBalance:
+        """Record the hold that ended and return the next torque.
+
+        Raises:
+            ControlError: The position or torque is not finite.
+        """
+        if not math.isfinite(position + torque_applied):
+            raise ControlError(f"got position {position} and torque {torque_applied}, expected finite values")
+        displacement = position - self.positions[-1] if self.positions else 0.0
+        self.positions.append(position)
+        self.applied.append(torque_applied)
+        self._watch(position, displacement)
+        torque = 0.0
+        if self._next < len(self._torques) and not self.tripped:
+            torque = self._torques[self._next]
+            self._next += 1
+        self.sent.append(torque)
+        return self._book(torque, -torque_applied * displacement)
+
+    def _watch(self, position: float, displacement: float) -> None:
+        if abs(position - self.positions[0]) > self._travel:
+            self.tripped = self.tripped or f"moved further than {self._travel:g}"
+        elif abs(displacement) > self._largest_step:
+            self.tripped = self.tripped or f"moved faster than {self._largest_step:g} in one sample time"
+
+    def _book(self, torque: float, h_i: float) -> EnergyBalance:
+        self._last = AT_REST._replace(
+            torque=torque,
+            h_i=h_i,
+            h_m=h_i,
+            deficit=-h_i,
+            h_dis=self._last.h_dis - h_i,
+            branch=Branch.DEPLETED.value if h_i else Branch.FREE.value,
+            certificate=Certificate.NONE.value,
+        )
+        return self._last
+
+
+def doublet(torque: float, cycles: int) -> list[float]:
+    """Return +, -, -, + of a torque, `cycles` each: a free mass comes back to where and how it was."""
+    return [torque] * cycles + [-torque] * (2 * cycles) + [torque] * cycles
+
+
+def reversals(torque: float, longest: int, count: int) -> list[float]:
+    """Return doublets of a torque [N or N*m] of both signs and many lengths, the same with every call.
+
+    Args:
+        torque: Size of the torque [N or N*m].
+        longest: First part of the longest doublet, in cycles; the shortest is half as long.
+        count: Number of doublets.
+    """
+    drawn = np.random.default_rng(1)
+    lengths, signs = drawn.integers(longest // 2, longest + 1, count), drawn.choice([-1.0, 1.0], count)
+    return [
+        part for length, sign in zip(lengths, signs, strict=True) for part in doublet(float(sign * torque), int(length))
+    ]
+
+
+def sweep(amplitude: float, lowest: float, highest: float, duration: float, sample_time: float) -> list[float]:
+    """Return a cosine whose frequency rises exponentially: a free mass swings about where it was, and ends at rest.
+
+    Args:
+        amplitude: Size of the torque [N or N*m].
+        lowest: First frequency [Hz].
+        highest: Last frequency [Hz].
+        duration: Length of the sweep [s].
+        sample_time: Sample time [s].
+    """
+    rate = math.log(highest / lowest) / duration
+    torques = amplitude * np.cos(
+        2.0 * np.pi * lowest * np.expm1(rate * np.arange(round(duration / sample_time)) * sample_time) / rate
+    )
+    turns = np.flatnonzero(np.diff(np.signbit(np.cumsum(torques))))
+    return [float(torque) for torque in torques[: turns[-1] + 1 if len(turns) else None]]
+
 
 _AT_REST: Final = 0.1  # [s] in which an axis at rest moves by no more than some counts
 _STILL_COUNTS: Final = 2

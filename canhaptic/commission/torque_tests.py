@@ -7,18 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.axis_units import damping_unit, effort_unit
-from canhaptic.commission.findings import StepVerdict
-from canhaptic.commission.laws import OpenLoop, doublet, sweep
 from canhaptic.commission.mass_and_friction import (
+    SURE,
     Dynamics,
     FrictionCurve,
     estimate,
     friction_curve,
+    is_dear,
     mass_within,
+    time_the_torque,
 )
-from canhaptic.commission.session import Session
-from canhaptic.commission.torque_lag import time_the_torque
-from canhaptic.commission.wall_trial import SURE, is_dear
+from canhaptic.commission.session import OpenLoop, Session, StepVerdict, doublet, sweep
 from canhaptic.drive.readback_timing import measure_read_back
 
 _FIRST: Final = 0.01  # of the rated torque

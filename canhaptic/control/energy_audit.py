@@ -8,7 +8,7 @@ from canhaptic.control.ledger import Ledger
 from canhaptic.signals import Truth
 
 if TYPE_CHECKING:
-    from canhaptic.control.multi_axis.axis_group import AxisGroup
+    from canhaptic.control.multi_axis.group_controller import AxisGroup
 
 _HELD = Branch.HELD.value
 

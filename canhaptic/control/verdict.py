@@ -6,11 +6,15 @@ hold of each port, and the verdict stays "no" from there on. A is the energy tha
 At the motor this refutes every certificate, unless damping or friction of the device is declared. Then the promise is
 that at the handle, and it is refuted where booked + R + D < -A, with D the most that the device can have dissipated.
 An R that is an estimate, and no bound, refutes nothing.
+
+The account of a dry run, in which no torque was sent: a positive result proves nothing about the controller.
 """
 
 from collections.abc import Mapping
 from math import inf
 from typing import Final, Literal, NotRequired, TypedDict
+
+from canhaptic.control.balance import Certificate
 
 Verdict = Literal["yes", "no", "in doubt"]
 """Whether a port was passive; "in doubt" where uncertain energy decides."""
@@ -275,3 +279,23 @@ def _is_silent(account: PortResult, contact: ContactHolds) -> bool:
     if damping is not None:
         return damping < _LEAST_RENDERED
     return contact["without_torque"] == contact["holds"]
+
+
+def claim_nothing(account: PortResult) -> None:
+    """Remove from a port's account what needs a sent torque: certificates and rendered shares.
+
+    Args:
+        account: Account of the port; changed.
+    """
+    account["dry_run"] = True
+    account["certificate"], account["certificates"] = Certificate.NONE.name.lower(), []
+    account["damping_rendered"] = {"least": 0.0, "most": 0.0}
+    if "contact" in account:
+        contact = account["contact"]
+        contact["without_torque"] = contact["holds"]
+        if "sent" in contact:
+            contact["sent"] = 0.0
+    if "rendered" in account:
+        for share in ("stiffness", "damping"):
+            if account["rendered"][share] is not None:
+                account["rendered"][share] = 0.0

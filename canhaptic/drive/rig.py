@@ -16,16 +16,15 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
 from canhaptic.canopen.code_texts import emcy_remedy
 from canhaptic.drive.axis_parameters import BusParameters
-from canhaptic.drive.can.bus_budget import has_room_for_sdo
+from canhaptic.drive.can.bus_budget import budget_of, has_room_for_sdo, own_frames
 from canhaptic.drive.can.can_bring_up import CanBringUp
-from canhaptic.drive.can.drives_on_a_bus import budget_of, own_frames
 from canhaptic.drive.can.exchange import Exchange
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
-from canhaptic.drive.profile import rig_start, rig_stop
+from canhaptic.drive.profile import start_and_stop
 from canhaptic.drive.profile.link_policy import STOP_TABLE, StopReason
-from canhaptic.drive.profile.rig_stop import Trust
+from canhaptic.drive.profile.start_and_stop import Trust
 from canhaptic.errors import ControlError, InputError, LinkError, RigError
 from canhaptic.host.realtime import Realtime, RealtimeParameters
 from canhaptic.signals import CycleTiming, Sample
@@ -118,7 +117,7 @@ class Rig:
             link.reserve(own_frames(link, self.drives, self.bus))
         self.realtime.begin()
         try:
-            rig_start.start(self._exchange, [_bring_up(drive) for drive in self.drives])
+            start_and_stop.start(self._exchange, [_bring_up(drive) for drive in self.drives])
         except BaseException as error:
             self.stop_reason = StopReason.EXCEPTION
             self._disable(Trust.FULL)  # it was never given a torque
@@ -297,7 +296,7 @@ class Rig:
         trust = Trust.SOME
         try:
             if ramp:
-                rig_stop.ramp_down(self._exchange, self.bus.stop_ramp)
+                start_and_stop.ramp_down(self._exchange, self.bus.stop_ramp)
                 trust = Trust.FULL
         except RigError:
             trust = Trust.NONE
@@ -335,7 +334,7 @@ class Rig:
         try:
             for line in self._sdo_lines:
                 line.close()
-            return rig_stop.disable(self._exchange, trust)
+            return start_and_stop.disable(self._exchange, trust)
         finally:
             self.realtime.end()
 
@@ -416,8 +415,7 @@ class Rig:
 
 def _bring_up(drive: ServoDrive) -> CanBringUp:
     if drive.axis.admittance is not None:
-        from canhaptic.drive.can.display_bring_up import DisplayBringUp
-        from canhaptic.drive.can.display_drive import DisplayDrive
+        from canhaptic.drive.can.display_drive import DisplayBringUp, DisplayDrive
 
         if isinstance(drive, DisplayDrive):
             return DisplayBringUp(drive)

@@ -2,22 +2,84 @@
 
 Most backends take `**kwargs` and drop what they do not know, so that a misspelt option would vanish. The options are
 therefore read from the source of the backend, which needs neither its driver nor its device.
+
+Settings of a scene for this computer: its buses and the number of drives on each. The models of a scene fit.
 """
 
 import ast
 import importlib.util
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, Protocol
 
 import can
 from can.interfaces import BACKENDS
 
 from canhaptic.errors import CanHapticError, InputError, LinkError
-from canhaptic.host.bus_settings import BusSettings
 from canhaptic.registry import nearest
+
+
+class BusSettings(Protocol):
+    """Settings of one CAN bus."""
+
+    @property
+    def interface(self) -> str:
+        """Name of python-can's back end."""
+
+    @property
+    def channel(self) -> str | int | None:
+        """Channel of the back end, such as can0."""
+
+    @property
+    def bitrate(self) -> int:
+        """Bit rate [bit/s]."""
+
+    @property
+    def options(self) -> Mapping[str, Any]:
+        """Further options of the back end."""
+
+    @property
+    def sample_time(self) -> float:
+        """Sample time [s]."""
+
+    @property
+    def stop_cycles(self) -> int:
+        """Missed cycles after which the rig stops."""
+
+
+class _NamedBusSettings(Protocol):
+    """A bus with the name that axes use for it."""
+
+    @property
+    def name(self) -> str:
+        """Empty where the rig has one bus only."""
+
+    @property
+    def parameters(self) -> BusSettings:
+        """Its settings."""
+
+
+class _AxisPlace(Protocol):
+    """The bus of one axis."""
+
+    @property
+    def bus(self) -> str:
+        """Name of the bus."""
+
+
+class RigSettings(Protocol):
+    """All buses of a rig and the axes on them."""
+
+    @property
+    def buses(self) -> Sequence[_NamedBusSettings]:
+        """All buses."""
+
+    @property
+    def axes(self) -> Sequence[_AxisPlace]:
+        """All axes."""
+
 
 _OF_THE_SCENE: Final = ("interface", "channel", "bitrate")
 """Arguments of `can.Bus` that are keys of `bus` themselves."""

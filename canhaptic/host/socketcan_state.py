@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, Literal, NamedTuple
 
 from canhaptic.errors import LinkError
-from canhaptic.host.bus_settings import BusSettings, RigSettings
+from canhaptic.host.interfaces import BusSettings, RigSettings
 
 _Severity = Literal["well", "note", "refused"]
 Runner = Callable[[list[str]], "subprocess.CompletedProcess[str]"]

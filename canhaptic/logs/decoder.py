@@ -3,18 +3,285 @@
 The PDO maps are learnt from the bring-up in the log itself, so no configuration is needed; with one, objects get the
 names of the drive's dictionary and positions and torques their units. It shares no code with the master's codecs, so
 that it can judge them.
+
+The power state in a statusword (0x6041), decoded bit by bit in the words of IEC 61800-7-201, 6.3.
+
+Independent of the table of the master (`canhaptic.drive.profile.power_states`): the reader of a log must not share a
+mistake with the writer of its frames.
+
+Text for SDO frames, and the objects that they carry; follows one transfer per node (CiA 301, 7.2.4).
+
+The PDO maps of a node, learnt from the SDO traffic that writes or reads them, and the text of its PDOs.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.canopen import objects as od
-from canhaptic.canopen.code_texts import NMT_COMMAND_TEXTS, NMT_STATE_TEXTS, controlword_text, emcy_text
-from canhaptic.logs.pdo_decoder import PdoField, PdoMaps, with_sign
-from canhaptic.logs.sdo_decoder import SdoDecoder
-from canhaptic.logs.statusword import state_text
+from canhaptic.canopen.code_texts import NMT_COMMAND_TEXTS, NMT_STATE_TEXTS, controlword_text, emcy_text, sdo_abort_text
+from canhaptic.canopen.objects import StatusBit
+
+ENABLED: Final = "OPERATION ENABLED"
+_UNKNOWN: Final = "UNKNOWN"
+_STEPS: Final = {
+    StatusBit(0): "",
+    StatusBit.READY_TO_SWITCH_ON: "READY TO SWITCH ON",
+    StatusBit.READY_TO_SWITCH_ON | StatusBit.SWITCHED_ON: "SWITCHED ON",
+    StatusBit.READY_TO_SWITCH_ON | StatusBit.SWITCHED_ON | StatusBit.OPERATION_ENABLED: ENABLED,
+}
+_LADDER: Final = StatusBit.READY_TO_SWITCH_ON | StatusBit.SWITCHED_ON | StatusBit.OPERATION_ENABLED
+
+
+def state_text(statusword: int) -> str:
+    """Return the name of the state in the words of the standard; "UNKNOWN" where no state has these bits."""
+    bits = StatusBit(statusword & 0xFF)
+    step = _STEPS.get(bits & _LADDER)
+    if step is None:
+        return _UNKNOWN
+    if StatusBit.SWITCH_ON_DISABLED in bits:
+        return "SWITCH ON DISABLED" if not step and StatusBit.FAULT not in bits else _UNKNOWN
+    if StatusBit.FAULT in bits:
+        return {"": "FAULT", ENABLED: "FAULT REACTION ACTIVE"}.get(step, _UNKNOWN)
+    if not step:
+        return "NOT READY TO SWITCH ON"
+    if StatusBit.QUICK_STOP in bits:  # inverted in the standard: set where no quick stop is under way
+        return step
+    return "QUICK STOP ACTIVE" if step == ENABLED else _UNKNOWN
+
+
+_ABORT: Final = 0x80
+_FRAME: Final = 8  # [bytes] of every SDO frame
+
+
+class Access(NamedTuple):
+    """An object whose value a confirmed SDO has shown."""
+
+    object_index: int
+    subindex: int
+    value: bytes
+
+
+class SdoDecoder:
+    """The SDO traffic of one node.
+
+    Args:
+        name_of: Gives the text for (index, subindex).
+        value_of: Gives the text for the value of (index, subindex, bytes).
+    """
+
+    def __init__(
+        self, name_of: Callable[[int, int], str], value_of: Callable[[int, int, bytes], str] | None = None
+    ) -> None:
+        self._name_of = name_of
+        self._value_of = value_of or _plain_value
+        self._object = (0, 0)
+        self._written = b""
+
+    def request(self, data: bytes) -> str:
+        """Text for a frame from client to server (0x600 + node)."""
+        if len(data) != _FRAME:
+            return f"malformed: {len(data)} bytes instead of {_FRAME}"
+        if data[0] == _ABORT:
+            return self._abort("client", data)
+        specifier = data[0] >> 5
+        if specifier == 1:
+            return self._write(data)
+        if specifier == 2:
+            self._object = _object(data)
+        segment_texts = {
+            0: f"write segment of {self._name()}: {_segment(data)}",
+            2: f"read {self._name()}",
+            3: f"read next segment of {self._name()}",
+            5: f"block upload: {data.hex(' ')}",
+            6: f"block download: {data.hex(' ')}",
+        }
+        return segment_texts.get(specifier, f"unknown command 0x{data[0]:02X}")
+
+    def response(self, data: bytes) -> tuple[str, Access | None]:
+        """Text for a frame from server to client (0x580 + node), and the object it confirms, if any."""
+        if len(data) != _FRAME:
+            return f"malformed: {len(data)} bytes instead of {_FRAME}", None
+        if data[0] == _ABORT:
+            return self._abort("server", data), None
+        specifier = data[0] >> 5
+        if specifier == 3:
+            return self._confirm(data)
+        if specifier == 2:
+            return self._value(data)
+        segment_texts = {
+            0: f"segment of {self._name()}: {_segment(data)}",
+            1: f"segment of {self._name()} taken",
+        }
+        return segment_texts.get(specifier, f"block transfer: {data.hex(' ')}"), None
+
+    def _write(self, data: bytes) -> str:
+        self._object = _object(data)
+        if not data[0] & 0x02:
+            self._written = b""
+            size = f", {int.from_bytes(data[4:], 'little')} bytes" if data[0] & 0x01 else ""
+            return f"write {self._name()} in segments{size}"
+        self._written = _expedited(data)
+        return f"write {self._name()} = {self._value_of(*self._object, self._written)}"
+
+    def _confirm(self, data: bytes) -> tuple[str, Access | None]:
+        matches = _object(data) == self._object
+        self._object = _object(data)
+        access = Access(*self._object, self._written) if matches and self._written else None
+        self._written = b""
+        return f"written {self._name()}", access
+
+    def _value(self, data: bytes) -> tuple[str, Access | None]:
+        self._object = _object(data)
+        if not data[0] & 0x02:
+            size = f", {int.from_bytes(data[4:], 'little')} bytes" if data[0] & 0x01 else ""
+            return f"{self._name()} follows in segments{size}", None
+        value = _expedited(data)
+        return f"{self._name()} = {self._value_of(*self._object, value)}", Access(*self._object, value)
+
+    def _abort(self, side: str, data: bytes) -> str:
+        self._object = _object(data)
+        self._written = b""
+        code = int.from_bytes(data[4:8], "little")
+        return f"abort by {side} of {self._name()}: 0x{code:08X} {sdo_abort_text(code)}"
+
+    def _name(self) -> str:
+        return self._name_of(*self._object)
+
+
+def _object(data: bytes) -> tuple[int, int]:
+    return int.from_bytes(data[1:3], "little"), data[3]
+
+
+def _expedited(data: bytes) -> bytes:
+    """The value of an expedited transfer; all four bytes when its size is not indicated (0x22, 0x42)."""
+    return data[4 : 8 - (data[0] >> 2 & 0x03)]
+
+
+def _segment(data: bytes) -> str:
+    last = ", last" if data[0] & 0x01 else ""
+    return f"{data[1 : 8 - (data[0] >> 1 & 0x07)].hex(' ')}{last}"
+
+
+def _plain_value(index: int, subindex: int, value: bytes) -> str:
+    del index, subindex
+    return f"0x{int.from_bytes(value, 'little'):0{2 * len(value)}X}"
+
+
+_SIGNED: Final = frozenset(
+    {
+        od.POSITION_ACTUAL,
+        od.VELOCITY_ACTUAL,
+        od.TARGET_TORQUE,
+        od.TARGET_VELOCITY,
+        od.TARGET_POSITION,
+        od.TORQUE_DEMAND,
+        od.TORQUE_ACTUAL,
+        od.CURRENT_ACTUAL,
+        od.MODES_OF_OPERATION,
+        od.MODES_OF_OPERATION_DISPLAY,
+    }
+)
+
+
+class PdoField(NamedTuple):
+    """One mapped object and its value in one frame."""
+
+    object_index: int
+    subindex: int
+    bits: int
+    raw: int
+
+
+class PdoMaps:
+    """Known PDOs of one node.
+
+    Args:
+        node_id: 1..127.
+        dictionary: Its object dictionary, whose defaults hold until the log shows other values; None if unknown.
+    """
+
+    def __init__(self, node_id: int, dictionary: Mapping[int, Any] | None) -> None:
+        self._node_id = node_id
+        self._cob_ids: dict[int, int] = {}  # communication index -> COB-ID with its flags
+        self._entries: dict[int, dict[int, int]] = {}  # mapping index -> subindex -> entry
+        for index in dictionary or {}:
+            if _is_communication(index) or _is_mapping(index):
+                self._take_defaults(index, (dictionary or {})[index])
+
+    def _take_defaults(self, index: int, record: Any) -> None:
+        for subindex, variable in getattr(record, "subindices", {}).items():
+            value = variable.value if getattr(variable, "value", None) is not None else variable.default
+            if isinstance(value, int):
+                self._set(index, subindex, value)
+
+    def learn(self, access: Access) -> bool:
+        """Take a confirmed SDO; return whether it configures a PDO."""
+        if not (_is_communication(access.object_index) or _is_mapping(access.object_index)):
+            return False
+        self._set(access.object_index, access.subindex, int.from_bytes(access.value, "little"))
+        return True
+
+    def _set(self, index: int, subindex: int, value: int) -> None:
+        if _is_mapping(index):
+            self._entries.setdefault(index, {})[subindex] = value
+        elif subindex == 1:
+            self._cob_ids[index] = value
+
+    def cob_ids(self) -> Iterator[tuple[int, str, int]]:
+        """Yield (COB-ID, name such as `TPDO1`, mapping index) of every PDO that exists."""
+        named = set()
+        for index, cob_id in self._cob_ids.items():
+            named.add(index)
+            if not cob_id & od.COB_ID_INVALID:
+                yield cob_id & 0x1FFFFFFF, _name(index), index + 0x200
+        for bases, first in ((od.RPDO_BASE, od.RPDO_COMMUNICATION), (od.TPDO_BASE, od.TPDO_COMMUNICATION)):
+            for number, base in enumerate(bases):
+                if first + number not in named:
+                    yield base + self._node_id, _name(first + number), first + number + 0x200
+
+    def tpdos(self) -> dict[int, int]:
+        """Return COB-ID -> mapping index of every PDO that the node sends."""
+        return {cob_id: mapping for cob_id, _, mapping in self.cob_ids() if mapping >= od.TPDO_MAPPING}
+
+    def fields(self, mapping_index: int, data: bytes) -> list[PdoField] | str:
+        """Fields of a frame, or a text why it cannot be decoded."""
+        entries = self._entries.get(mapping_index, {})
+        count = entries.get(0, 0)
+        mapped = [entries.get(number, 0) for number in range(1, min(count, len(entries)) + 1)]
+        if not count or len(mapped) != count or not all(entry & 0xFF for entry in mapped):
+            return f"{data.hex(' ')} (map not known)"
+        needed = sum(entry & 0xFF for entry in mapped)
+        if needed != 8 * len(data):
+            return f"malformed: {len(data)} bytes, the map has {needed} bits"
+        image, fields = int.from_bytes(data, "little"), []
+        for entry in mapped:
+            index, subindex, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+            raw = image & ((1 << bits) - 1)
+            fields.append(PdoField(index, subindex, bits, with_sign(index, raw, bits)))
+            image >>= bits
+        return fields
+
+
+def with_sign(index: int, raw: int, bits: int) -> int:
+    """Value of an object of `length` bits: negative where its type has a sign and it is set."""
+    return raw - (1 << bits) if index in _SIGNED and raw >> (bits - 1) else raw
+
+
+def _is_communication(index: int) -> bool:
+    return any(0 <= index - first < od.PDO_COUNT for first in (od.RPDO_COMMUNICATION, od.TPDO_COMMUNICATION))
+
+
+def _is_mapping(index: int) -> bool:
+    return any(0 <= index - first < od.PDO_COUNT for first in (od.RPDO_MAPPING, od.TPDO_MAPPING))
+
+
+def _name(communication_index: int) -> str:
+    if communication_index >= od.TPDO_COMMUNICATION:
+        return f"TPDO{communication_index - od.TPDO_COMMUNICATION + 1}"
+    return f"RPDO{communication_index - od.RPDO_COMMUNICATION + 1}"
+
 
 _TORQUES: Final = {
     od.TARGET_TORQUE: "target torque",

@@ -4,26 +4,34 @@
         run(experiment.cycle, cycles=10_000)
 
 Nothing is sent before `run`.
+
+Opens the CAN buses of a scene through python-can, and wraps them in the effects that it names.
+
+Limit of the energy that each port of a scene may give out beyond the declared energy, before the rig stops.
+
+Log paths of a scene: those outside its own folder and the current one are reported and overwrite nothing.
 """
 
+import itertools
+import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Final, Literal, Self
+from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
 import can
 
+from canhaptic.control.ledger import EnergyLossMeter
 from canhaptic.cycle import Cycle
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link, Recorder
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError, ParameterError
+from canhaptic.host.interfaces import opening_error
 from canhaptic.registry import load
-from canhaptic.scene.bus import echoes, open_bus, private_channel, suffers, with_effects
-from canhaptic.scene.loss_limits import build_loss_meters
-from canhaptic.scene.models import Scene
+from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import (
     build_axis_controllers,
     build_axis_groups,
@@ -41,8 +49,134 @@ if TYPE_CHECKING:
     from canhaptic.logs.bus_log import BusLogWriter
     from canhaptic.logs.energy_log import EnergyLogWriter
     from canhaptic.sim.bus.faulty_bus import FaultyBus
-    from canhaptic.sim.drive.can.drive_group import DriveGroup, Drives
+    from canhaptic.sim.drive.can.drive_node import DriveGroup, Drives
     from canhaptic.sim.plant.plant import Plant
+
+_ECHOING: Final = frozenset({"udp_multicast"})  # interfaces that return sent frames, with any setting
+_SEEDS_APART: Final = 1_000_003  # from one bus to the next
+_PRIVATE: Final = itertools.count()
+
+
+def private_channel() -> str:
+    """Return a channel of the virtual interface that nothing else in this process uses."""
+    return f"canhaptic-{os.getpid()}-{next(_PRIVATE)}"
+
+
+def echoes(bus: BusParameters) -> bool:
+    """Return whether the interface gives back the frames that were sent through it."""
+    return bus.interface in _ECHOING or bool(bus.options.get("receive_own_messages"))
+
+
+def open_bus(bus: BusParameters, channel: str | int | None) -> can.BusABC:
+    """Return one connection to the bus.
+
+    Raises:
+        InputError: python-can has no such interface, lacks its driver or library, or refuses an option.
+        LinkError: The interface is there but cannot be opened: no such channel, no device, no permission.
+    """
+    if bus.interface == "virtual" and channel is not None and not bus.options:
+        from canhaptic.sim.bus.virtual_bus import LeanVirtualBus
+
+        return LeanVirtualBus(channel)
+    options: dict[str, Any] = {"bitrate": bus.bitrate, **bus.options}
+    if bus.interface == "virtual":
+        options = {"preserve_timestamps": True, **bus.options}
+    try:
+        return can.Bus(interface=bus.interface, channel=channel, **options)
+    except Exception as error:  # backends pass on any exception of their driver library
+        raise opening_error(bus, channel, error) from error
+
+
+def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"], index: int = 0) -> "FaultyBus":
+    """Return a connection with the effects that a scene names on its buses.
+
+    Args:
+        bus: The connection as it was opened.
+        scene: Has `bus_effects`.
+        side: The side whose connection it is.
+        index: Place of the bus among those of the scene.
+    """
+    from canhaptic.sim.bus.faulty_bus import FaultyBus
+
+    if scene.bus_effects is None or scene.simulation is None:
+        raise InputError(f"{scene.source}: names no effect on its bus (simulation.bus)")
+    bitrate, seed = scene.buses[index].parameters.bitrate, scene.simulation.seed + _SEEDS_APART * index
+    return FaultyBus(bus, scene.bus_effects, bitrate=bitrate, seed=seed, side=side)
+
+
+def suffers(scene: Scene, name: str) -> bool:
+    """Whether a scene names effects on the bus of this name."""
+    effects = scene.bus_effects
+    return effects is not None and (effects.buses is None or name in effects.buses)
+
+
+DEFAULT_LIMIT: Final = 0.01  # [J]
+_PROMISE_PASSIVITY: Final = frozenset({"guarded", "energy_bounding"})
+"""Algorithms, of axes and of groups, that give out no more than was declared; the others are studied as they are."""
+
+
+def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
+    """Return a meter for each port of a scene that has a limit."""
+    meters: list[EnergyLossMeter | None] = []
+    for place, axis in enumerate(scene.axes):
+        if not axis.group and axis.parameters.admittance is None:
+            allowance = getattr(axis.passivity.parameters, "energy_allowance", 0.0)
+            meters.append(_meter(scene, axis.parameters.name, axis.passivity.name, (place,), allowance))
+    for group, places in zip(scene.groups, group_places(scene), strict=True):
+        allowance = getattr(group.passivity.parameters, "energy_allowance", 0.0)
+        meters.append(_meter(scene, group.name, group.passivity.name, places, allowance))
+    return [meter for meter in meters if meter is not None]
+
+
+def _meter(
+    scene: Scene, name: str, algorithm: str, places: tuple[int, ...], allowance: float
+) -> EnergyLossMeter | None:
+    axes = [scene.axes[place] for place in places]
+    is_on = algorithm in _PROMISE_PASSIVITY or not scene.simulated
+    limits = [limit for axis in axes if (limit := _limit(axis, is_on)) is not None]
+    if not limits:
+        return None
+    damping = [axis.loop.device_damping or 0.0 for axis in axes]
+    return EnergyLossMeter(name, places, min(limits), allowance, damping, scene.bus.sample_time)
+
+
+def _limit(axis: AxisScene, is_on: bool) -> float | None:
+    given = axis.parameters.energy_loss_limit
+    if given == "none":
+        return None
+    return given if given is not None else DEFAULT_LIMIT if is_on else None
+
+
+def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
+    """Notes on logs that a scene itself puts outside its folder and the current one, one line each.
+
+    A scene may come from somebody else: its log paths must not overwrite a file elsewhere.
+
+    Args:
+        scene: The scene.
+        energy: Whether the scene's energy log is used, the user having named none.
+        bus: Whether the scene's bus log is used.
+
+    Raises:
+        InputError: The file already exists.
+    """
+    homes = (Path.cwd().resolve(), Path(scene.source).resolve().parent)
+    notes = []
+    for key, path in (
+        ("log.energy", scene.log.energy if energy else None),
+        ("log.bus", scene.log.bus if bus else None),
+    ):
+        if path is None or any(path.resolve().is_relative_to(home) for home in homes):
+            continue
+        if path.exists():
+            option = "--log" if key == "log.energy" else "--bus-log"
+            raise InputError(
+                f"{scene.source}: {key}: {path} already exists, outside the folder of the scene and the current one; "
+                f"give {option} {path} --force to replace it"
+            )
+        notes.append(f"{key} of {scene.source} is outside its folder: {path}")
+    return notes
+
 
 _Pace = Literal["real", "free"]
 _CHOICES: Final = {"auto": "canhaptic.lab.studies.accuracy.accuracy_choice:with_chosen_accuracy"}
@@ -211,7 +345,7 @@ def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) ->
     Raises:
         InputError: The scene has no `simulation`.
     """
-    from canhaptic.sim.drive.can.drive_group import DriveGroup
+    from canhaptic.sim.drive.can.drive_node import DriveGroup
 
     scene = _with_accuracy(scene)
     period, drives = scene.bus.sample_time_ns, []
@@ -272,7 +406,7 @@ def _far_side(scene: Scene, groups: "Sequence[DriveGroup]") -> "Drives | None":
     """Return all simulated drives in the order of the axes; None with real ones."""
     if len(groups) < 2:
         return groups[0] if groups else None
-    from canhaptic.sim.drive.can.drive_group import DriveGroups
+    from canhaptic.sim.drive.can.drive_node import DriveGroups
 
     drives = {bus.name: iter(group.drives) for bus, group in zip(scene.buses, groups, strict=True)}
     return DriveGroups(groups, [next(drives[axis.bus]) for axis in scene.axes])

@@ -12,12 +12,11 @@ from canhaptic.drive.can.pdo_map import AxisMap, choose_map
 from canhaptic.drive.profile.fitness import Verdict, limit_objection
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.host.interfaces import interface_faults
-from canhaptic.scene.device_bounds import rests_on_hand_force
-from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
-from canhaptic.scene.document import MarkedList, MarkedMapping
+from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, SourceLocation
 from canhaptic.scene.layout import bus_section
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controller, build_group, build_mechanism, build_plant
+from canhaptic.scene.timing import rests_on_hand_force
 from canhaptic.units import shown
 
 if TYPE_CHECKING:

@@ -3,8 +3,7 @@
 from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.drive.profile.display_parameters import DisplayParameters
 from canhaptic.errors import InputError
-from canhaptic.scene.diagnostics import Diagnostics
-from canhaptic.scene.document import MarkedMapping
+from canhaptic.scene.document import Diagnostics, MarkedMapping
 from canhaptic.scene.models import AxisScene, Scene
 
 

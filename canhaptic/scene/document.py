@@ -2,19 +2,74 @@
 
 Scalars follow YAML 1.2, not PyYAML's 1.1: `1e-3` is a number; `017`, `1:30`, `on` and dates are not something else.
 Keys are kept as the text that was written, so that `0x6076` stays the name of an object.
+
+Diagnostics of a scene: where each one is, and the list that is raised at once.
 """
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
-from typing import Any, Final
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 import yaml
 
 from canhaptic.axis_units import Motion
+from canhaptic.errors import SceneError
 from canhaptic.registry import unknown_key
-from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.units import shown
+
+
+class SourceLocation(NamedTuple):
+    """The place a key or value came from: a line of a file, or an override of the command line."""
+
+    source: str  # file name as given, or the override as typed
+    line: int  # counted from 1; 0 when the source has no lines
+    column: int  # counted from 1; 0 when the source has no lines
+    path: tuple[str, ...]  # keys and list indices from the top of the scene
+
+    @property
+    def where(self) -> str:
+        """Return `file:line:column`, or the source alone when it has no lines."""
+        return f"{self.source}:{self.line}:{self.column}" if self.line else self.source
+
+    @property
+    def folder(self) -> Path:
+        """Base of a relative path given here: the folder of the file, or the current one."""
+        return Path(self.source).parent if self.line else Path()
+
+    def below(self, *parts: str) -> "SourceLocation":
+        """Return the same place for an entry below it that the source does not hold."""
+        return self._replace(path=(*self.path, *parts))
+
+
+class Diagnostics:
+    """Collects every fault of a scene, so that all of them are shown at once and each only once."""
+
+    def __init__(self) -> None:
+        self._lines: dict[str, tuple[int, int]] = {}
+
+    def __len__(self) -> int:
+        return len(self._lines)
+
+    def add(self, mark: SourceLocation, message: str) -> None:
+        """Note a fault as `file:line:column: path: message`."""
+        path = f"{'.'.join(mark.path)}: " if mark.path else ""
+        line = "".join(
+            letter if letter.isprintable() else letter.encode("unicode_escape").decode()
+            for letter in f"{mark.where}: {path}{message}"
+        )
+        self._lines.setdefault(line, (mark.line, mark.column))
+
+    def error(self, kind: type[SceneError] = SceneError) -> SceneError:
+        """Return the error with every fault noted so far, in the order of the file; overrides come first."""
+        return kind(sorted(self._lines, key=lambda line: self._lines[line]))
+
+    def raise_if_any(self, kind: type[SceneError] = SceneError) -> None:
+        """Raise the error if there is any fault."""
+        if self._lines:
+            raise self.error(kind)
+
 
 NOTED: Final = object()
 """Replaces a value whose fault is noted already."""

@@ -52,8 +52,7 @@ def _method(experiment: Experiment) -> str:
     scene, plants, cycles = experiment.scene, experiment.plants, experiment.cycle.cycles
     if not scene.simulated:
         return ""
-    from canhaptic.scene.method import method_line
-    from canhaptic.scene.plant_price import plant_prices
+    from canhaptic.scene.method import method_line, plant_prices
 
     return method_line(scene, plants, cycles, plant_prices(scene, plants, cycles))
 

@@ -11,8 +11,7 @@ from pydantic_core import ErrorDetails
 from canhaptic.axis_units import Motion
 from canhaptic.registry import unknown_key
 from canhaptic.scene.components import READY, ComponentOf
-from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
-from canhaptic.scene.document import NOTED, MarkedList, MarkedMapping
+from canhaptic.scene.document import NOTED, Diagnostics, MarkedList, MarkedMapping, SourceLocation
 from canhaptic.units import OnDemand, Quantity, fault_text, parts_of, shown
 
 _SHAPES: Final = {

@@ -19,8 +19,15 @@ from typing import NamedTuple
 from canhaptic.axis_units import Motion
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.registry import nearest
-from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
-from canhaptic.scene.document import NOTED, MarkedList, MarkedMapping, read_list, read_mapping
+from canhaptic.scene.document import (
+    NOTED,
+    Diagnostics,
+    MarkedList,
+    MarkedMapping,
+    SourceLocation,
+    read_list,
+    read_mapping,
+)
 from canhaptic.scene.models import task_unit
 from canhaptic.units import shown
 

@@ -10,31 +10,70 @@
 
 Every value keeps its place in the file; errors of the layout itself are noted here, the values are validated by
 `Scene`.
+
+Path of an axis's object dictionary: next to the scene, or among those of the package.
 """
 
+import os
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args
 
 from canhaptic.axis_units import Motion
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.package_data import shipped
 from canhaptic.registry import nearest
 from canhaptic.scene.components import ComponentSpec
-from canhaptic.scene.diagnostics import Diagnostics
 from canhaptic.scene.document import (
     NOTED,
+    Diagnostics,
     MarkedList,
     MarkedMapping,
     read_list,
     read_mapping,
     refuse_unknown_keys,
 )
-from canhaptic.scene.eds_path import find_dictionary
-from canhaptic.scene.further_bus import FurtherBus
-from canhaptic.scene.models import LOOP_KEYS, GroupMembership, RunParameters
+from canhaptic.scene.models import LOOP_KEYS, FurtherBus, GroupMembership, RunParameters
 from canhaptic.units import shown
 
 if TYPE_CHECKING:
     from canhaptic.scene.group_layout import Members
+
+_SHIPPED: Final = shipped("eds")
+
+
+def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
+    """Return the axis's section with the path of its EDS or DCF found; a fault when there is no such file.
+
+    A relative path is looked for next to the scene file (one given in an override: in the current folder), then in
+    the `eds/` that comes with the package.
+    """
+    text = section.get("eds")
+    if not isinstance(text, str):
+        return section  # missing or of another type: noted by the model
+    at = section.value_at("eds")
+    folders = (at.folder, _SHIPPED)
+    for folder in folders:
+        if os.path.isfile(folder / text):
+            found = section.copy()
+            found.put("eds", str(folder / text), section.keys_at["eds"], at)
+            return found
+    looked = "" if Path(text).is_absolute() else f" in {' or '.join(str(folder) for folder in folders)}"
+    faults.add(at, f"got {shown(text)}, no such file{looked}; give the path of the drive's EDS or DCF")
+    return section
+
+
+def path_for_scene(dictionary: Path, scene: Path | None) -> str:
+    """Return the path with which a scene finds a dictionary.
+
+    Args:
+        dictionary: Its file, as seen from the current folder.
+        scene: The file of the scene, which the path then starts from; None where that is not known: the whole path.
+    """
+    if scene is None:
+        return str(dictionary.absolute())
+    return os.path.relpath(dictionary.parent.resolve() / dictionary.name, scene.parent.resolve())
+
 
 SECTIONS: Final = ("bus", "axes", "groups", "environment", "passivity", "simulation", "accuracy", "log", "duration")
 OWN_SECTIONS: Final = ("environment", "passivity")

@@ -14,12 +14,10 @@ from canhaptic.errors import SceneConflictError, SceneError
 from canhaptic.input_file import read_regular
 from canhaptic.scene.components import CodeUse
 from canhaptic.scene.cross_checks import cross_check
-from canhaptic.scene.device_bounds import with_device_bounds
-from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
-from canhaptic.scene.document import MarkedMapping, mark_plain, parse_yaml, read_mapping
+from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation, mark_plain, parse_yaml, read_mapping
 from canhaptic.scene.layout import SECTIONS, laid_out
 from canhaptic.scene.models import Scene, SceneContext, scene_adapter
-from canhaptic.scene.timing import with_timing
+from canhaptic.scene.timing import with_device_bounds, with_timing
 
 MAX_BYTES: Final = 1_000_000
 

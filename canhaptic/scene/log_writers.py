@@ -12,8 +12,7 @@ from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.columns import ACTIVE_LIMITS, DRY_RUN, FRICTION_DECLARED, GROUP_AXES, Attribute, PortDescription
 from canhaptic.meters import active_limits, promise_of
 from canhaptic.scene.models import AxisScene, Scene, task_unit
-from canhaptic.scene.parts import build_axis_meters
-from canhaptic.scene.sensor_errors import friction_declared
+from canhaptic.scene.parts import build_axis_meters, friction_declared
 
 if TYPE_CHECKING:
     from canhaptic.logs.energy_log import EnergyLogWriter

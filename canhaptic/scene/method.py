@@ -1,10 +1,160 @@
-"""One line on the method and accuracy of a simulated run."""
+"""One line on the method and accuracy of a simulated run.
+
+Cost and error of the simulated plant of a run, estimated after it for the line that it prints.
+
+The scene's own controller drives a fresh plant without a bus, over the first periods of the run. The plant is timed
+there, and run again with halved steps (sample time and substeps alike) and with coarser event bits; the declared order,
+and for events the bracket that halves with every bit, turn the differences into an error. Where the steps do not
+converge, the line says so. An estimate, without a reference: `canhaptic accuracy` has one.
+"""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple
 
-from canhaptic.scene.models import Scene
-from canhaptic.scene.plant_price import PlantPrice
+import numpy as np
+
+from canhaptic.drive.clock import WallClock
+from canhaptic.errors import CanHapticError
+from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
+from canhaptic.scene.parts import build_plant
+from canhaptic.scene.torque_history import declared_order, simulation_of, torque_history
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant.direct_rig import observed
 from canhaptic.sim.plant.plant import Plant
+from canhaptic.sim.plant.propagator import Array
+
+_PRODUCTS: Final = 6_000
+"""Products of the plant that is timed: about 25 ms; the halved steps cost six times that."""
+_FEWEST, _MOST = 50, 1000  # periods
+_BITS_COARSER: Final = 6
+_NS_PER_US: Final = 1e3
+_FLOOR: Final = 1e-9
+"""Part of the travel below which differences show no order."""
+_COARSE: Final = 0.03
+"""Part of the travel: at larger differences of halved steps no order can be relied on."""
+_SUSPECT: Final = 1e3
+"""Times the bracket of events: a difference of halved steps above it is no matter of brackets."""
+
+
+class ErrorEstimate(NamedTuple):
+    """Error of the position at any SYNC, the largest over the periods in which it was found."""
+
+    size: float  # [m or rad]
+    travel: float  # of the position over those periods [m or rad]
+    doubt: str = ""  # why it cannot be trusted; empty where it can
+
+
+class PlantPrice(NamedTuple):
+    """Price of the plant of one axis."""
+
+    unit: str
+    microseconds: float  # per period, of the plant alone
+    error: "ErrorEstimate | None"  # None: exact, to rounding
+    periods: int  # that it was found over
+
+
+def plant_prices(scene: Scene, plants: Sequence[Plant], periods: int) -> list[PlantPrice]:
+    """Return price and estimated error of each simulated plant; none where nothing ran.
+
+    Args:
+        scene: The scene that ran.
+        plants: The plants of its axes after the run.
+        periods: Number of sample times they were moved for.
+    """
+    own = all(axis.simulation is not None and not axis.group for axis in scene.axes)
+    if not periods or not scene.simulated or not own or len(plants) != len(scene.axes):
+        return []
+    try:
+        return [_price(axis, scene, plant, periods) for axis, plant in zip(scene.axes, plants, strict=True)]
+    except CanHapticError:  # the loop cannot run without what ended the run over the bus, either
+        return []
+
+
+def _price(axis: AxisScene, scene: Scene, plant: Plant, periods: int) -> PlantPrice:
+    simulation, period = simulation_of(axis), scene.bus.sample_time_ns
+    each = max(1.0, plant.products / periods)
+    holds = min(periods, max(_FEWEST, min(_MOST, round(_PRODUCTS / each))))
+    torques = torque_history(axis, scene, holds, simulation.accuracy)
+    timed = build_plant(simulation, period)
+    _step(timed, torques)  # its modes are compiled at the first time
+    timed.reset()
+    clock = WallClock()
+    begin = clock.now()
+    _step(timed, torques)
+    spent = clock.now() - begin
+    error = estimated_error(simulation, torques, period)
+    return PlantPrice(axis.parameters.unit, spent / holds / _NS_PER_US, error, holds)
+
+
+def estimated_error(simulation: AxisSimulation, torques: Sequence[float], sample_time_ns: int) -> ErrorEstimate | None:
+    """Return the estimated largest error of the position at any SYNC; None where the plant is exact to rounding.
+
+    Args:
+        simulation: Plant, effects and the accuracy to be judged.
+        torques: Torque of each hold [N or N*m].
+        sample_time_ns: Length of a hold [ns].
+    """
+    accuracy = simulation.accuracy
+    plant = build_plant(simulation, sample_time_ns)
+    switches = any(part.has_guards for part in plant.scene.parts)
+    if plant.is_exact and not switches:
+        return None
+    runs = _Runs(simulation, torques, sample_time_ns)
+    travel = max(float(np.ptp(runs.of(accuracy))), 1e-12)
+    step = runs.between(accuracy, 1, 2)
+    bracket = _bracket_error(runs, accuracy) if switches else 0.0
+    if plant.is_exact:
+        doubt = _moved(step, travel) if step > _SUSPECT * max(bracket, _FLOOR * travel) else ""
+        return ErrorEstimate(max(bracket, 2.0 * step), travel, doubt)
+    order = declared_order(simulation) or 1
+    error = step * 2.0**order / (2.0**order - 1.0) + bracket
+    slow = step > _FLOOR * travel and runs.between(accuracy, 2, 4) > step * 2.0 ** (-0.5 * order)
+    doubt = f"{_moved(step, travel)}; raise accuracy.substeps" if slow or step > _COARSE * travel else ""
+    return ErrorEstimate(error, travel, doubt)
+
+
+def _moved(step: float, travel: float) -> str:
+    return f"halving the steps moves the position by {100.0 * step / travel:.2g} % of its travel"
+
+
+class _Runs:
+    """Positions at the SYNCs of one torque history, at several accuracies and lengths of step."""
+
+    def __init__(self, simulation: AxisSimulation, torques: Sequence[float], sample_time_ns: int) -> None:
+        self._simulation, self._torques, self._period = simulation, torques, sample_time_ns
+        self._found: dict[tuple[AccuracyParameters, int], Array] = {}
+
+    def of(self, accuracy: AccuracyParameters, finer: int = 1) -> Array:
+        """Return the positions with a plant whose sample time, and so its substeps, are `finer` times shorter."""
+        key = (accuracy, finer)
+        if key not in self._found:
+            changed = replace(self._simulation, accuracy=accuracy)
+            plant = build_plant(changed, max(1, self._period // finer))
+            self._found[key] = observed(plant, self._torques, self._period).position
+        return self._found[key]
+
+    def between(self, accuracy: AccuracyParameters, one: int, other: int) -> float:
+        """Return the largest difference of two lengths of step [m or rad]."""
+        return float(np.abs(self.of(accuracy, one) - self.of(accuracy, other)).max())
+
+
+def _bracket_error(runs: _Runs, accuracy: AccuracyParameters) -> float:
+    """Position error due to the bracket of events, which halves with every bit [m or rad]."""
+    less = max(1, accuracy.event_bits - _BITS_COARSER)
+    more = accuracy.event_bits + _BITS_COARSER if accuracy.event_bits == less else less
+    factor = 2.0 ** abs(accuracy.event_bits - more)
+    other = runs.of(accuracy.model_copy(update={"event_bits": more}))
+    apart = float(np.abs(other - runs.of(accuracy)).max())
+    return apart / (factor - 1.0) if more < accuracy.event_bits else apart * factor / (factor - 1.0)
+
+
+def _step(plant: Plant, torques: Sequence[float]) -> None:
+    plant.begin(0)
+    now, period, move = 0, plant.sample_time_ns, plant.advance_to
+    for torque in torques:
+        now += period
+        move(now, torque)
 
 
 def method_line(scene: Scene, plants: Sequence[Plant] = (), periods: int = 0, prices: Sequence[PlantPrice] = ()) -> str:

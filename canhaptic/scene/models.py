@@ -2,17 +2,24 @@
 
 JSON schema, resolved form and the page of the configuration follow from the fields here and from the models that they
 name. How a scene file is laid out over them (shared sections, profiles, sections of an axis) is in `layout`.
+
+Several buses of a rig: the keys that each may have of its own, and the parameters in effect on each.
+
+Paths of the logs of a run, and its reaction when they cannot be written.
+
+Values of a scene that are marked as guesses; no real drive runs on them.
 """
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple, TypeVar
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, TypeAdapter, WrapValidator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, WrapValidator, model_validator
 from pydantic import ValidationInfo as Info
 from pydantic_core import PydanticCustomError
 
@@ -30,7 +37,7 @@ from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.profile.quirks import quirks_of
-from canhaptic.logs.log_parameters import LogParameters
+from canhaptic.errors import InputError
 from canhaptic.scene.components import (
     READY,
     CodeUse,
@@ -41,16 +48,71 @@ from canhaptic.scene.components import (
     UnreadParameters,
 )
 from canhaptic.scene.document import MarkedMapping
-from canhaptic.scene.further_bus import BusName, FurtherBus, NamedBus
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.effects import EFFECTS
 from canhaptic.sim.plant.mechanism import MECHANISMS
-from canhaptic.units import Name, OnDemand, Parameters, UnitContext, quantity
+from canhaptic.units import Name, OnDemand, Parameters, PrintablePath, PrintableText, UnitContext, quantity
+
+if TYPE_CHECKING:
+    from canhaptic.host.socketcan_state import Runner
+
+BusName = Annotated[Name, Field(pattern=r"^\S+$")]
+
+
+class FurtherBus(Parameters):
+    """Keys that each of several buses may have; rate, link policy and the rest are those of the first."""
+
+    name: BusName
+    """Name used in an axis's `bus`."""
+    interface: PrintableText | None = None
+    """python-can interface; None: that of the first bus."""
+    channel: PrintableText | int | None = None
+    """Channel of the interface; None: a private one for `virtual`."""
+    bitrate: Annotated[int, quantity("bit/s", ge=10_000, le=1_000_000)] | None = None
+    """Bit rate of classic CAN; None: that of the first bus."""
+    options: dict[str, Any] | None = None
+    """Further keyword arguments of `can.Bus`; None: those of the first bus."""
+
+    def over(self, first: BusParameters) -> BusParameters:
+        """Return all parameters of this bus."""
+        own = {key: value for key, value in self.model_dump(exclude={"name"}).items() if value is not None}
+        return first.model_copy(update={"channel": None, **own})
+
+
+class NamedBus(NamedTuple):
+    """One bus with the parameters in effect on it."""
+
+    name: str  # empty where the scene has one bus without a name
+    parameters: BusParameters
+
+
+class LogParameters(Parameters):
+    """Paths of the logs; relative to the current folder, and options of `run` win over them."""
+
+    energy: PrintablePath | None = None
+    """Energy log (HDF5)."""
+    bus: PrintablePath | None = None
+    """Bus log: candump text; BLF, TRC or ASC by its suffix."""
+    file_size: Annotated[int, quantity("1", ge=0, le=1e12)] = 0
+    """Bytes after which the bus log is put aside and a new one begun; 0 for one file without limit."""
+    files: Annotated[int, quantity("1", ge=2, le=100_000)] = 10
+    """Largest number of bus logs when `file_size` is given; the oldest is deleted."""
+    last: Annotated[float, quantity("s", ge=0.0, le=3600.0)] = 0.0
+    """Above 0: the bus log is written only after a bad end, and holds this much of the run before it."""
+    on_failure: Literal["stop", "continue"] = "stop"
+    """Whether a run stops when one of its logs can no longer be written, or goes on without it."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "LogParameters":
+        if self.last and self.file_size:
+            raise ValueError("last and file_size exclude each other: keep the last seconds, or a series of files")
+        return self
+
 
 if TYPE_CHECKING:
     from canhaptic.scene.old_forms import Release
     from canhaptic.scene.own_code import OwnCode
-    from canhaptic.sim.bus.bus_effects import BusEffects
+    from canhaptic.sim.bus.faulty_bus import BusEffects
     from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
     from canhaptic.sim.plant.mechanism.task_hand import TaskHand
     from canhaptic.sim.plant.plant import PlantParameters
@@ -292,7 +354,7 @@ class Scene:
     bus: Annotated[BusParameters, AfterValidator(_known_bus)]
     axes: tuple[Annotated[AxisScene, WrapValidator(_axis)], ...]
     simulation: SimulationParameters | None
-    bus_effects: Annotated[BusEffects | None, OnDemand("canhaptic.sim.bus.bus_effects:BusEffects")] = None
+    bus_effects: Annotated[BusEffects | None, OnDemand("canhaptic.sim.bus.faulty_bus:BusEffects")] = None
     bus_name: BusName = ""  # of the first bus; empty where the only one has no name
     further_buses: tuple[FurtherBus, ...] = ()
     accuracy: AccuracyParameters = field(default_factory=AccuracyParameters)  # of every simulated plant
@@ -428,3 +490,68 @@ def _resolved_axis(axis: dict[str, Any]) -> dict[str, Any]:
 def scene_adapter() -> TypeAdapter[Scene]:
     """Adapter that validates, serialises and describes a `Scene`."""
     return TypeAdapter(Scene)
+
+
+TO_SET: Final = "TO SET"
+"""Marks every value that the user has to replace."""
+_MARKED: Final = re.compile(rf"^\s*(?:-\s+)?([^#\s].*?)\s#\s*{TO_SET}\b[:,]?\s*(.*)$")
+
+
+class Guess(NamedTuple):
+    """One marked value."""
+
+    line: int  # of the scene file, from 1
+    key: str
+    value: str  # as written
+    note: str  # what the mark says of it; may be empty
+
+
+def guesses_left(scene: Scene) -> list[Guess]:
+    """Return the values of a scene file that are still marked as guesses."""
+    found = []
+    for number, line in enumerate(scene.text.splitlines(), start=1):
+        if marked := _MARKED.match(line):
+            key, _, value = marked[1].partition(":")
+            found.append(Guess(number, key.strip(), value.strip(), marked[2].strip()))
+    return found
+
+
+def refuses_guesses(scene: Scene, run: "Runner | None" = None) -> bool:
+    """Return whether a run of the scene is refused while values are marked: drives may be real.
+
+    Args:
+        scene: The scene.
+        run: Runs a command and returns what it printed; the kernel is asked with it whether the buses are virtual.
+    """
+    if scene.simulated:
+        return False
+    from canhaptic.host.socketcan_state import all_links_are_virtual
+
+    return not all_links_are_virtual(scene, run)
+
+
+def _is_simulated_elsewhere(scene: Scene) -> bool:
+    """Return whether a scene with simulated drives reaches them over UDP, which carries no real CAN bus."""
+    return scene.simulation is not None and all(bus.parameters.interface == "udp_multicast" for bus in scene.buses)
+
+
+def require_no_guesses(scene: Scene) -> None:
+    """Return when no value of a scene for real drives is marked as a guess.
+
+    Raises:
+        InputError: Some are; names their lines.
+    """
+    if scene.guessed_timing and refuses_guesses(scene) and not _is_simulated_elsewhere(scene):
+        are_displays = all(scene.axis(name).parameters.admittance for name in scene.guessed_timing)
+        torque = "" if are_displays else ", torque_window, current_lag, device_friction_bound"
+        raise InputError(
+            f"{scene.source}: passivity of {', '.join(scene.guessed_timing)}: sync_jitter{torque}: not all are "
+            "declared, and the drives are real; measure them (canhaptic commission) and put them there"
+        )
+    guesses = guesses_left(scene)
+    if guesses and refuses_guesses(scene):
+        listed = ", ".join(f"{guess.line} ({guess.key})" for guess in guesses)
+        raise InputError(
+            f"{scene.source}: lines {listed}: marked {TO_SET}, and the drives are real; put the values of your rig "
+            "there and take the marks away"
+        )

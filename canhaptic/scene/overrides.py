@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from canhaptic.registry import nearest
-from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
-from canhaptic.scene.document import MarkedList, MarkedMapping, parse_yaml
+from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, SourceLocation, parse_yaml
 from canhaptic.units import shown
 
 _PATH: Final = re.compile(r'(?:"[^"]*"|[^".=]+)(?:\.(?:"[^"]*"|[^".=]+))*')

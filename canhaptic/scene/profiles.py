@@ -13,8 +13,14 @@ from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.errors import SceneError
 from canhaptic.input_file import read_regular
 from canhaptic.package_data import shipped
-from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
-from canhaptic.scene.document import MarkedMapping, parse_yaml, read_mapping, refuse_unknown_keys
+from canhaptic.scene.document import (
+    Diagnostics,
+    MarkedMapping,
+    SourceLocation,
+    parse_yaml,
+    read_mapping,
+    refuse_unknown_keys,
+)
 from canhaptic.units import shown
 
 _LARGEST: Final = 1_000_000  # [B]

@@ -1,11 +1,25 @@
 """The text of a configuration to start from, made from the dictionary of a drive.
 
 It is a whole scene: every key that a dictionary can supply is given, every other has a cautious value and says so.
+
+Values that a simulated drive needs besides its dictionary: a real drive has them and the dictionary leaves them out.
+
+Some dictionaries state the settings of another rig, such as a communication cycle of 1 us; on a real drive the vendor's
+tool has set them. A simulated drive gets those of this scene.
+
+Common parts of the starter scenes of both kinds of displays: guesses of timing, and the simulated machine.
+
+Starter configuration of an admittance display: limits, sensor, mass, certificate, simulation.
+
+All values scale with the torque limit, so that they fit together: a mass that the torque accelerates at 200 rad/s^2, a
+velocity loop of 50 Hz, and a virtual mass that is passive without a guard.
 """
 
 import json
 import math
 import re
+from collections.abc import Iterator
+from math import pi
 from pathlib import Path
 from string import Template
 from typing import Final
@@ -13,19 +27,257 @@ from typing import Final
 from canopen import ObjectDictionary
 
 from canhaptic.canopen import objects as od
-from canhaptic.canopen.dictionary import is_writable
+from canhaptic.canopen.objects import is_writable
 from canhaptic.drive.can.bus_budget import round_rate
-from canhaptic.drive.profile.fitness import max_torque_unwritten, steepest_ramp
-from canhaptic.drive.profile.object_use import listed
+from canhaptic.drive.profile.display_parameters import DisplayParameters
+from canhaptic.drive.profile.fitness import (
+    ObjectUse,
+    listed,
+    max_torque_unwritten,
+    objection,
+    range_objection,
+    steepest_ramp,
+)
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.survey import Suitability, Survey, stated_value
 from canhaptic.errors import DictionaryError
-from canhaptic.scene.display_starter import display_axis, display_rendered, display_simulation
-from canhaptic.scene.eds_path import path_for_scene
-from canhaptic.scene.guesses import TO_SET
-from canhaptic.scene.missing_values import missing_values
+from canhaptic.scene.layout import path_for_scene
+from canhaptic.scene.models import TO_SET
 from canhaptic.scene.profiles import profile_values
-from canhaptic.scene.starter_simulation import JITTER, simulated_machine
+
+_EVENT_TIMER: Final = 5  # subindex: of an RPDO its deadline [ms]
+_DEVICE_TYPE: Final = 0x0002_0000 | od.CIA402_PROFILE  # servo drive
+
+_Place = tuple[int, int]
+
+
+def missing_values(found: Survey, sample_time: float) -> dict[str, str]:
+    """Return `simulation.drive.objects` for a scene made from a dictionary: key and value as written in a scene.
+
+    Args:
+        found: The survey of the dictionary.
+        sample_time: Time from SYNC to SYNC [s].
+    """
+    listed = found.dictionary
+    values = {**_absent(found), **_misleading(listed, sample_time)}
+    return {_key(place): f"{value:#x}" for place, value in values.items() if _holds(listed, place, value)}
+
+
+def _holds(dictionary: ObjectDictionary, place: _Place, value: int) -> bool:
+    """Whether the drive has an object of a type that can hold a value."""
+    if objection(dictionary, ObjectUse(*place)) is not None:
+        return False
+    variable = dictionary.get_variable(*place)
+    return variable is not None and range_objection(variable, value) is None
+
+
+def _key(place: _Place) -> str:
+    return f"{place[0]:#06x}" + (f".{place[1]}" if place[1] else "")
+
+
+def _absent(found: Survey) -> dict[_Place, int]:
+    """Return values for objects that have none."""
+    needed: dict[_Place, int] = {(od.DEVICE_TYPE, 0): _DEVICE_TYPE}
+    if found.vendor_id is not None:
+        needed[od.IDENTITY, 1] = found.vendor_id
+    needed |= _cob_ids(found.dictionary)
+    missing = {place: value for place, value in needed.items() if stated_value(found.dictionary, *place) is None}
+    mode_bit = 1 << found.axis.mode_code - 1
+    if not (stated_value(found.dictionary, od.SUPPORTED_DRIVE_MODES) or 0) & mode_bit:
+        missing[od.SUPPORTED_DRIVE_MODES, 0] = mode_bit
+    return missing
+
+
+def _cob_ids(dictionary: ObjectDictionary) -> dict[_Place, int]:
+    """Return the COB-ID of every PDO as delivered: that of the predefined connection set, or disabled."""
+    found: dict[_Place, int] = {}
+    for first, bases in ((od.RPDO_COMMUNICATION, od.RPDO_BASE), (od.TPDO_COMMUNICATION, od.TPDO_BASE)):
+        for index in _indices(dictionary, first):
+            number = index - first
+            found[index, 1] = bases[number] + 1 if number < len(bases) else od.COB_ID_INVALID
+    return found
+
+
+def _indices(dictionary: ObjectDictionary, first: int) -> Iterator[int]:
+    return (index for index in dictionary if first <= index < first + od.PDO_COUNT)
+
+
+def _misleading(dictionary: ObjectDictionary, sample_time: float) -> dict[_Place, int]:
+    """Replacements for stated values that belong to another rig."""
+    period = round(sample_time * 1e6)
+    wanted: dict[_Place, int] = {(od.SYNC_COB_ID, 0): od.SYNC_FRAME_COB_ID, (od.COMMUNICATION_CYCLE_PERIOD, 0): period}
+    wanted |= {(index, _EVENT_TIMER): 0 for index in _indices(dictionary, od.RPDO_COMMUNICATION)}
+    return {place: value for place, value in wanted.items() if stated_value(dictionary, *place) not in (None, 0, value)}
+
+
+JITTER: Final = f"  sync_jitter: 5 % # {TO_SET}: every hold lasts 1 / rate, give or take this (canhaptic commission)\n"
+
+_SIMULATION_TEXT: Final = Template("""
+# The machine behind the simulated drive. Remove this section and name the real interface under `bus`.
+simulation:
+  drive:
+    rated_torque: $rated N*m
+$objects  plant:
+    mass: $mass kg*m^2
+    damping: $bearings N*m*s/rad
+$between  user: # $hand
+    stiffness: $stiffness N*m/rad
+    damping: $hand_damping N*m*s/rad
+    motion: {type: sinusoid, amplitude: $amplitude rad, frequency: $frequency Hz}
+""")
+
+
+def number(value: float) -> str:
+    """Return a number of a starter scene: three digits are enough for a guess."""
+    return f"{value:.3g}"
+
+
+def simulated_machine(
+    rated: float, objects: str, mass: float, bearings: float, limit: float, hand: str, between: str = "",
+    motion: tuple[float, float] = (0.15, 0.5),
+) -> str:  # fmt: skip
+    """Return the section `simulation`.
+
+    Args:
+        rated: Rated torque [N*m].
+        objects: Lines of `simulation.drive`.
+        mass: Moved inertia [kg*m^2].
+        bearings: Damping of the bearings [N*m*s/rad].
+        limit: Torque limit, to which the hand is scaled [N*m].
+        hand: Comment on the motion of the hand.
+        between: Further lines, before the hand.
+        motion: Amplitude [rad] and frequency [Hz] of the hand.
+    """
+    return _SIMULATION_TEXT.substitute(
+        rated=f"{rated:g}", objects=objects, mass=number(mass), bearings=number(bearings), between=between, hand=hand,
+        amplitude=motion[0], frequency=motion[1],
+        stiffness=number(3.0 * limit), hand_damping=number(0.25 * limit),
+    )  # fmt: skip
+
+
+_INERTIA: Final = 0.005  # per torque limit [s^2]
+_BANDWIDTH: Final = 50.0  # of the velocity loop [Hz]
+_OVER: Final = 1.1  # every over-estimate
+_START_SPEED: Final = 0.05  # from which a hand moves it [rad/s]
+_HELD: Final = 2.0  # times M + c tau: passive without a guard
+_FRICTION: Final = 0.02  # of the torque limit: dry friction
+_ACCELERATION: Final = 50.0  # commanded at most [rad/s^2]
+_COUNTS: Final = 16384  # of the sensor up to its range
+
+_AXIS: Final = Template(f"""\
+    speed_limit: 2 rad/s    # {TO_SET}: a handle that is faster stops the rig
+    admittance:             # force in, velocity out
+      mode: $mode        # $mode_note
+$velocity_counts$limited      acceleration_limit: $acceleration rad/s^2
+      handle_acceleration: 80 rad/s^2 # {TO_SET}: by drive and hand together, an over-estimate
+      position_low: -0.5 rad # {TO_SET}: lowest and highest position to which a command may lead
+      position_high: 0.5 rad # {TO_SET}
+      force:
+$source        per_count: $per_count N*m # {TO_SET}: negative where the sensor counts the other way
+        range: $range N*m # {TO_SET}: a force beyond it stops the rig
+        error: $error N*m # {TO_SET}: offset, drift, noise, quantisation (canhaptic commission)
+        slew: $slew N*m/s # {TO_SET}: largest change of the force per second, an over-estimate
+        frozen_after: 50    # SYNCs with one count beyond `error`, then the rig stops
+""")
+
+_DISPLAY_RENDERED: Final = Template(f"""\
+# A free mass; the rig alone has about half of it. `lower_wall` and `upper_wall` limit its way.
+environment:
+  type: virtual_mass
+  mass: $mass kg*m^2
+  damping: $damping N*m*s/rad
+
+# $certified
+passivity:
+  algorithm: guarded
+  drive_mass: $drive_mass kg*m^2 # {TO_SET}: all that the drive moves up to the sensor, an over-estimate
+  loop_gain: $gain N*m*s/rad # {TO_SET}: 2 pi bandwidth mass, an over-estimate (canhaptic commission)
+  # Over-estimates with which force and motion are compared: an offset of the sensor, or a ramp in the drive, stops it.
+  # drive_friction: $friction N*m
+  # drive_damping: $bearings N*m*s/rad
+$integral$timing  energy_allowance: $allowance J # given out at most; motion starts with it
+""")
+
+_CERTIFIED: Final = "Every command is certified by the drive's own velocity loop, for every hand."
+_UNCERTIFIED: Final = (
+    "Mode 8 has an integral: nothing is certified where holds are uneven (sync_jitter); mode 9 has none."
+)
+
+_BETWEEN: Final = Template("""\
+  admittance:
+    loop: {gain: $gain N*m*s/rad, integral_gain: $integral N*m/rad}
+    grip: {mass: $grip kg*m^2, stiffness: $grip_stiffness N*m/rad, damping: $grip_damping N*m*s/rad}
+    sensor: {noise: $noise N*m}
+""")
+
+
+def display_axis(display: DisplayParameters, counts: float, limit: float, unlimited: str, steepest: float) -> str:
+    """Return the keys of an axis that make it an admittance display.
+
+    Args:
+        display: Findings of the dictionary for a display.
+        counts: Position counts [count/rad].
+        limit: Torque limit [N*m].
+        unlimited: Reason why the start writes no limit to 0x6072; "" where it does.
+        steepest: Largest value that the ramps of the drive accept [counts/s^2].
+    """
+    named = display.force.object
+    node = f"        node: {{node_id: 9}}  # {TO_SET}: the drive has no analog input that is known\n"
+    why = f"keep it once torque_limit is set with the vendor's tool (0x6072 is {unlimited})"
+    is_velocity = display.mode == "velocity"
+    scale = f"      velocity_counts: {counts:.10g} # {TO_SET}: counts of 0x60FF for 1 rad/s of the axis\n"
+    return _AXIS.substitute(
+        mode=display.mode,
+        mode_note="mode 9, 0x60FF" if is_velocity else "mode 8, 0x607A, which the drive interpolates",
+        velocity_counts=scale if is_velocity else "",
+        acceleration=number(min(_ACCELERATION, 0.99 * steepest / counts) if is_velocity else _ACCELERATION),
+        limited=f"      limit_in_drive: true # {TO_SET}: {why}\n" if unlimited else "",
+        source=node
+        if named is None
+        else f"        object: {named}    # {TO_SET}: the input to which the sensor is wired\n",
+        per_count=number(2.0 * limit / _COUNTS),
+        range=number(2.0 * limit),
+        error=number(4e-4 * limit),
+        slew=number(25.0 * limit),
+    )
+
+
+def display_rendered(display: DisplayParameters, limit: float, sample_time: float, *, simulate: bool) -> str:
+    """Return environment and passivity for a torque limit [N*m] and a sample time [s]."""
+    mass, gain = _INERTIA * limit, _gain(limit)
+    is_position = display.mode == "position"
+    line = f"  integral_gain: {number(_OVER * 10.0 * gain)} N*m/rad # {TO_SET}: position gain times loop_gain\n"
+    return _DISPLAY_RENDERED.substitute(
+        certified=_UNCERTIFIED if is_position and not simulate else _CERTIFIED,
+        mass=number(_HELD * (mass + 1.5 * sample_time * gain)),
+        damping=number(mass),
+        drive_mass=number(_OVER * mass),
+        gain=number(_OVER * gain),
+        friction=number(_FRICTION * limit),
+        bearings=number(2.0 * mass),
+        integral=line if is_position else "",
+        timing="" if simulate else JITTER,
+        allowance=number(0.5 * _OVER * gain * sample_time * _START_SPEED**2),
+    )
+
+
+def display_simulation(display: DisplayParameters, objects: str, rated: float, limit: float) -> str:
+    """Return the simulated rig; `objects` are lines of `simulation.drive`."""
+    mass, gain = _INERTIA * limit, _gain(limit)
+    between = _BETWEEN.substitute(
+        gain=number(gain),
+        integral=number(10.0 * gain if display.mode == "position" else 0.0),
+        grip=number(0.15 * mass),
+        grip_stiffness=number(1e4 * mass),
+        grip_damping=number(10.0 * mass),
+        noise=number(5e-5 * limit),
+    )
+    return simulated_machine(rated, objects, mass, mass, limit, "a hand that moves to and fro", between, (0.1, 2.0))
+
+
+def _gain(limit: float) -> float:
+    return 2.0 * pi * _BANDWIDTH * _INERTIA * limit
+
 
 _CAUTIOUS: Final = 0.05  # part of the rated torque that the first configuration allows
 _GUESSED_RATED_TORQUE: Final = 1.0  # [N*m]

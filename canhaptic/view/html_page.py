@@ -1,16 +1,21 @@
-"""Pages that any browser opens without a network: words, pictures and tables that a click sorts, light and dark."""
+"""Pages that any browser opens without a network: words, pictures and tables that a click sorts, light and dark.
+
+The bar of a page that says of every account whether it was passive.
+"""
 
 import html
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Final, Literal
 from urllib.parse import quote
 
+from canhaptic.control.verdict import Headline, PortResult
 from canhaptic.errors import InputError
 from canhaptic.host.output_file import replacing
-from canhaptic.view.palette import BLUE
+from canhaptic.view.energy_table import headline_text
+from canhaptic.view.picture_style import BLUE, GREEN, ORANGE, VERMILION
 from canhaptic.view.table import Table
 from canhaptic.view.terminal import visible
 
@@ -122,3 +127,35 @@ def _table(table: Table) -> str:
         for kind, media, text in (("csv", "text/csv", table.csv()), ("json", "application/json", table.json()))
     )
     return f'<div class="table">{table.html()}<small>a heading sorts; take it as {links}</small></div>'
+
+
+_SUMS: Final[dict[Literal["passive", "passive_at_sensor", "passive_at_handle"], str]] = {
+    "passive": "at the motor",
+    "passive_at_sensor": "at the sensor",
+    "passive_at_handle": "at the handle",
+}
+_COLOURS: Final[dict[Headline, str]] = {
+    "yes": GREEN,
+    "in doubt": ORANGE,
+    "no": VERMILION,
+    "nothing rendered": VERMILION,
+    "no contact": BLUE,
+    "dry run": BLUE,
+}
+
+
+def verdict_bar(ports: Mapping[str, PortResult]) -> str:
+    """Return a bar of HTML with the verdicts of every account, and the word of a port where that is another one."""
+    said: list[tuple[str, Headline]] = []
+    for name, port in ports.items():
+        if "verdict" in port and port["verdict"] not in (port.get("passive", "yes"), port.get("passive_at_handle")):
+            said.append((headline_text(name, port).plain.strip(), port["verdict"]))
+        for key, sum_of in _SUMS.items():
+            if key in port:
+                word = port[key]
+                said.append((f"{name}: passive {sum_of}: {word if word != 'no' else 'NO'}", word))
+    style = "display:inline-block;color:white;font-weight:bold;padding:3px 14px;margin-right:6px;border-radius:3px"
+    return "".join(
+        f"<span class='verdict' style='{style};background:{_COLOURS[word]}'>{html.escape(text)}</span>"
+        for text, word in said
+    )

@@ -8,21 +8,18 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from canhaptic.audit.extent import rows_between, rows_to_draw
+from canhaptic.audit.port_record import rows_between, rows_to_draw
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
 from canhaptic.signals import CycleTiming
-from canhaptic.view.decimate import decimate
 from canhaptic.view.energy_table import energy_table
-from canhaptic.view.html_page import picture, words, write_page
+from canhaptic.view.html_page import picture, verdict_bar, words, write_page
 from canhaptic.view.inspect_table import inspection_tables
-from canhaptic.view.palette import BLUE, GREEN, OVERLAID, PURPLE, VERMILION
-from canhaptic.view.picture_style import axis_scale, drawing, save_picture
+from canhaptic.view.picture_style import BLUE, GREEN, OVERLAID, PURPLE, VERMILION, axis_scale, drawing, save_picture
 from canhaptic.view.run_picture import draw_energy
-from canhaptic.view.series import FAULTS, losses
+from canhaptic.view.series import FAULTS, decimate, losses
 from canhaptic.view.si import si
 from canhaptic.view.table import Table
-from canhaptic.view.verdict_bar import verdict_bar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

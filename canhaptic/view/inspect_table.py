@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING, Final
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from canhaptic.audit.impossible_values import ImpossibleValue
-from canhaptic.audit.inspection import ContactStretch, Inspection, LoggedEvent
-from canhaptic.audit.log_difference import LogComparison
+from canhaptic.audit.inspection import ContactStretch, Inspection, LogComparison, LoggedEvent
+from canhaptic.audit.port_record import ImpossibleValue
 from canhaptic.audit.recompute import Recomputed
 from canhaptic.audit.user_checks import Outcome
 from canhaptic.axis_units import effort_unit

@@ -1,4 +1,9 @@
-"""How every picture of the package looks, where matplotlib is asked for, and how a picture is written."""
+"""How every picture of the package looks, where matplotlib is asked for, and how a picture is written.
+
+Colours of every picture and page: those of Okabe and Ito, which colour-blind readers distinguish, and two greys.
+
+Lines differ in width and style too.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,6 +16,13 @@ from canhaptic.host.output_file import replacing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+BLUE, VERMILION, GREEN, ORANGE = "#0072B2", "#D55E00", "#009E73", "#E69F00"
+PURPLE, SKY = "#CC79A7", "#56B4E9"
+GREY, PALE = "#4D4D4D", "#8C8C8C"
+OVERLAID = ("black", PURPLE, SKY, PALE)
+"""Colours of further runs in one picture, in turn."""
+
 
 STYLE: Final[Any] = {
     "font.size": 9.0,

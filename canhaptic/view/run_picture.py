@@ -4,23 +4,247 @@ An axis in a group has no column: its position and torque are drawn in that of t
 but zeros are left out.
 
 matplotlib is imported when a picture is drawn, not before.
+
+One column of a picture of a run: the panels of one account, of an axis or of a group with its axes.
 """
 
 from collections.abc import Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from canhaptic.audit.extent import rows_between, rows_to_draw
+import numpy as np
+
+from canhaptic.audit.port_record import contacts, rows_between, rows_to_draw
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.view.palette import OVERLAID
-from canhaptic.view.picture_style import drawing, save_picture
-from canhaptic.view.port_picture import PortPicture
+from canhaptic.logs.hdf5 import Array
+from canhaptic.view.picture_style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    OVERLAID,
+    VERMILION,
+    axis_scale,
+    drawing,
+    save_picture,
+)
+from canhaptic.view.series import TaskPlane, decimate, faults_of, task_plane
 from canhaptic.view.si import si
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+_OF_AXES: Final = (BLUE, VERMILION, GREEN, ORANGE)  # axes of a group in turn
+_BUCKETS: Final = 2000  # about 4000 points a line, more than the picture has columns
+_MAX_CONTACTS_SHADED: Final = 400  # more stripes than this are only grey
+_MAX_FAULTS_NAMED: Final = 4
+_LEGEND: Final[Any] = {
+    "loc": "lower right",
+    "bbox_to_anchor": (1.0, 0.985),
+    "ncols": 5,
+    "borderaxespad": 0.0,
+    "columnspacing": 1.2,
+}
+
+
+class PortPicture:
+    """The four panels of one account: of an axis, or of a group with the positions and torques of its axes."""
+
+    def __init__(self, log: EnergyLog, name: str, rows: slice) -> None:
+        self._log = log
+        self._name = name
+        self._port = port = log.ports[name]
+        self._rows = rows
+        self._time = log.time[rows]
+        self._axes = log.groups.get(name, ())
+        self._movers = [log.ports[axis] for axis in self._axes] or [port]
+        self._is_display = port.unit("torque_command") != port.unit("torque_applied")
+        self.scales: dict[str, float] = {}  # of each panel over time
+        self.plane = task_plane(log, name, rows)
+        self._contacts = contacts(self._column("branch"))
+        if len(self._contacts) > _MAX_CONTACTS_SHADED:
+            self._contacts = []
+        self._faults = faults_of(log, name, log.timing["sync_index"][rows])
+
+    def draws(self) -> list[str]:
+        """Return the names of the panels that show something: position and torque always, others where not zero."""
+        energy = self._column("h_i").any() or self._column("h_r").any()
+        surplus = self._column("h_dis").any() or self._column("deficit").any()
+        shown = {
+            "path": self.plane is not None,
+            "position": True,
+            "velocity": self._is_display,
+            "torque": True,
+            "energy": energy,
+            "surplus": surplus,
+        }
+        return [name for name, is_shown in shown.items() if is_shown]
+
+    def draw(self, panels: "Mapping[str, Axes]") -> None:
+        """Draw into axes, by the names that `draws` returned."""
+        parts = {
+            "position": self._draw_position,
+            "velocity": self._draw_velocity,
+            "torque": self._draw_torque,
+            "energy": self._draw_energy,
+            "surplus": self._draw_surplus,
+        }
+        for name, axes in panels.items():
+            if name == "path" and self.plane is not None:
+                self._draw_path(axes, self.plane)
+                continue
+            self._mark(axes, "in contact" if name == "position" else "")
+            parts[name](axes)
+            axes.margins(x=0.0)
+        if len(self._log.ports) > 1 or self._axes:
+            panels["position"].set_title(f"{self._name}: position", fontweight="bold")
+
+    def draw_over(self, panels: "Mapping[str, Axes]", scales: Mapping[str, float], name: str, colour: str) -> None:
+        """Draw the same quantities over the panels of another run, whose scales they take."""
+        lines = {
+            "position": self._of_movers("position"),
+            "velocity": self._of_movers("torque_command"),
+            "torque": self._of_movers("torque_applied"),
+            "energy": [np.cumsum(self._column("h_i")), np.cumsum(self._column("h_r"))],
+            "surplus": [self._column("h_dis")],
+        }
+        for panel, scale in scales.items():
+            for number, line in enumerate(lines[panel]):
+                label = name if number == 0 else None
+                self._line(panels[panel], line, scale, color=colour, linewidth=0.7, linestyle=(0, (3, 2)), label=label)
+            panels[panel].legend(**_LEGEND)
+
+    def _column(self, name: str) -> Array:
+        return self._port.read(name, self._rows.start, self._rows.stop)
+
+    def _of_movers(self, name: str) -> list[Array]:
+        """Return a quantity of the axis, or of each axis of the group."""
+        return [port.read(name, self._rows.start, self._rows.stop) for port in self._movers]
+
+    def _line(self, axes: "Axes", values: Array, scale: float, stair: str = "default", **style: Any) -> None:
+        """Draw a line; as a stair only where every row is drawn, for nothing is known between rows far apart."""
+        shown = decimate(values, _BUCKETS)
+        drawn = stair if len(shown) == len(values) else "default"
+        axes.plot(self._time[shown], values[shown] / scale, drawstyle=drawn, **style)
+
+    def _draw_position(self, axes: "Axes") -> None:
+        positions = self._of_movers("position")
+        wall = self._log.attributes.get(f"{self._name}.wall_position")
+        scale, prefix = self._prefix("position", *positions)
+        for position, label, colour in zip(positions, self._axes or ("position",), cycle(_OF_AXES)):
+            self._line(axes, position, scale, color=colour, linewidth=1.3, label=label)
+        if isinstance(wall, int | float):
+            axes.axhline(wall / scale, color=GREY, linewidth=1.0, linestyle="--", label="wall")
+            low, high = axes.get_ylim()
+            inside = low if self._log.attributes.get(f"{self._name}.wall_side", "below") == "below" else high
+            axes.axhspan(inside, wall / scale, color=GREY, alpha=0.10, linewidth=0)
+            axes.set_ylim(low, high)
+        _finish(axes, "position", f"{prefix}{self._movers[0].unit('position')}")
+
+    def _draw_velocity(self, axes: "Axes") -> None:
+        """Draw the velocities that an admittance display commands."""
+        commands = self._of_movers("torque_command")
+        scale, prefix = self._prefix("velocity", *commands)
+        for command, name, colour in zip(commands, self._axes or ("commanded",), cycle(_OF_AXES)):
+            self._line(axes, command, scale, color=colour, linewidth=1.2, stair="steps-post", label=name)
+        title = "velocity commanded" if self._axes else "velocity"
+        _finish(axes, title, f"{prefix}{self._movers[0].unit('torque_command')}")
+
+    def _draw_path(self, axes: "Axes", plane: TaskPlane) -> None:
+        """Draw the path of the handle against the surface, material shaded, both axes to the same scale."""
+        scale, prefix = axis_scale(float(np.nanmax(np.abs(plane.path))))
+        _draw_material(axes, plane, scale)
+        axes.plot(*(plane.path / scale).T, color=BLUE, linewidth=1.0, label="path")
+        axes.set_aspect("equal")
+        axes.set_xlabel(f"[{prefix}{plane.unit}]")
+        _finish(axes, f"{self._name}: path", f"{prefix}{plane.unit}")
+
+    def _draw_torque(self, axes: "Axes") -> None:
+        if self._axes:
+            self._draw_torques_of_axes(axes)
+            return
+        command, applied = self._column("torque_command"), self._column("torque_applied")
+        unit = self._port.unit("torque_applied")
+        scale, prefix = self._prefix("torque", applied, *(() if self._is_display else (command,)))
+        if not self._is_display:
+            wide: Any = {"linewidth": 2.2, "alpha": 0.8, "stair": "steps-post"}
+            self._line(axes, command, scale, color=ORANGE, label="commanded", **wide)
+        label = "on the hand" if self._is_display else "applied"
+        self._line(axes, applied, scale, color=BLUE, linewidth=0.9, stair="steps-pre", label=label)
+        _finish(axes, "torque" if unit == "N*m" else "force", f"{prefix}{unit}")
+
+    def _draw_torques_of_axes(self, axes: "Axes") -> None:
+        """Draw what each axis of a group applied; what was commanded is drawn wide and pale behind it."""
+        applied = self._of_movers("torque_applied")
+        commands = [] if self._is_display else self._of_movers("torque_command")
+        unit = self._movers[0].unit("torque_applied")
+        scale, prefix = self._prefix("torque", *commands, *applied)
+        for command, colour in zip(commands, cycle(_OF_AXES)):
+            self._line(axes, command, scale, color=colour, linewidth=2.4, alpha=0.3, stair="steps-post")
+        for held, name, colour in zip(applied, self._axes, cycle(_OF_AXES)):
+            self._line(axes, held, scale, color=colour, linewidth=0.9, stair="steps-pre", label=name)
+        _finish(axes, "torque" if unit == "N*m" else "force", f"{prefix}{unit}")
+
+    def _draw_energy(self, axes: "Axes") -> None:
+        taken_in, dissipated = np.cumsum(self._column("h_i")), np.cumsum(self._column("h_r"))
+        margin = taken_in - dissipated
+        scale, prefix = self._prefix("energy", taken_in, dissipated)
+        shown = np.unique(np.concatenate([decimate(values, _BUCKETS) for values in (taken_in, dissipated, margin)]))
+        time, upper, lower = self._time[shown], taken_in[shown] / scale, dissipated[shown] / scale
+        axes.fill_between(time, lower, upper, upper >= lower, color=GREEN, alpha=0.22, linewidth=0, label="margin")
+        if (upper < lower).any():
+            axes.fill_between(time, lower, upper, upper < lower, color=VERMILION, alpha=0.45, linewidth=0)
+        axes.plot(time, upper, color=BLUE, linewidth=1.3, label="in")
+        axes.plot(time, lower, color=VERMILION, linewidth=1.3, linestyle=(0, (4, 1.5)), label="dissipated")
+        worst = int(margin.argmin())
+        label = f"least margin {si(float(margin[worst]), 'J')} at {self._time[worst]:.4g} s"
+        axes.plot(self._time[worst], taken_in[worst] / scale, "ko", markersize=4, zorder=5, label=label)
+        _finish(axes, "energy", f"{prefix}J")
+
+    def _draw_surplus(self, axes: "Axes") -> None:
+        surplus, deficit = self._column("h_dis"), np.cumsum(self._column("deficit"))
+        scale, prefix = self._prefix("surplus", surplus, deficit)
+        self._line(axes, surplus, scale, color=ORANGE, linewidth=1.3, label="surplus to dissipate")
+        self._line(axes, deficit, scale, color=VERMILION, linewidth=1.0, linestyle="--", label="deficit, summed")
+        _finish(axes, "surplus", f"{prefix}J")
+
+    def _prefix(self, panel: str, *lines: Array) -> tuple[float, str]:
+        """Return the scale and SI prefix of a panel that shows all of these lines, and keep the scale."""
+        largest = max(abs(float(limit(line, initial=0.0))) for line in lines for limit in (np.nanmin, np.nanmax))
+        scale, prefix = axis_scale(largest)
+        self.scales[panel] = scale
+        return scale, prefix
+
+    def _mark(self, axes: "Axes", label: str) -> None:
+        """Shades the contacts, with a label in the legend unless it is empty, and marks faults."""
+        look: Any = {"color": GREY, "alpha": 0.05, "linewidth": 0, "zorder": 0}
+        for number, (start, end) in enumerate(self._contacts):
+            axes.axvspan(self._time[start], self._time[end], label="_" * bool(number) + label, **look)
+        for fault in self._faults:
+            axes.axvline(fault.time, color=VERMILION, linewidth=0.9, linestyle=":")
+
+    def faults(self) -> str:
+        """Return one line of words per marked fault, for below the time axis."""
+        return "".join(
+            f"\n{time:.4g} s: {event.kind} {event.text[:60]}" for time, event in self._faults[:_MAX_FAULTS_NAMED]
+        )
+
+
+def _draw_material(axes: "Axes", plane: TaskPlane, scale: float) -> None:
+    across, along = plane.across / scale, plane.along / scale
+    deepest = max(float(plane.depth.max()), plane.surface) * (1.0 + 1e-9) + 1e-12
+    axes.contourf(across, along, plane.depth, levels=[plane.surface, deepest], colors=[GREY], alpha=0.15)
+    axes.contour(across, along, plane.depth, levels=[plane.surface], colors=[GREY], linewidths=1.0)
+    axes.plot([], [], color=GREY, linewidth=1.0, label="surface")
+
+
+def _finish(axes: "Axes", title: str, unit: str) -> None:
+    """Titles at the left, legend at the right of the same line: nothing can lie on the data."""
+    axes.set_title(title, fontweight="bold")
+    axes.set_ylabel(f"[{unit}]")
+    axes.legend(**_LEGEND)
 
 
 _HEIGHTS: Final = {"path": 5.0, "position": 3.0, "velocity": 2.0, "torque": 3.0, "energy": 4.0, "surplus": 2.0}

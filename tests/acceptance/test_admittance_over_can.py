@@ -24,10 +24,10 @@ from canhaptic.errors import (
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import RunResult
 from canhaptic.scene.build import Experiment, build
-from canhaptic.scene.display_hints import display_hints
 from canhaptic.scene.experiment_account import experiment_account
-from canhaptic.scene.guesses import require_no_guesses
+from canhaptic.scene.hints import display_hints
 from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import require_no_guesses
 from canhaptic.sim.drive.profile.state_machine import DriveState
 
 SCENE = Path(__file__).parents[2] / "configs" / "admittance" / "virtual_mass.yaml"

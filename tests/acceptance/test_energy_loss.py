@@ -9,13 +9,12 @@ from typing import Any
 import pytest
 
 from canhaptic.cli.main import main
-from canhaptic.control.energy_loss import EnergyLossMeter
+from canhaptic.control.ledger import EnergyLossMeter
 from canhaptic.cycle import run
 from canhaptic.errors import EnergyLostError, LinkError, SceneError, SyncsSkippedError
-from canhaptic.replay.replayed_run import replay_bus_log
-from canhaptic.scene.build import build
+from canhaptic.replay import replay_bus_log
+from canhaptic.scene.build import build, build_loss_meters
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.loss_limits import build_loss_meters
 from canhaptic.signals import Sample
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"

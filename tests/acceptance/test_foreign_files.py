@@ -18,8 +18,8 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.errors import LogFormatError
-from canhaptic.logs import own_process
-from canhaptic.logs.own_process import in_own_process
+from canhaptic.logs import repair
+from canhaptic.logs.repair import in_own_process
 from tools import mutated_files
 from tools.mutated_files import outcome_of
 
@@ -145,7 +145,7 @@ def test_a_log_with_random_bytes_in_its_tables_never_hangs_inspect(log: Path, tm
 
 @pytest.mark.slow
 def test_reading_that_never_ends_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(own_process, "_SECONDS", 1)
+    monkeypatch.setattr(repair, "_SECONDS", 1)
     path = tmp_path / "any.h5"
     path.write_bytes(b"any")
 
@@ -162,7 +162,7 @@ def test_reading_that_never_ends_is_ended(tmp_path: Path, monkeypatch: pytest.Mo
 KILLED = """
 import sys, time
 from pathlib import Path
-from canhaptic.logs.own_process import in_own_process
+from canhaptic.logs.repair import in_own_process
 
 def for_ever():
     import os

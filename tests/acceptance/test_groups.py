@@ -17,7 +17,7 @@ from canhaptic.control.mechanisms.five_bar import FiveBar as MastersFiveBar
 from canhaptic.cycle import run
 from canhaptic.errors import TpdoLostError
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.replay.replayed_run import replay_bus_log
+from canhaptic.replay import replay_bus_log
 from canhaptic.result import run_result
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene

@@ -24,7 +24,7 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.repair import repair
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.view.live_log import LiveLog
+from canhaptic.view.scope_page import LiveLog
 from tests.view import typed
 
 DEMO = Path(__file__).parents[2] / "configs" / "demo.yaml"
@@ -187,7 +187,7 @@ def test_a_crash_of_the_library_is_one_error_and_leaves_nothing(
     whole: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], crash: Callable[..., Any]
 ) -> None:
     folder = Path(tempfile.mkdtemp(dir=whole.parent))
-    monkeypatch.setattr("canhaptic.logs.packing._copy_column", crash)
+    monkeypatch.setattr("canhaptic.logs.energy_sink._copy_column", crash)
     assert main(["inspect", str(whole), "--repair", str(folder / "repaired.h5")]) == 2
     assert re.fullmatch(
         rf"canhaptic: error: {whole}: too damaged: the HDF5 library crashes on it \(exit status SIG\w+\)\n",

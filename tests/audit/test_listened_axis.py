@@ -15,7 +15,7 @@ from canhaptic.drive.profile.quirks import _QUIRKS, quirks_of
 from canhaptic.drive.profile.scaling import AxisScaling
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import Frame
-from canhaptic.logs.statusword import state_text
+from canhaptic.logs.decoder import state_text
 
 EDS = Path(__file__).parents[2] / "eds" / "cia402_servo.eds"
 DRIVE = DeclaredDrive("x", 1, EDS, 1e4, 1, 1.0, 20.0, (), "before")

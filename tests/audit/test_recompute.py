@@ -8,7 +8,7 @@ from canhaptic.audit import recompute as module
 from canhaptic.audit.recompute import recompute
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.multi_axis.axis_group import GroupedControllers
+from canhaptic.control.multi_axis.group_controller import GroupedControllers
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.logs.columns import PortDescription

@@ -8,8 +8,8 @@ import pytest
 import yaml
 
 from canhaptic.cli.main import main
-from canhaptic.scene.guesses import TO_SET
 from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import TO_SET
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 OURS = REPOSITORY / "eds" / "cia402_servo.eds"

@@ -11,13 +11,12 @@ from pathlib import Path
 import pytest
 
 from canhaptic.cli import drive as drive_command
-from canhaptic.cli.arguments import seconds
+from canhaptic.cli.long_command import RunProgress
 from canhaptic.cli.main import main
-from canhaptic.cli.progress import RunProgress
+from canhaptic.cli.options import seconds
 from canhaptic.cycle import run
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.scene.build import build, build_drive_group
-from canhaptic.scene.bus import open_bus
+from canhaptic.scene.build import build, build_drive_group, open_bus
 from canhaptic.scene.load import load_scene
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"

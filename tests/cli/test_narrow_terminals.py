@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from canhaptic.cli.main import main
-from canhaptic.commission.findings import Report, StepFinding, StepVerdict
+from canhaptic.commission.session import Report, StepFinding, StepVerdict
 from canhaptic.view.energy_table import make_console
 
 ROOT = Path(__file__).parents[2]

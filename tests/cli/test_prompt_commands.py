@@ -12,12 +12,12 @@ import pytest
 
 from canhaptic.cli import options
 from canhaptic.cli.main import _COMMANDS
-from canhaptic.commission.laws import CommissioningLimits
+from canhaptic.commission.session import CommissioningLimits
 from canhaptic.drive.clock import WallClock
 from canhaptic.lab.commands import lab_options
 from canhaptic.lab.studies.accuracy.study import DEFAULT_BUDGET
 from canhaptic.lab.studies.design.wall import MARGIN, TOLERANCE
-from canhaptic.lab.studies.map.z_width import JUDGEMENTS
+from canhaptic.lab.studies.map import JUDGEMENTS
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 HEAVY = (

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from canhaptic.cli.stop_signal import StopSignal
+from canhaptic.cli.long_command import StopSignal
 from tests.forked import command
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"

@@ -7,13 +7,16 @@ from pathlib import Path
 import can
 import pytest
 
-from canhaptic.commission.dialogue import Unattended
-from canhaptic.commission.find_drives import _scan
-from canhaptic.commission.findings import Report, StepFinding, StepVerdict, Value
-from canhaptic.commission.hand_motion import STANDSTILL, stand_still
-from canhaptic.commission.laws import CommissioningLimits
-from canhaptic.commission.sequence import commission
-from canhaptic.commission.session import Session
+from canhaptic.commission.sequence import STANDSTILL, _scan, commission, stand_still
+from canhaptic.commission.session import (
+    CommissioningLimits,
+    Report,
+    Session,
+    StepFinding,
+    StepVerdict,
+    Unattended,
+    Value,
+)
 from canhaptic.commission.torque_tests import pulse
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock

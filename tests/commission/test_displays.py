@@ -7,10 +7,8 @@ from typing import Any
 import pytest
 
 from canhaptic.cli.main import main
-from canhaptic.commission.dialogue import Unattended
 from canhaptic.commission.display_tests import _loop
-from canhaptic.commission.laws import CommissioningLimits
-from canhaptic.commission.session import Session
+from canhaptic.commission.session import CommissioningLimits, Session, Unattended
 from canhaptic.scene.load import load_scene
 
 SCENE = str(Path(__file__).parents[2] / "configs" / "admittance" / "virtual_mass.yaml")

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.commission.laws import OpenLoop, doublet, sweep
 from canhaptic.commission.mass_and_friction import _Array, estimate, friction_curve
+from canhaptic.commission.session import OpenLoop, doublet, sweep
 from canhaptic.errors import ControlError
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction

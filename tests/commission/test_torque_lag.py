@@ -7,13 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.commission import torque_lag
-from canhaptic.commission.findings import StepVerdict
-from canhaptic.commission.laws import CommissioningLimits, reversals
-from canhaptic.commission.mass_and_friction import estimate_lateness
-from canhaptic.commission.session import Session
-from canhaptic.commission.torque_lag import time_the_torque
-from canhaptic.commission.wall_trial import SURE, is_dear, needed_allowance, share_of_wall
+from canhaptic.commission import mass_and_friction
+from canhaptic.commission.mass_and_friction import (
+    SURE,
+    estimate_lateness,
+    is_dear,
+    needed_allowance,
+    share_of_wall,
+    time_the_torque,
+)
+from canhaptic.commission.session import CommissioningLimits, Session, StepVerdict, reversals
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.effects.current_loop import CurrentLoop
@@ -62,7 +65,7 @@ def test_what_would_be_declared_bounds_the_lag(
     lag: float, damping: float, friction: str, count: float, offset: float
 ) -> None:
     late, error = measured(lag if lag > 1e-6 else 0.0, damping, friction, count, offset)
-    assert lag <= torque_lag._OVER * (max(0.0, late) + SURE * error) + 1e-6
+    assert lag <= mass_and_friction._OVER * (max(0.0, late) + SURE * error) + 1e-6
 
 
 def timed(*overrides: str) -> tuple[Session, Answers]:
@@ -86,7 +89,7 @@ def test_a_lag_below_what_is_resolved_keeps_what_is_configured() -> None:
 
 
 def test_a_torque_that_acts_before_its_sync_fails_and_bounds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torque_lag, "estimate_lateness", lambda *_: (-1e-3, 1e-5))
+    monkeypatch.setattr(mass_and_friction, "estimate_lateness", lambda *_: (-1e-3, 1e-5))
     session, _ = timed()
     assert row(session.report, "torque lag").verdict is StepVerdict.FAILED
     assert session.report.values == []
@@ -99,8 +102,8 @@ def test_a_test_that_leaves_too_much_open_is_repeated_longer(monkeypatch: pytest
         lengths.append(len(positions))
         return (-387e-6, 660e-6) if len(lengths) < 3 else (-100e-6, 60e-6)
 
-    monkeypatch.setattr(torque_lag, "_DOUBLETS", (4, 8, 16, 32))
-    monkeypatch.setattr(torque_lag, "estimate_lateness", unsure)
+    monkeypatch.setattr(mass_and_friction, "_DOUBLETS", (4, 8, 16, 32))
+    monkeypatch.setattr(mass_and_friction, "estimate_lateness", unsure)
     session, said = timed()
     assert len(lengths) == 3
     assert lengths[0] * 1.8 < lengths[1] < lengths[2] / 1.8
@@ -110,8 +113,8 @@ def test_a_test_that_leaves_too_much_open_is_repeated_longer(monkeypatch: pytest
 
 
 def test_a_lag_that_ends_the_wall_is_declared_with_the_allowance_that_keeps_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torque_lag, "_DOUBLETS", (2, 4))
-    monkeypatch.setattr(torque_lag, "estimate_lateness", lambda *_: (-387e-6, 500e-6))
+    monkeypatch.setattr(mass_and_friction, "_DOUBLETS", (2, 4))
+    monkeypatch.setattr(mass_and_friction, "estimate_lateness", lambda *_: (-387e-6, 500e-6))
     session, _ = timed()
     lag, allowance = (float(value(session.report, f"passivity.{key}")) for key in ("current_lag", "energy_allowance"))
     axis = session.scene.axes[0]

@@ -6,8 +6,7 @@ import pytest
 
 from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.control.mechanisms.kinematics import Limit
-from canhaptic.control.multi_axis.axis_group import AxisGroup, GroupedControllers
-from canhaptic.control.multi_axis.group_controller import GroupBalance
+from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupBalance, GroupedControllers
 from canhaptic.signals import PlantEnergy, Sample, Truth
 
 

@@ -5,12 +5,16 @@ import random
 
 import pytest
 
-from canhaptic.control.certificates.hold_timing import hold_timing
-from canhaptic.control.certificates.lost_samples import Gap, doubt_of, farthest
-from canhaptic.control.certificates.scalar_bounds import displacement_response, hand_force_bound
-from canhaptic.control.certificates.start_energy import energy_for_any_hand, start_energy
+from canhaptic.control.certificates.scalar_bounds import (
+    displacement_response,
+    energy_for_any_hand,
+    hand_force_bound,
+    hold_timing,
+    start_energy,
+)
 from canhaptic.control.environments.damper_wall import DamperWall
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.multi_axis.group_account import Gap, doubt_of, farthest
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
@@ -25,8 +29,7 @@ from canhaptic.control.passivity.hold_account import (
     open_hold,
     surplus_after,
 )
-from canhaptic.control.passivity.in_flight import Commands, efforts_inside
-from canhaptic.control.passivity.settlement import settle
+from canhaptic.control.passivity.stepped import Commands, efforts_inside, settle
 
 T, MASS, PULL = 1e-3, 0.25, 5.0
 

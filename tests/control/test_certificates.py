@@ -8,19 +8,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.control.certificates.hold_timing import hold_timing
+from canhaptic.control.certificates.certified_torque import for_any_hand
 from canhaptic.control.certificates.scalar_bounds import (
     NO_RESPONSE,
     WINDOW,
     displacement_response,
     hand_force_bound,
+    hold_timing,
     next_displacement,
     renderable_by_device_damping,
     renderable_by_hand_force,
     renderable_by_hand_speed,
     start_speed,
 )
-from canhaptic.control.certificates.sum_of_certificates import for_any_hand
 from canhaptic.control.certificates.torque_bound import Declared
 from tests.control.guarded_users import Mass
 from tests.drawn import examples

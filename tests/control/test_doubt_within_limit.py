@@ -3,7 +3,7 @@
 import pytest
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.mechanisms.identity import Identity
+from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.passivity import ALGORITHMS, build_controller
 from canhaptic.control.port_hamiltonian.shapes.box import Box

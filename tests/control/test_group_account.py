@@ -6,12 +6,14 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from canhaptic.control.certificates.lost_samples import Gap, doubt_of
-from canhaptic.control.multi_axis.account_memory import AccountMemory, account_memory
 from canhaptic.control.multi_axis.group_account import (
+    AccountMemory,
     AccountSettings,
+    Gap,
     GroupAccount,
+    account_memory,
     certain_energy,
+    doubt_of,
     doubt_of_axis,
     doubt_of_mover,
     end_group_gap,
@@ -21,7 +23,7 @@ from canhaptic.control.multi_axis.group_account import (
     quotient,
 )
 from canhaptic.control.multi_axis.group_certificates import axes_of, damping_need, path_need, taken_by_mover
-from canhaptic.control.multi_axis.group_commands import (
+from canhaptic.control.multi_axis.group_kernel import (
     GroupHolds,
     end_holds,
     no_group_commands,
@@ -31,8 +33,7 @@ from canhaptic.control.multi_axis.group_commands import (
     take_applied,
     torque_held,
 )
-from canhaptic.control.multi_axis.per_axis_certificates import taken_at_most
-from canhaptic.control.multi_axis.per_axis_memory import per_axis_limits, per_axis_memory
+from canhaptic.control.multi_axis.per_axis_certificates import per_axis_limits, per_axis_memory, taken_at_most
 from canhaptic.control.passivity.controller import LoopProperties
 
 T, DELAY = 1e-3, 1

@@ -7,13 +7,21 @@ from typing import NamedTuple
 import pytest
 
 from canhaptic.control.certificates.scalar_bounds import displacement_response, hand_force_bound, next_displacement
-from canhaptic.control.multi_axis.account_memory import AccountMemory, account_memory
 from canhaptic.control.multi_axis.group_account import (
+    AccountMemory,
     AccountSettings,
     GroupAccount,
+    account_memory,
+    doubt_of_late_gap,
+    doubt_of_late_group,
     end_group_gap,
     end_group_hold,
+    given_in_debt,
     largest_of,
+    norms_of,
+    older_needs,
+    older_size,
+    share_of_late,
 )
 from canhaptic.control.multi_axis.group_certificates import (
     Acting,
@@ -24,8 +32,8 @@ from canhaptic.control.multi_axis.group_certificates import (
     response_to_late,
     taken_by_mover,
 )
-from canhaptic.control.multi_axis.group_commands import no_group_holds
-from canhaptic.control.multi_axis.group_shares import (
+from canhaptic.control.multi_axis.group_kernel import no_group_holds
+from canhaptic.control.multi_axis.group_rendering import (
     UnderWay,
     extraction_of,
     free_energy,
@@ -33,17 +41,7 @@ from canhaptic.control.multi_axis.group_shares import (
     shares,
     worst_case,
 )
-from canhaptic.control.multi_axis.late_group import (
-    doubt_of_late_gap,
-    doubt_of_late_group,
-    given_in_debt,
-    norms_of,
-    older_needs,
-    older_size,
-    share_of_late,
-)
-from canhaptic.control.multi_axis.per_axis_certificates import write_cells
-from canhaptic.control.multi_axis.per_axis_memory import per_axis_limits
+from canhaptic.control.multi_axis.per_axis_certificates import per_axis_limits, write_cells
 from canhaptic.control.passivity.controller import LoopProperties
 from tests.control.network.networks import AxesApart
 

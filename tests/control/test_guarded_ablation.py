@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from canhaptic.control.certificates import certified_torque
-from canhaptic.control.passivity import guarded_account as account
+from canhaptic.control.passivity import guarded as account
 from tests.control.guarded_users import HAND_FORCE, PUSH, USERS, guarded, run
 
 whole_step = certified_torque.next_displacement  # type: ignore[attr-defined]

@@ -5,8 +5,7 @@ import pytest
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded import Guarded
-from canhaptic.control.passivity.guarded_account import GuardedState, Memory, end, memory_of, relax
+from canhaptic.control.passivity.guarded import Guarded, GuardedState, Memory, end, memory_of, relax
 from canhaptic.control.passivity.guarded_settings import GuardedParameters, GuardedSettings, settings_of
 from canhaptic.kernels import list_of_zeros
 

@@ -4,15 +4,15 @@ import math
 
 import pytest
 
-from canhaptic.control.certificates.hold_timing import hold_timing
-from canhaptic.control.certificates.late_reach import LateMotion, by_reach_of_late
-from canhaptic.control.certificates.late_torque import (
+from canhaptic.control.certificates.certified_torque import (
+    LateMotion,
+    by_reach_of_late,
     for_every_hand,
     free_of_late,
     largest_of_late,
     taken_under_way,
 )
-from canhaptic.control.certificates.scalar_bounds import displacement_response
+from canhaptic.control.certificates.scalar_bounds import displacement_response, hold_timing
 from canhaptic.control.certificates.torque_bound import Declared, TorqueBound, bound_memory
 from canhaptic.kernels import list_of_zeros
 from tests.control.late_formulas import (

@@ -7,12 +7,11 @@ from typing import NamedTuple
 
 import pytest
 
-from canhaptic.control.multi_axis.account_memory import AccountMemory, account_memory
-from canhaptic.control.multi_axis.group_account import AccountSettings, GroupAccount
-from canhaptic.control.multi_axis.group_certificates import AxisLimits, axes_of, pass_range, response_to_late
-from canhaptic.control.multi_axis.group_commands import no_group_holds
-from canhaptic.control.multi_axis.group_shares import UnderWay, free_energy, shares
-from canhaptic.control.multi_axis.late_group import (
+from canhaptic.control.multi_axis.group_account import (
+    AccountMemory,
+    AccountSettings,
+    GroupAccount,
+    account_memory,
     doubt_of_late_gap,
     doubt_of_late_group,
     norms_of,
@@ -20,7 +19,10 @@ from canhaptic.control.multi_axis.late_group import (
     older_size,
     share_of_late,
 )
-from canhaptic.control.multi_axis.per_axis_memory import per_axis_limits
+from canhaptic.control.multi_axis.group_certificates import AxisLimits, axes_of, pass_range, response_to_late
+from canhaptic.control.multi_axis.group_kernel import no_group_holds
+from canhaptic.control.multi_axis.group_rendering import UnderWay, free_energy, shares
+from canhaptic.control.multi_axis.per_axis_certificates import per_axis_limits
 from canhaptic.control.passivity.controller import LoopProperties
 
 T, MASSES = 1e-3, (0.25, 0.6)

@@ -5,7 +5,7 @@ import random
 
 import pytest
 
-from canhaptic.control.certificates.late_reach import LateMotion, below_older, by_reach_of_late, takes_in
+from canhaptic.control.certificates.certified_torque import LateMotion, below_older, by_reach_of_late, takes_in
 from tests.control.late_formulas import (
     after,
     case_of,

@@ -6,10 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from canhaptic.control.certificates.hold_timing import hold_timing
-from canhaptic.control.certificates.late_reach import LateMotion
-from canhaptic.control.certificates.late_torque import largest_of_late, taken_in_hold
-from canhaptic.control.certificates.scalar_bounds import displacement_response, next_displacement
+from canhaptic.control.certificates.certified_torque import LateMotion, largest_of_late, taken_in_hold
+from canhaptic.control.certificates.scalar_bounds import displacement_response, hold_timing, next_displacement
 from canhaptic.control.certificates.torque_bound import Declared, TorqueBound, bound_memory
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from canhaptic.control.balance import AT_REST, EnergyBalance
-from canhaptic.control.environments.plain import plain, tuple_type
+from canhaptic.control.environments.environment import plain, tuple_type
 from canhaptic.control.passivity import ALGORITHMS, build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.kernels import Run, list_of_zeros

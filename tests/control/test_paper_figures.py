@@ -12,7 +12,7 @@ from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import open_hold
 from canhaptic.control.passivity.internal_dissipation import InternalDissipation, InternalDissipationParameters
-from canhaptic.kernels.binding import bound
+from canhaptic.kernels.records import bound
 from canhaptic.lab.rivals.a_priori_dissipation import APrioriDissipationParameters
 from tests.control.reference_loop import continuous, sampled, user_f, variation
 

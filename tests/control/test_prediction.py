@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from canhaptic.control.passivity.prediction import PredictedMotion, observe, predicted, prediction_settings
+from canhaptic.control.passivity.guarded_settings import PredictedMotion, observe, predicted, prediction_settings
 
 BEYOND = 0.75  # holds, the default of `guarded`
 

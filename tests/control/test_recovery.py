@@ -7,13 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canhaptic.control.damping import damping_cap, largest_stable_damping, least_oscillating_damping, modulated_damping
 from canhaptic.control.passivity.internal_dissipation import InternalDissipationParameters
-from canhaptic.control.recovery import (
-    damping_cap,
-    largest_stable_damping,
-    least_oscillating_damping,
-    modulated_damping,
-)
 from canhaptic.errors import ParameterError
 
 MASS, SAMPLE_TIME = 0.3, 2e-3

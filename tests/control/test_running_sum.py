@@ -3,7 +3,7 @@
 import math
 import random
 
-from canhaptic.control.running_sum import RunningSum, add
+from canhaptic.control.balance import RunningSum, add
 
 
 def test_a_sum_of_terms_of_every_size_is_exact_to_the_last_place() -> None:

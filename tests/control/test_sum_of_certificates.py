@@ -8,11 +8,20 @@ import numpy as np
 import pytest
 
 from canhaptic.control.balance import AT_REST, Certificate
-from canhaptic.control.certificates.certified_torque import free_energy, largest_torques
-from canhaptic.control.certificates.hold_timing import hold_timing
-from canhaptic.control.certificates.late_torque import free_of_late
-from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, displacement_response, next_displacement
-from canhaptic.control.certificates.sum_of_certificates import free_in_sum, largest_in_sum, taken
+from canhaptic.control.certificates.certified_torque import (
+    free_energy,
+    free_in_sum,
+    free_of_late,
+    largest_in_sum,
+    largest_torques,
+    taken,
+)
+from canhaptic.control.certificates.scalar_bounds import (
+    NO_RESPONSE,
+    displacement_response,
+    hold_timing,
+    next_displacement,
+)
 from canhaptic.control.certificates.torque_bound import BoundMemory, Declared, TorqueBound, bound_memory
 from canhaptic.control.environments.free_space import FreeSpace
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
@@ -21,7 +30,7 @@ from canhaptic.control.passivity.guarded import Guarded
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import list_of_zeros
-from canhaptic.lab.batch.meter import Meter, MeterSettings, take
+from canhaptic.lab.batch.closed_loop import Meter, MeterSettings, take
 from canhaptic.lab.figures.figures import metrics_of
 from tests.control.guarded_users import MASS, guarded, run
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from canhaptic.control.certificates.hold_timing import hold_timing
-from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, WINDOW, displacement_response
+from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, WINDOW, displacement_response, hold_timing
 from canhaptic.control.certificates.torque_bound import (
     Declared,
     TorqueBound,

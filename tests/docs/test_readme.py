@@ -6,7 +6,7 @@ import re
 from canhaptic.cli.main import _COMMANDS
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.passivity import ALGORITHMS
-from canhaptic.sim.bus.bus_effects import BusEffects
+from canhaptic.sim.bus.faulty_bus import BusEffects
 from tests.docs.documents import ROOT
 
 DOCS = ROOT / "docs"

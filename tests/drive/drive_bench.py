@@ -16,8 +16,7 @@ from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.drive.can.drive_group import DriveGroup
-from canhaptic.sim.drive.can.drive_node import SimulatedDrive
+from canhaptic.sim.drive.can.drive_node import DriveGroup, SimulatedDrive
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent

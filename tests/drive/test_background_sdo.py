@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canhaptic.drive.axis_parameters import BusParameters
-from canhaptic.drive.can import sdo_transfer
+from canhaptic.drive.can import sdo as sdo_transfer
 from canhaptic.drive.can.bus_budget import bus_budget, has_room_for_sdo
-from canhaptic.drive.can.sdo_transfer import ProtocolError
+from canhaptic.drive.can.sdo import ProtocolError
 from canhaptic.errors import InputError, SdoError
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.drive_bench import Bench, MakeBench, axis

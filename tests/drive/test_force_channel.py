@@ -2,8 +2,7 @@
 
 import pytest
 
-from canhaptic.drive.profile.display_parameters import ForceParameters
-from canhaptic.drive.profile.force_channel import ForceChannel
+from canhaptic.drive.profile.display_parameters import ForceChannel, ForceParameters
 
 
 def channel(**values: object) -> ForceChannel:

@@ -8,7 +8,7 @@ from canhaptic.cli.main import main
 from canhaptic.drive.profile.fitness import Verdict, profile_findings
 from canhaptic.drive.survey import survey
 from canhaptic.errors import SdoError, StartError
-from canhaptic.replay.replayed_run import replay_bus_log
+from canhaptic.replay import replay_bus_log
 from canhaptic.scene.load import load_scene
 from tests.drive.drive_bench import OUR_EDS, REPOSITORY, MakeBench, axis, dictionary
 

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.drive.can.pdo_codec import MappedObject, codec, decode_entry
-from canhaptic.drive.can.pdo_map import AxisMap, choose_map
+from canhaptic.drive.can.pdo_map import AxisMap, MappedObject, choose_map, codec, decode_entry
 from canhaptic.errors import DictionaryError
 from tests.drive.drive_bench import OUR_EDS, axis, dictionary
 

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from canhaptic.cycle import run
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import CanHapticError
-from canhaptic.scene.build import build
-from canhaptic.scene.bus import open_bus
+from canhaptic.scene.build import build, open_bus
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drawn import examples

@@ -3,7 +3,7 @@
 import pytest
 
 from canhaptic.errors import ParameterError
-from canhaptic.kernels.binding import bound, filled
+from canhaptic.kernels.records import bound, filled
 
 
 def respond(depth: float) -> float:

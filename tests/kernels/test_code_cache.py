@@ -15,9 +15,8 @@ import pytest
 
 pytest.importorskip("numba")
 
-from canhaptic.kernels import code_cache
-from canhaptic.kernels.code_cache import cache_folder, code_key, kept_code
-from canhaptic.kernels.compiler import compiled
+from canhaptic.kernels import compiler
+from canhaptic.kernels.compiler import cache_folder, code_key, compiled, kept_code
 
 ROOT = Path(__file__).resolve().parents[2]
 INNER = "def inner(x):\n    return x * {factor}\n"
@@ -153,10 +152,10 @@ def test_no_name_of_machine_code_is_that_of_another_process(tmp_path: Path) -> N
 @pytest.fixture
 def first_time() -> Iterator[None]:
     """A process that has neither said that nothing is kept nor deleted what is old."""
-    for once in (code_cache._say_that_nothing_is_kept, code_cache._delete_unused):
+    for once in (compiler._say_that_nothing_is_kept, compiler._delete_unused):
         once.cache_clear()
     yield
-    code_cache._say_that_nothing_is_kept.cache_clear()
+    compiler._say_that_nothing_is_kept.cache_clear()
 
 
 def test_where_no_folder_can_be_made_the_code_is_not_kept(

@@ -15,7 +15,7 @@ import pytest
 from canhaptic.control.balance import AT_REST
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.mechanisms.five_bar import FiveBarMap
-from canhaptic.control.mechanisms.identity import IdentityMap
+from canhaptic.control.mechanisms.kinematics import IdentityMap
 from canhaptic.control.mechanisms.planar_2r import LinkMap
 from canhaptic.control.mechanisms.transmission import LinearMap
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
@@ -29,12 +29,8 @@ from canhaptic.control.port_hamiltonian.shapes.sphere import Round
 from canhaptic.control.port_hamiltonian.shapes.tube import AroundLine
 from canhaptic.errors import ParameterError
 from canhaptic.lab.batch.closed_loop import run_loop
-from canhaptic.lab.batch.event_plant import book_motor
-from canhaptic.lab.batch.event_plants import by_its_way
-from canhaptic.lab.batch.event_substeps import residual_of_plant
-from canhaptic.lab.batch.group_closed_loop import run_group, step
-from canhaptic.lab.batch.group_events import move_event_motors, run_with_efforts
-from canhaptic.lab.batch.group_five_bar import move_five_bar
+from canhaptic.lab.batch.group_loop import move_event_motors, move_five_bar, run_group, run_with_efforts, step
+from canhaptic.lab.batch.plants import book_motor, by_its_way, residual_of_plant
 from canhaptic.registry import load
 
 FORBIDDEN = (

@@ -14,15 +14,20 @@ from canhaptic.control.passivity import ALGORITHMS, build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.figures.figures import figures
-from canhaptic.lab.loop.algorithms import _with_known_plant, with_algorithm
-from canhaptic.lab.loop.axis_loop import LoopRun, Recorder
-from canhaptic.lab.loop.cost import microseconds_per_step
-from canhaptic.lab.loop.scenes import at_rate, loop_case
-from canhaptic.lab.reference.continuous_reference import ContinuousReference
+from canhaptic.lab.loop.axis_loop import (
+    LoopRun,
+    Recorder,
+    _with_known_plant,
+    at_rate,
+    loop_case,
+    microseconds_per_step,
+    with_algorithm,
+)
+from canhaptic.lab.reference import ContinuousReference
 from canhaptic.lab.render import compare_picture
 from canhaptic.lab.render.compare_picture import draw_comparison
 from canhaptic.lab.render.compare_table import comparison_report
-from canhaptic.lab.studies.compare.comparison import compare
+from canhaptic.lab.studies.compare import compare
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import load_scene
 from tests.control.reference_loop import USER_S, continuous, sampled

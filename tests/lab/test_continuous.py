@@ -15,9 +15,7 @@ from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMediu
 from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.errors import InputError
 from canhaptic.lab.judge.reference_model import Model
-from canhaptic.lab.reference.continuous_reference import continuous_reference
-from canhaptic.lab.reference.continuous_wall import continuous_effect
-from canhaptic.lab.reference.textbook_environment import continuous_run
+from canhaptic.lab.reference import continuous_effect, continuous_reference, continuous_run
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.effects.viscous_friction import ViscousFriction
 from canhaptic.sim.plant.plant import Plant, PlantParameters

@@ -15,7 +15,7 @@ from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.decoder import BusDecoder
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.replay.replayed_run import replay_bus_log
+from canhaptic.replay import replay_bus_log
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from tests.drawn import examples

@@ -7,9 +7,7 @@ from hypothesis import strategies as st
 from canhaptic.canopen.code_texts import emcy_text, sdo_abort_text
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.canopen.objects import SdoAbort
-from canhaptic.logs.decoder import BusDecoder, NodeDescription
-from canhaptic.logs.pdo_decoder import PdoMaps
-from canhaptic.logs.sdo_decoder import Access
+from canhaptic.logs.decoder import Access, BusDecoder, NodeDescription, PdoMaps
 from tests.drawn import examples
 
 EDS = Path(__file__).parents[2] / "eds" / "cia402_servo.eds"

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from canhaptic.logs import packing
+from canhaptic.logs import energy_sink
+from canhaptic.logs.energy_sink import _whole_lengths, repack, trim
 from canhaptic.logs.hdf5 import Hdf5File
-from canhaptic.logs.packing import _whole_lengths, repack, trim
 
 LENGTHS = {"timing/sync_index": 9, "ports/handle/h_i": 7, "events/sync_index": 3, "events/text": 2}
 
@@ -51,7 +51,7 @@ def test_what_is_longer_is_cut(torn: Path, tmp_path: Path) -> None:
 def test_a_packed_copy_holds_whole_rows_in_their_order(
     torn: Path, tmp_path: Path, block: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(packing, "_BLOCK", block)
+    monkeypatch.setattr(energy_sink, "_BLOCK", block)
     repack(torn, tmp_path / "packed.h5", {"status": "packed"})
     assert columns_of(tmp_path / "packed.h5") == {
         name: list(range(2 if name.startswith("events/") else 7)) for name in LENGTHS

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from canhaptic.errors import EventLimitError
-from canhaptic.lab.judge.event_location import reference
 from canhaptic.lab.judge.reference_model import Model
-from canhaptic.sim.plant.guard_bounds import guard_bounds
+from canhaptic.lab.judge.solvers import reference
+from canhaptic.sim.plant.assembly import guard_bounds
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tests.plant.plant_scenes import MS, make_plant, run
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.lab.judge.event_location import reference
 from canhaptic.lab.judge.reference_model import Model
-from canhaptic.sim.plant import mode_matrices
-from canhaptic.sim.plant.guard_bounds import GuardBounds, guard_bounds
+from canhaptic.lab.judge.solvers import reference
+from canhaptic.sim.plant import assembly
+from canhaptic.sim.plant.assembly import GuardBounds, guard_bounds
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.user import UserParameters
 from tests.drawn import examples
@@ -99,7 +99,7 @@ def ends_only(*arguments: Any) -> GuardBounds:
 def test_a_bound_that_is_too_small_is_caught(monkeypatch):
     """The bound by the ends of a step alone, as it was once: what the tests above are for."""
     assert abs(run(servo(), [3.5])[-1]) <= 1e-6
-    monkeypatch.setattr(mode_matrices, "guard_bounds", ends_only)
+    monkeypatch.setattr(assembly, "guard_bounds", ends_only)
     assert abs(run(servo(), [3.5])[-1]) >= 1e-4
 
 
@@ -115,5 +115,5 @@ def test_random_scenes_agree_with_an_independent_judge(count):
 def test_the_judge_finds_a_missed_event(monkeypatch, seed):
     """The same judge on a plant that looks at the ends of its steps only."""
     assert judged(random_scene(seed))[0] == ""
-    monkeypatch.setattr(mode_matrices, "guard_bounds", ends_only)
+    monkeypatch.setattr(assembly, "guard_bounds", ends_only)
     assert "by the judge" in judged(random_scene(seed))[0]

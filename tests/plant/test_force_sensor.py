@@ -2,7 +2,7 @@
 
 import pytest
 
-from canhaptic.sim.plant.force_sensor import ForceReading, SimulatedForceSensor
+from canhaptic.sim.plant.velocity_drive import ForceReading, SimulatedForceSensor
 
 
 def test_an_offset_of_a_sensor_that_integrates_is_integrated_too():

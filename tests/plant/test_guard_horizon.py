@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.sim.plant.guard_bounds import guard_bounds
-from canhaptic.sim.plant.guard_horizon import HOLDS, GuardHorizon
+from canhaptic.sim.plant.assembly import guard_bounds
+from canhaptic.sim.plant.hybrid_automaton import HOLDS, GuardHorizon
 from canhaptic.sim.plant.plant import Plant
 from tests.drawn import examples
 from tests.plant.plant_scenes import MS, make_plant, run

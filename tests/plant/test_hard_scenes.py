@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canhaptic.lab.loop.scenes import loop_case
+from canhaptic.lab.loop.axis_loop import loop_case
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_plant

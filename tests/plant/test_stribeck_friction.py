@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.lab.judge.event_location import reference
 from canhaptic.lab.judge.reference_model import Model
+from canhaptic.lab.judge.solvers import reference
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters

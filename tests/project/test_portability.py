@@ -33,7 +33,7 @@ for module in pkgutil.walk_packages(canhaptic.__path__, "canhaptic."):
     except ModuleNotFoundError as error:  # of an extra that is not installed here
         if error.name.split(".")[0] not in ("bokeh", "tornado", "matplotlib", "numba", "dask", "distributed", "scipy"):
             raise
-from canhaptic.cli.host import host_settings
+from canhaptic.cli.check import host_settings
 
 host_settings()
 print(canhaptic.simulate("configs/demo.yaml", duration=0.3).account.passive)

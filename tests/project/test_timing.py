@@ -3,7 +3,7 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.histogram import DurationHistogram
+from canhaptic.drive.clock import DurationHistogram
 
 
 @given(

@@ -15,7 +15,7 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import convert
-from canhaptic.replay.replayed_run import ReplayResult, replay_bus_log
+from canhaptic.replay import ReplayResult, replay_bus_log
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from tools.record import RECORDINGS
@@ -63,15 +63,15 @@ def test_the_master_sends_today_what_it_sent_when_recorded(name: str) -> None:
     ("name", "place"),
     [
         ("bound_hand_force", "certificates.certified_torque.hand_force_bound"),
-        ("bound_late_torque", "certificates.late_reach.hand_force_bound"),
-        ("bound_lost_frames", "certificates.late_reach.if_held_on"),
-        ("bound_device_damping", "certificates.sum_of_certificates.for_any_hand"),
-        ("bound_hand_speed", "certificates.sum_of_certificates.by_fastest"),
-        ("bound_device_friction", "certificates.sum_of_certificates.for_any_hand"),
-        ("bound_sum", "certificates.sum_of_certificates.by_reach"),
+        ("bound_late_torque", "certificates.certified_torque.hand_force_bound"),
+        ("bound_lost_frames", "certificates.certified_torque.if_held_on"),
+        ("bound_device_damping", "certificates.certified_torque.for_any_hand"),
+        ("bound_hand_speed", "certificates.certified_torque.by_fastest"),
+        ("bound_device_friction", "certificates.certified_torque.for_any_hand"),
+        ("bound_sum", "certificates.certified_torque.by_reach"),
         ("bound_drag", "certificates.certified_torque.hand_force_bound"),
         ("bound_group", "multi_axis.per_axis_certificates.hand_force_bound"),
-        ("bound_late_group", "multi_axis.group_shares.by_hand_force"),
+        ("bound_late_group", "multi_axis.group_rendering.by_hand_force"),
         ("bound_lossy_group", "multi_axis.per_axis_certificates.largest_share"),
         ("bound_display", "admittance.guarded_display.fastest"),
         ("bound_display_force", "admittance.guarded_display.fastest_for_hand"),

@@ -8,8 +8,8 @@ import pytest
 from canhaptic import simulate
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError, SceneError
-from canhaptic.scene.guesses import guesses_left
 from canhaptic.scene.load import load_scene, scene_from_text
+from canhaptic.scene.models import guesses_left
 from tests.scene.scene_text import REPOSITORY
 
 CONFIGS = REPOSITORY / "configs"

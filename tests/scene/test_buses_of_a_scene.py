@@ -13,7 +13,7 @@ from canhaptic.cycle import run
 from canhaptic.errors import LogFormatError, RigError, SceneError
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.replay.replayed_run import replay_bus_log
+from canhaptic.replay import replay_bus_log
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene, scene_from_mapping
 from canhaptic.scene.models import Scene

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from canhaptic.scene.guesses import guesses_left
 from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import guesses_left
 from tests.scene.scene_text import REPOSITORY
 
 PROFILES = REPOSITORY / "configs" / "drives"  # keys of an axis, and no scenes

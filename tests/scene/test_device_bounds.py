@@ -3,8 +3,8 @@
 import pytest
 
 from canhaptic.errors import InputError
-from canhaptic.scene.guesses import require_no_guesses
 from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import require_no_guesses
 from tests.scene.scene_text import REPOSITORY
 
 DEMO = REPOSITORY / "configs" / "demo.yaml"

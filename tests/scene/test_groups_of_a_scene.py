@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from canhaptic.cli.main import main
-from canhaptic.control.multi_axis.axis_group import AxisGroup
 from canhaptic.control.multi_axis.group_certificates import axes_of
+from canhaptic.control.multi_axis.group_controller import AxisGroup
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.cycle import Cycle, run
 from canhaptic.errors import ParameterError, SceneError
@@ -239,8 +239,7 @@ def test_a_scene_of_axes_alone_imports_no_mechanism_and_no_network() -> None:
     assert not names & {
         "canhaptic.sim.plant.mechanism.five_bar_linkage",
         "canhaptic.sim.plant.mechanism.xy_stage",
-        "canhaptic.sim.plant.mechanism.linkage",
-        "canhaptic.control.port_hamiltonian.newton", "canhaptic.control.port_hamiltonian.network",
+        "canhaptic.control.port_hamiltonian.sampled_network", "canhaptic.control.port_hamiltonian.network",
         "canhaptic.control.mechanisms.five_bar",
     }  # fmt: skip
 

@@ -12,7 +12,7 @@ from canhaptic.audit.recompute import recompute_all, scene_of
 from canhaptic.cli.main import main as canhaptic
 from canhaptic.errors import InputError, SceneError
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.replay.replayed_run import replay_bus_log
+from canhaptic.replay import replay_bus_log
 from canhaptic.scene.load import load_scene, scene_from_text
 from canhaptic.scene.old_forms import OLD_ALGORITHMS, overrides_now
 from tests.scene.scene_text import REPOSITORY, faults, scene_file

@@ -15,13 +15,12 @@ from canhaptic.audit.recompute import scene_of
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError, SceneError
 from canhaptic.lab.batch.engine import chosen_engine
-from canhaptic.lab.judge.event_location import reference
-from canhaptic.lab.reference.continuous_reference import textbook_model
-from canhaptic.lab.studies.accuracy.continuous_loop import continuous_loop
-from canhaptic.lab.studies.sweep.points import make_points
-from canhaptic.lab.studies.sweep.recipe import make_recipe
-from canhaptic.lab.studies.sweep.recipe import scene_of as scene_of_row
-from canhaptic.lab.studies.sweep.vary import parse_vary
+from canhaptic.lab.judge.solvers import reference
+from canhaptic.lab.reference import textbook_model
+from canhaptic.lab.studies.accuracy.loop_sensitivity import continuous_loop
+from canhaptic.lab.studies.sweep.chunk import make_recipe
+from canhaptic.lab.studies.sweep.chunk import scene_of as scene_of_row
+from canhaptic.lab.studies.sweep.vary import make_points, parse_vary
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters

@@ -5,8 +5,7 @@ import math
 import pytest
 
 from canhaptic.errors import SceneError
-from canhaptic.scene.diagnostics import Diagnostics
-from canhaptic.scene.document import _MAX_NODES, MarkedMapping, parse_yaml
+from canhaptic.scene.document import _MAX_NODES, Diagnostics, MarkedMapping, parse_yaml
 
 
 def read(text: str) -> object:

@@ -7,8 +7,7 @@ from typing import Any
 import can
 
 from canhaptic.drive.clock import VirtualClock
-from canhaptic.sim.bus.bus_effects import BusEffects
-from canhaptic.sim.bus.faulty_bus import FaultyBus
+from canhaptic.sim.bus.faulty_bus import BusEffects, FaultyBus
 from canhaptic.sim.drive.timers import NEVER
 
 _channels = itertools.count()

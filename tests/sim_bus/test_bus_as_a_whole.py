@@ -7,9 +7,7 @@ import can
 import pytest
 
 from canhaptic.drive.clock import WallClock
-from canhaptic.sim.bus.bus_effects import BusEffects
-from canhaptic.sim.bus.bus_segment import _worst_case_bits
-from canhaptic.sim.bus.faulty_bus import FaultyBus
+from canhaptic.sim.bus.faulty_bus import BusEffects, FaultyBus, _worst_case_bits
 from tests.sim_bus.bus_bench import MS, US, Bench, frame, numbered, numbers, virtual_bus
 
 

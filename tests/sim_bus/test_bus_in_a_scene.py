@@ -13,7 +13,7 @@ from canhaptic.scene.build import build
 from canhaptic.scene.json_schema import scene_schema
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import method_line
-from canhaptic.sim.bus.bus_effects import BusEffects, Schedule, Window
+from canhaptic.sim.bus.faulty_bus import BusEffects, Schedule, Window
 from canhaptic.sim.bus.virtual_bus import LeanVirtualBus
 
 REPOSITORY = Path(__file__).resolve().parents[2]

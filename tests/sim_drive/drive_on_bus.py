@@ -8,8 +8,7 @@ import can
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.drive.can.drive_group import DriveGroup
-from canhaptic.sim.drive.can.drive_node import SimulatedDrive
+from canhaptic.sim.drive.can.drive_node import DriveGroup, SimulatedDrive
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 
 NODE = 5

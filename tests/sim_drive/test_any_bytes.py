@@ -4,7 +4,7 @@ import can
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.sim.drive.can.drive_group import DriveGroup
+from canhaptic.sim.drive.can.drive_node import DriveGroup
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drawn import examples
 from tests.sim_drive.drive_on_bus import NODE, PERIOD, TRAITS, Rig

@@ -13,7 +13,7 @@ from canhaptic.errors import EnergyLostError
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.drive.profile.torque_meter import TorqueMeter
+from canhaptic.sim.drive.profile.servo import TorqueMeter
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 MILLISECOND = 1_000_000

@@ -7,8 +7,8 @@ import numpy as np
 
 from canhaptic.control.balance import Branch
 from canhaptic.logs.columns import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, LogSchema, PortDescription
+from canhaptic.logs.energy_sink import _PACKED_CHUNK
 from canhaptic.logs.hdf5 import Hdf5File
-from canhaptic.logs.packing import _PACKED_CHUNK
 
 HOUR = 3_600_000
 SPIKE = 0.7

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.audit.extent import contacts
+from canhaptic.audit.port_record import contacts
 from canhaptic.control.balance import AT_REST
 from canhaptic.cycle import run
 from canhaptic.errors import InputError
@@ -19,9 +19,9 @@ from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.signals import Sample
 from canhaptic.view import run_picture
-from canhaptic.view.decimate import decimate
 from canhaptic.view.picture_style import drawing, save_picture
 from canhaptic.view.run_picture import draw_energy
+from canhaptic.view.series import decimate
 from tests.drawn import examples
 from tests.view.synthetic_run import TIMING, write_run
 

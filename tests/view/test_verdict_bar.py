@@ -2,7 +2,7 @@
 
 import pytest
 
-from canhaptic.view.verdict_bar import verdict_bar
+from canhaptic.view.html_page import verdict_bar
 
 
 @pytest.mark.parametrize(("word", "shown"), [("yes", "yes"), ("in doubt", "in doubt"), ("no", "NO")])

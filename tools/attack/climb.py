@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.control.environments.plain import plain, tuple_type
+from canhaptic.control.environments.environment import plain, tuple_type
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded

@@ -17,17 +17,21 @@ import numpy as np
 from scipy.linalg import expm
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
-from canhaptic.control.admittance.damping_border import damping_border
-from canhaptic.control.admittance.display_mass import DisplayMass
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
-from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.declared_hand import damping_border
+from canhaptic.control.admittance.group_environment import DisplayMass
+from canhaptic.control.admittance.port import DisplayProperties
+from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
 from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.sim.plant.force_sensor import SimulatedForceSensor
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
-from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation, GripParameters, VelocityLoopParameters
+from canhaptic.sim.plant.velocity_drive import (
+    AdmittanceSimulation,
+    GripParameters,
+    SimulatedForceSensor,
+    VelocityLoopParameters,
+)
 from tools.bench.report import Row, picture_place, publish
 from tools.displays import faults
 from tools.displays.declared_hands import SPRING_RIGS, MassRig, below, mass_energies, spring_energies

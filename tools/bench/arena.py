@@ -7,11 +7,8 @@ import os
 from typing import Final
 
 from canhaptic.lab.render.arena_picture import pictures_of
-from canhaptic.lab.studies.arena.arena_cases import scenes_named
-from canhaptic.lab.studies.arena.arena_store import ArenaStore
-from canhaptic.lab.studies.arena.run_arena import ArenaPlan, run_arena
-from canhaptic.lab.studies.arena.standings import result_rows
-from canhaptic.lab.studies.sweep.workers import Pool
+from canhaptic.lab.studies.arena import ArenaPlan, ArenaStore, result_rows, run_arena, scenes_named
+from canhaptic.lab.studies.sweep.run_sweep import Pool
 from tools.bench.report import DEFAULT_OUT, Row, picture_place, publish, write_result
 
 _PACKAGES: Final = ("canhaptic", "numpy", "numba")

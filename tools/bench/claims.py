@@ -10,10 +10,9 @@ import numpy as np
 
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.lab.figures.field_figures import energy_beyond_device
-from canhaptic.lab.loop.axis_loop import LoopRun, render
-from canhaptic.lab.loop.scenes import cycles_of, loop_case
-from canhaptic.lab.studies.arena.arena_cases import scene_under, with_loop
-from canhaptic.lab.studies.map.theory import theory_of
+from canhaptic.lab.loop.axis_loop import LoopRun, cycles_of, loop_case, render
+from canhaptic.lab.studies.arena import scene_under, with_loop
+from canhaptic.lab.studies.map import theory_of
 from canhaptic.package_data import shipped
 from canhaptic.scene.models import Scene
 from canhaptic.scene.torque_history import simulation_of

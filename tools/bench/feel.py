@@ -21,13 +21,24 @@ from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.control.certificates.scalar_bounds import displacement_response, renderable_by_hand_force
-from canhaptic.control.certificates.start_energy import energy_for_any_hand, start_energy
+from canhaptic.control.certificates.scalar_bounds import (
+    displacement_response,
+    energy_for_any_hand,
+    renderable_by_hand_force,
+    start_energy,
+)
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
-from canhaptic.lab.figures.held import Bench, Leaning, largest_held, settling_time
-from canhaptic.lab.figures.slow_hand import SlowHand, certified_rest, enter
+from canhaptic.lab.figures.contact_quality import (
+    Bench,
+    Leaning,
+    SlowHand,
+    certified_rest,
+    enter,
+    largest_held,
+    settling_time,
+)
 from canhaptic.lab.loop.axis_loop import Array, LoopCase, LoopRun, render
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.plant import PlantParameters

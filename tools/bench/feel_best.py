@@ -33,7 +33,7 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.control.certificates.scalar_bounds import displacement_response, renderable_by_hand_force
-from canhaptic.lab.figures.held import Leaning
+from canhaptic.lab.figures.contact_quality import Leaning
 from canhaptic.lab.loop.axis_loop import Array
 from tools.bench.report import Row
 

@@ -4,10 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from canhaptic.control.certificates.scalar_bounds import displacement_response
-from canhaptic.control.certificates.start_energy import start_energy
+from canhaptic.control.certificates.scalar_bounds import displacement_response, start_energy
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.lab.figures.slow_hand import SlowHand, certified_rest, enter
+from canhaptic.lab.figures.contact_quality import SlowHand, certified_rest, enter
 from canhaptic.lab.loop.axis_loop import render
 from tools.bench import feel
 from tools.bench.report import picture_place

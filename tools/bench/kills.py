@@ -21,11 +21,10 @@ from typing import Final
 from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.replay.recording import Recording
-from canhaptic.replay.roles import roles_of
+from canhaptic.replay import Recording, roles_of
 from canhaptic.scene.build import build
-from canhaptic.scene.channels import Channels
 from canhaptic.scene.load import load_scene
+from canhaptic.scene.recorded_names import Channels
 from tools.bench.demo import CONFIG, IN_CONTACT
 from tools.bench.peers import SYNC
 from tools.bench.report import Row, publish

@@ -12,7 +12,7 @@ from collections import deque
 from functools import partial
 from time import perf_counter
 
-from canhaptic.control.running_sum import RunningSum, add
+from canhaptic.control.balance import RunningSum, add
 from tools.bench.report import Row, publish
 
 SAMPLES = 1_000_000_000

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from canhaptic.control.mechanisms.five_bar import FiveBar
-from canhaptic.control.mechanisms.identity import Identity
+from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.group_controller import GroupController
 from canhaptic.control.passivity.controller import LoopProperties

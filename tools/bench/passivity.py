@@ -17,10 +17,9 @@ import numpy as np
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS
-from canhaptic.control.passivity.root import solve_balance
+from canhaptic.control.passivity.stored_model import solve_balance
 from canhaptic.lab.figures.figures import figures
-from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Recorder, render
-from canhaptic.lab.loop.cost import microseconds_per_step
+from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Recorder, microseconds_per_step, render
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters
 from tools.bench.report import Row, publish

@@ -23,7 +23,7 @@ from canhaptic.drive.rig import Rig
 from canhaptic.scene.build import build_drive_group
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_servo_drive
-from canhaptic.sim.drive.can.drive_group import DriveGroup
+from canhaptic.sim.drive.can.drive_node import DriveGroup
 from tools.bench.demo import CONFIG, COUNT, require_rendered
 
 NODE = 1

@@ -12,8 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.lab.judge.event_location import reference
 from canhaptic.lab.judge.reference_model import Model
+from canhaptic.lab.judge.solvers import reference
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters

@@ -14,10 +14,9 @@ import numpy as np
 
 from canhaptic.lab.batch.scalar import run_case
 from canhaptic.lab.figures.field_figures import m_width
-from canhaptic.lab.loop.axis_loop import LoopRun, render
-from canhaptic.lab.loop.scenes import environment_of, loop_case
-from canhaptic.lab.studies.arena.arena_cases import rounded, with_loop
-from canhaptic.lab.studies.map.theory import colgate_stiffness
+from canhaptic.lab.loop.axis_loop import LoopRun, environment_of, loop_case, render
+from canhaptic.lab.studies.arena import rounded, with_loop
+from canhaptic.lab.studies.map import colgate_stiffness
 from canhaptic.package_data import shipped
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene

@@ -7,7 +7,7 @@ from pathlib import Path
 from time import perf_counter
 
 from canhaptic.cli.main import main as canhaptic
-from canhaptic.replay.replayed_run import replay_bus_log
+from canhaptic.replay import replay_bus_log
 from canhaptic.scene.load import load_scene
 from tools.bench.demo import CONFIG
 from tools.bench.report import Row, publish

@@ -8,7 +8,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.lab.loop.axis_loop import LoopCase
-from canhaptic.lab.reference.continuous_reference import ContinuousReference, continuous_reference
+from canhaptic.lab.reference import ContinuousReference, continuous_reference
 from canhaptic.registry import load
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.effects.grasp_change import GraspChange

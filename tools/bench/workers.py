@@ -13,7 +13,7 @@ from time import perf_counter
 
 from canhaptic.drive.clock import WallClock
 from canhaptic.lab.studies.sweep import sweep
-from canhaptic.lab.studies.sweep.workers import Pool
+from canhaptic.lab.studies.sweep.run_sweep import Pool
 from canhaptic.scene.load import load_scene
 from tools.bench.demo import CONFIG
 from tools.bench.report import Row, publish

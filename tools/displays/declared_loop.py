@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from canhaptic.control.admittance import build_display_controller
-from canhaptic.control.admittance.display_mass import DisplayMass
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
-from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.group_environment import DisplayMass
+from canhaptic.control.admittance.port import DisplayProperties
+from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
 from canhaptic.control.balance import Certificate
 from canhaptic.errors import ForceContradictedError
 

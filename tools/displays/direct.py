@@ -9,7 +9,7 @@ from typing import Any
 
 from canhaptic.control.admittance import build_display_controller
 from canhaptic.control.admittance.display_environment import DisplayEnvironment
-from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.port import DisplayProperties
 from canhaptic.control.balance import Branch, Certificate
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import PlantParameters

@@ -6,7 +6,7 @@ from typing import Any
 
 from canhaptic.control.admittance import build_display_group
 from canhaptic.control.admittance.group_environment import GroupMass, PathMass
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
+from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
 from canhaptic.control.balance import Certificate
 from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.mechanisms.planar_2r import Planar2R

@@ -8,14 +8,18 @@ from typing import Any
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.control.admittance.cup_and_ball import CupAndBall
 from canhaptic.control.admittance.display_environment import DisplayEnvironment
-from canhaptic.control.admittance.display_mass import DisplayMass
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
-from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.group_environment import DisplayMass
+from canhaptic.control.admittance.port import DisplayProperties
+from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
 from canhaptic.sim.plant.effects import Effect, read_effect
-from canhaptic.sim.plant.force_sensor import SimulatedForceSensor
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
-from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation, GripParameters, VelocityLoopParameters
+from canhaptic.sim.plant.velocity_drive import (
+    AdmittanceSimulation,
+    GripParameters,
+    SimulatedForceSensor,
+    VelocityLoopParameters,
+)
 from tools.displays.direct import Display, Outcome, run
 
 _DURATION = 2.0  # for the drift [s]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from canhaptic.registry import load, load_algorithm
 
 if TYPE_CHECKING:
-    from canhaptic.control.admittance.properties import DisplayProperties
+    from canhaptic.control.admittance.port import DisplayProperties
     from canhaptic.control.mechanisms.kinematics import Kinematics
     from canhaptic.control.multi_axis.group_controller import GroupController
     from canhaptic.control.passivity.controller import Controller
@@ -19,7 +19,7 @@ _HERE: Final = "canhaptic.control.admittance"
 _RIVALS: Final = "canhaptic.lab.rivals"
 
 DISPLAY_ENVIRONMENTS: Final[dict[str, str]] = {
-    "virtual_mass": f"{_HERE}.display_mass:DisplayMass",
+    "virtual_mass": f"{_HERE}.group_environment:DisplayMass",
     "cup_and_ball": f"{_HERE}.cup_and_ball:CupAndBall",
 }
 """Name in a scene -> "module:Class"; the class is the parameter model and the environment in one."""
@@ -88,9 +88,9 @@ def build_display_group(
     Raises:
         ParameterError: Unknown name, or parts that do not fit together.
     """
-    from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
-    from canhaptic.control.admittance.task_environment import TaskEnvironment
-    from canhaptic.control.mechanisms.identity import Identity
+    from canhaptic.control.admittance.group_environment import TaskEnvironment
+    from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
+    from canhaptic.control.mechanisms.kinematics import Identity
 
     algorithm = load(DISPLAY_GROUP_ALGORITHMS, algorithm_name, "algorithm of several admittance displays")
     if kinematics is not None and not isinstance(kinematics, Identity):

@@ -1,4 +1,4 @@
-"""Largest certified speed of a drive without an integral, for a hand declared as spring, damper and mass.
+"""How fast a drive without an integral may be commanded where the hand is declared, by its impedance or its force.
 
     F = K (x - q) + b (x' - v) - m v',     0 <= K <= K_e, 0 <= b <= B, 0 <= m <= N, abs(x') <= w, all constant but x
 
@@ -27,17 +27,101 @@ new command, so that every command between two that fit fits.
 A is known from below by E at the sensor less the largest M s^2 / 2, and by (1) from the SYNC before. A force that is
 late makes the sequence longer by as many holds. The two studies of `tools/displays/declared_hands.py` are the cases
 b = m = 0 and l = 0. The drive must not reach its torque limit (`velocity_loop.may_limit`).
+
+Largest certified speed of a drive without an integral, for a hand of bounded force: abs(F) <= f.
+
+With r = 0 such a hand can take from a speed v just
+
+    G(v) = f (M / c) (v - (f / c) ln(1 + c v / f)),        less than M v^2 / 2 and than f v M / c
+
+by braking with f until the handle stops. For commands r, with E' = F v and M v' = c (r - v) + F - friction:
+
+    (E - G)' >= -f abs(r)
+
+Proof. G' = f M v / (f + c v) for v >= 0; for v < 0 turn the signs of v, r and F. Then (E - G)' + f abs(r) is
+F v - f v (c (r - v) + F - friction) / (f + c v) + f abs(r). The terms of r are f (abs(r) - r c v / (f + c v)) >= 0.
+That of friction is not negative. Those of F are F c v^2 / (f + c v), least at F = -f; the rest, f c v^2 / (f + c v),
+makes up for them. At v = 0 both sides have G' = 0. The drive must not reach its torque limit (`may_limit`).
+
+So commands with f T (sum abs(u_i) under way + n abs(u)) <= E - G + allowance keep E >= -allowance for every hand that
+never pushes or pulls harder than f. The range of a force sensor is no such promise.
+
+Least damping with which a light virtual mass is stable against a spring to ground, without any guard.
+
+A drive M v' = c (r - v) + F, the command r of m r' = F - b r after a lag tau, and F = -K q. At the border the loop
+swings at w, and the real and imaginary parts of its equation vanish:
+
+    w^2 (m + M b / c) = K (cos w tau + b / c)
+    b = K sin(w tau) / w + m (M w^2 - K) / c
+
+For w tau small, b = K (tau + (M - m) / c). The sampled loop with the mean force of a hold has tau = (delay + 1/2) T.
 """
 
 from dataclasses import dataclass
-from math import exp, inf
+from math import cos, exp, inf, log1p, sin, sqrt
 from typing import Final, NamedTuple
 
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
-from canhaptic.control.admittance.motion import DisplayMotion
+from canhaptic.control.admittance.display_environment import DisplayMotion
 from canhaptic.control.admittance.port import PortSettings
-from canhaptic.control.admittance.velocity_loop import VelocityLoopSettings
+from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters, VelocityLoopSettings, largest_square
 from canhaptic.kernels import Buffer, MakeBuffer
+
+
+@dataclass(frozen=True, slots=True)
+class HandForceSettings:
+    """Declared properties of the hand."""
+
+    force: float  # f, the largest that it pushes or pulls with [N or N*m]; 0: not declared
+
+
+def held_back(settings: HandForceSettings, loop: VelocityLoopSettings, speed: float) -> float:
+    """Return G at a largest speed [J]."""
+    force, gain = settings.force, loop.gain_least
+    rest = speed - force / gain * log1p(gain * speed / force)
+    return force * loop.mass / gain * rest
+
+
+def lost_to_hand(
+    settings: HandForceSettings, loop: VelocityLoopSettings, commands: Buffer, motion: DisplayMotion
+) -> float:
+    """Return the largest loss of E - G in the hold that ended [J]."""
+    square = largest_square(commands, motion, loop.delay, loop.delay + loop.losses)
+    return settings.force * loop.sample_time * sqrt(square)
+
+
+def fastest_for_hand(
+    settings: HandForceSettings, loop: VelocityLoopSettings, commands: Buffer, motion: DisplayMotion, budget: float
+) -> float:
+    """Return the largest speed that may be commanded now [m/s or rad/s].
+
+    In each hold that a lost RPDO may lengthen, the largest command that may act counts: the new one in all of its
+    holds where it is the largest of all, else in its last alone, and then it is no larger than the one before.
+    """
+    left = budget / (settings.force * loop.sample_time)
+    for age in range(loop.delay):
+        left -= sqrt(largest_square(commands, motion, age, age + loop.losses))
+    if left <= 0.0:
+        return 0.0
+    everywhere = left / (1 + loop.losses)
+    if loop.losses == 0 or everywhere >= sqrt(largest_square(commands, motion, 0, loop.losses - 1)):
+        return everywhere
+    for hold in range(loop.losses):
+        left -= sqrt(largest_square(commands, motion, 0, loop.losses - 1 - hold))
+    last = abs(commands[motion.newest])
+    return max(0.0, min(left, last))
+
+
+def used_by_hand(
+    settings: HandForceSettings, loop: VelocityLoopSettings, commands: Buffer, motion: DisplayMotion
+) -> float:
+    """Return the largest loss of E - G by the commands that may still act, the newest included [J]."""
+    total = 0.0
+    for age in range(1, loop.delay + 1):
+        total += sqrt(largest_square(commands, motion, age, age + loop.losses))
+    for hold in range(loop.losses + 1):
+        total += sqrt(largest_square(commands, motion, 0, loop.losses - hold))
+    return settings.force * loop.sample_time * total
+
 
 _STEPS: Final = 5  # of the search for the largest speed; each halves the remaining gap at least
 _OF_COMMANDS, _OF_WAY = 0.3125, 2.5
@@ -314,3 +398,26 @@ def lightest(settings: DeclaredHandSettings, loop: VelocityLoopSettings, speed: 
     )
     commands = [speed] * (settings.holds + 1)
     return 2.0 * loss(settings, loop, steady, commands, settings.holds, speed, settings.holds) / (speed * speed)
+
+
+_ROUNDS: Final = 60
+
+
+def damping_border(moved: float, gain: float, mass: float, stiffness: float, lag: float) -> float:
+    """Return the virtual damping at the border; 0 where none is needed [N*s/m or N*m*s/rad].
+
+    Args:
+        moved: M, that the drive moves [kg or kg*m^2].
+        gain: c of its velocity loop [N*s/m or N*m*s/rad].
+        mass: m, virtual [kg or kg*m^2].
+        stiffness: K of the spring to ground [N/m or N*m/rad], > 0.
+        lag: tau from the force to the command that answers it [s].
+    """
+    square = stiffness / mass
+    damping = 0.0
+    for _ in range(_ROUNDS):
+        rate = sqrt(square)
+        damping = stiffness * sin(rate * lag) / rate + mass * (moved * square - stiffness) / gain
+        found = stiffness * (cos(rate * lag) + damping / gain) / (mass + moved * damping / gain)
+        square = 0.5 * (square + max(found, 0.01 * square))
+    return max(0.0, damping)

@@ -6,8 +6,7 @@ sensor shows), and the `torque` of its balance is the velocity commanded [m/s or
 
 from typing import ClassVar
 
-from canhaptic.control.admittance.display_environment import DisplayEnvironment
-from canhaptic.control.admittance.motion import send
+from canhaptic.control.admittance.display_environment import DisplayEnvironment, send
 from canhaptic.control.passivity.stepped import SteppedController, Wording
 
 

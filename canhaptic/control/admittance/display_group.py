@@ -10,11 +10,7 @@ from collections.abc import Sequence
 from math import sqrt
 from typing import ClassVar, Final
 
-from canhaptic.control.admittance.force_evidence import ForceEvidence, contradiction
-from canhaptic.control.admittance.late_margin import LateMargin, fall, margin_memory, oldest, rise
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters, loop_settings
-from canhaptic.control.admittance.momentum_check import momentum_check, moved_hold
-from canhaptic.control.admittance.motion import (
+from canhaptic.control.admittance.display_environment import (
     DisplayMotion,
     display_memory,
     limited,
@@ -23,12 +19,24 @@ from canhaptic.control.admittance.motion import (
     sent,
     whole,
 )
-from canhaptic.control.admittance.port import BookedHold, Port, port_settings, reopen
-from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.force_evidence import (
+    ForceEvidence,
+    LateMargin,
+    contradiction,
+    fall,
+    margin_memory,
+    momentum_check,
+    moved_hold,
+    oldest,
+    rise,
+)
+from canhaptic.control.admittance.port import BookedHold, DisplayProperties, Port, port_settings, reopen
 from canhaptic.control.admittance.sampled_group import DisplayGroup, GroupAxis, GroupMotion, require_alike
 from canhaptic.control.admittance.velocity_loop import (
+    GuardedDisplayParameters,
     LoopState,
     gained,
+    loop_settings,
     loss_of_skip,
     loss_under_way,
     lost_unseen,
@@ -37,7 +45,7 @@ from canhaptic.control.admittance.velocity_loop import (
 )
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.multi_axis.group_controller import GroupBalance, group_at_rest
-from canhaptic.control.passivity.settlement import settle
+from canhaptic.control.passivity.stepped import settle
 from canhaptic.errors import ForceContradictedError, ParameterError
 from canhaptic.kernels import list_of_zeros
 from canhaptic.units import Parameters

@@ -15,8 +15,8 @@ from typing import Any
 
 from canhaptic.control.admittance import sampled_mass
 from canhaptic.control.admittance.display_controller import DisplayController
-from canhaptic.control.admittance.display_mass import DisplayMass
-from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.group_environment import DisplayMass
+from canhaptic.control.admittance.port import DisplayProperties
 from canhaptic.control.admittance.sampled_mass import (
     DisplayReply,
     DisplayRun,

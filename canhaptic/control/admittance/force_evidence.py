@@ -1,16 +1,102 @@
-"""Energy of one axis by its force sensor, compared with the energy by encoder and commands.
+"""Whether the force that a sensor shows may be used: its energy and its momentum against encoder and commands.
 
 By the force no more than `by_force` came in; by encoder and commands, E - V is no less than `by_encoder` (see
 `velocity_loop`), and V is not negative. More by the encoder than by the force: one of them is wrong.
+
+Lower bound of an energy margin W, where forces arrive late by whole samples.
+
+Between two SYNCs W decreases by no more than follows from the commands: its `change`. A force that belongs to an
+earlier SYNC gives a bound on W then; the changes since bring it up to date. The larger of the two bounds counts.
+
+Consistency of the measured force with the motion: the momentum of the mass that the drive moves.
+
+    F = M v' + c (v - r) - k lead + friction
+
+Encoder and commands give the right side, up to the declared bounds of the drive; the sensor gives the left. Both are
+averaged with a hat, which rises for a time H and falls for H. The mean of v' is then (q_2 - 2 q_1 + q_0) / H^2, so that
+no encoder is differentiated twice. With abs(F') <= L, abs(v') <= A and an encoder count e, the means differ by at most
+
+    error + L T^2 / 6H + friction + damping (mean of abs(v) + A T / 4)
+    + c (A T^2 / 6H + e / H) + k (e + A T^2 / 8) + 2 M e / H^2      and half the range of M, c and k times their terms;
+
+the terms in T^2 / 6H are those of a weight that changes inside a hold. Point samples add the error of `port`. A SYNC
+that comes early or late by up to j T shifts a weight, which costs j T / H (2 max + total change) of the force, and c
+times that of the command. The energy of a constant offset o is o times the displacement, so that until it is noticed it
+gives out o times the way moved, and never more than o times the room between the limits of the position.
+A push of the hand and an offset of the sensor are the same signal where the friction of the drive is not known: without
+a declared one nothing is compared, nor where the torque of the drive may have been at its limit.
 """
 
+from collections import deque
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
 
-from canhaptic.control.admittance.late_margin import LateMargin, MarginMemory, fall, known_then, margin_memory
-from canhaptic.control.admittance.port import BookedHold
-from canhaptic.control.admittance.velocity_loop import VelocityLoopSettings, reserve
-from canhaptic.kernels import list_of_zeros
+from canhaptic.control.admittance.display_environment import DisplayMotion, sent
+from canhaptic.control.admittance.port import BookedHold, PortSettings
+from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters, VelocityLoopSettings, reserve
+from canhaptic.kernels import Buffer, MakeBuffer, list_of_zeros
+
+
+@dataclass(slots=True)
+class LateMargin:
+    """Bounds of the margin W."""
+
+    known: float = 0.0  # at least [J]
+    place: int = 0  # of this SYNC in the rings
+
+
+class MarginMemory(NamedTuple):
+    """Rings over the SYNCs whose forces have not arrived, shape (latency + 1,)."""
+
+    changes: Buffer  # of W in the hold that ended there [J]
+    before: Buffer  # W there, with all that was taken from the account before [J]
+
+
+def margin_memory(latency: int, make_buffer: MakeBuffer) -> MarginMemory:
+    """Return the buffers of one margin."""
+    return MarginMemory(make_buffer(latency + 1), make_buffer(latency + 1))
+
+
+def fall(margin: LateMargin, memory: MarginMemory, change: float, taken: float) -> None:
+    """Apply the change of W in the hold that ended [J], and record the energy taken from the account so far [J]."""
+    margin.known += change
+    if len(memory.changes) == 1:  # no force comes late
+        memory.before[0] = margin.known + taken
+        return
+    place = margin.place + 1
+    if place == len(memory.changes):
+        place = 0
+    margin.place = place
+    memory.changes[place] = change
+    memory.before[place] = margin.known + taken
+
+
+def oldest(margin: LateMargin, memory: MarginMemory) -> int:
+    """Place of the SYNC to which the received force belongs."""
+    then = margin.place + 1
+    return then if then < len(memory.changes) else 0
+
+
+def known_then(known: float, margin: LateMargin, memory: MarginMemory) -> float:
+    """Present bound, less the changes since the SYNC to which the received force belongs [J]."""
+    then = oldest(margin, memory)
+    for place in range(len(memory.changes)):
+        if place != then:
+            known -= memory.changes[place]
+    return known
+
+
+def rise(margin: LateMargin, memory: MarginMemory, then: int, value: float, taken: float) -> None:
+    """Raise the bound by W at the place `then`, as the force shows it [J]."""
+    if then != margin.place:
+        for place in range(len(memory.changes)):
+            if place != then:
+                value += memory.changes[place]
+    if value > margin.known:
+        margin.known = value
+    if then == margin.place:
+        memory.before[then] = margin.known + taken
+
 
 ROUNDING: Final = 1e-9
 """Largest difference of two sums of the same energy [J]."""
@@ -72,3 +158,213 @@ def contradiction(of: str, by_force: float, by_encoder: float) -> str:
         "its sign, scale or offset is wrong, it is frozen, commands do not reach the drive, or drive_mass or loop_gain "
         "is wrong; the velocity is zero, check sensor, bus and drive [FORCE_CONTRADICTED]"
     )
+
+
+_HALF: Final = 0.03  # H [s]
+_FEWEST: Final = 8  # holds in it
+
+
+class MovedHold(NamedTuple):
+    """One hold that ended, as encoder and commands say."""
+
+    moved: float  # [m or rad]
+    command: float  # that acted [m/s or rad/s]
+    unsure: float  # largest difference of the command that acted, where RPDOs were lost [m/s or rad/s]
+    lead: float  # at its end: commanded less actual displacement [m or rad]
+
+
+class Disagreement(NamedTuple):
+    """A mean force that the motion does not allow [N or N*m]."""
+
+    shown: float
+    low: float
+    high: float
+    over: float  # time that the means are taken over [s]
+
+    def text(self, of: str = "force sensor") -> str:
+        """Return it in words, with the remedy."""
+        return (
+            f"{of}: it shows {self.shown:.3g} on average over {self.over:g} s, by encoder and commands the force is "
+            f"between {self.low:.3g} and {self.high:.3g} [N or N*m]: its offset, sign or scale is wrong, it is frozen, "
+            "commands do not reach the drive, or drive_mass, loop_gain, drive_friction or drive_damping is wrong; the "
+            "velocity is zero, check sensor, bus and drive [FORCE_CONTRADICTED]"
+        )
+
+
+@dataclass(slots=True)
+class _Half:
+    """Sums over the holds of one half of a hat: as they are, and with the weight of a rise."""
+
+    begin: float  # position [m or rad]
+    force: float = 0.0
+    rising_force: float = 0.0
+    slip: float = 0.0  # v - r
+    rising_slip: float = 0.0
+    lead: float = 0.0
+    rising_lead: float = 0.0
+    loose: float = 0.0  # uncertainty of each hold [N or N*m]
+    rising_loose: float = 0.0
+    is_limited: bool = False
+    command_change: float = 0.0  # sum of abs(change of the command) [m/s or rad/s]
+    force_change: float = 0.0
+    largest_command: float = 0.0
+    largest_force: float = 0.0
+
+
+@dataclass(slots=True)
+class _Memory:
+    """What is remembered from SYNC to SYNC."""
+
+    position: float = 0.0  # at the end of the last hold that was taken [m or rad]
+    force: float = 0.0  # shown there
+    command: float = 0.0
+    lead: float = 0.0
+    holds: int = 0  # in the half that is being filled
+    filling: _Half = field(default_factory=lambda: _Half(0.0))
+    full: _Half | None = None
+    waiting: deque[MovedHold] = field(default_factory=deque)  # holds whose force has not come
+
+
+class MomentumCheck:
+    """The comparison for one axis.
+
+    Args:
+        parameters: Parameters with a `drive_friction`.
+        port: Settings of the force sensor.
+        loop: Declared velocity loop of the drive.
+    """
+
+    def __init__(self, parameters: GuardedDisplayParameters, port: PortSettings, loop: VelocityLoopSettings) -> None:
+        self._port, self._loop, self._spread = port, loop, parameters.spread
+        self._friction, self._damping = parameters.drive_friction or 0.0, parameters.drive_damping
+        self._holds = max(_FEWEST, round(_HALF / port.sample_time))
+        self._half = self._holds * port.sample_time
+        self.begin(0.0, 0.0, 0.0)
+
+    def begin(self, position: float, force: float, lead: float) -> None:
+        """Restart at a first sample, or after a lost one."""
+        self._memory = _Memory(position, force, 0.0, lead, filling=_Half(position))
+
+    def take(self, hold: MovedHold, force: float) -> Disagreement | None:
+        """Take the hold that ended and the force that came; return a disagreement, if there is one.
+
+        Args:
+            hold: The hold by encoder and commands.
+            force: Measured force [N or N*m]; it belongs to a hold `latency` samples ago.
+        """
+        memory = self._memory
+        memory.waiting.append(hold)
+        if len(memory.waiting) <= self._port.latency:
+            memory.force = force
+            return None
+        self._add(memory.waiting.popleft(), force)
+        if memory.holds < self._holds:
+            return None
+        first, second = memory.full, memory.filling
+        memory.full, memory.filling, memory.holds = second, _Half(memory.position), 0
+        if first is None or first.is_limited or second.is_limited:
+            return None
+        return self._compared(first, second)
+
+    def _add(self, hold: MovedHold, force: float) -> None:
+        """Add a hold to the half that is being filled."""
+        memory, port = self._memory, self._port
+        time = port.sample_time
+        half, velocity = memory.filling, hold.moved / time
+        memory.holds += 1
+        rise = (memory.holds - 0.5) / self._holds
+        mean, doubt = self._mean_force(force, memory.force)
+        loose = doubt + self._loop.gain * hold.unsure + self._damping * abs(velocity)
+        slip, lead = velocity - hold.command, 0.5 * (memory.lead + hold.lead)
+        half.force += mean
+        half.rising_force += rise * mean
+        half.slip += slip
+        half.rising_slip += rise * slip
+        half.lead += lead
+        half.rising_lead += rise * lead
+        half.loose += loose
+        half.rising_loose += rise * loose
+        torque = self._loop.gain * (abs(slip) + 0.5 * port.acceleration * time + port.count / time)
+        torque += self._loop.integral * (abs(lead) + port.count + abs(slip) * time)
+        half.is_limited = half.is_limited or torque >= self._loop.torque_limit
+        half.command_change += abs(hold.command - memory.command)
+        half.force_change += abs(force - memory.force)
+        half.largest_command = max(half.largest_command, abs(hold.command))
+        half.largest_force = max(half.largest_force, abs(force))
+        memory.position += hold.moved
+        memory.force, memory.command, memory.lead = force, hold.command, hold.lead
+
+    def _mean_force(self, force: float, before: float) -> tuple[float, float]:
+        """Mean force of a hold and its uncertainty besides the error of a sample [N or N*m]."""
+        port, change, doubt = self._port, force - before, 0.0
+        if not port.is_mean:
+            length = port.sample_time * (1.0 + port.jitter)
+            doubt = max(0.0, port.slew * port.slew * length * length - change * change) / (4.0 * port.slew * length)
+            force = 0.5 * (force + before)
+        return force + change * port.lag / port.sample_time, doubt
+
+    def _compared(self, first: _Half, second: _Half) -> Disagreement | None:
+        """Compare the means over a whole hat."""
+        holds, loop = self._holds, self._loop
+        force = (first.rising_force + second.force - second.rising_force) / holds
+        slip = (first.rising_slip + second.slip - second.rising_slip) / holds
+        lead = (first.rising_lead + second.lead - second.rising_lead) / holds
+        loose = (first.rising_loose + second.loose - second.rising_loose) / holds
+        bent = (self._memory.position - 2.0 * second.begin + first.begin) / (self._half * self._half)
+        terms = (
+            (loop.mass * (1.0 - self._spread), loop.mass, bent),
+            (loop.gain_least, loop.gain, slip),
+            (loop.integral_least, loop.integral, -lead),
+        )
+        low = sum(min(least * term, most * term) for least, most, term in terms)
+        high = sum(max(least * term, most * term) for least, most, term in terms)
+        margin = loose + self._margin(first, second)
+        if low - margin <= force <= high + margin:
+            return None
+        return Disagreement(force, low - margin, high + margin, 2.0 * self._half)
+
+    def _margin(self, first: _Half, second: _Half) -> float:
+        """Largest admissible difference of the means, without the uncertainty of each hold [N or N*m]."""
+        port, loop, half = self._port, self._loop, self._half
+        time = port.sample_time
+        turned = time * time / (6.0 * half)
+        margin = port.error * (1.0 + 4.0 * port.lag / half) + port.slew * turned + self._friction
+        margin += self._damping * 0.25 * port.acceleration * time
+        margin += loop.gain * (port.acceleration * turned + port.count / half)
+        margin += loop.integral * (port.count + port.acceleration * time * time / 8.0)
+        margin += 2.0 * loop.mass * port.count / (half * half)
+        if port.jitter:
+            shift = port.jitter * time / half
+            command = 2.0 * max(first.largest_command, second.largest_command)
+            force = 2.0 * max(first.largest_force, second.largest_force)
+            margin += shift * loop.gain * (command + first.command_change + second.command_change)
+            margin += shift * (force + first.force_change + second.force_change)
+        return margin
+
+
+def moved_hold(
+    loop: VelocityLoopSettings, motion: DisplayMotion, commands: Buffer, moved: float, lead: float
+) -> MovedHold:
+    """The hold that ended; call it once the command of this SYNC is sent.
+
+    Args:
+        loop: Declared velocity loop of the drive.
+        motion: Motion, with the place of the newest command.
+        commands: Ring of the commands sent.
+        moved: Displacement in the hold [m or rad].
+        lead: Lead at its end [m or rad].
+    """
+    age = loop.delay + 1
+    acted, unsure = sent(motion, commands, age), 0.0
+    for older in range(age + 1, age + loop.losses + 1):
+        unsure = max(unsure, abs(sent(motion, commands, older) - acted))
+    return MovedHold(moved, acted, unsure, lead)
+
+
+def momentum_check(
+    parameters: GuardedDisplayParameters, port: PortSettings, loop: VelocityLoopSettings
+) -> MomentumCheck | None:
+    """Return the comparison where `drive_friction` is declared and the integral of the drive is known."""
+    if parameters.drive_friction is None or (loop.integral > 0.0 and port.jitter > 0.0):
+        return None
+    return MomentumCheck(parameters, port, loop)

@@ -15,48 +15,68 @@ Where a largest force of the hand is declared (`largest_hand_force`), or the han
 (`hand_stiffness`), a command may rest on that instead: see `hand_force` and `declared_hand`.
 
 Where the mass asked for is lighter than the drive carries safely, the hand feels a heavier one; nothing else changes.
+
+Constants and state of `guarded` of an admittance display.
 """
 
+from dataclasses import dataclass, field
 from math import inf
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 from canhaptic.control.admittance import declared_hand
-from canhaptic.control.admittance.declared_hand import HeardForce
-from canhaptic.control.admittance.display_controller import DisplayController
-from canhaptic.control.admittance.display_environment import DisplayEnvironment
-from canhaptic.control.admittance.force_evidence import ROUNDING, contradiction
-from canhaptic.control.admittance.guarded_display_state import (
-    GuardedDisplaySettings,
-    GuardedDisplayState,
-    GuardedMemory,
-    memory_of,
-    settings_of,
-)
-from canhaptic.control.admittance.hand_force import (
+from canhaptic.control.admittance.declared_hand import (
+    DeclaredHand,
+    DeclaredHandSettings,
+    HandForceSettings,
+    HeardForce,
     fastest_for_hand,
     held_back,
     lost_to_hand,
     used_by_hand,
 )
-from canhaptic.control.admittance.late_margin import (
-    fall,
-    known_then,
-    oldest,
-    rise,
-)
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
-from canhaptic.control.admittance.momentum_check import MomentumCheck, momentum_check, moved_hold
-from canhaptic.control.admittance.motion import (
+from canhaptic.control.admittance.display_controller import DisplayController
+from canhaptic.control.admittance.display_environment import (
+    DisplayEnvironment,
+    DisplayMemory,
+    DisplayMotion,
+    DisplayMotionSettings,
+    display_memory,
     limited,
+    motion_settings,
     send,
     sent,
     whole,
 )
-from canhaptic.control.admittance.port import begin_port, book, reopen
-from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.force_evidence import (
+    ROUNDING,
+    LateMargin,
+    MarginMemory,
+    MomentumCheck,
+    contradiction,
+    fall,
+    known_then,
+    margin_memory,
+    momentum_check,
+    moved_hold,
+    oldest,
+    rise,
+)
+from canhaptic.control.admittance.port import (
+    DisplayProperties,
+    Port,
+    PortSettings,
+    begin_port,
+    book,
+    port_settings,
+    reopen,
+)
 from canhaptic.control.admittance.velocity_loop import (
+    GuardedDisplayParameters,
+    LoopState,
+    VelocityLoopSettings,
     fastest,
     gained,
+    loop_settings,
     loss_of_skip,
     loss_under_way,
     lost_unseen,
@@ -64,10 +84,82 @@ from canhaptic.control.admittance.velocity_loop import (
     reserve,
 )
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
-from canhaptic.control.passivity.settlement import settle
+from canhaptic.control.passivity.stepped import settle
 from canhaptic.errors import ForceContradictedError
-from canhaptic.kernels import Buffer, Kernel, Run, new
+from canhaptic.kernels import Buffer, Kernel, MakeBuffer, Run, new
 from canhaptic.units import Parameters
+
+
+@dataclass(frozen=True, slots=True)
+class GuardedDisplaySettings:
+    """Constants of a run."""
+
+    port: PortSettings
+    motion: DisplayMotionSettings
+    loop: VelocityLoopSettings
+    hand: HandForceSettings
+    declared: DeclaredHandSettings
+    allowance: float  # [J]
+    may_be_limited: bool  # a torque at its limit would void the proof
+
+
+@dataclass(slots=True)
+class GuardedDisplayState:
+    """State kept from SYNC to SYNC."""
+
+    axis: Port = field(default_factory=Port)
+    motion: DisplayMotion = field(default_factory=DisplayMotion)
+    loop: LoopState = field(default_factory=LoopState)
+    margin: LateMargin = field(default_factory=LateMargin)  # E - V
+    hand: LateMargin = field(default_factory=LateMargin)  # E - G
+    declared: DeclaredHand = field(default_factory=DeclaredHand)
+    h_s: float = 0.0  # [J]
+    surplus: float = 0.0  # [J]
+    taken: float = 0.0  # dissipated or leaked so far, and not paid [J]
+    limited: int = 0  # SYNCs for which a force may belong to a hold in which the drive was at its torque limit
+    unsure: bool = False  # it may have done so where a certificate rested on that it does not
+    by_encoder: float = 0.0  # E - V by encoder and commands alone, at least [J]
+    by_force: float = 0.0  # E by the force, at most [J]
+
+
+class GuardedMemory(NamedTuple):
+    """Buffers of one axis."""
+
+    display: DisplayMemory
+    margin: MarginMemory
+    hand: MarginMemory
+    leads: Buffer  # a ring like those of the margins [m or rad]
+    speeds: Buffer  # another, of the motion that the commands make [m/s or rad/s]
+
+
+def settings_of(
+    environment: DisplayEnvironment, parameters: GuardedDisplayParameters, properties: DisplayProperties
+) -> GuardedDisplaySettings:
+    """Constants of a run.
+
+    Raises:
+        ParameterError: A hand or losses are declared where their proof does not hold.
+    """
+    loop = loop_settings(parameters, properties)
+    motion = motion_settings(environment, properties, loop.mass / loop.gain_least)
+    hand = HandForceSettings(parameters.largest_hand_force)
+    declared = declared_hand.declared_hand_settings(parameters, loop, properties.latency)
+    ends = loop.integral > 0.0 or hand.force > 0.0 or declared.stiffness > 0.0
+    return GuardedDisplaySettings(
+        port_settings(properties), motion, loop, hand, declared, parameters.energy_allowance, ends
+    )
+
+
+def memory_of(settings: GuardedDisplaySettings, make_buffer: MakeBuffer) -> GuardedMemory:
+    """Return the buffers of one axis."""
+    kept, late = settings.loop.delay + settings.loop.losses + 2, settings.port.latency
+    kept += late if settings.declared.stiffness > 0.0 else 0
+    display = display_memory(settings.port, settings.motion, kept, make_buffer)
+    return GuardedMemory(
+        display, margin_memory(late, make_buffer), margin_memory(late, make_buffer), make_buffer(late + 1),
+        declared_hand.speeds_of(late, make_buffer),
+    )  # fmt: skip
+
 
 _EXACT, _DEPLETED, _FREE = Branch.EXACT.value, Branch.DEPLETED.value, Branch.FREE.value
 _UNBOUNDED, _NONE = Certificate.EXACT.value, Certificate.NONE.value

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from math import isfinite, sqrt
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
-from canhaptic.control.admittance.display_mass import DisplayMass
-from canhaptic.control.admittance.motion import (
+from canhaptic.control.admittance.display_environment import (
     DisplayMemory,
     DisplayMotion,
     DisplayMotionSettings,
@@ -20,8 +19,16 @@ from canhaptic.control.admittance.motion import (
     send,
     whole,
 )
-from canhaptic.control.admittance.port import BookedHold, Port, PortSettings, begin_port, book, port_settings
-from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.group_environment import DisplayMass
+from canhaptic.control.admittance.port import (
+    BookedHold,
+    DisplayProperties,
+    Port,
+    PortSettings,
+    begin_port,
+    book,
+    port_settings,
+)
 from canhaptic.control.admittance.sampled_mass import NothingToChoose
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.multi_axis.group_controller import GroupBalance, group_at_rest

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Generic, NamedTuple, TypeAlias
 
-from canhaptic.control.admittance.display_environment import DisplayEnvironment
-from canhaptic.control.admittance.motion import (
+from canhaptic.control.admittance.display_environment import (
+    DisplayEnvironment,
     DisplayMemory,
     DisplayMotion,
     DisplayMotionSettings,
@@ -20,12 +20,11 @@ from canhaptic.control.admittance.motion import (
     send,
     whole,
 )
-from canhaptic.control.admittance.port import Port, PortSettings, begin_port, book, port_settings
-from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.port import DisplayProperties, Port, PortSettings, begin_port, book, port_settings
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
-from canhaptic.control.environments.plain import plain
+from canhaptic.control.environments.environment import plain
 from canhaptic.kernels import GivenT, Kernel, MakeBuffer, Run, new
-from canhaptic.kernels.binding import filled
+from canhaptic.kernels.records import filled
 from canhaptic.units import Parameters
 
 _EXACT, _FREE, _NONE = Branch.EXACT.value, Branch.FREE.value, Certificate.NONE.value

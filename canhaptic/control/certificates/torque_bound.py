@@ -299,7 +299,7 @@ def end_gap(
         bound.highest, bound.lowest = largest, -largest
     bound.kept = 0
     bound.upward = bound.downward = nan
-    if declared.damping > 0.0:  # for every hand; see `lost_samples`
+    if declared.damping > 0.0:  # for every hand; see `group_account`
         stiffness, certain = declared.damping / declared.sample_time, abs(displacement) - count
         if certain > 0.0:
             dissipate(bound, stiffness * certain * certain / holds)

@@ -6,9 +6,26 @@ The torque of an environment is always
 
 with `state` the displacement of its storage and `velocity` the velocity of that state. A passivity algorithm decides
 which state and velocity the energy account permits; the environment maps them to energy and effort.
+
+Plain form of an environment: its methods on an object without pydantic.
+
+A pydantic model routes every attribute access through a Python hook, at ten times the price of a plain object, and its
+methods read several. The functions here are those of the model's class, not copies of them. Properties are evaluated
+once: an environment never changes.
+
+Common part of environments with a surface: its solid side, and a storage that stays on that side.
+
+Common part of environments with a linear spring: stored energy, effort, and the damper in parallel.
 """
 
-from typing import Protocol
+from collections import namedtuple
+from collections.abc import Callable, Mapping
+from functools import cache
+from math import copysign, sqrt
+from types import FunctionType
+from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeVar
+
+from canhaptic.units import Parameters, quantity
 
 
 class Environment(Protocol):
@@ -68,3 +85,133 @@ class Environment(Protocol):
 
         The energy lost is dissipated, not leaked. The identity where `relaxes` is False.
         """
+
+
+_Environment = TypeVar("_Environment")
+
+
+class _Form(NamedTuple):
+    """Additions of a model's classes to `Parameters`."""
+
+    plain: Any  # class with the methods and the values of the class
+    derived: Mapping[str, Callable[[Any], Any]]  # properties
+
+
+def plain(environment: _Environment) -> _Environment:
+    """Return an object with the same methods and numbers; one that is no parameter model is returned as it is."""
+    kind: Any = type(environment)
+    if _form_of(kind) is None or getattr(environment, "__pydantic_private__", None):
+        return environment
+    return plain_with(kind, vars(environment))  # type: ignore[no-any-return]
+
+
+def plain_with(kind: Any, fields: Mapping[str, Any]) -> Any:
+    """Plain object of a model's class with given fields, without validation."""
+    form = _form_of(kind)
+    if form is None:
+        raise TypeError(f"{kind.__name__}: expected a class of parameters")
+    twin = form.plain()
+    for name, value in fields.items():
+        setattr(twin, name, value)
+    for name, derive in form.derived.items():
+        setattr(twin, name, derive(twin))
+    return twin
+
+
+def _numbers_of(twin: Any) -> dict[str, float]:
+    """Every number of a plain object by name, including those of its class; NaN for None."""
+    values = {
+        **{name: value for base in type(twin).__mro__[-2::-1] for name, value in vars(base).items()},
+        **vars(twin),
+    }
+    return {
+        name: float("nan") if value is None else float(value)
+        for name, value in values.items()
+        if (value is None or isinstance(value, int | float)) and not name.startswith("_")
+    }
+
+
+def tuple_type(twin: Any) -> Any:
+    """Return the NamedTuple of the numbers of a plain object, with its methods; what numba compiles."""
+    kind: Any = type(twin)
+    return _tuple_type(kind, tuple(_numbers_of(twin)))
+
+
+@cache
+def _tuple_type(kind: Any, fields: tuple[str, ...]) -> Any:
+    methods = {name: value for name, value in vars(kind).items() if isinstance(value, FunctionType)}
+    return type(kind.__name__, (namedtuple(kind.__name__, fields),), {**methods, "__slots__": ()})
+
+
+@cache
+def _form_of(kind: Any) -> _Form | None:
+    """Return the plain form of a model's class; None where it would not be the same."""
+    if not issubclass(kind, Parameters):
+        return None
+    members: dict[str, Any] = {}
+    for base in reversed(kind.__mro__):
+        if issubclass(base, Parameters) and base is not Parameters:
+            own = {name: value for name, value in vars(base).items() if _is_own(name, value)}
+            if any(_names_its_class(value) for value in own.values()):
+                return None  # `super()` works in the class alone that it was written in
+            members |= own
+    derived = {name: value.fget for name, value in members.items() if isinstance(value, property) and value.fget}
+    kept = {name: value for name, value in members.items() if not isinstance(value, property)}
+    attributes = {**kept, "__doc__": kind.__doc__, "__module__": kind.__module__}
+    return _Form(type(kind.__name__, (), attributes), derived)
+
+
+def _is_own(name: str, value: object) -> bool:
+    return not (name.startswith("__") or hasattr(Parameters, name) or _is_of_pydantic(value))
+
+
+def _names_its_class(value: object) -> bool:
+    if isinstance(value, property):
+        return any(map(_names_its_class, (value.fget, value.fset, value.fdel)))
+    return isinstance(value, FunctionType) and "__class__" in value.__code__.co_freevars
+
+
+def _is_of_pydantic(value: object) -> bool:
+    return type(value).__module__.startswith("pydantic")
+
+
+Side = Literal["below", "above"]
+"""Where a wall is solid: below its position (q < q_w, eq. 12) or above it."""
+
+
+def is_beyond(position: float, surface: float, is_below: bool) -> bool:
+    """Return True where a position is inside a wall with its surface at `surface` [m or rad] (eq. 12)."""
+    return position < surface if is_below else position > surface
+
+
+def kept_on_side(state: float, true: float) -> float:
+    """Return the state [m or rad], or 0 where it lies across the surface from the true one."""
+    return state if state * true >= 0.0 else 0.0
+
+
+class LinearSpring(Parameters):
+    """A spring with the stored energy k x^2 / 2, and a damper in parallel."""
+
+    stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)]
+    """Stiffness of the spring."""
+    damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
+    """Coefficient of the damper in parallel with the spring; it acts in contact only."""
+
+    @property
+    def linear_stiffness(self) -> float:
+        """Stiffness k [N/m or N*m/rad]."""
+        return self.stiffness
+
+    def stored_energy(self, state: float) -> float:
+        """Return k x^2 / 2 [J]."""
+        return 0.5 * self.stiffness * state * state
+
+    def effort(self, state: float) -> float:
+        """Return k x [N or N*m]."""
+        return self.stiffness * state
+
+    def state_of_energy(self, energy: float, like: float) -> float:
+        """Return sqrt(2 H / k) with the sign of `like`; eq. 18 prints it positive, where contact has x < 0."""
+        if self.stiffness == 0.0:
+            return 0.0
+        return copysign(sqrt(2.0 * energy / self.stiffness) if energy > 0.0 else 0.0, like)

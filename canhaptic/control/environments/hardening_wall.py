@@ -3,7 +3,7 @@
 import math
 from typing import Annotated, ClassVar
 
-from canhaptic.control.environments.sides import Side, is_beyond, kept_on_side
+from canhaptic.control.environments.environment import Side, is_beyond, kept_on_side
 from canhaptic.units import Parameters, quantity
 
 

@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Annotated, ClassVar, Final, Literal
 
-from canhaptic.control.environments.sides import is_beyond, kept_on_side
+from canhaptic.control.environments.environment import is_beyond, kept_on_side
 from canhaptic.units import Parameters, quantity
 
 _TOLERANCE: Final = 1e-12  # of an integral, relative

@@ -4,8 +4,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import model_validator
 
-from canhaptic.control.environments.linear_spring import LinearSpring
-from canhaptic.control.environments.sides import kept_on_side
+from canhaptic.control.environments.environment import LinearSpring, kept_on_side
 from canhaptic.units import quantity
 
 

@@ -5,7 +5,7 @@ from typing import Final
 _HERE: Final = "canhaptic.control.mechanisms"
 
 KINEMATICS: Final[dict[str, str]] = {
-    "identity": f"{_HERE}.identity:Identity",
+    "identity": f"{_HERE}.kinematics:Identity",
     "transmission": f"{_HERE}.transmission:Transmission",
     "planar_2r": f"{_HERE}.planar_2r:Planar2R",
     "five_bar": f"{_HERE}.five_bar:FiveBar",

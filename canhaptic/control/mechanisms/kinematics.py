@@ -3,13 +3,21 @@
 Task forces become motor torques by the transposed Jacobian, tau = J(q)' F. The account stays in motor coordinates,
 where the torque is constant during the hold; -tau . dq and -F . dp differ by at most |F| c |dq|^2 / 2, with c the
 largest curvature of the map along dq, because F and J are those of the start of the hold.
+
+Common parts of mechanisms: place and Jacobian from the pose, a workspace box, and the test of a Jacobian.
+
+No mechanism: every motor axis is a coordinate of task space, as on an X-Y stage.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import IntEnum
-from typing import NamedTuple, Protocol
+from typing import Annotated, NamedTuple, Protocol, TypeAlias, cast
 
-from canhaptic.kernels import Buffer, Matrix
+import numpy as np
+
+from canhaptic.errors import ControlError, ParameterError
+from canhaptic.kernels import Buffer, Matrix, list_of_zeros, zeros
+from canhaptic.units import Parameters, quantity
 
 
 class Limit(IntEnum):
@@ -69,3 +77,175 @@ class Kinematics(Protocol):
         Raises:
             ControlError: As `forward`.
         """
+
+
+Rows: TypeAlias = tuple[tuple[float, ...], ...]
+
+
+class FromPose:
+    """Place and Jacobian of a mechanism that knows its pose."""
+
+    def pose(self, positions: Sequence[float]) -> Pose:
+        """Return position, Jacobian and limit; see `Kinematics`."""
+        raise NotImplementedError
+
+    def forward(self, positions: Sequence[float]) -> tuple[float, ...]:
+        """Return the position in task space [m or rad].
+
+        Raises:
+            ControlError: The pose is outside the workspace or too close to a singular one.
+        """
+        return self._checked(positions).position
+
+    def jacobian(self, positions: Sequence[float]) -> Rows:
+        """Return the Jacobian, rows of task coordinates.
+
+        Raises:
+            ControlError: As `forward`.
+        """
+        return self._checked(positions).jacobian
+
+    def _checked(self, positions: Sequence[float]) -> Pose:
+        pose = self.pose(positions)
+        if pose.limit:
+            place = Limit(pose.limit).name.lower()
+            raise ControlError(
+                f"{type(self).__name__}: motor positions {tuple(positions)} are at the limit {place!r}, "
+                "expected a pose inside the declared workspace; move the handle back, or declare a smaller margin"
+            )
+        return pose
+
+
+class FromMechanism(FromPose):
+    """Pose of a mechanism that is written as a kernel; it has `axes` and `dimensions`, see `Kinematics`."""
+
+    def mechanism(self) -> KinematicsKernel:
+        """The mechanism with the interface of the kernels."""
+        raise NotImplementedError
+
+    def pose(self, positions: Sequence[float]) -> Pose:
+        """Return position, Jacobian and limit; see `Kinematics`."""
+        kinematics = cast(Kinematics, self)
+        place, jacobian = list_of_zeros(kinematics.dimensions), zeros(kinematics.dimensions, kinematics.axes)
+        limit = self.mechanism().locate(list(positions), place, jacobian)
+        return Pose(tuple(place), tuple(tuple(row) for row in jacobian), limit)
+
+
+class PoseAsked(NamedTuple):
+    """A mechanism given by a Python function of its pose; see `KinematicsKernel`."""
+
+    kinematics: Kinematics
+
+    def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
+        """Copy the pose."""
+        pose = self.kinematics.pose(positions)
+        if not pose.limit:
+            place[:] = pose.position
+            for into, row in zip(jacobian, pose.jacobian, strict=True):
+                into[:] = row
+        return pose.limit
+
+
+def mechanism_of(kinematics: Kinematics) -> KinematicsKernel:
+    """A mechanism with the interface of the kernels."""
+    return kinematics.mechanism() if isinstance(kinematics, FromMechanism) else PoseAsked(kinematics)
+
+
+class WorkspaceBox(NamedTuple):
+    """Edges of a workspace in task space; empty without such a limit."""
+
+    lower: Buffer
+    upper: Buffer
+
+
+def workspace_box(lower: Sequence[float] | None, upper: Sequence[float] | None) -> WorkspaceBox:
+    """Return the edges of a workspace."""
+    return WorkspaceBox(list(lower or ()), list(upper or ()))
+
+
+def is_outside(box: WorkspaceBox, place: Buffer) -> bool:
+    """Return True where a place is outside the workspace."""
+    for i in range(len(box.lower)):
+        if place[i] < box.lower[i]:
+            return True
+    for i in range(len(box.upper)):
+        if place[i] > box.upper[i]:
+            return True
+    return False
+
+
+def check_box(lower: Sequence[float] | None, upper: Sequence[float] | None, dimensions: int) -> None:
+    """Check the edges of a workspace.
+
+    Raises:
+        ValueError: They have another dimension than task space, or no inside.
+    """
+    for name, edge in (("workspace_lower", lower), ("workspace_upper", upper)):
+        if edge is not None and len(edge) != dimensions:
+            raise ValueError(f"{name}: got {len(edge)} entries, expected {dimensions}")
+    if lower is not None and upper is not None and any(low >= high for low, high in zip(lower, upper, strict=True)):
+        raise ValueError(
+            f"got workspace_lower {lower} not below workspace_upper {upper} everywhere, expected an inside"
+        )
+
+
+def check_jacobian(
+    forward: Callable[[Sequence[float]], Sequence[float]],
+    jacobian: Callable[[Sequence[float]], Sequence[Sequence[float]]],
+    positions: Sequence[float],
+    dimensions: int,
+) -> None:
+    """Compare a Jacobian with differences of its map at given positions.
+
+    Raises:
+        ParameterError: Shapes do not fit, values are not finite, or the two differ.
+    """
+    base = np.array(positions, dtype=float)
+    found = np.array(jacobian(base.tolist()), dtype=float)
+    at = np.array(forward(base.tolist()), dtype=float)
+    if at.shape != (dimensions,) or found.shape != (dimensions, base.size):
+        raise ParameterError(
+            f"user kinematics: forward has shape {at.shape} and jacobian {found.shape}, expected ({dimensions},) and "
+            f"({dimensions}, {base.size})"
+        )
+    step = 1e-6
+    columns = [
+        (np.array(forward((base + step * e).tolist())) - np.array(forward((base - step * e).tolist()))) / (2.0 * step)
+        for e in np.eye(base.size)
+    ]
+    expected = np.array(columns).T
+    error = float(np.abs(found - expected).max())
+    if not error <= 1e-5 * max(1.0, float(np.abs(expected).max())):
+        raise ParameterError(
+            f"user kinematics: jacobian at {base.tolist()} is off by {error:g} from differences of forward, expected "
+            "<= 1e-5; forces would act in another direction than the motion they are booked with"
+        )
+
+
+class IdentityMap(NamedTuple):
+    """x = q; see `KinematicsKernel`."""
+
+    axes: int
+
+    def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
+        """Write the positions and a unit Jacobian."""
+        for i in range(self.axes):
+            place[i] = positions[i]
+            jacobian[i][i] = 1.0
+        return 0
+
+
+class Identity(FromMechanism, Parameters):
+    """x = q, for any number of axes, all in the same unit."""
+
+    axes: Annotated[int, quantity("count", ge=1, le=16)]
+    """Number of motor axes; of a group in a scene it follows from its `axes`."""
+
+    @property
+    def dimensions(self) -> int:
+        """Dimensions of task space."""
+        return self.axes
+
+    def mechanism(self) -> IdentityMap:
+        """Return the map."""
+        return IdentityMap(self.axes)

@@ -5,8 +5,14 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import model_validator
 
-from canhaptic.control.mechanisms.kinematics import Limit
-from canhaptic.control.mechanisms.workspace import FromMechanism, WorkspaceBox, check_box, is_outside, workspace_box
+from canhaptic.control.mechanisms.kinematics import (
+    FromMechanism,
+    Limit,
+    WorkspaceBox,
+    check_box,
+    is_outside,
+    workspace_box,
+)
 from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import Coordinates, Parameters, quantity
 

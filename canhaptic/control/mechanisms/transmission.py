@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import model_validator
 
-from canhaptic.control.mechanisms.kinematics import Limit
-from canhaptic.control.mechanisms.workspace import (
+from canhaptic.control.mechanisms.kinematics import (
     FromMechanism,
+    Limit,
     WorkspaceBox,
     check_box,
     is_outside,

@@ -2,8 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from canhaptic.control.mechanisms.kinematics import Limit, Pose
-from canhaptic.control.mechanisms.workspace import FromPose, check_jacobian
+from canhaptic.control.mechanisms.kinematics import FromPose, Limit, Pose, check_jacobian
 
 _Map = Callable[[Sequence[float]], Sequence[float]]
 _Derivative = Callable[[Sequence[float]], Sequence[Sequence[float]]]

@@ -1,16 +1,404 @@
-"""The account of a group between holds: one scalar balance for all its torques."""
+"""The account of a group between holds: one scalar balance for all its torques.
+
+Energy that came in over several holds of which only the total displacement is known.
+
+After n - 1 lost samples the displacement D of n holds is known, the torque f_n of the last one, read back, and for each
+hold before it the torques that may have acted. Booked is -f_n D; true is -sum f_j D_j; too much by
+
+    sum over j < n and axes of (f_j - f_n) D_j = sum of delta_j D_j.
+
+**Hand force.** Only the side of D_j that makes it large counts; on that side the declared force holds the hand. With s
+the farthest that torques and hand move the axis beyond the hold before (`Gap.step`), for delta_j > 0 (else mirrored)
+
+    f_j > 0:   D_j <= D_0 + j s + friction,                         the hand pulls along f_j with F_h at most;
+    else f_n < f_j <= 0, and the hand is held along -: D_m >= D_j - (m - j) s - friction for m > j, and
+               D_k >= D_0 - k s - friction for k < j; their sum is D, so that
+               (n - j + 1) D_j <= D - (j - 1) D_0 + s (j (j - 1) + (n - j)(n - j + 1)) / 2 + friction
+
+(with friction, 1 + a + a^2 + ... in place of n - j + 1 where D_j > 0, a the share that a hold keeps of the one before).
+
+**Hand speed.** |D_j| <= v_max T.
+
+**Device damping** alone, for every hand: sum((b/T) D_j^2 - delta_j D_j) over displacements of sum D is least at
+D_j = D/n + (T/2b)(delta_j - mean), where it is (b/T) D^2 / n - mean D - (T/4b) sum((delta_j - mean)^2). The first term
+is dissipated for certain, the others are uncertain.
+
+Buffers of the account of a group, by axis.
+
+Energy given out by late torques in a group; `group_certificates` bounds that of the torques held.
+
+Let W be the torques of the next free hold, l W those sent, and g_i in [lowest_i, highest_i] the older torques that
+axis i still has at its SYNC. With p_i as in (1) of `hold_timing`, different for every axis, the motors give out in
+that hold
+
+    l W . D + sum of integral(p_i (g_i - l W_i) v_i) <= l W . D + sum of max(0, highest_i - l W_i) X_i+
+                                                                    + max(0, l W_i - lowest_i) X_i-            (1)
+
+with X_i+ and X_i- the most that p_i |v_i| can integrate to along + and -. An axis gains in a time t no more speed than
+t m_i^(-1/2) (N + h), N the largest |f|_P of torques that act and h that of the hand (`per_axis_certificates`), so that
+with D_i its displacement along the sign in the hold before, s = theta_i / T and step_i = T^2 m_i^(-1/2) (N + h)
+
+    X_i <= s max(0, D_i) + s (1/2 + s) step_i,      D_i in the j-th hold from now <= r D_i0 + j step_i.             (2)
+
+**A hand without limit inwards**, where M does not couple the axes and all torques of an axis have one sign: what the
+motor gives out grows with v_i, which is no larger than with F_h along the torque throughout; (2) holds for that motion.
+
+**The hold after it.** Of l W and older torques no more is left than (highest', lowest') of the next SYNC, and they
+give out highest' X' and -lowest' X' at most, as if no torque followed. That counts with W. A smaller torque, and none
+at all, then has what the larger one leaves running.
+
+**The share l.** What older torques exceed l W by is convex in l and lies below its chord between l = 0 and l = 1, and
+N <= N_0 + l N_1 as in `per_axis_certificates`, so that all together stay below a parabola a + b l + c l^2, c >= 0, for
+every l up to 1; l is the largest for which it stays in the budget. Where even a is not in it, what runs on was
+certified before, and l W adds to that its own energy, l W . D - l sum of integral(p_i W_i v_i) with its tail, and what
+older torques give out over the motion that it adds. As long as that is below zero for certain, it is sent: without it
+no debt would end (`given_in_debt`). The chord of a smaller W is nearer, so that one of the size of the older torques
+is asked as well.
+
+**The hold that ended.** Of that D_i is known, and the way back inside it is no longer than `swing` times
+s (D_i + step_i / 2) (`hold_timing`): `doubt_of_late_group`. By device damping and hand speed it is as of one axis.
+"""
 
 from dataclasses import dataclass
 from math import inf, sqrt
 from typing import NamedTuple
 
-from canhaptic.control.certificates.lost_samples import Gap, doubt_of
 from canhaptic.control.certificates.torque_bound import keep
-from canhaptic.control.multi_axis.account_memory import AccountMemory
-from canhaptic.control.multi_axis.group_certificates import AxisLimits
-from canhaptic.control.multi_axis.group_commands import GroupHolds
-from canhaptic.control.multi_axis.late_group import doubt_of_late_gap, doubt_of_late_group
-from canhaptic.control.multi_axis.per_axis_memory import PerAxisLimits
+from canhaptic.control.multi_axis.group_certificates import Acting, AxisLimits, pass_range, response_to_late
+from canhaptic.control.multi_axis.group_kernel import GroupHolds
+from canhaptic.control.multi_axis.per_axis_certificates import PerAxisLimits, PerAxisMemory, per_axis_memory
+from canhaptic.kernels import Buffer, Matrix, list_of_zeros, new, zeros
+
+
+class Gap(NamedTuple):
+    """Several holds of one axis, and the hold before them."""
+
+    holds: int
+    moved: float  # in all of them [m or rad]
+    start: float  # in the hold before [m or rad]
+    error: float  # uncertainty of `moved` [m or rad]
+    blur: float  # uncertainty of `start` [m or rad]
+    step: float  # how far a hold may go beyond the hold before [m or rad]
+    lost: float  # largest share of a motion that friction takes from the next hold
+
+
+def farthest(gap: Gap, sign: float, hold: int, along: bool) -> float:
+    """Largest displacement of one hold, counted along `sign` [m or rad].
+
+    Args:
+        gap: The holds of the axis.
+        sign: 1 or -1.
+        hold: Index of the hold, 1 for the first; the last is never asked for.
+        along: Whether a torque along the sign acts in it; else one against it acts in the last.
+    """
+    holds, moved, start, error, blur, step, lost = gap
+    start, moved = sign * start, sign * moved
+    first = start + blur
+    if along:
+        return first + hold * (step + lost * (-first if first < 0.0 else 0.0))
+    later = holds - hold
+    least = start - blur
+    pairs = hold * (hold - 1) + later * (later + 1)
+    total = moved + error - (hold - 1) * least + 0.5 * pairs * step
+    total += 0.5 * hold * (hold - 1) * lost * (least if least > 0.0 else 0.0)
+    if total <= 0.0:
+        return total / (later + 1)  # nothing that friction could take
+    kept, power, series = 1.0 - lost, 1.0, 0.0
+    for _ in range(later + 1):
+        series += power
+        power *= kept
+    return total / series
+
+
+def doubt_of(gap: Gap, hold: int, torque: float, last: float) -> float:
+    """Largest excess of the booked energy of one hold, if a given torque acted in it [J].
+
+    Args:
+        gap: The holds of the axis.
+        hold: Index of the hold, 1 for the first; the last is never asked for.
+        torque: Torque that may have acted [N or N*m].
+        last: Torque of the last hold, with which the energy was booked [N or N*m].
+    """
+    more = torque - last
+    if more > 0.0:
+        return more * farthest(gap, 1.0, hold, torque > 0.0)
+    if more < 0.0:
+        return -more * farthest(gap, -1.0, hold, torque < 0.0)
+    return 0.0
+
+
+class AccountMemory(NamedTuple):
+    """Buffers of the account, shapes (axes,) where no other is given."""
+
+    displacement: Buffer  # of the hold that ended [rad or m]
+    torques: Buffer  # held in it [N*m or N]
+    blur: Buffer  # uncertainty of its displacement beyond a count [rad or m]
+    before: Acting  # at the SYNC at which it began, where torques come late
+    now: Acting  # buffer for the range at a later SYNC
+    coming: Matrix  # motion of a mover in future holds as one of the motors, (holds, axes) [rad or m]
+    passing: Buffer  # buffer for the motion in one hold
+    nothing: Buffer  # zeros
+    sized: Buffer  # buffer for a part of torques
+    apart: PerAxisMemory
+
+
+def account_memory(limits: PerAxisLimits) -> AccountMemory:
+    """Return empty buffers."""
+    axes, one = len(limits.roots), list_of_zeros
+    return AccountMemory(
+        one(axes), one(axes), one(axes), Acting(one(axes), one(axes)), Acting(one(axes), one(axes)),
+        zeros(limits.holds, axes), one(axes), one(axes), one(axes), per_axis_memory(limits),
+    )  # fmt: skip
+
+
+class LateShare(NamedTuple):
+    """A parabola a + b l + c l^2 above the energy that older torques give out [J]."""
+
+    constant: float
+    linear: float
+    square: float
+
+
+class Norms(NamedTuple):
+    """Norm of the torques that act and of the hand: N + h <= least + more l."""
+
+    least: float
+    more: float
+
+
+def copy_range(axes: AxisLimits, memory: AccountMemory, ended: bool) -> None:
+    """Copy the range of torques from the SYNC at the beginning of the hold that ended, or from the SYNC at its end."""
+    now, before = memory.now, memory.before
+    for i in range(len(memory.torques)):
+        now.highest[i], now.lowest[i] = before.highest[i], before.lowest[i]
+    if ended:
+        pass_range(axes, now.highest, now.lowest, memory.torques)
+
+
+def norms_of(
+    axes: AxisLimits, memory: AccountMemory, under_way: Matrix, first: int, holds: int, torques: Buffer, size: float
+) -> Norms:
+    """Return the norms of torques under way, and the part of W that l = 1 replaces."""
+    total = added = 0.0
+    for i in range(len(torques)):
+        most = max(abs(memory.torques[i]), memory.before.highest[i], -memory.before.lowest[i])
+        for place in range(first, first + holds):
+            most = max(most, abs(under_way[place][i]))
+        root, torque = axes.timing.roots[i], size * torques[i]
+        total += root * root * most * most
+        added += root * root * max(0.0, torque * torque - most * most)
+    return new(Norms, (sqrt(total) + axes.timing.hand, sqrt(added)))
+
+
+def reach_of(axes: AxisLimits, memory: AccountMemory, i: int, sign: float, hold: int, norm: float) -> float:
+    """Return X of an axis in a hold from now, the next being 1 [rad or m]; see (2)."""
+    timing = axes.timing
+    share, step, before = timing.share[i], timing.roots[i] * norm, hold - 1
+    start = sign * memory.displacement[i] + axes.counts[i] + memory.blur[i]
+    if start < 0.0:
+        start /= timing.growth
+        for _ in range(before):
+            start -= axes.lost[i] * start
+    moved = start + before * step
+    reach = share * (0.5 + share) * step
+    return reach + share * moved if moved > 0.0 else reach
+
+
+def given_early(
+    axes: AxisLimits, memory: AccountMemory, held: Buffer, fixed: float, size: float, hold: int, norms: Norms
+) -> LateShare:
+    """Energy that older torques give out in a hold, beyond that of the torques held in it; see (1).
+
+    Args:
+        axes: Properties of the motor axes.
+        memory: Its `now` is the range at the SYNC at which the hold begins.
+        held: Torques of the hold, (axes,) [N*m or N], of which fixed + l size are held.
+        fixed: 1 where they are sent for every l, else 0.
+        size: 0 then, else the share that l = 1 replaces.
+        hold: Index of the hold from now, the next being 1.
+        norms: Norms of the acting torques and of the hand.
+    """
+    constant = linear = square = 0.0
+    for i in range(len(held)):
+        least, most = fixed * held[i], (fixed + size) * held[i]
+        share = axes.timing.share[i]
+        further = share * share * axes.timing.roots[i] * norms.more
+        for side in range(2):
+            sign = 1.0 if side == 0 else -1.0
+            older = memory.now.highest[i] if side == 0 else -memory.now.lowest[i]
+            apart, change = max(0.0, older - sign * least), max(0.0, older - sign * most)
+            change -= apart
+            if apart != 0.0 or change != 0.0:
+                reach = reach_of(axes, memory, i, sign, hold, norms.least)
+                constant += apart * reach
+                linear += change * reach + apart * further
+                square += change * further
+    return new(LateShare, (constant, linear, square))
+
+
+def given_after(
+    axes: AxisLimits, memory: AccountMemory, held: Buffer, size: float, hold: int, norms: Norms
+) -> LateShare:
+    """Energy that all torques give out in the hold after one, if none follows; arguments as for `given_early`."""
+    constant = linear = square = 0.0
+    for i in range(len(held)):
+        share, left = axes.timing.share[i], axes.timing.left[i]
+        further = share * (1.0 + share) * axes.timing.roots[i] * norms.more
+        for side in range(2):
+            sign = 1.0 if side == 0 else -1.0
+            older = memory.now.highest[i] if side == 0 else -memory.now.lowest[i]
+            torque, least = sign * size * held[i], max(0.0, left * older)
+            change = max(0.0, torque + left * max(0.0, older - torque)) - least
+            if least != 0.0 or change != 0.0:
+                reach = reach_of(axes, memory, i, sign, hold + 1, norms.least)
+                constant += least * reach
+                linear += change * reach + least * further
+                square += change * further
+    return new(LateShare, (constant, linear, square))
+
+
+def share_of_late(
+    axes: AxisLimits, memory: AccountMemory, under_way: Matrix, first: int, holds: int, torques: Buffer, size: float
+) -> LateShare:
+    """Energy that older torques give out from now on, by the share of W that is sent.
+
+    Args:
+        axes: Properties of the motor axes.
+        memory: Buffers of the account; `now` is changed.
+        under_way: Torques that act before W, a ring (delay + 1, axes) [N*m or N].
+        first: Place of the ones that act next; below 0 it wraps.
+        holds: Number of holds.
+        torques: W, (axes,).
+        size: Part of W that l = 1 replaces.
+    """
+    norms = norms_of(axes, memory, under_way, first, holds, torques, size)
+    copy_range(axes, memory, True)
+    constant, hold = 0.0, holds + 1
+    for place in range(holds):
+        held = under_way[first + place]
+        constant += given_early(axes, memory, held, 1.0, 0.0, place + 1, norms).constant
+        pass_range(axes, memory.now.highest, memory.now.lowest, held)
+    highest, lowest = memory.now.highest, memory.now.lowest
+    early = given_early(axes, memory, torques, 0.0, size, hold, norms)
+    after = given_after(axes, memory, torques, size, hold, norms)
+    none = size * response_to_late(axes, torques, highest, lowest, memory.nothing, axes.during)
+    for i in range(len(torques)):
+        memory.sized[i] = size * torques[i]
+    whole = size * response_to_late(axes, torques, highest, lowest, memory.sized, axes.during)
+    constant += early.constant + after.constant
+    return new(LateShare, (
+        constant, none + early.linear + after.linear, whole - none + early.square + after.square
+    ))  # fmt: skip
+
+
+def given_in_debt(
+    axes: AxisLimits, memory: AccountMemory, under_way: Matrix, first: int, holds: int, torques: Buffer
+) -> LateShare:
+    """Increase by l W of the energy that all torques give out, beyond l W . D of `base_of` and its gain."""
+    norms, full, cross = norms_of(axes, memory, under_way, first, holds, torques, 1.0), 0.0, 0.0
+    highest, lowest = memory.now.highest, memory.now.lowest
+    none = response_to_late(axes, torques, highest, lowest, memory.nothing, axes.during)
+    whole = response_to_late(axes, torques, highest, lowest, torques, axes.during)
+    for i in range(len(torques)):
+        full += axes.timing.roots[i] * axes.timing.roots[i] * torques[i] * torques[i]
+    full = sqrt(full)
+    for i in range(len(torques)):
+        share, older = axes.timing.share[i], max(highest[i], -lowest[i])
+        cross += older * share * (share + axes.timing.left[i] * (1.0 + share)) * axes.timing.roots[i] * full
+        highest[i] = lowest[i] = 0.0
+    norms = new(Norms, (norms.least, full))
+    early = given_early(axes, memory, torques, 0.0, 1.0, holds + 1, norms)
+    after = given_after(axes, memory, torques, 1.0, holds + 1, norms)
+    linear = none + cross + early.linear + after.linear
+    return new(LateShare, (0.0, linear, whole - none + early.square + after.square))
+
+
+def older_size(axes: AxisLimits, memory: AccountMemory, torques: Buffer) -> float:
+    """Return the size of the older torques at the SYNC of W over that of W, in the norm |f|_P."""
+    older = size = 0.0
+    for i in range(len(torques)):
+        most = max(memory.now.highest[i], -memory.now.lowest[i])
+        older += axes.during[i] * most * most
+        size += axes.during[i] * torques[i] * torques[i]
+    return sqrt(older / size) if size > 0.0 else 0.0
+
+
+def doubt_of_late_group(axes: AxisLimits, memory: AccountMemory, moved: Buffer, held: Buffer) -> tuple[float, float]:
+    """Largest shortfall of the energy that came in in a hold whose torques came late [J].
+
+    Args:
+        axes: Properties of the motor axes.
+        memory: Buffers of the account before the hold; `before` becomes the range at its beginning.
+        moved: Displacement in it, (axes,) [rad or m].
+        held: Torques held in it [N*m or N].
+
+    Returns:
+        The shortfall by the declared hand, and by the damping of the devices.
+    """
+    timing, push, total, damped = axes.timing, 0.0, 0.0, 0.0
+    for i in range(len(held)):
+        most = max(abs(held[i]), abs(memory.torques[i]), memory.before.highest[i], -memory.before.lowest[i])
+        push += timing.roots[i] * timing.roots[i] * most * most
+    push = sqrt(push) + timing.hand
+    highest, lowest = memory.before.highest, memory.before.lowest
+    for i in range(len(held)):
+        share, older = timing.share[i], max(highest[i] - memory.torques[i], memory.torques[i] - lowest[i])
+        apart = abs(held[i] - memory.torques[i]) + timing.left[i] * max(0.0, older)
+        count, path = axes.counts[i], abs(moved[i]) + axes.counts[i]
+        if axes.by_hand:
+            start = abs(memory.displacement[i]) + memory.blur[i] + count
+            further = timing.swing[i] * (0.5 + share) * timing.roots[i] * push
+            total += apart * share * (max(start, timing.swing[i] * path) + further)
+        elif axes.path > 0.0:
+            total += apart * share * axes.path
+        if axes.by_damping:
+            damped += apart * share * (path + apart / (4.0 * axes.damping[i]))
+    pass_range(axes, highest, lowest, memory.torques)
+    return (total if axes.by_hand or axes.path > 0.0 else damped), damped
+
+
+def doubt_of_late_gap(
+    axes: AxisLimits, memory: AccountMemory, ended: GroupHolds, missed: int, axis: int, excursion: float
+) -> float:
+    """Largest excess of an axis's energy over several holds, beyond `group_account`, as torques came late [J].
+
+    Any two torques that may have acted differ by `apart` at most, in each hold for as long as in one. The range of
+    torques at the SYNC at which the last hold began is taken.
+
+    Args:
+        axes: Properties of the motor axes.
+        memory: Buffers of the account before the holds.
+        ended: The holds.
+        missed: Number of lost samples.
+        axis: Index of the axis.
+        excursion: Largest displacement of the axis in any hold [m or rad].
+    """
+    timing, before, last = axes.timing, memory.before, ended.applied[axis]
+    highest, lowest = max(before.highest[axis], memory.torques[axis]), min(before.lowest[axis], memory.torques[axis])
+    for place in range(min(missed, len(ended.lost))):
+        highest, lowest = max(highest, ended.lost[place][axis]), min(lowest, ended.lost[place][axis])
+    before.highest[axis], before.lowest[axis] = highest, lowest
+    apart, share, holds = max(highest, last) - min(lowest, last), timing.share[axis], missed + 1
+    if axes.by_hand:
+        return holds * apart * share * timing.swing[axis] * 2.0 * excursion
+    if axes.path > 0.0:
+        return holds * apart * share * axes.path
+    moved = abs(ended.displacement[axis]) + axes.counts[axis]
+    return apart * share * (moved + holds * 3.0 * apart / (4.0 * axes.damping[axis]))
+
+
+def older_needs(axes: AxisLimits, memory: AccountMemory) -> tuple[float, float]:
+    """Need of the torques at the last SYNC by the damping of the devices, and by the hand's speed [J]."""
+    damped = paths = 0.0
+    if axes.timing.is_ideal:
+        return damped, paths
+    copy_range(axes, memory, ended=True)
+    for i in range(len(memory.torques)):
+        older = max(memory.now.highest[i], -memory.now.lowest[i])
+        paths += older * axes.timing.tail_path
+        if axes.by_damping:
+            damped += older * older * axes.timing.tail[i] / axes.squares[i]
+    return damped, paths
 
 
 @dataclass(slots=True)
@@ -67,7 +455,7 @@ def end_group_gap(
     And its largest excess because torques came late; other excess is left to the meter of the axis.
 
     In every hold but the last, whose torque was read back, each axis may have held any torque sent for it until
-    then, or the one of the hold before (`lost_samples`).
+    then, or the one of the hold before (`group_account`).
     """
     axes, holds, growth = settings.axes, missed + 1, settings.axes.timing.growth
     push = 0.0
@@ -114,7 +502,7 @@ def doubt_of_axis(
 ) -> float:
     """Largest shortfall of the energy that came in by one axis over several holds [J].
 
-    Below 0 where more has for certain. By hand speed |D_j| <= v_max T; see `lost_samples` for the others.
+    Below 0 where more has for certain. By hand speed |D_j| <= v_max T; see `group_account` for the others.
     """
     last, damping, total = ended.applied[axis], axes.damping[axis], 0.0
     for hold in range(1, missed + 1):

@@ -39,7 +39,7 @@ axis, a force d p(t) along e_i with p as in (1). Its response is never below zer
     W' M^-1 e_i d <= d W_i / 2 m_i + |d| |W|_P / 2 m_i^(1/2),
 
 so that it counts as in (1) as min(1, 2 theta / T) of its largest value held throughout, and adds to that of the
-torques of the hold. Of one axis this is max(0, g - f) / m. The energy of older torques is in `late_group`.
+torques of the hold. Of one axis this is max(0, g - f) / m. The energy of older torques is in `group_account`.
 """
 
 import math

@@ -2,12 +2,22 @@
 
 The torque of every motor is constant during a hold, so the energy that came in is -sum(tau_i dq_i) in MOTOR
 coordinates, exactly, for every mechanism between motors and hand (eq. 2). Kinematics only shape the torques.
+
+Axes that render together: every axis still has a sample, a torque and its part of the energy, the group one account.
+
+The energy of an axis in a group is -torque * displacement as for any other (eq. 2), but alone it proves nothing: what
+comes in by one axis may go out by another. Store, dissipation, surplus and certificate are those of the group; the
+balance of the axis says `Branch.GROUP`, and it holds h_i alone.
 """
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
-from canhaptic.control.balance import AT_REST, EnergyBalance
+from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
+from canhaptic.control.ledger import Ledger
+from canhaptic.control.mechanisms.kinematics import Limit
+from canhaptic.control.passivity.controller import Controller
+from canhaptic.signals import PlantEnergy, Sample, Truth
 
 
 class GroupBalance(NamedTuple):
@@ -76,3 +86,150 @@ class NetworkEnvironment(Protocol):
         Raises:
             ParameterError: It does not fit that many dimensions, or would not be passive.
         """
+
+
+_GROUP, _HELD = Branch.GROUP.value, Branch.HELD.value
+
+_LIMIT_TEXTS = {
+    Limit.WORKSPACE.value: "the mechanism is outside its declared workspace: no torque until it is back",
+    Limit.SINGULAR.value: "the pose is closer to a singular one than declared: no torque until it is away",
+    Limit.UNSOLVED.value: "the network's equation did not converge: no torque until it does",
+}
+"""Limit -> its meaning for the user, for logs."""
+
+
+class AxisGroup:
+    """Some axes of a rig, what renders on them, and their account.
+
+    Args:
+        name: Name of the group, unlike that of any axis.
+        axes: Their places in the rig, in the order of the controller.
+        controller: Controller of this number of axes.
+
+    Attributes:
+        ledger: The account of the group.
+        balance: Balance of the last step.
+        limits: Number of holds in each `Limit`, without NONE.
+        supplied: Energy that came in other than by motors, as by the mover of a wall [J]; part of the ledger's
+            interaction.
+        unsure: Uncertainty due to lost samples, subtracted from the ledger's interaction [J].
+    """
+
+    def __init__(self, name: str, axes: Sequence[int], controller: GroupController) -> None:
+        self.name = name
+        self.axes = tuple(axes)
+        self.controller = controller
+        self.ledger = Ledger()
+        self.balance: GroupBalance = group_at_rest(len(self.axes))
+        self.limits = {limit.name.lower(): 0 for limit in Limit if limit is not Limit.NONE}
+        self.supplied = self.unsure = 0.0
+        self._limit = Limit.NONE.value
+
+    def step(self, samples: Sequence[Sample]) -> GroupBalance:
+        """Return the balance of the hold that ended; held when the sample of any of its axes is not fresh.
+
+        Args:
+            samples: Samples of the whole rig.
+        """
+        positions, torques = [], []
+        for axis in self.axes:
+            sample = samples[axis]
+            if not sample.fresh:
+                self.balance = self.controller.hold()
+                return self.balance
+            positions.append(sample.position)
+            torques.append(sample.torque_applied)
+        self.balance = self.controller.step(positions, torques)
+        return self.balance
+
+    def book(self, sync_index: int, deadline: int | None = None) -> str:
+        """Take the last step into the ledger, and count its limit.
+
+        Args:
+            sync_index: Index of its SYNC.
+            deadline: Sample times to it; None: no SYNC was skipped.
+
+        Returns:
+            Message about a limit newly reached; empty otherwise.
+        """
+        self.ledger.add(self.balance.account, sync_index, deadline)
+        self.supplied += self.balance.supplied
+        self.unsure += self.balance.unsure
+        limit, before = self.balance.limit, self._limit
+        self._limit = limit
+        if not limit:
+            return ""
+        self.limits[Limit(limit).name.lower()] += 1
+        return _LIMIT_TEXTS[limit] if before != limit else ""
+
+    def sample(self, samples: Sequence[Sample]) -> Sample:
+        """The group's entry in the log: no position, and the norm of its torques.
+
+        Args:
+            samples: Samples of the whole rig.
+        """
+        words, square, fresh = 0, 0.0, True
+        for axis in self.axes:
+            sample = samples[axis]
+            words |= sample.statusword
+            square += sample.torque_applied * sample.torque_applied
+            fresh = fresh and sample.fresh
+        return Sample(samples[0].sync_index, 0.0, square**0.5, words, fresh)
+
+    def truth(self, truths: Sequence[Truth]) -> Truth:
+        """Return the true energies of its axes together; work of movers counts as that of motors.
+
+        Args:
+            truths: One for each axis of the rig.
+        """
+        energies = [truths[axis].energy for axis in self.axes]
+        motor, user, dissipated, stored = (sum(parts) for parts in zip(*energies, strict=True))
+        return Truth(0.0, PlantEnergy(motor - self.supplied, user, dissipated, stored))
+
+
+class GroupedControllers:
+    """Controllers of a rig on which at least one group renders, or of a dry run.
+
+    Args:
+        controllers: One for each axis that is in no group, in the order of the rig.
+        groups: Each axis of the rig is in one of them or has a controller.
+        dry_run: Whether no torque is sent. No lost sample then makes energy uncertain.
+    """
+
+    def __init__(self, controllers: Sequence[Controller], groups: Sequence[AxisGroup], dry_run: bool = False) -> None:
+        self.groups = tuple(groups)
+        render = (*controllers, *(group.controller for group in groups))
+        self._withhold = [each.withhold for each in render if dry_run and hasattr(each, "withhold")]
+        grouped = {axis for group in groups for axis in group.axes}
+        self.axes = len(controllers) + len(grouped)
+        self._singles = list(zip((axis for axis in range(self.axes) if axis not in grouped), controllers, strict=True))
+        self._balances: list[EnergyBalance] = [_axis_balance(0.0, 0.0, _GROUP, 0)] * self.axes
+
+    def lasted(self, periods: int) -> None:
+        """Record that SYNCs were skipped: the hold that ends next lasted this number of sample times."""
+        for controller in (*(single for _, single in self._singles), *(group.controller for group in self.groups)):
+            if periods > 1 and hasattr(controller, "lasted"):
+                controller.lasted(float(periods))
+
+    def step(self, samples: Sequence[Sample]) -> list[EnergyBalance]:
+        """Return one balance per axis; those of the groups are in `AxisGroup.balance`."""
+        balances = self._balances.copy()
+        for axis, controller in self._singles:
+            sample = samples[axis]
+            balances[axis] = (
+                controller.step(sample.position, sample.torque_applied) if sample.fresh else controller.hold()
+            )
+        for group in self.groups:
+            balance = group.step(samples)
+            branch, certificate = balance.account.branch, balance.account.certificate
+            branch = _HELD if branch == _HELD else _GROUP
+            for axis, torque, h_i in zip(group.axes, balance.torques, balance.interactions, strict=True):
+                balances[axis] = _axis_balance(torque, h_i, branch, certificate)
+        for withhold in self._withhold:
+            withhold()
+        return balances
+
+
+def _axis_balance(torque: float, h_i: float, branch: int, certificate: int) -> EnergyBalance:
+    """Return the balance of an axis in a group: the rest of its account is the group's."""
+    return EnergyBalance(torque, h_i, 0.0, h_i, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, branch, 0.0, certificate, 0.0)

@@ -3,11 +3,11 @@
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from canhaptic.control.mechanisms.kinematics import Kinematics, KinematicsKernel, Limit
-from canhaptic.control.mechanisms.workspace import mechanism_of
+from canhaptic.control.damping import VelocityWindow, restart, update
+from canhaptic.control.mechanisms.kinematics import Kinematics, KinematicsKernel, Limit, mechanism_of
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.port_hamiltonian.discrete_gradient import NetworkTables
+from canhaptic.control.port_hamiltonian.network import NetworkTables
 from canhaptic.control.port_hamiltonian.sampled_network import (
     NetworkMemory,
     NetworkState,
@@ -20,8 +20,7 @@ from canhaptic.control.port_hamiltonian.sampled_network import (
     springs,
 )
 from canhaptic.control.port_hamiltonian.shapes.geometry import Geometry, Mover, moved_by
-from canhaptic.control.port_hamiltonian.user_energy import Functions
-from canhaptic.control.velocity import VelocityWindow, restart, update
+from canhaptic.control.port_hamiltonian.storages import Functions
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, Matrix, list_of_zeros, zeros
 

@@ -1,21 +1,445 @@
-"""The torques of a guarded group: efforts as far as the account covers them, sent as far as they are certified."""
+"""The torques of a guarded group: efforts as far as the account covers them, sent as far as they are certified.
 
+Parameters, state and buffers of `guarded` of a group.
+
+The certificates of a group: the energy reserved for torques under way, and the certified share of the next ones.
+"""
+
+from dataclasses import dataclass, field
 from math import sqrt
 from typing import Final, NamedTuple
 
 from canhaptic.control.balance import Certificate
+from canhaptic.control.certificates.scalar_bounds import hand_force_bound
 from canhaptic.control.certificates.torque_bound import keep
-from canhaptic.control.multi_axis.group_account import certain_energy, fade, quotient
-from canhaptic.control.multi_axis.group_commands import next_place, send_nothing, take_applied
-from canhaptic.control.multi_axis.group_motion import Ahead, World, write_efforts, write_springs
-from canhaptic.control.multi_axis.group_shares import UnderWay, shares
-from canhaptic.control.multi_axis.guarded_state import GuardedGroupMemory, GuardedGroupSettings, GuardedGroupState
-from canhaptic.control.multi_axis.per_axis_certificates import inward_first
-from canhaptic.control.passivity.in_flight import towards_zero
-from canhaptic.control.passivity.prediction import predicted
+from canhaptic.control.damping import modulated_damping
+from canhaptic.control.multi_axis.group_account import (
+    AccountMemory,
+    AccountSettings,
+    GroupAccount,
+    LateShare,
+    account_memory,
+    certain_energy,
+    copy_range,
+    fade,
+    given_in_debt,
+    older_needs,
+    older_size,
+    quotient,
+    share_of_late,
+)
+from canhaptic.control.multi_axis.group_certificates import (
+    AxisLimits,
+    along_last,
+    axes_of,
+    base_of,
+    damping_need,
+    gain_of,
+    path_need,
+    response_to_late,
+    taken_by_mover,
+)
+from canhaptic.control.multi_axis.group_kernel import (
+    Group,
+    GroupLoop,
+    GroupMemory,
+    group_loop,
+    group_memory,
+    next_place,
+    send_nothing,
+    take_applied,
+)
+from canhaptic.control.multi_axis.group_motion import Ahead, RequestedEfforts, World, write_efforts, write_springs
+from canhaptic.control.multi_axis.per_axis_certificates import (
+    inward_first,
+    needed_by_hand,
+    per_axis_limits,
+    share_by_hand,
+    take_sent,
+    taken_at_most,
+    write_needs,
+)
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.guarded_settings import (
+    PREDICTION_HOLDS,
+    GuardedParameters,
+    PredictedMotion,
+    PredictionSettings,
+    calm_stiffness_of,
+    predicted,
+    prediction_settings,
+)
+from canhaptic.control.passivity.stepped import towards_zero
 from canhaptic.control.port_hamiltonian.sampled_network import internal_motion
-from canhaptic.control.recovery import modulated_damping
-from canhaptic.kernels import Buffer, new
+from canhaptic.errors import ParameterError
+from canhaptic.kernels import Buffer, Matrix, list_of_zeros, new
+
+
+class GuardedGroupSettings(NamedTuple):
+    """Constants of a run."""
+
+    loop: GroupLoop
+    account: AccountSettings
+    credit: float  # energy that may be given out before any came in [J]
+    alpha: float  # [s/m^2 or s/rad^2]
+    lead: float  # prediction [holds]
+    prediction: list[PredictionSettings]  # of each axis
+    calm: Buffer  # stiffness of the largest spring that the rate renders, (axes,) [N/m or N*m/rad]
+    damped: Buffer  # the same by the damping of the devices, (axes,); 0 where it is not declared [N/m or N*m/rad]
+    path: float  # of the hand in the holds that a torque takes; 0 without a hand speed [m or rad]
+    quanta: Buffer  # of the torque commands, (axes,); 0: ideal [N*m or N]
+    quantised: bool
+
+
+@dataclass(slots=True)
+class GuardedGroupState:
+    """State kept from SYNC to SYNC."""
+
+    was_engaged: bool = False
+    group: Group = field(default_factory=Group)
+    account: GroupAccount = field(default_factory=GroupAccount)
+
+
+class GuardedGroupMemory(NamedTuple):
+    """Buffers of a group."""
+
+    group: GroupMemory
+    account: AccountMemory
+    predicted: list[PredictedMotion]  # of each axis
+    column: Buffer  # torques under way of one axis, (delay + 1,) [N*m or N]
+    way: Buffer  # of the motors until the next torques act, (axes,) [rad or m]
+    steady: Buffer  # the same by the last motion alone
+    step: Buffer  # motion in a hold then
+    wish: RequestedEfforts
+    damper: Buffer  # efforts to be sent, (axes,) [N*m or N]
+    modulated: Buffer
+    torques: Buffer  # requested
+    sent: Buffer
+    asked: Buffer  # as far as no limiter cuts them
+    scaled: Buffer
+
+
+def settings_of(world: World, parameters: GuardedParameters, loops: tuple[LoopProperties, ...]) -> GuardedGroupSettings:
+    """Constants of a run.
+
+    Raises:
+        ParameterError: No declared property certifies any torque, or a group cannot honour a key.
+    """
+    _refuse_keys_of_one_axis(parameters)
+    sample_time, delay = loops[0].sample_time, loops[0].delay
+    late = max([loop.timing.late for loop in loops]) / sample_time
+    axes = axes_of(loops, parameters.hand_force, parameters.hand_speed)
+    _require_certificates(axes, loops)
+    loop = group_loop(world, loops)
+    limits = per_axis_limits(axes, delay, parameters.max_consecutive_losses)
+    quanta = [loop.torque_quantum for loop in loops]
+    return GuardedGroupSettings(
+        loop,
+        AccountSettings(axes, limits, loop.motion.moves),
+        credit=parameters.energy_allowance,
+        alpha=parameters.alpha,
+        lead=PREDICTION_HOLDS + delay + late,
+        prediction=[
+            prediction_settings(
+                loop.moving_mass,
+                loop.device_damping or 0.0,
+                sample_time,
+                delay,
+                PREDICTION_HOLDS + late,
+                loop.encoder_count,
+            )
+            for loop in loops
+        ],
+        calm=[calm_stiffness_of(loop) for loop in loops],
+        damped=[2.0 * b / (1 + delay) for b in axes.damping],
+        path=axes.path * (1 + delay),
+        quanta=quanta,
+        quantised=any(quanta),
+    )
+
+
+def _refuse_keys_of_one_axis(parameters: GuardedParameters) -> None:
+    """Refuse what the certificates of a single axis alone can use.
+
+    Raises:
+        ParameterError: Such a key is declared; it names it.
+    """
+    push, pull = parameters.hand_push or 0.0, parameters.hand_force or 0.0
+    if push > pull:
+        raise ParameterError(
+            f"guarded group: got hand_push {push:g}, expected none above hand_force ({pull:g}); a group knows no way "
+            f"out of its contacts, and hand_force counts along every torque: declare hand_force {push:g}, or leave out "
+            "hand_push"
+        )
+    for key in ("earned_energy", "drag"):
+        if value := getattr(parameters, key):
+            raise ParameterError(
+                f"guarded group: got {key} {value:g}, expected 0; a group keeps no energy for later contacts: leave it "
+                "out, and declare energy_allowance where a contact has to start faster"
+            )
+
+
+def _require_certificates(axes: AxisLimits, loops: tuple[LoopProperties, ...]) -> None:
+    if not (axes.by_hand or axes.by_damping or axes.path):
+        raise ParameterError(
+            "guarded group: got neither moving_mass of every axis with hand_force, nor device_damping of every "
+            "axis, nor hand_speed, expected one of them; without any no torque can be certified"
+        )
+    if axes.by_hand and any(loop.device_damping_bound is None for loop in loops):
+        raise ParameterError(
+            "guarded group: got hand_force without device_damping_bound of every axis, expected the largest damping "
+            "that each device can have; measure it (canhaptic commission), or declare hand_force: null and another "
+            "certificate"
+        )
+
+
+def memory_of(world: World, settings: GuardedGroupSettings) -> GuardedGroupMemory:
+    """Return the buffers of a group at rest."""
+    axes, one, limits = len(settings.quanta), list_of_zeros, settings.account.apart
+    return GuardedGroupMemory(
+        group_memory(world, settings.loop, 0), account_memory(limits), [PredictedMotion() for _ in settings.quanta],
+        one(settings.loop.delay + 1), one(axes), one(axes), one(axes),
+        RequestedEfforts(one(axes), one(axes), one(axes), one(axes)),
+        one(axes), one(axes), one(axes), one(axes), one(axes), one(axes),
+    )  # fmt: skip
+
+
+class UnderWay(NamedTuple):
+    """Torques that act before the next command."""
+
+    torques: Matrix  # a ring, (delay + 1, axes) [N*m or N]
+    first: int  # place of the one that acts next; below 0 it wraps
+    holds: int
+
+
+def worst_case(
+    settings: AccountSettings, memory: AccountMemory, torques: Buffer, under_way: UnderWay, count: int
+) -> float:
+    """Return the base of torques that act after some of those under way [J]; see `base_of`."""
+    axes, sent, first = settings.axes, under_way.torques, under_way.first
+    along = along_last(axes, torques, memory.displacement, memory.blur)
+    if not axes.timing.is_ideal:
+        copy_range(axes, memory, False)
+    return base_of(axes, torques, memory.displacement, along, memory.torques, sent, first, count, memory.now)
+
+
+def extraction_of(settings: AccountSettings, memory: AccountMemory, under_way: UnderWay, hold: int) -> float:
+    """Return the most energy [J] that the torques of one of the holds under way may take out in it."""
+    axes, torques = settings.axes, under_way.torques[under_way.first + hold]
+    taken = worst_case(settings, memory, torques, under_way, hold) + gain_of(axes, torques)
+    if not axes.timing.is_ideal:
+        taken += response_to_late(axes, torques, memory.now.highest, memory.now.lowest, torques, axes.during)
+    return taken + taken_by_mover(torques, memory.coming[hold]) if settings.moves else taken
+
+
+def moved_at_most(settings: AccountSettings, memory: AccountMemory, under_way: UnderWay) -> float:
+    """Energy that a mover takes [J] in the holds of torques under way, where that is positive."""
+    total = 0.0
+    if settings.moves:
+        for hold in range(under_way.holds):
+            total += max(0.0, taken_by_mover(under_way.torques[under_way.first + hold], memory.coming[hold]))
+    return total
+
+
+def needed_under_way(settings: AccountSettings, memory: AccountMemory, under_way: UnderWay) -> float:
+    """Return the most energy [J] that the torques under way may give out to a hand within its force."""
+    worst = given = 0.0
+    for hold in range(under_way.holds):
+        given += extraction_of(settings, memory, under_way, hold)
+        worst = max(worst, given)
+    return (
+        worst
+        if settings.axes.timing.is_ideal
+        else worst + late_of(settings, memory, under_way, memory.nothing, 1.0).constant
+    )
+
+
+def late_of(
+    settings: AccountSettings, memory: AccountMemory, under_way: UnderWay, torques: Buffer, size: float
+) -> LateShare:
+    """Energy that older torques give out besides those held, by the share of a part of new ones."""
+    return share_of_late(settings.axes, memory, under_way.torques, under_way.first, under_way.holds, torques, size)
+
+
+def free_energy(
+    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: UnderWay, energy: float
+) -> float:
+    """Part of `energy` [J] that the certificates of the torques under way do not need."""
+    axes = settings.axes
+    if settings.apart.is_apart:
+        return free_if_apart(settings, account, memory, under_way, energy)
+    free, moved = 0.0, moved_at_most(settings, memory, under_way)
+    if axes.by_hand:
+        free = max(free, energy - needed_under_way(settings, memory, under_way))
+    needs, paths = older_needs(axes, memory)
+    for hold in range(under_way.holds):
+        torques = under_way.torques[under_way.first + hold]
+        if axes.path > 0.0:
+            paths += path_need(axes, torques)
+        if axes.by_damping:
+            needs += damping_need(axes, torques)
+    if axes.path > 0.0:
+        free = max(free, energy - moved - paths)
+    if axes.by_damping:
+        free = max(free, energy + account.dissipated - (moved + needs))
+    return free
+
+
+def shares(
+    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: UnderWay, torques: Buffer,
+    energy: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Share of the torques that each certificate admits: hand force, device damping, hand speed; may be > 1.
+
+    Args:
+        settings: Constants of the account.
+        account: Account of the group.
+        memory: Buffers of the account.
+        under_way: Torques that act before these.
+        torques: W, for the next free hold [N*m or N].
+        energy: Energy budget [J].
+    """
+    axes = settings.axes
+    if settings.apart.is_apart:
+        return shares_if_apart(settings, account, memory, under_way, torques, energy)
+    by_force = by_damping = by_speed = moved = 0.0
+    if settings.moves:
+        moved = taken_by_mover(torques, memory.coming[under_way.holds])
+    if axes.by_hand:
+        by_force = by_hand_force(settings, memory, under_way, torques, energy, moved)
+    if axes.by_damping or axes.path > 0.0:
+        more, taken = max(0.0, moved), moved_at_most(settings, memory, under_way)
+        needs, paths = older_needs(axes, memory)
+        for hold in range(under_way.holds):
+            acting = under_way.torques[under_way.first + hold]
+            needs += damping_need(axes, acting) if axes.by_damping else 0.0
+            paths += path_need(axes, acting)
+        if axes.by_damping:
+            budget = energy + account.dissipated - more - taken - needs
+            by_damping = sqrt(quotient(budget, damping_need(axes, torques)))
+        if axes.path > 0.0:
+            budget = energy - taken - paths
+            by_speed = quotient(budget, path_need(axes, torques) + more)
+    return by_force, by_damping, by_speed
+
+
+def by_hand_force(
+    settings: AccountSettings, memory: AccountMemory, under_way: UnderWay, torques: Buffer, energy: float, moved: float
+) -> float:
+    """Return the share by hand force; up to 1 where torques come late, see `group_account`.
+
+    `moved` is what a mover takes of the torques [J]; the other arguments are those of `shares`.
+    """
+    axes = settings.axes
+    for hold in range(under_way.holds):
+        extraction = extraction_of(settings, memory, under_way, hold)
+        acting, along = under_way.torques[under_way.first + hold], 0.0
+        for i in range(len(torques)):
+            along += acting[i] * torques[i]
+        energy -= extraction if along >= 0.0 else max(0.0, extraction)
+    base, gain = worst_case(settings, memory, torques, under_way, under_way.holds) + moved, gain_of(axes, torques)
+    if axes.timing.is_ideal:
+        return hand_force_bound(energy, base, gain)
+    late = late_of(settings, memory, under_way, torques, 1.0)
+    if not energy >= late.constant:
+        return share_in_debt(axes, memory, under_way, torques, base, gain)
+    share = share_beyond(energy, base, gain, late, 1.0)
+    size = min(1.0, older_size(axes, memory, torques))
+    if share < 1.0 and size > 0.0:
+        late = late_of(settings, memory, under_way, torques, size)
+        if energy >= late.constant:
+            share = max(share, share_beyond(energy, base, gain, late, size))
+    return share
+
+
+def share_beyond(energy: float, base: float, gain: float, late: LateShare, size: float) -> float:
+    """Return the share, up to `size`, of torques beyond what the older ones give out.
+
+    `late` is that of `size`, its constant no more than the energy; `base` and `gain` are those of all of the torques.
+    """
+    start, more = size * base + late.linear, max(0.0, size * size * gain + late.square)
+    return size * min(1.0, hand_force_bound(energy - late.constant, start, more))
+
+
+def share_in_debt(
+    axes: AxisLimits, memory: AccountMemory, under_way: UnderWay, torques: Buffer, base: float, gain: float
+) -> float:
+    """Return the share of torques that takes energy in for certain, where older ones may give out more than there is.
+
+    `memory.now` is the range at the SYNC of the torques; the other arguments are those of `by_hand_force`.
+    """
+    own = given_in_debt(axes, memory, under_way.torques, under_way.first, under_way.holds, torques)
+    return min(1.0, hand_force_bound(0.0, base + own.linear, max(0.0, gain + own.square)))
+
+
+def damping_need_of(axes: AxisLimits, squares: Buffer) -> float:
+    """Return sum((T + theta_i) / 4 b_i times the sum of squares of an axis) [J]."""
+    total = 0.0
+    for i in range(len(squares)):
+        total += squares[i] / axes.squares[i]
+    return total
+
+
+def size_of(values: Buffer) -> float:
+    """Return the sum of values."""
+    total = 0.0
+    for value in values:
+        total += value
+    return total
+
+
+def take_all_sent(settings: AccountSettings, memory: AccountMemory, under_way: UnderWay) -> None:
+    """Take the hold that ended and the torques that may still act, for per-axis certificates."""
+    copy_range(settings.axes, memory, True)
+    take_sent(
+        settings.axes, settings.apart, memory.apart, memory.displacement, memory.blur, memory.torques,
+        under_way.torques, under_way.first, memory.now,
+    )  # fmt: skip
+
+
+def free_if_apart(
+    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: UnderWay, energy: float
+) -> float:
+    """`free_energy` for per-axis certificates."""
+    axes, limits, apart, free = settings.axes, settings.apart, memory.apart, 0.0
+    take_all_sent(settings, memory, under_way)
+    older_damped, older_paths = older_needs(axes, memory)
+    moved = taken_at_most(limits, apart, memory.coming, apart.nothing)[0] if settings.moves else 0.0
+    if axes.by_hand:
+        free = max(free, energy - needed_by_hand(axes, limits, apart, memory.coming))
+    if axes.path > 0.0:
+        write_needs(limits, apart, apart.nothing, squared=False)
+        free = max(free, energy - moved - axes.path * size_of(apart.old) - older_paths)
+    if axes.by_damping:
+        write_needs(limits, apart, apart.nothing, squared=True)
+        free = max(free, energy + account.dissipated - moved - damping_need_of(axes, apart.old) - older_damped)
+    return free
+
+
+def shares_if_apart(
+    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: UnderWay, torques: Buffer,
+    energy: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """`shares` for per-axis certificates; none is above 1 by hand force."""
+    axes, limits, apart = settings.axes, settings.apart, memory.apart
+    take_all_sent(settings, memory, under_way)
+    older_damped, older_paths = older_needs(axes, memory)
+    by_force = by_damping = by_speed = moved = more = 0.0
+    if settings.moves:
+        moved, more = taken_at_most(limits, apart, memory.coming, torques)
+    if axes.by_hand:
+        by_force = share_by_hand(axes, limits, apart, memory.coming, torques, energy)
+    if axes.by_damping:
+        write_needs(limits, apart, torques, squared=True)
+        budget = energy + account.dissipated - moved - more
+        budget -= damping_need_of(axes, apart.old) + older_damped
+        by_damping = sqrt(quotient(budget, damping_need_of(axes, apart.new)))
+    if axes.path > 0.0:
+        write_needs(limits, apart, torques, squared=False)
+        budget = energy - moved - axes.path * size_of(apart.old) - older_paths
+        by_speed = quotient(budget, axes.path * size_of(apart.new) + more)
+    return by_force, by_damping, by_speed
+
 
 _UNBOUNDED, _BY_FORCE = Certificate.EXACT.value, Certificate.HAND_FORCE.value
 _BY_DAMPING, _BY_SPEED = Certificate.DEVICE_DAMPING.value, Certificate.HAND_SPEED.value

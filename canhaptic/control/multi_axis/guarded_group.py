@@ -11,24 +11,22 @@ from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis.group_account import doubt_of_mover, end_group_gap, end_group_hold
 from canhaptic.control.multi_axis.group_certificates import taken_by_mover
-from canhaptic.control.multi_axis.group_commands import end_holds, norm
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
-from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel
+from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel, SteppedGroup, end_holds, norm
 from canhaptic.control.multi_axis.group_motion import World, begin_motion, follow, write_carried
-from canhaptic.control.multi_axis.group_rendering import render
-from canhaptic.control.multi_axis.group_shares import UnderWay, free_energy
-from canhaptic.control.multi_axis.guarded_state import (
+from canhaptic.control.multi_axis.group_rendering import (
     GuardedGroupMemory,
     GuardedGroupSettings,
     GuardedGroupState,
+    UnderWay,
+    free_energy,
     memory_of,
+    render,
     settings_of,
 )
-from canhaptic.control.multi_axis.stepped_group import SteppedGroup
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded_settings import GuardedParameters
-from canhaptic.control.passivity.prediction import observe, observe_mean
-from canhaptic.control.passivity.settlement import settle
+from canhaptic.control.passivity.guarded_settings import GuardedParameters, observe, observe_mean
+from canhaptic.control.passivity.stepped import settle
 from canhaptic.kernels import Buffer, new
 from canhaptic.units import Parameters
 

@@ -33,17 +33,153 @@ none.
 
 A mover's motion, known in advance, is taken off D_ij (`bound`). The hand counts axis by axis as well: a force across
 the torque of the group that pulls one axis along its own torque is part of the declared force.
+
+Buffers of the per-axis certificates; see `per_axis_certificates`.
+
+Energy given out by late torques under per-axis certificates; see `per_axis_certificates`.
 """
 
 from math import inf, sqrt
-from typing import Final
+from typing import Final, NamedTuple
 
 from canhaptic.control.certificates.scalar_bounds import hand_force_bound
 from canhaptic.control.multi_axis.group_certificates import Acting, AxisLimits
-from canhaptic.control.multi_axis.late_cells import write_late_cells, write_parabolas
-from canhaptic.control.multi_axis.per_axis_memory import PerAxisLimits, PerAxisMemory
-from canhaptic.control.passivity.in_flight import towards_zero
-from canhaptic.kernels import Buffer, Matrix
+from canhaptic.control.passivity.stepped import towards_zero
+from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, zeros
+
+
+class PerAxisLimits(NamedTuple):
+    """Constants of a run."""
+
+    delay: int  # whole holds between computation and action
+    losses: int  # consecutive cycles in which an axis may be without a new torque
+    holds: int  # in which the next torque may act, counted from now
+    first: float  # share of a whole response that a torque has in its first hold
+    is_ideal: bool  # whether every hold is exact, and no torque late
+    is_apart: bool  # whether axes are certified one by one
+    is_late: bool  # whether any torque comes late
+    responses: Buffer  # T^2 / m of each axis
+    roots: Buffer  # of these
+
+
+class PerAxisMemory(NamedTuple):
+    """Torques that may still act, and the energy of each axis with them; [J] but for torques and starts."""
+
+    sent: Matrix  # torques held in the hold that ended, and those under way, (delay + 1, axes) [N*m or N]
+    largest: Buffer  # size of any of them on each axis, (axes,)
+    starts: Matrix  # displacement of the hold that ended along + and -, uncertainty included, (axes, 2) [m or rad]
+    lost: Matrix  # its part lost to friction in a hold, (axes, 2)
+    along: Matrix  # largest torque along + that may act in each hold, >= 0, (holds, axes) [N*m or N]
+    against: Matrix  # the same along -
+    ends: Indices  # of each cell in the parabolas; a cell is one axis in one hold, (cells,)
+    constant: Buffer  # A of the parabolas A + B l + C l^2, (pieces + 1,), the last of which is always 0
+    linear: Buffer  # B
+    square: Buffer  # C
+    old: Buffer  # sums over the holds by the torques under way, (axes,)
+    new: Buffer  # sums added by new ones
+    nothing: Buffer  # zeros, (axes,)
+    alone: Buffer  # a torque of one axis, (axes,)
+    others: Buffer  # of all others
+    rest: Buffer  # of all that take no energy in
+    older: Acting  # range of all torques at the last SYNC, (axes,) [N*m or N]
+
+
+def per_axis_limits(axes: AxisLimits, delay: int, losses: int) -> PerAxisLimits:
+    """Constants of a run."""
+    whole = [b + d for b, d in zip(axes.before, axes.during, strict=True)]
+    first = max([d / r if r else 0.0 for d, r in zip(axes.during, whole, strict=True)])
+    is_late = any(axes.timing.share)
+    is_apart = losses > 0 or (len(whole) > 1 and not is_late)
+    return PerAxisLimits(
+        delay, losses, delay + 1 + losses, first, axes.timing.is_ideal, is_apart, is_late, whole,
+        [sqrt(r) for r in whole],
+    )  # fmt: skip
+
+
+def per_axis_memory(limits: PerAxisLimits) -> PerAxisMemory:
+    """Return empty buffers."""
+    axes, one = len(limits.roots), list_of_zeros
+    cells, pieces = limits.holds * axes, (limits.delay + 2) * limits.holds * axes
+    if limits.is_late:
+        pieces = 8 * cells + 8 * (cells + axes)
+    ends = 2 * cells + axes if limits.is_late else cells
+    if not limits.is_apart:
+        ends = pieces = 0
+    return PerAxisMemory(
+        zeros(limits.delay + 1, axes), one(axes), zeros(axes, 2), zeros(axes, 2), zeros(limits.holds, axes),
+        zeros(limits.holds, axes), [0] * ends, one(pieces + 1), one(pieces + 1), one(pieces + 1), one(axes), one(axes),
+        one(axes), one(axes), one(axes), one(axes), Acting(one(axes), one(axes)),
+    )  # fmt: skip
+
+
+def write_parabolas(memory: PerAxisMemory, place: int, old: float, new: float, base: float, slope: float) -> int:
+    """Write the energy of an axis that moves by base + slope l, with an old torque, and with l times a new one."""
+    if old > 0.0:
+        memory.constant[place], memory.linear[place], memory.square[place] = old * base, old * slope, 0.0
+        place += 1
+    if new > 0.0:
+        memory.constant[place], memory.linear[place], memory.square[place] = 0.0, new * base, new * slope
+        place += 1
+    return place
+
+
+def write_late_cells(
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, torques: Buffer, fixed: Buffer, norm: float,
+    more: float, place: int,
+) -> None:  # fmt: skip
+    """Write the energy of older torques beyond those of each hold, and of all torques in the hold after the last.
+
+    Args:
+        axes: Properties of the motor axes.
+        limits: Per-axis limits of the group.
+        memory: Buffers of the certificates, after `take_sent`.
+        torques: W, (axes,).
+        fixed: Torques sent for every l, (axes,).
+        norm: N_0 + h.
+        more: N_1.
+        place: Index of the next parabola.
+    """
+    cell = limits.holds * len(torques)
+    for i in range(len(torques)):
+        up, down = memory.older.highest[i], -memory.older.lowest[i]
+        for index in range(limits.holds + 1):
+            is_last = index == limits.holds
+            for side in range(2):
+                sign = 1.0 if side == 0 else -1.0
+                before, held, new = up if side == 0 else down, 0.0, 0.0
+                if is_last:
+                    before, new = max(before, sign * fixed[i]), sign * torques[i]
+                else:
+                    held = memory.along[index][i] if side == 0 else memory.against[index][i]
+                older = max(0.0, before - held)
+                if older > 0.0 or new > 0.0:
+                    place = write_tail(axes, limits, memory, i, side, index, norm, more, older, new, place)
+                after = held + axes.timing.left[i] * older
+                if side == 0:
+                    up = after
+                else:
+                    down = after
+            memory.ends[cell] = place
+            cell += 1
+
+
+def write_tail(
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, axis: int, side: int, index: int, norm: float,
+    more: float, older: float, new: float, place: int,
+) -> int:  # fmt: skip
+    """Write the energy of torques at the beginning of a hold as parabolas; return the index of the next.
+
+    X = integral(p v) over v > 0 is convex in the displacement D before: s D + s (1/2 + s) a T^2 for D >= 0 and none
+    where the axis still goes inward at the end of the hold, D <= -3/2 a T^2.
+    """
+    share, root, start = axes.timing.share[axis], axes.timing.roots[axis], memory.starts[axis][side]
+    pace, rise = memory.lost[axis][side] + root * norm, root * more
+    moved, grown = start + index * pace, rise * max(0, index - limits.delay)
+    slope = share * (0.5 + share)
+    pull, gain = slope * (moved / 1.5 + pace), slope * (grown / 1.5 + rise)
+    place = write_parabolas(memory, place, older, new, pull, gain)
+    return write_parabolas(memory, place, older, new, share * moved + slope * pace, share * grown + slope * rise)
+
 
 _PASSES: Final = 24
 """Most passes of the search for a share; an axis that needs more renders nothing."""

@@ -2,8 +2,7 @@
 
 from typing import Final
 
-from canhaptic.control.environments.environment import Environment
-from canhaptic.control.environments.plain import plain
+from canhaptic.control.environments.environment import Environment, plain
 from canhaptic.control.passivity.controller import Controller, LoopProperties
 from canhaptic.registry import load_algorithm
 from canhaptic.units import Parameters

@@ -3,7 +3,7 @@
 from typing import Annotated, Protocol
 
 from canhaptic.control.balance import EnergyBalance
-from canhaptic.control.certificates.hold_timing import HoldTiming, hold_timing
+from canhaptic.control.certificates.scalar_bounds import HoldTiming, hold_timing
 from canhaptic.units import Parameters, quantity
 
 

@@ -12,7 +12,7 @@ contact: the store begins empty and pushing on fills it. What the account does n
 * the spring effort stays below that of a spring with the energy in the account, as stiff as the certificate holds;
 * beyond it, only while moving inward, a damper brings in the missing energy, all of it stored; and a spring whose
   account is short is led as if no torque slowed the axis down;
-* and the torque stays below what the declared certificates hold together (`sum_of_certificates`): that is the proof.
+* and the torque stays below what the declared certificates hold together (`certified_torque`): that is the proof.
 
 What came in beyond the store (a drag in free motion, a wall left behind) or was dissipated by the device for certain is
 kept for contacts to come as far as `earned_energy`. From no energy at all no torque begins below an inward speed of
@@ -23,22 +23,404 @@ For every user without exception, sum(h_i) >= 0 admits no torque at all: a large
 of the hand or of the device. A hand force of 0 is the usual setting: it covers every hand that does not pull the axis
 along the torque, and is not the same as "never active". Where stiffness or damping cannot be rendered the environment
 gets softer, and the balance says so: `certificate` is not EXACT, `damping_rendered` is below the one asked.
+
+The account of `guarded`: its state between two SYNCs, and the booking of a hold that ended.
+
+The torque of `guarded` for the next free hold: the requested one, within account and certificates.
 """
 
-from typing import ClassVar
+from dataclasses import dataclass, field
+from math import copysign, inf, sqrt
+from typing import ClassVar, Final, NamedTuple
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
-from canhaptic.control.certificates.torque_bound import turn
+from canhaptic.control.certificates.certified_torque import free_energy, largest_torques
+from canhaptic.control.certificates.torque_bound import (
+    BoundMemory,
+    TorqueBound,
+    bound_memory,
+    end_gap,
+    end_hold,
+    for_any,
+    keep,
+    open_both_ways,
+    shorten,
+    turn,
+)
+from canhaptic.control.damping import modulated_damping, restart, update
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded_account import GuardedState, Memory, book, end, memory_of, relax
-from canhaptic.control.passivity.guarded_settings import GuardedParameters, GuardedSettings, settings_of
-from canhaptic.control.passivity.guarded_torque import drag, render
-from canhaptic.control.passivity.hold_account import Axis, begin
-from canhaptic.control.passivity.in_flight import send
-from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.kernels import Kernel, Run, new
+from canhaptic.control.passivity.guarded_settings import (
+    GuardedParameters,
+    GuardedSettings,
+    PredictedMotion,
+    observe,
+    observe_mean,
+    predicted,
+    settings_of,
+)
+from canhaptic.control.passivity.hold_account import Axis, AxisMemory, axis_memory, begin
+from canhaptic.control.passivity.stepped import (
+    SteppedController,
+    as_far_as_limit,
+    efforts_inside,
+    repeat,
+    send,
+    settle,
+    towards_zero,
+)
+from canhaptic.kernels import Kernel, MakeBuffer, Run, new
 from canhaptic.units import Parameters
+
+_FADE: Final = 0.8
+"""Share of the device's past dissipation that still counts after another hold out of contact."""
+
+
+@dataclass(slots=True)
+class GuardedState:
+    """State kept from SYNC to SYNC."""
+
+    zone: int = 0  # of contact
+    true: float = 0.0  # displacement of the storage in the continuous environment [m or rad]
+    h_s: float = 0.0  # [J]
+    kept_back: float = 0.0  # dissipated or leaked, and not paid [J]
+    axis: Axis = field(default_factory=Axis)
+    bound: TorqueBound = field(default_factory=TorqueBound)
+    motion: PredictedMotion = field(default_factory=PredictedMotion)
+
+
+class Memory(NamedTuple):
+    """Buffers of one axis."""
+
+    axis: AxisMemory
+    bound: BoundMemory
+
+
+def memory_of(settings: GuardedSettings, make_buffer: MakeBuffer) -> Memory:
+    """Return the buffers of one axis."""
+    axis = axis_memory(settings.declared.delay, settings.longest_window, make_buffer)
+    return Memory(axis, bound_memory(settings.declared, axis.commands.torques, make_buffer))
+
+
+def end(
+    settings: GuardedSettings, state: GuardedState, memory: Memory, position: float, torque_applied: float
+) -> tuple[float, float, float, float]:
+    """End a hold; return (displacement, damper effort, modulated effort, uncertain energy)."""
+    declared, bound, axis, commands = settings.declared, state.bound, state.axis, memory.axis.commands
+    displacement, count, oldest = position - axis.position, declared.encoder_count, axis.oldest
+    axis.position = position
+    if axis.missed:
+        axis.missed += int(axis.lasted - 1.0)  # of SYNCs that were skipped in the gap no sample came either
+        axis.lasted = 1.0
+        return displacement, 0.0, 0.0, end_several(settings, state, memory, displacement, torque_applied)
+    bound.first = oldest - declared.delay
+    unsure = end_hold(declared, bound, memory.bound, displacement, torque_applied)
+    if axis.lasted > 1.0:
+        shorten(declared, bound, axis.lasted)
+        observe_mean(state.motion, displacement / axis.lasted)
+        restart_at_mean(settings, axis, memory.axis, displacement / axis.lasted)
+        axis.lasted = 1.0
+    else:
+        observe(settings.prediction, state.motion, displacement, torque_applied)
+        if count:
+            update(axis.window, memory.axis.samples, count, settings.sample_time, position)
+    if commands.torques[oldest] == torque_applied:
+        return displacement, commands.dampers[oldest], commands.modulated[oldest], unsure
+    damper, modulated = efforts_inside(commands, oldest, torque_applied)
+    return displacement, damper, modulated, unsure
+
+
+def end_several(
+    settings: GuardedSettings, state: GuardedState, memory: Memory, displacement: float, torque_applied: float
+) -> float:
+    """End several holds of which only the last sample came; return the uncertain energy [J]."""
+    axis, commands, holds = state.axis, memory.axis.commands, state.axis.missed + 1
+    largest, apart = abs(torque_applied), 0.0
+    for _ in range(axis.missed):
+        sent = as_far_as_limit(commands.torques[axis.oldest], settings.torque_limit)
+        largest, apart = max(largest, abs(sent)), max(apart, abs(sent - torque_applied))
+        axis.oldest = repeat(commands, axis.oldest)
+    axis.missed = 0
+    observe_mean(state.motion, displacement / holds)
+    state.bound.first = axis.oldest - settings.declared.delay
+    restart_at_mean(settings, axis, memory.axis, displacement / holds)
+    return end_gap(settings.declared, state.bound, displacement, torque_applied, holds, largest, apart)
+
+
+def restart_at_mean(settings: GuardedSettings, axis: Axis, memory: AxisMemory, moved: float) -> None:
+    """Restart the velocity's window after holds with this mean displacement [m or rad]."""
+    if settings.longest_window:
+        restart(axis.window, memory.samples, axis.position)
+        axis.window.velocity = moved / settings.sample_time
+
+
+def book(
+    settings: GuardedSettings,
+    state: GuardedState,
+    memory: Memory,
+    h_i: float,
+    h_pas: float,
+    damped: float,
+    ceiling: float,
+) -> tuple[float, float, float, float]:
+    """Book one hold into store and surplus; return (h_r, deficit, leak, paid) [J].
+
+    Args:
+        settings: Constants of the run.
+        state: State of the axis; changed.
+        memory: Buffers of the axis.
+        h_i: Interaction energy of the hold [J].
+        h_pas: Part of it taken by the modulated damper [J].
+        damped: Damper effort inside the applied torque times the displacement [J].
+        ceiling: Energy that the environment stores at its true state [J]; no more is kept than `earned_energy` beyond
+            it.
+    """
+    axis = state.axis
+    h_s, surplus = state.h_s + h_i - h_pas, axis.h_dis - h_pas
+    slack = 0.0
+    ceiling += settings.earned
+    if damped > 0.0 or h_s > ceiling:
+        slack = free_energy(settings.declared, state.bound, memory.bound, h_s - surplus + settings.credit)
+        if slack > h_s:
+            slack = h_s
+    elif h_s >= 0.0:  # nothing is dissipated, leaked or lacking: nothing is to be settled
+        state.h_s, axis.h_dis = h_s, surplus
+        return 0.0, 0.0, 0.0, 0.0
+    state.h_s, axis.h_dis, h_r, deficit, leak, paid = settle(h_s, surplus, damped, ceiling, slack)
+    state.kept_back += h_r + leak - paid
+    return h_r, deficit, leak, paid
+
+
+def relax(
+    environment: Environment, settings: GuardedSettings, state: GuardedState, true: float, ceiling: float, holds: float
+) -> tuple[float, float, float]:
+    """Return (state, energy there, energy dissipated) after internal relaxation for some holds [m or rad, J, J]."""
+    relaxed = environment.relaxed(true, holds * settings.sample_time)
+    left = environment.stored_energy(relaxed)
+    lost = min(state.h_s, max(0.0, ceiling - left))
+    state.h_s -= lost
+    state.kept_back += lost
+    return relaxed, left, lost
+
+
+def fade(settings: GuardedSettings, state: GuardedState) -> None:
+    """Reduce the device's past dissipation, out of contact, to what is kept for later contacts."""
+    bound, energy = state.bound, state.h_s - state.axis.h_dis
+    have = max(0.0, energy + bound.dissipated)
+    keep(bound, energy, max(_FADE * have, settings.earned))
+
+
+_NOT_BOUND, _BY_FORCE = Certificate.EXACT.value, Certificate.HAND_FORCE.value
+_BY_DAMPING, _BY_FRICTION = Certificate.DEVICE_DAMPING.value, Certificate.DEVICE_FRICTION.value
+_BY_SPEED = Certificate.HAND_SPEED.value
+_DRAG_SHARE: Final = 0.5
+"""Damping of the drag near rest, over the largest one that does not ripple."""
+
+
+def render(
+    environment: Environment, settings: GuardedSettings, state: GuardedState, memory: Memory, true: float,
+    spring: float, ceiling: float, travel: float, inside: float, moved: float, same: bool,
+) -> tuple[float, float, float, float, int]:  # fmt: skip
+    """Return (torque for the next free hold, damper and modulated effort in it, damping rendered, certificate).
+
+    Args:
+        environment: Environment rendered.
+        settings: Constants of the run.
+        state: State of the axis.
+        memory: Buffers of the axis.
+        true: State of the storage [m or rad].
+        spring: Effort there [N or N*m].
+        ceiling: Energy stored there [J].
+        travel: Motion of the storage in a hold [m or rad].
+        inside: Motion of the axis in contact, in a hold [m or rad].
+        moved: Motion of the axis in a hold [m or rad].
+        same: Whether the contact was there before.
+    """
+    bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
+    if settings.longest_window:
+        energy = certain_energy(state, energy)
+    ahead = steady = settings.lead * travel
+    if not environment.relaxes:
+        ahead, coming = predicted(settings.prediction, state.motion, memory.bound.under_way, bound.first, travel)
+        if state.h_s < ceiling and steady * true > 0.0 and steady * true > ahead * true:
+            ahead = steady  # going in, more may be taken in where the account is short
+        if same:
+            inside = coming
+    lead = environment.effort(environment.admissible(true + ahead, true)) - spring
+    velocity = inside / settings.sample_time
+    spring, lead, damper, covered = efforts(settings, bound, spring, lead, ahead, velocity, energy, ceiling)
+    rendered = damper / velocity if velocity != 0.0 else settings.damping
+    modulated = 0.0
+    if settings.alpha > 0.0 and state.axis.h_dis > 0.0 and velocity != 0.0:
+        extra = modulated_damping(
+            settings.alpha, state.axis.h_dis, rendered, settings.cap, inside, settings.sample_time
+        )
+        modulated = extra * velocity
+        rendered += extra
+    torque = -(spring + lead + damper + modulated)
+    if torque == 0.0:
+        return torque, damper, modulated, rendered, _NOT_BOUND
+    size, certificate = permitted_size(settings, state, memory, torque, energy, moved)
+    asked = abs(torque)
+    if size < asked:
+        share = size / asked
+        torque, damper, modulated, rendered = torque * share, damper * share, modulated * share, rendered * share
+    elif covered:
+        certificate = _NOT_BOUND
+    if settings.quantum > 0.0:
+        torque = towards_zero(torque, settings.quantum)
+    return torque, damper, modulated, rendered, certificate
+
+
+def permitted_size(
+    settings: GuardedSettings, state: GuardedState, memory: Memory, torque: float, energy: float, moved: float
+) -> tuple[float, int]:
+    """Largest permitted size of a torque, up to its own [N or N*m], and its certificate.
+
+    Limits and certificates bound it.
+
+    Args:
+        settings: Constants of the run.
+        state: State of the axis.
+        memory: Buffers of the axis.
+        torque: Requested torque, not 0 [N or N*m].
+        energy: Energy budget [J].
+        moved: Displacement in a hold [m or rad].
+    """
+    sign, size = (1.0, torque) if torque > 0.0 else (-1.0, -torque)
+    if size > settings.least_limit:
+        most = within_limits(settings, memory.axis.commands.torques[state.axis.oldest - 1], sign, moved)
+        if size > most:
+            size = most
+    largest, for_all, by_force = largest_torques(settings.declared, state.bound, memory.bound, sign, energy)
+    if size > largest:
+        size = largest
+    if size <= settings.declared.friction:
+        return size, _BY_FRICTION
+    return size, _BY_DAMPING if for_all >= size else _BY_FORCE if by_force >= size else _BY_SPEED
+
+
+def certain_energy(state: GuardedState, energy: float) -> float:
+    """Part of an energy that the next torques may give out with an encoder of finite resolution [J].
+
+    Energy that was dissipated or leaked cannot be given out again, but it covers the uncertainty of the encoder: (4)
+    holds for the energy of the account, (3) for the true one.
+    """
+    lacking = state.bound.unsure - state.kept_back
+    return energy - lacking if lacking > 0.0 else energy
+
+
+def within_limits(settings: GuardedSettings, newest: float, sign: float, moved: float) -> float:
+    """Return the largest torque along `sign` that the limiter lets pass [N or N*m]; see `drive.profile.limiter`.
+
+    What it cuts after a torque was certified would take energy in no more on which the next one counts.
+
+    Args:
+        settings: Constants of the run.
+        newest: Torque sent last [N or N*m].
+        sign: 1 or -1.
+        moved: Displacement in the last sample time [m or rad].
+    """
+    most = settings.torque_limit
+    if settings.torque_step < inf:
+        rise = settings.torque_step + (sign * newest if sign * newest > 0.0 else 0.0)
+        if rise < most:
+            most = rise
+    if settings.power_limit < inf and sign * moved > 0.0:
+        power = settings.power_limit / (sign * moved / settings.sample_time)
+        if power < most:
+            most = power
+    return most
+
+
+def efforts(
+    settings: GuardedSettings,
+    bound: TorqueBound,
+    spring: float,
+    lead: float,
+    ahead: float,
+    velocity: float,
+    energy: float,
+    ceiling: float,
+) -> tuple[float, float, float, bool]:
+    """Return efforts of spring, lead and damper [N or N*m], and whether the account covers all of them."""
+    damper, size, speed = settings.damping * velocity, abs(spring), abs(velocity)
+    room, led = settings.cap * speed, settings.calm * abs(ahead)
+    if abs(damper) > room:
+        damper = copysign(room, damper)
+    permitted = 2.0 * settings.calm_stiffness * energy
+    if not settings.declared.by_hand_force_alone:
+        permitted = energy_permitted(settings, bound, spring + lead + damper, energy, ceiling)
+    covered = permitted >= size * size
+    if not covered:
+        held = sqrt(permitted) if permitted > 0.0 else 0.0
+        if velocity * spring > 0.0:
+            catch_up = min(size - held, room)
+            held += catch_up
+            room -= catch_up
+        if lead * spring < 0.0 and abs(lead) > held:  # a spring does not stick
+            lead = -copysign(held, spring)
+        spring = copysign(held, spring)
+    if abs(damper) > room:
+        damper, covered = copysign(room, damper), False
+    if abs(lead) > led:
+        lead = copysign(led, lead)
+    return spring, lead, damper, covered
+
+
+def energy_permitted(
+    settings: GuardedSettings, bound: TorqueBound, whole: float, energy: float, ceiling: float
+) -> float:
+    """Return the square of the largest effort of a spring that the account covers [N^2 or N^2*m^2].
+
+    Args:
+        settings: Constants of the run.
+        bound: State of the torque bound; device dissipation beyond what the efforts need is forgotten.
+        whole: All efforts together [N or N*m].
+        energy: Energy budget [J].
+        ceiling: Energy stored at the true state [J].
+    """
+    enough = settings.earned
+    if settings.damped_stiffness > 0.0:
+        enough = max(enough, 0.5 * (whole * whole) / settings.damped_stiffness)
+    keep(bound, energy, ceiling + enough)
+    covered = settings.calm_stiffness * (energy + bound.dissipated)
+    covered = 2.0 * max(covered, settings.damped_stiffness * (energy + for_any(bound)))
+    held = settings.declared.friction + (sqrt(covered) if covered > 0.0 else 0.0)
+    energy += max(0.0, bound.dissipated)
+    if settings.path > 0.0 and energy > 0.0:
+        held = max(held, settings.declared.friction + energy / settings.path)
+    return held * held
+
+
+def drag(settings: GuardedSettings, state: GuardedState, memory: Memory, moved: float) -> tuple[float, int]:
+    """Return the torque out of contact and its certificate: a drag, until enough is earned [N or N*m].
+
+    Args:
+        settings: Constants of the run.
+        state: State of the axis; it goes on earning while its energy is below `earned_energy`.
+        memory: Buffers of the axis.
+        moved: Displacement in a hold [m or rad].
+    """
+    bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
+    if bound.dissipated > 0.0:
+        fade(settings, state)
+    if settings.drag == 0.0:
+        return 0.0, _NOT_BOUND
+    if settings.longest_window:
+        energy = certain_energy(state, energy)
+    if energy + bound.dissipated >= settings.earned:
+        return 0.0, _NOT_BOUND
+    step = state.axis.window.velocity * settings.sample_time if settings.longest_window else state.motion.step
+    torque = -_DRAG_SHARE * settings.cap * step / settings.sample_time
+    if torque == 0.0:
+        return 0.0, _NOT_BOUND
+    if settings.outside == 0.0:  # which way is out is not known here
+        open_both_ways(settings.declared, bound)
+    torque = min(max(torque, -settings.drag), settings.drag)
+    size, certificate = permitted_size(settings, state, memory, torque, energy, moved)
+    return towards_zero(copysign(size, torque), settings.quantum), certificate
+
 
 _FREE, _START, _EXACT = Branch.FREE.value, Branch.START.value, Branch.EXACT.value
 _STICKY, _DEPLETED = Branch.STICKY.value, Branch.DEPLETED.value

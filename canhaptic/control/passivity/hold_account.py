@@ -5,9 +5,9 @@ from math import inf
 from typing import NamedTuple, Protocol
 
 from canhaptic.control.balance import Certificate, EnergyBalance
+from canhaptic.control.damping import DamperVelocity, VelocityWindow, restart, update
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.in_flight import Commands, as_far_as_limit, efforts_inside, no_commands, repeat, send
-from canhaptic.control.velocity import DamperVelocity, VelocityWindow, restart, update
+from canhaptic.control.passivity.stepped import Commands, as_far_as_limit, efforts_inside, no_commands, repeat, send
 from canhaptic.kernels import Buffer, MakeBuffer, new
 
 

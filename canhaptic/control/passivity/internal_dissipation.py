@@ -26,22 +26,22 @@ from typing import Any, Final
 from canhaptic.control.balance import Branch
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.hold_account import Hold, HoldAccount
-from canhaptic.control.passivity.root import Balance, solve_balance, solve_balance_nonlinear
 from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.control.passivity.storage import (
+from canhaptic.control.passivity.stored_model import (
+    Balance,
     Storage,
+    StoredModelParameters,
+    StoredModelSettings,
+    StoredModelState,
     approximate,
+    dissipation,
     entered_by,
     is_deadlocked,
     move,
     pushed_inward,
+    solve_balance,
+    solve_balance_nonlinear,
     start,
-)
-from canhaptic.control.passivity.stored_model import (
-    StoredModelParameters,
-    StoredModelSettings,
-    StoredModelState,
-    dissipation,
     stored_model_kernel,
 )
 from canhaptic.kernels import new

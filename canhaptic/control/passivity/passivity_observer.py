@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Annotated, Any
 
+from canhaptic.control.balance import RunningSum, add
+from canhaptic.control.damping import DamperVelocity, damping_cap
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import Hold
@@ -24,9 +26,6 @@ from canhaptic.control.passivity.sampled_model import (
     sampled_settings,
 )
 from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.control.recovery import damping_cap
-from canhaptic.control.running_sum import RunningSum, add
-from canhaptic.control.velocity import DamperVelocity
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import new
 from canhaptic.units import quantity

@@ -16,8 +16,8 @@ from math import inf
 from typing import Any, Generic, NamedTuple, TypeAlias
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
-from canhaptic.control.environments.environment import Environment
-from canhaptic.control.environments.plain import plain
+from canhaptic.control.damping import DamperVelocity
+from canhaptic.control.environments.environment import Environment, plain
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import (
     Axis,
@@ -31,9 +31,8 @@ from canhaptic.control.passivity.hold_account import (
     hold_settings,
     open_hold,
 )
-from canhaptic.control.velocity import DamperVelocity
 from canhaptic.kernels import Buffer, GivenT, Kernel, MakeBuffer, Run, StateT, new
-from canhaptic.kernels.binding import filled
+from canhaptic.kernels.records import filled
 
 _FREE, _START, _EXACT, _EXIT = Branch.FREE.value, Branch.START.value, Branch.EXACT.value, Branch.EXIT.value
 

@@ -2,15 +2,31 @@
 
 They differ in how a hold changes the state, `touch` and `exchange`. The rest of the step is here: how a hold is opened,
 and which command follows from the state.
+
+The energy balance of eq. 8 solved for the state change: closed for a linear spring, safeguarded for any other.
+
+Eq. 16 prints dx = (-b - sqrt(b^2 - 4 a c)) / 2 a. That loses all digits where k or the displacement is small, divides
+by zero at k = 0, and needs the other sign for the sticky rule. The root nearest zero in the form
+
+    dx = 2 H / (b + sgn(b) sqrt(b^2 + 2 k H)),    b = k x + f_d,    H = energy received
+
+has none of these faults and covers the sticky rule. Near the double root the discriminant cancels, so it is formed from
+exact products (Dekker 1971) and an exact sum.
+
+The storage of `a_priori_dissipation` and `internal_dissipation`: its state never holds energy that was not received.
+
+What the two share is here: following the contact, the first-order start (eq. 14), the approximate step (eqs. 6, 7, 18)
+and the exit. Each rule moves the storage and returns its account of the hold.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Generic
+from typing import Any, Final, Generic, NamedTuple
 
-from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
-from canhaptic.control.environments.environment import Environment
-from canhaptic.control.environments.plain import plain
+from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
+from canhaptic.control.damping import Alpha, DamperVelocity, damping_cap, modulated_damping
+from canhaptic.control.environments.environment import Environment, plain
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import (
     Axis,
@@ -25,11 +41,309 @@ from canhaptic.control.passivity.hold_account import (
     open_hold,
     surplus_after,
 )
-from canhaptic.control.passivity.storage import UNTOUCHED, Storage, begin_storage, follow, is_deadlocked, leave
-from canhaptic.control.recovery import Alpha, damping_cap, modulated_damping
-from canhaptic.control.velocity import DamperVelocity
-from canhaptic.kernels import GivenT, Kernel, Run
-from canhaptic.kernels.binding import filled
+from canhaptic.kernels import GivenT, Kernel, Run, new
+from canhaptic.kernels.records import filled
+
+_SPLITTER: Final = 134217729.0  # 2^27 + 1 (Veltkamp)
+_ITERATIONS: Final = 80  # bisection alone reaches the last bit of any bracket of one binade in 53
+_SMALLEST_STEP: Final = 1e-16  # of the root: below half a unit in its last place
+
+
+def discriminant(effort: float, product: float, energy: float) -> float:
+    """Return effort^2 + product * energy, accurate to its last bits although the two terms may cancel."""
+    square = effort * effort
+    other = product * energy
+    total = square + other
+    if total > 0.125 * abs(other):
+        return total  # three bits lost at most: no help needed, and this is nearly every hold
+    high = _SPLITTER * effort
+    high -= high - effort
+    low = effort - high
+    square_error = ((high * high - square) + 2.0 * high * low) + low * low
+    part = total - square
+    sum_error = (square - (total - part)) + (other - part)
+    return total + (sum_error + (square_error + _product_error(product, energy, other)))
+
+
+def _product_error(a: float, b: float, product: float) -> float:
+    a_high = _SPLITTER * a
+    a_high -= a_high - a
+    b_high = _SPLITTER * b
+    b_high -= b_high - b
+    a_low, b_low = a - a_high, b - b_high
+    return ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
+
+
+def solve_balance(stiffness: float, effort: float, energy: float, displacement: float) -> float:
+    """Return the root nearest zero of k dx^2 / 2 + b dx = H [m or rad], or NaN where no state change balances.
+
+    Args:
+        stiffness: k >= 0 [N/m or N*m/rad].
+        effort: b, the whole effort opposing motion at the old state: k x + f_d [N or N*m].
+        energy: H, what the model received [J].
+        displacement: Measured motion of the hold [m or rad]; its sign decides between two roots equally near, and it
+            is the answer itself where nothing opposes motion and nothing was received (k = b = 0).
+    """
+    if energy == 0.0:
+        return displacement if stiffness == 0.0 and effort == 0.0 else 0.0
+    if effort == 0.0:
+        if stiffness == 0.0 or energy < 0.0:
+            return math.nan
+        return math.copysign(math.sqrt(2.0 * energy / stiffness), displacement)
+    if stiffness == 0.0:
+        return energy / effort
+    under_root = discriminant(effort, 2.0 * stiffness, energy)
+    if under_root < 0.0:
+        return math.nan
+    return 2.0 * energy / (effort + math.copysign(math.sqrt(under_root), effort))
+
+
+class Balance(NamedTuple):
+    """A nonlinear storage before its state changes, and the damper in parallel."""
+
+    state: float  # old one [m or rad]
+    stored: float  # energy there [J]
+    damper: float  # effort of the damper [N or N*m]
+
+
+def gain(environment: Environment, old: Balance, change: float) -> float:
+    """Return the energy that a state change [m or rad] takes up, stored and dissipated [J]."""
+    return environment.stored_energy(old.state + change) - old.stored + old.damper * change
+
+
+def slope(environment: Environment, old: Balance, change: float) -> float:
+    """Return the derivative of `gain` [N or N*m]."""
+    return environment.effort(old.state + change) + old.damper
+
+
+def solve_balance_nonlinear(
+    environment: Environment, old: Balance, energy: float, limit: float, tolerance: float
+) -> float:
+    """Return the root nearest zero of gain(dx) = H for a nonlinear storage, or NaN where no state change balances.
+
+    The direction follows from the sign of H and of the slope at 0. Within it the root is bracketed - by the limit, or
+    by the place where the slope turns - and found by Newton steps that fall back to bisection when they leave the
+    bracket or do not halve; never more than 80 of them.
+
+    Args:
+        environment: Environment with a nonlinear storage.
+        old: The state before.
+        energy: H, what the model received [J].
+        limit: Largest state change to look at [m or rad]; its sign decides where nothing opposes motion at first.
+            With more received than the limit takes up the answer is the limit, and the caller leaks the rest.
+        tolerance: Rounding of `gain` [J]; nothing finer is looked for.
+    """
+    if energy == 0.0 or limit == 0.0:
+        return 0.0 if energy >= 0.0 else math.nan
+    effort = slope(environment, old, 0.0)
+    far = math.copysign(limit, energy * effort) if effort != 0.0 else limit
+    if effort != 0.0 and (slope(environment, old, far) > 0.0) != (effort > 0.0):
+        far = _turning_point(environment, old, far)
+    gained = gain(environment, old, far)
+    if abs(gained) < abs(energy) or (gained > 0.0) != (energy > 0.0):
+        return far if energy > 0.0 else math.nan
+    return _newton(environment, old, energy, far, tolerance)
+
+
+def _turning_point(environment: Environment, old: Balance, far: float) -> float:
+    """Return the last place before the slope changes its sign between 0 and `far`."""
+    near, rising = 0.0, slope(environment, old, 0.0) > 0.0
+    for _ in range(_ITERATIONS):
+        middle = 0.5 * (near + far)
+        if middle in (near, far):
+            break
+        if (slope(environment, old, middle) > 0.0) == rising:
+            near = middle
+        else:
+            far = middle
+    return near
+
+
+def _newton(environment: Environment, old: Balance, energy: float, far: float, tolerance: float) -> float:
+    """Return the root between 0 and `far`, where |gain| rises from 0 to at least |H|."""
+    effort = slope(environment, old, 0.0)
+    near, gain_far = 0.0, gain(environment, old, far)
+    guess = energy / effort if effort != 0.0 else far
+    step = abs(far)
+    for _ in range(_ITERATIONS):
+        if not min(near, far) < guess < max(near, far):
+            guess = _between(near, far, energy, gain_far)
+            step = abs(far - near)
+            if guess in (near, far):
+                break
+        gained = gain(environment, old, guess)
+        missing = energy - gained
+        if abs(missing) <= tolerance:
+            break
+        if (missing > 0.0) == (energy > 0.0):
+            near = guess
+        else:
+            far, gain_far = guess, gained
+        steep = slope(environment, old, guess)
+        halving = abs(2.0 * missing) <= step * abs(steep)
+        following = guess + missing / steep if halving else _between(near, far, energy, gain_far)
+        step = abs(following - guess)
+        if step <= _SMALLEST_STEP * abs(guess):
+            break
+        guess = following
+    return guess
+
+
+def _between(near: float, far: float, energy: float, gain_far: float) -> float:
+    """Return a place inside the bracket: its middle, or, while it begins at 0, where a parabola would have the root.
+
+    Halving alone would not get from a motion of a millimetre to the root of a vanishing energy.
+    """
+    if near == 0.0 and gain_far != 0.0:
+        return far * min(0.5, math.sqrt(energy / gain_far))
+    return 0.5 * (near + far)
+
+
+_START, _FALLBACK, _DEPLETED = Branch.START.value, Branch.FALLBACK.value, Branch.DEPLETED.value
+_EXIT = Branch.EXIT.value
+_ROUNDING: Final = 1e-12  # of the energy at hand: below it a rest is rounding, not a leak
+
+UNTOUCHED: Final = HoldAccount(Branch.FREE.value, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(slots=True)
+class Storage:
+    """State, velocity and stored energy of one environment, and where the continuous environment would be."""
+
+    zone: int = 0  # of contact, 0 out of contact
+    true: float = 0.0  # state of the continuous environment [m or rad]
+    state: float = 0.0  # displacement of the storage [m or rad]
+    velocity: float = 0.0  # of the state over the last hold [m/s or rad/s]
+    h_s: float = 0.0  # energy stored at `state` [J], computed from it
+
+
+def empty(storage: Storage) -> None:
+    """The deadlock: nothing stored, no velocity, no torque until the user pushes inward."""
+    storage.state = storage.velocity = storage.h_s = 0.0
+
+
+def is_deadlocked(storage: Storage) -> bool:
+    """Return whether the storage is empty and at rest, so that it gives no torque."""
+    return storage.h_s == 0.0 and storage.velocity == 0.0
+
+
+def begin_storage(environment: Environment, storage: Storage, position: float) -> None:
+    """Take the first position; in contact there it is a deadlock, for the user has not pushed in."""
+    empty(storage)
+    storage.zone = zone = environment.contact(position)
+    storage.true = environment.true_state(position, 0.0, 0.0) if zone else 0.0
+
+
+def follow(environment: Environment, storage: Storage, position: float, displacement: float, elapsed: float) -> bool:
+    """Follow the contact over a hold of given time [s]; return True when a zone was entered or left in it."""
+    zone = environment.contact(position)
+    changed = zone != storage.zone
+    storage.zone = zone
+    if zone:
+        true = environment.true_state(position, displacement, 0.0 if changed else storage.true)
+        storage.true = environment.relaxed(true, elapsed) if environment.relaxes else true
+    return changed
+
+
+def pushed_inward(environment: Environment, storage: Storage, displacement: float) -> bool:
+    """Return True when the motion [m or rad] stores energy, or when there is nothing to store it in."""
+    effort = environment.effort(storage.true)
+    return effort * displacement > 0.0 or (effort == 0.0 and displacement != 0.0)
+
+
+def entered_by(environment: Environment, storage: Storage, displacement: float) -> float:
+    """Part of a motion [m or rad] inside the contact."""
+    return storage.true - environment.admissible(storage.true - displacement, storage.true)
+
+
+def start(environment: Environment, storage: Storage, change: float, elapsed: float, h_m: float) -> HoldAccount:
+    """First-order start (eq. 14): the state is the true one, and the energy for it is created.
+
+    Args:
+        environment: The environment rendered.
+        storage: Moved.
+        change: State change from which the velocity is taken [m or rad].
+        elapsed: Time of the hold [s].
+        h_m: Energy received in this hold [J].
+    """
+    storage.velocity = change / elapsed
+    available = storage.h_s + h_m
+    storage.state = state = storage.true
+    storage.h_s = h_s = environment.stored_energy(state)
+    return new(HoldAccount, (_START, 0.0, max(0.0, h_s - available), 0.0, max(0.0, available - h_s)))
+
+
+def move(
+    environment: Environment, storage: Storage, change: float, elapsed: float, h_r: float, h_m: float, limited: bool
+) -> tuple[float, float]:
+    """Take a state change found by eq. 8; return (h_r with what relaxation dissipates, leak) [J].
+
+    Args:
+        environment: The environment rendered.
+        storage: Moved.
+        change: Change of the state [m or rad].
+        elapsed: Time of the hold [s].
+        h_r: Energy dissipated with it [J].
+        h_m: Energy received [J].
+        limited: True when the change takes up less than was received; the remainder leaks.
+    """
+    before = storage.h_s
+    moved = storage.state + change
+    state = environment.admissible(moved, storage.true)
+    h_s = environment.stored_energy(state)
+    storage.velocity = change / elapsed
+    leak = rest_of(before + h_m, h_r + h_s) if limited or state != moved else 0.0
+    return relax(environment, storage, state, h_s, elapsed, h_r), leak
+
+
+def approximate(
+    environment: Environment, storage: Storage, elapsed: float, dissipation: float, h_m: float
+) -> HoldAccount:
+    """Dissipate a given energy, as far as it is there, and take the state of what remains (eqs. 6, 7, 18).
+
+    Args:
+        environment: The environment rendered.
+        storage: Moved.
+        elapsed: Time of the hold [s].
+        dissipation: T d v^2 with the velocity inside the torque of this hold [J].
+        h_m: Energy received [J].
+    """
+    available = storage.h_s + h_m
+    if available <= 0.0:
+        empty(storage)
+        return new(HoldAccount, (_DEPLETED, 0.0, 0.0, -available, 0.0))
+    h_r = min(dissipation, available)
+    before = storage.state
+    state = environment.state_of_energy(available - h_r, before if before != 0.0 else storage.true)
+    h_s = environment.stored_energy(state)
+    leak = rest_of(available, h_r + h_s)
+    storage.velocity = (state - before) / elapsed
+    return new(HoldAccount, (_FALLBACK, relax(environment, storage, state, h_s, elapsed, h_r), 0.0, 0.0, leak))
+
+
+def relax(environment: Environment, storage: Storage, state: float, h_s: float, elapsed: float, h_r: float) -> float:
+    """Take a state and its energy after one hold of relaxation; return h_r with what that dissipated [J]."""
+    if environment.relaxes:
+        strained = h_s
+        state = environment.relaxed(state, elapsed)
+        h_s = environment.stored_energy(state)
+        h_r += strained - h_s
+    storage.state, storage.h_s = state, h_s
+    return h_r
+
+
+def rest_of(available: float, used: float) -> float:
+    """Remainder of an energy [J]; rounding errors count as 0."""
+    rest = available - used
+    return rest if rest > _ROUNDING * available else 0.0
+
+
+def leave(storage: Storage, account: HoldAccount) -> HoldAccount:
+    """Turn the account of the last hold of a contact into that of an exit: everything left is leaked."""
+    _, h_r, gen, deficit, leak = account
+    leak += storage.h_s
+    empty(storage)
+    return new(HoldAccount, (_EXIT, h_r, gen, deficit, leak))
 
 
 class StoredModelParameters(DamperVelocity):

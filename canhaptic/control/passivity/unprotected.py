@@ -1,9 +1,9 @@
 """`unprotected`: the sampled environment without protection, as most haptic loops run it: what sampling creates."""
 
+from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.passivity.hold_account import Hold
 from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun, SampledState, sampled_kernel
 from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.control.velocity import DamperVelocity
 from canhaptic.kernels import new
 
 

@@ -18,10 +18,9 @@ from typing import Any, Final
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SdoAbort
-from canhaptic.drive.can import sdo_transfer
+from canhaptic.drive.can import sdo
 from canhaptic.drive.can.link import Link
-from canhaptic.drive.can.sdo import ATTEMPTS
-from canhaptic.drive.can.sdo_transfer import ABORT, FRAME_LENGTH, ProtocolError, Transfer
+from canhaptic.drive.can.sdo import ABORT, ATTEMPTS, FRAME_LENGTH, ProtocolError, Transfer
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.errors import LinkError, SdoError
 
@@ -91,7 +90,7 @@ class _Request:
         self.verb = verb
         self.index = index
         self.subindex = subindex
-        self.object = sdo_transfer.address(index, subindex)
+        self.object = sdo.address(index, subindex)
         self.transfer = transfer
         self.convert = convert
         self.future: Future[Any] = Future()
@@ -117,7 +116,7 @@ class BackgroundSdo:
         Raises:
             SdoError: The rig does not run, the bus has no room, or too much waits already.
         """
-        return self._ask("read", index, subindex, sdo_transfer.upload(*_checked(index, subindex)), bytes)
+        return self._ask("read", index, subindex, sdo.upload(*_checked(index, subindex)), bytes)
 
     def download(self, index: int, subindex: int, data: bytes) -> "Future[None]":
         """Write the bytes of an object and return the future of its confirmation, which raises as of `upload`.
@@ -129,12 +128,12 @@ class BackgroundSdo:
         if index in _OWNED or index in _PDO_OBJECTS or (is_display and index in _OWNED_BY_DISPLAYS):
             text = "it belongs to the cycle while the rig runs; stop the rig first"
             raise self._drive.sdo.failure("write", index, subindex, text)
-        transfer = sdo_transfer.download(*_checked(index, subindex), bytes(data))
+        transfer = sdo.download(*_checked(index, subindex), bytes(data))
         return self._ask("write", index, subindex, transfer, lambda _: None)
 
     def read(self, index: int, subindex: int = 0) -> "Future[int]":
         """Read an integer object, as long and with the sign that the dictionary says; raise as `upload`."""
-        transfer = sdo_transfer.upload(*_checked(index, subindex))
+        transfer = sdo.upload(*_checked(index, subindex))
         return self._ask("read", index, subindex, transfer, partial(self._drive.sdo.decode, index, subindex))
 
     def write(self, index: int, subindex: int, value: int, size: int | None = None) -> "Future[None]":
@@ -258,7 +257,7 @@ class SdoLine:
             answer = self._answers.popleft()
             if len(answer) != FRAME_LENGTH:
                 self._link.statistics.short += 1
-            elif not sdo_transfer.may_answer(answer, request.frame, request.object):
+            elif not sdo.may_answer(answer, request.frame, request.object):
                 self._link.statistics.late += 1
             elif answer[0] == ABORT:
                 code = int.from_bytes(answer[4:8], "little")
@@ -274,16 +273,16 @@ class SdoLine:
         except StopIteration as end:
             return self._finish(end.value)
         except ProtocolError as error:
-            self._send(sdo_transfer.abort(request.index, request.subindex, SdoAbort.COMMAND_SPECIFIER))
+            self._send(sdo.abort(request.index, request.subindex, SdoAbort.COMMAND_SPECIFIER))
             return self._finish(request.failure(str(error)))
         request.attempts = 0
         self._ask(request)
 
     def _ask_again(self, request: _Request) -> None:
         """Repeat an unanswered first request; a segment is not repeated, for it may have been taken."""
-        if request.attempts < ATTEMPTS and sdo_transfer.initiates(request.frame):
+        if request.attempts < ATTEMPTS and sdo.initiates(request.frame):
             return self._ask(request)
-        self._send(sdo_transfer.abort(request.index, request.subindex, SdoAbort.TIMEOUT))
+        self._send(sdo.abort(request.index, request.subindex, SdoAbort.TIMEOUT))
         timeout = f"{request.attempts} requests, {request.drive.axis.sdo_timeout:g} s each"
         self._finish(request.failure(f"node {request.drive.axis.node_id}: no answer ({timeout})"))
 

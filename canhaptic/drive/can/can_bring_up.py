@@ -6,7 +6,7 @@ from typing import Final
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import NmtCommand, NmtState
 from canhaptic.drive.axis_parameters import LARGEST_U16
-from canhaptic.drive.can.pdo_setup import rpdo_transmission_type, write_map
+from canhaptic.drive.can.pdo_map import rpdo_transmission_type, write_map
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
 from canhaptic.errors import StartError

@@ -5,13 +5,10 @@ from collections.abc import Iterator
 from canopen import ObjectDictionary
 
 from canhaptic.canopen import objects as od
-from canhaptic.canopen.dictionary import is_writable
-from canhaptic.canopen.objects import DataType
+from canhaptic.canopen.objects import DataType, is_writable
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
-from canhaptic.drive.can.pdo_map import PdoPlan, choose_map
-from canhaptic.drive.can.pdo_setup import others_to_disable, rpdo_transmission_type
-from canhaptic.drive.profile.fitness import Finding, Verdict, profile_findings
-from canhaptic.drive.profile.object_use import ObjectUse, listed, objection
+from canhaptic.drive.can.pdo_map import PdoPlan, choose_map, others_to_disable, rpdo_transmission_type
+from canhaptic.drive.profile.fitness import Finding, ObjectUse, Verdict, listed, objection, profile_findings
 from canhaptic.errors import DictionaryError
 
 

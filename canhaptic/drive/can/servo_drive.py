@@ -9,10 +9,8 @@ from canhaptic.canopen import objects as od
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.dictionary_check import require_fit
 from canhaptic.drive.can.link import Link
-from canhaptic.drive.can.pdo_codec import codec
-from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan, choose_map
-from canhaptic.drive.can.sdo import SdoChannel
-from canhaptic.drive.can.sdo_transfer import download
+from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan, choose_map, codec
+from canhaptic.drive.can.sdo import SdoChannel, download
 from canhaptic.drive.profile.torque_axis import CycleRules, ReceivedEmergency, TorqueAxis
 
 _SLOTS: Final = {od.STATUSWORD: 0, od.POSITION_ACTUAL: 1, od.TORQUE_DEMAND: 2, od.TORQUE_ACTUAL: 2}

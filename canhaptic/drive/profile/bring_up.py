@@ -9,8 +9,7 @@ from contextlib import contextmanager
 from typing import Final, NamedTuple
 
 from canhaptic.canopen import objects as od
-from canhaptic.canopen.dictionary import is_writable
-from canhaptic.canopen.objects import Controlword
+from canhaptic.canopen.objects import Controlword, is_writable
 from canhaptic.drive.profile.fitness import agreed_rated_torque, decimal_period
 from canhaptic.drive.profile.power_states import FAULTED, TORQUE_FREE, PowerState, drive_state
 from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille

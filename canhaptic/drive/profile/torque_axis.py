@@ -1,22 +1,46 @@
 """One axis in cyclic synchronous torque mode: samples in, torques out, reasons to stop. Knows objects, no frames.
 
 A fieldbus derives from `TorqueAxis`: it fills in the received values, and sends the arguments of `write`.
+
+Access of the start of a drive to its objects: read and written, one at a time.
 """
 
 from abc import ABC, abstractmethod
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.code_texts import emcy_text
-from canhaptic.canopen.dictionary import Dictionary
+from canhaptic.canopen.objects import Dictionary
 from canhaptic.drive.profile.limiter import DryRunLimiter, TorqueLimiter
 from canhaptic.drive.profile.link_policy import LinkPolicy, StopReason
-from canhaptic.drive.profile.object_access import ObjectAccess
 from canhaptic.drive.profile.power_states import ENABLED_MASK, ENABLED_VALUE, FAULTED, PowerState, drive_state
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.profile.scaling import axis_scaling
 from canhaptic.drive.profile.torque_axis_parameters import ReadBack, TorqueAxisParameters
 from canhaptic.signals import Sample
+
+
+class ObjectAccess(Protocol):
+    """Reads and writes integer objects of one drive: SDO over CAN, or over the mailbox of EtherCAT (CoE).
+
+    Every method raises SdoError where the drive aborts or does not answer.
+    """
+
+    def read(self, index: int, subindex: int = 0) -> int:
+        """Return the value of an object."""
+
+    def probe(self, index: int, subindex: int = 0) -> int:
+        """Return the value of an object; ask once only."""
+
+    def read_within(self, limit: int, index: int, subindex: int = 0) -> int:
+        """Return the value of an object; all attempts together take at most `limit` [ns]."""
+
+    def write(self, index: int, subindex: int, value: int) -> None:
+        """Write an object."""
+
+    def describe(self, index: int, subindex: int = 0) -> str:
+        """Return an object as `0x6072:00 Max torque`."""
+
 
 _tuple: Final = tuple.__new__  # makes a sample at half the cost of calling its class
 _NO_REASON: Final = StopReason.NONE  # bound once: to look a member up in its enum takes as long as all of `fault`

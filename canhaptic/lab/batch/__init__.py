@@ -10,7 +10,7 @@ exponential, whose last bit is that of its library). A linear plant moves by its
 events by the stepper of `canhaptic.sim.plant` (`event_plant`). Scenes are computed one after the other, so that none
 knows of another.
 
-Compiling takes some 10 s once for each algorithm and environment; the machine code is kept (`code_cache`).
+Compiling takes some 10 s once for each algorithm and environment; the machine code is kept (`compiler`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,8 +20,8 @@ from typing import Final
 import numpy as np
 
 from canhaptic.errors import ParameterError
-from canhaptic.lab.batch.batch_case import NotBatchableError
 from canhaptic.lab.batch.cases import (
+    NotBatchableError,
     batch_case,
     check_values,
     why_not_batchable,

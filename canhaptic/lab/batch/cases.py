@@ -1,29 +1,344 @@
-"""Loops of a batch from a scene and the keys in which many scenes differ."""
+"""Loops of a batch from a scene and the keys in which many scenes differ.
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any, Final, cast
+Many loops of one kind: their common part, and the numbers in which they differ.
+
+The numbers of a batch, scene by scene: environment, settings of the algorithm, loop, flow and start of the plant.
+
+The continuous environments of many loops: their modes as matrices, for the kernel that follows them.
+
+The environments are those with a flow in closed form: `why_not_continuous` says why another has none.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import inf
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 
-from canhaptic.control.environments.plain import plain
-from canhaptic.errors import ParameterError
-from canhaptic.lab.batch.batch_case import BatchCase, floats_of
-from canhaptic.lab.batch.closed_loop import Losses
-from canhaptic.lab.batch.event_plants import PlantValues, distinct_plants
-from canhaptic.lab.batch.plants import is_linear, plant_numbers, why_not_in_loop
-from canhaptic.lab.batch.rows import kernel_of
-from canhaptic.lab.batch.signal_effects import SignalEffects
+from canhaptic.control.environments.damper_wall import DamperWall
+from canhaptic.control.environments.environment import Environment, plain, plain_with
+from canhaptic.control.environments.free_space import FreeSpace
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.environments.two_sided_wall import TwoSidedWall
+from canhaptic.control.environments.viscous_medium import ViscousMedium
+from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.errors import InputError, ParameterError
+from canhaptic.kernels import Kernel
+from canhaptic.lab.batch.closed_loop import LinearPlants, LoopSettings, Losses, MeterSettings, ReferenceSettings
+from canhaptic.lab.batch.plants import (
+    PlantValues,
+    SignalEffects,
+    distinct_plants,
+    is_linear,
+    plant_numbers,
+    why_not_in_loop,
+)
 from canhaptic.lab.batch.varied import scene_with, split_key
-from canhaptic.lab.figures.figures import CONTINUOUS
-from canhaptic.lab.loop.axis_loop import FURTHEST, Array, LoopCase
-from canhaptic.lab.loop.scenes import loop_case
+from canhaptic.lab.figures.figures import CONTINUOUS, last_rows
+from canhaptic.lab.loop.axis_loop import FURTHEST, Array, LoopCase, loop_case
+from canhaptic.lab.reference import readings_per_hold
+from canhaptic.registry import load
 from canhaptic.scene.models import AxisSimulation, Scene
 from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.plant import PlantParameters
+from canhaptic.sim.plant.propagator import flow_changes
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.units import Parameters
+
+
+class NotBatchableError(InputError, NotImplementedError):
+    """A scene cannot run in a batch; run it one by one."""
+
+
+@dataclass(frozen=True, slots=True)
+class BatchCase:
+    """The common part of many loops, and the numbers in which they differ.
+
+    A linear plant is among the numbers; plants with events are separate, each different one once.
+
+    `numbers` holds varied values by name: of the models `environment`, `passivity` and `loop` field by field; of the
+    drive `counts_per_unit`, `torque_quantum` and `torque_limit`; of the meter `last_from`, `damping_per_time` and
+    `friction`; `seed` of the encoder's noise; of plants with events `plant`, the place in `plants`; of a linear plant
+    `start.ROW`, `flow.ROW.COLUMN` and, where it is known in closed form, `rate.ROW.COLUMN`. A
+    name that is absent has the value of its model.
+    """
+
+    environment: Environment
+    algorithm: str
+    parameters: Parameters
+    loop: LoopProperties
+    delay: int
+    furthest: float
+    size: int  # of the plant's state vector [states..., torque, one]
+    numbers: Mapping[str, Array | float | None]  # each of shape (n_scenes,) or one number
+    signals: SignalEffects = field(default_factory=SignalEffects)
+    plants: Sequence[PlantValues] = ()  # with events
+    losses: Losses = field(default_factory=Losses)  # of frames
+
+
+def floats_of(section: str, model: Parameters) -> dict[str, float]:
+    """Return the numbers of a parameter model by the names of `BatchCase.numbers`."""
+    fields = {f"{section}.{name}": getattr(model, name) for name in type(model).model_fields}
+    return {name: value for name, value in fields.items() if isinstance(value, float)}
+
+
+Numbers = Mapping[str, Any]
+_OF_LOOP: Final = ("counts_per_unit", "torque_quantum", "torque_limit", "last_from", "damping_per_time", "friction")
+
+
+class SceneRow(NamedTuple):
+    """One scene in kernel form."""
+
+    environment: Any  # plain object
+    settings: Any  # of the algorithm
+    loop: LoopSettings
+
+
+def kernel_of(algorithm: str) -> Kernel | None:
+    """Return the kernel of an algorithm; None for a class of one's own that has none."""
+    kernel: Kernel | None = getattr(load(ALGORITHMS, algorithm, "passivity algorithm"), "kernel", None)
+    return kernel
+
+
+def scene_rows(case: BatchCase, kernel: Kernel, numbers: Numbers, count: int) -> Iterator[SceneRow]:
+    """Yield every scene.
+
+    Args:
+        case: Common part of the scenes.
+        kernel: Kernel of the algorithm.
+        numbers: Varied numbers, one or of shape (count,) each.
+        count: Number of scenes.
+    """
+    environment = _Varied("environment", case.environment, numbers)
+    parameters = _Varied("passivity", case.parameters, numbers)
+    properties = _Varied("loop", case.loop, numbers)
+    loop = _varied_loop(case, numbers)
+    fixed = environment.fixed and parameters.fixed and properties.fixed
+    known: tuple[Any, Any] | None = None
+    for row in range(count):
+        if known is None or not fixed:
+            world = environment.at(row)
+            known = world, kernel.settings(world, parameters.at(row), properties.at(row))
+        yield SceneRow(*known, loop(row))
+
+
+class _Varied:
+    """A parameter model with different numbers for each scene, as a plain object."""
+
+    def __init__(self, section: str, model: Any, numbers: Numbers) -> None:
+        self._model = model
+        own = {name.removeprefix(f"{section}."): v for name, v in numbers.items() if name.startswith(f"{section}.")}
+        self._columns = {name: values.tolist() for name, values in own.items() if isinstance(values, np.ndarray)}
+        self._fields = {**vars(model), **{name: v for name, v in own.items() if name not in self._columns}}
+        self.fixed = not self._columns
+        self._known = None if not self.fixed else (plain_with(type(model), self._fields) if own else plain(model))
+
+    def at(self, row: int) -> Any:
+        """Return the model of one scene."""
+        if self._known is not None:
+            return self._known
+        values = {name: column[row] for name, column in self._columns.items()}
+        return plain_with(type(self._model), {**self._fields, **values})
+
+
+def _varied_loop(case: BatchCase, numbers: Numbers) -> Any:
+    """Return the function from a row to the settings of its loop."""
+
+    def column(name: str, absent: float) -> Any:
+        value = numbers.get(name)
+        if isinstance(value, np.ndarray):
+            return value.tolist().__getitem__
+        return lambda _row: absent if value is None else float(value)
+
+    counts, quantum = column("counts_per_unit", 0.0), column("torque_quantum", 0.0)
+    limit, last_from = column("torque_limit", inf), column("last_from", 0.0)
+    damping, friction = column("damping_per_time", 0.0), column("friction", 0.0)
+    brief = numbers.get("is_brief", 0.0) == 1.0
+    period, seed = column("loop.sample_time", case.loop.sample_time), column("seed", 0.0)
+
+    def at(row: int) -> LoopSettings:
+        meter = MeterSettings(last_from(row), damping(row), friction(row), brief)
+        signals = case.signals.at(period(row), int(seed(row)))
+        losses = replace(case.losses, seed=int(seed(row)))
+        return LoopSettings(case.delay, counts(row), quantum(row), limit(row), case.furthest, meter, signals, losses)
+
+    is_random = case.signals.effects or case.losses.exists
+    of_loop = (*_OF_LOOP, *(("loop.sample_time", "seed") if is_random else ()))
+    if any(isinstance(numbers.get(name), np.ndarray) for name in of_loop):
+        return at
+    shared = at(0)
+    return lambda _row: shared
+
+
+def linear_plants(case: BatchCase, numbers: Numbers, count: int, *, listed: bool) -> LinearPlants:
+    """Return the plants of many scenes; one flow and start where all have the same.
+
+    Args:
+        case: Common part of the scenes.
+        numbers: Varied numbers.
+        count: Number of scenes.
+        listed: Whether Python runs the loops, on lists.
+    """
+    states = case.size - 2
+    names = [name for name in numbers if name.startswith(("flow.", "start."))]
+    rows = count if any(isinstance(numbers[name], np.ndarray) for name in names) else 1
+    flows, starts = np.zeros((rows, states, case.size)), np.zeros((rows, case.size))
+    starts[:, -1] = 1.0
+    for name in names:
+        section, *places = name.split(".")
+        if section == "flow":
+            flows[:, int(places[0]), int(places[1])] = numbers[name]
+        else:
+            starts[:, int(places[0])] = numbers[name]
+    found = flows, starts, np.zeros(case.size), np.zeros(states)
+    return LinearPlants(*(array.tolist() for array in found) if listed else found)
+
+
+CLOSED_FORM: Final = (SpringDamperWall, TwoSidedWall, DamperWall, ViscousMedium, FreeSpace)
+"""Environments that are linear in each of their modes."""
+_ANGLE: Final = 0.5
+"""Largest sum of the rates of a scene times its step [rad]."""
+_MOST_STEPS: Final = 4096
+"""Steps per hold beyond which a scene has no reference."""
+
+
+def why_not_continuous(case: BatchCase) -> str:
+    """Reason why continuous runs cannot be followed along with their loops; empty where they can."""
+    if not isinstance(case.environment, CLOSED_FORM):
+        return f"{type(case.environment).__name__} has no flow in closed form"
+    return "" if f"rate.1.{case.size - 2}" in case.numbers else "the plant has effects that are not in arrays"
+
+
+class _Linear(NamedTuple):
+    """Many scenes: y' = F y in each mode, y = [states of the plant..., 1]."""
+
+    rates: tuple[Array, ...]  # by mode, each of shape (n, k, k) [1/s]
+    start: Array  # shape (k, n)
+    lower: Array  # solid below, -inf for none, shape (n,) [m or rad]
+    upper: Array  # solid above, inf for none
+    stiffness: Array  # [N/m or N*m/rad]
+    damping: Array  # [N*s/m or N*m*s/rad]
+    everywhere: bool  # whether the damper acts in every mode
+
+
+class ContinuousModes(NamedTuple):
+    """The continuous environments of some scenes, y = [states of the plant..., 1] of length k."""
+
+    settings: list[ReferenceSettings]  # of each scene
+    flows: Array  # by mode: y after a step, shape (n, 3, k, k)
+    rates: Array  # by mode: y' = F y, shape (n, 3, k, k) [1/s]
+    starts: Array  # y at the first SYNC, shape (n, k)
+
+    @property
+    def exist(self) -> Any:
+        """Whether each scene has one, shape (n,)."""
+        return np.array([settings.exists for settings in self.settings])
+
+
+def no_modes(count: int) -> ContinuousModes:
+    """Placeholder for scenes without continuous environments."""
+    nothing = np.zeros((1, 3, 1, 1))
+    return ContinuousModes([ReferenceSettings()] * count, nothing, nothing, np.zeros((1, 1)))
+
+
+def continuous_modes(
+    case: BatchCase, numbers: Mapping[str, Any], count: int, cycles: int, *, with_force: bool, with_travel: bool
+) -> ContinuousModes:
+    """Return the continuous environments of some scenes.
+
+    Args:
+        case: Case with an environment of `CLOSED_FORM`.
+        numbers: Varied numbers of these scenes.
+        count: Number of scenes.
+        cycles: SYNCs of the whole run.
+        with_force: Whether the force is needed: read as often as `reference.continuous_reference` reads it.
+        with_travel: Whether the travel is needed.
+    """
+    linear = _linear(case, numbers, count)
+    period = np.broadcast_to(np.asarray(numbers["loop.sample_time"], dtype=float), (count,))
+    readings, last_from = np.ones(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    for value in np.unique(period):
+        last_from[period == value] = last_rows(cycles, float(value)).start
+        if with_force:
+            readings[period == value] = readings_per_hold(round(float(value) * 1e9), cycles)
+    steps = 2 ** np.ceil(np.log2(np.maximum(1.0, period * _fastest(linear) / (_ANGLE * readings))))
+    step = period / (readings * steps)
+    flows = [_flows(rates, step) for rates in linear.rates[:1]]
+    flows += [flows[0] if rates is linear.rates[0] else _flows(rates, step) for rates in linear.rates[1:]]
+    columns = (
+        (steps * readings <= _MOST_STEPS).tolist(), linear.lower.tolist(), linear.upper.tolist(),
+        linear.stiffness.tolist(), linear.damping.tolist(), [linear.everywhere] * count, [with_force] * count,
+        [with_travel] * count,
+        readings.tolist(), steps.astype(np.int64).tolist(), step.tolist(), last_from.tolist(),
+    )  # fmt: skip
+    settings = [ReferenceSettings(*row) for row in zip(*columns, strict=True)]
+    return ContinuousModes(settings, _stacked(flows), _stacked(linear.rates), np.ascontiguousarray(linear.start.T))
+
+
+def _flows(rates: Array, step: Array) -> Array:
+    """State y after a step of y' = F y in many scenes, shape (n, k, k); computed once for equal scenes."""
+    if (rates == rates[0]).all():
+        step, which = np.unique(step, return_inverse=True)
+        return _flows_of_each(rates[: len(step)], step)[which]
+    return _flows_of_each(rates, step)
+
+
+def _flows_of_each(rates: Array, step: Array) -> Array:
+    return np.asarray(np.eye(rates.shape[1]) + flow_changes(rates * step[:, None, None]))
+
+
+def _stacked(modes: Sequence[Array]) -> Array:
+    """Return the matrices of the three modes, shape (n, 3, k, k); of an environment without surfaces the same."""
+    return np.ascontiguousarray(np.stack([modes[min(mode, len(modes) - 1)] for mode in range(3)], axis=1))
+
+
+def _linear(case: BatchCase, numbers: Mapping[str, Any], count: int) -> _Linear:
+    def number(name: str, absent: float = 0.0) -> Array:
+        return np.array(np.broadcast_to(numbers.get(name, absent), (count,)), dtype=float)
+
+    states, environment = case.size - 2, case.environment
+    free, start = np.zeros((count, states + 1, states + 1)), np.ones((states + 1, count))
+    for row in range(states):
+        start[row] = number(f"start.{row}")
+        for column in range(states):
+            free[:, row, column] = number(f"rate.{row}.{column}")
+        free[:, row, states] = number(f"rate.{row}.{states + 1}")
+    share = number(f"rate.1.{states}")  # 1 / mass
+    stiffness, damping = number("environment.stiffness"), number("environment.damping")
+    lower, upper = np.full(count, -np.inf), np.full(count, np.inf)
+    everywhere = isinstance(environment, ViscousMedium)
+    if everywhere:
+        free[:, 1, 1] -= share * damping
+    elif isinstance(environment, TwoSidedWall):
+        lower, upper = number("environment.lower"), number("environment.upper")
+    elif isinstance(environment, SpringDamperWall | DamperWall):
+        surface = number("environment.position")
+        lower, upper = (surface, upper) if environment.side == "below" else (lower, surface)
+    rates = [free]
+    for surface in (lower, upper):
+        if not np.isfinite(surface).any():
+            rates.append(free)  # a mode that nothing enters
+            continue
+        inside = free.copy()
+        inside[:, 1, 0] -= share * stiffness
+        inside[:, 1, 1] -= share * damping
+        inside[:, 1, states] += share * stiffness * np.where(np.isfinite(surface), surface, 0.0)
+        rates.append(inside)
+    guarded = bool(np.isfinite(lower).any() or np.isfinite(upper).any())
+    return _Linear(tuple(rates if guarded else rates[:1]), start, lower, upper, stiffness, damping, everywhere)
+
+
+def _fastest(linear: _Linear) -> Array:
+    """Bound of the rates of each scene [rad/s]: those of an oscillator, and those of the hand's motion."""
+    found = np.zeros(len(linear.lower))
+    for rates in linear.rates:
+        hand = np.abs(rates[:, 2:-1]).max(axis=(1, 2)) if rates.shape[1] > 3 else 0.0
+        found = np.maximum(found, np.sqrt(np.abs(rates[:, 1, 0])) + np.abs(rates[:, 1, 1]) + hand)
+    return found
+
 
 _RATE: Final = "bus.rate"
 _PLANT_DAMPING: Final = "simulation.plant.damping"

@@ -3,6 +3,18 @@
 The order and the rounding are those of `direct_rig.DirectRig` and `canhaptic.lab.loop.axis_loop.render`. A linear
 plant moves by the exact flow of one hold, its rows summed term by term; for one with events `event_plant` takes its
 place.
+
+The sums behind the figures of one run, gathered while it runs: memory does not grow with cycles.
+
+A kernel, so that interpreted runs and compiled ones have the same sums. `canhaptic.lab.figures.figures` defines the use
+of each sum.
+
+The continuous environment of one loop, from SYNC to SYNC: a kernel.
+
+Plant, hand and a continuous wall are linear in each of at most three modes: outside, in the lower wall, in the upper
+wall. A step is exp(F h) of the mode, h short against the fastest motion of the scene. Where a step crosses a surface or
+turns round, and only there, it is done again from its Taylor series in pieces that move one way, so that no graze is
+missed: the end of a piece is bracketed and found by a few safeguarded Newton steps. Nothing is kept but the state.
 """
 
 from collections.abc import Sequence
@@ -10,19 +22,439 @@ from dataclasses import dataclass, field
 from math import inf, isfinite
 from typing import Any, Final, NamedTuple, Protocol, TypeAlias
 
-from canhaptic.control.balance import EnergyBalance
+from canhaptic.control.balance import RANKS, Branch, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.hold_account import Axis
-from canhaptic.kernels import Buffer, Run, new
-from canhaptic.lab.batch.meter import Meter, MeterSettings, compare, diverge, miss, take
-from canhaptic.lab.batch.reference_kernel import (
-    ReferenceMemory,
-    ReferenceSettings,
-    ReferenceState,
-    follow,
-)
+from canhaptic.kernels import Buffer, Matrix, Run, new
 from canhaptic.sim.plant.effects.encoder_noise import noise, uniform
 from canhaptic.sim.plant.propagator import TICKS
+
+_FREE, _START, _EXACT, _STICKY, _FALLBACK, _DEPLETED, _EXIT, _HELD = (branch.value for branch in list(Branch)[:8])
+
+
+BRIEF: Final = frozenset((
+    "cycles", "diverged", "true_position", "lost", "least_covered", "interaction", "least_interaction", "margin",
+    "believed", "dissipated", "believed_margin", "believed_error", "surplus", "torque_peak",
+))  # fmt: skip
+"""Sums that need no look at the environment."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeterSettings:
+    """Settings of the sums."""
+
+    last_from: float = 0.0  # SYNC with which the last part of the run begins (`figures.last_rows`)
+    damping_per_time: float = 0.0  # b / T of the device [N/m or N*m/rad]
+    friction: float = 0.0  # Coulomb friction of the device in motion [N or N*m]
+    is_brief: bool = False  # whether nothing but the sums of `BRIEF` is gathered
+
+
+@dataclass(slots=True)
+class Meter:
+    """Running sums and extremes of one axis; energies in [J]. Its fields are named in `figures.ALL`."""
+
+    cycles: float = 0.0
+    diverged: float = 0.0
+    true_position: float = 0.0
+    highest: float = -inf
+    lowest: float = inf
+    lost: float = 0.0
+    least_covered: float = 0.0
+    interaction: float = 0.0
+    least_interaction: float = 0.0
+    margin: float = 0.0
+    believed: float = 0.0
+    dissipated: float = 0.0
+    believed_margin: float = 0.0
+    believed_error: float = 0.0
+    surplus: float = 0.0
+    torque: float = 0.0
+    torque_peak: float = 0.0
+    variation: float = 0.0
+    certificate: float = 0.0  # the largest of `RANKS`
+    contacts: float = 0.0
+    damping: float = 0.0
+    damping_least: float = inf
+    damping_most: float = 0.0
+    state: float = 0.0
+    force: float = 0.0
+    asked: float = 0.0
+    free: float = 0.0
+    start: float = 0.0
+    exact: float = 0.0
+    sticky: float = 0.0
+    fallback: float = 0.0
+    depleted: float = 0.0
+    exit: float = 0.0
+    position_squares: float = 0.0
+    position_worst: float = 0.0
+    force_squares: float = 0.0
+    force_worst: float = 0.0
+    last: float = 0.0
+    last_highest: float = -inf
+    last_lowest: float = inf
+    last_force: float = 0.0
+    last_state: float = 0.0
+    last_asked: float = 0.0
+
+
+def take(
+    environment: Environment,
+    settings: MeterSettings,
+    meter: Meter,
+    cycle: int,
+    position: float,
+    true_position: float,
+    torque: float,
+    interaction: float,
+    balance: EnergyBalance,
+) -> None:
+    """Take one SYNC.
+
+    Args:
+        environment: The rendered environment.
+        settings: Settings of the run.
+        meter: Meter of the run; changed.
+        cycle: Index of the SYNC.
+        position: Position as the controller read it [m or rad].
+        true_position: True position [m or rad].
+        torque: Torque applied in the hold that ended [N or N*m].
+        interaction: True energy that came in since the start [J].
+        balance: Balance booked by the controller.
+    """
+    meter.cycles = cycle + 1.0
+    moved = true_position - meter.true_position if cycle else 0.0
+    meter.true_position = true_position
+    take_energy(settings, meter, moved, interaction, balance)
+    meter.torque_peak = max(meter.torque_peak, abs(torque))
+    if settings.is_brief:
+        return
+    meter.highest, meter.lowest = max(meter.highest, true_position), min(meter.lowest, true_position)
+    meter.variation += abs(torque - meter.torque)
+    meter.torque = torque
+    branch = balance.branch
+    if branch != _FREE and branch != _EXIT and branch != _HELD:  # noqa: PLR1714 - `in` would search
+        take_contact(environment, meter, position, torque, balance.damping_rendered)
+    meter.certificate = max(meter.certificate, float(RANKS[balance.certificate]))
+    count_branch(meter, branch)
+    if meter.cycles > settings.last_from:
+        take_last_part(environment, meter, true_position, torque)
+
+
+def miss(
+    environment: Environment, settings: MeterSettings, meter: Meter, cycle: int, true_position: float, torque: float,
+    interaction: float,
+) -> None:  # fmt: skip
+    """Take a SYNC whose position did not reach the controller; see `take`."""
+    nothing, surplus = 0.0, meter.surplus
+    balance = new(EnergyBalance, (
+        nothing, nothing, nothing, nothing, nothing, nothing, surplus, nothing, nothing, nothing, nothing, _HELD,
+        nothing, 0, nothing,
+    ))  # fmt: skip
+    take(environment, settings, meter, cycle, 0.0, true_position, torque, interaction, balance)
+
+
+def take_energy(
+    settings: MeterSettings, meter: Meter, moved: float, interaction: float, balance: EnergyBalance
+) -> None:
+    """Take the energies of one SYNC; see `take`."""
+    meter.interaction = interaction
+    meter.least_interaction = min(meter.least_interaction, interaction)
+    meter.lost += settings.damping_per_time * (moved * moved) + settings.friction * abs(moved)
+    meter.least_covered = min(meter.least_covered, interaction + meter.lost)
+    meter.believed += balance.h_i
+    meter.dissipated += balance.h_r
+    believed, dissipated = meter.believed, meter.dissipated
+    meter.margin = min(meter.margin, interaction - dissipated)
+    meter.believed_margin = min(meter.believed_margin, believed - dissipated)
+    meter.believed_error = max(meter.believed_error, abs(believed - interaction))
+    meter.surplus = balance.h_dis
+
+
+def diverge(meter: Meter) -> None:
+    """Record that a run diverged."""
+    meter.diverged = 1.0
+
+
+def compare(meter: Meter, position: float, torque: float, continuous_position: float, continuous_torque: float) -> None:
+    """Compare one SYNC with that of the continuous environment.
+
+    Args:
+        meter: Meter of the run; changed.
+        position: True position [m or rad].
+        torque: Torque applied in the hold that ended [N or N*m].
+        continuous_position: Position in the continuous environment [m or rad].
+        continuous_torque: Mean continuous torque over the hold that ended [N or N*m].
+    """
+    error = position - continuous_position
+    meter.position_squares += error * error
+    meter.position_worst = max(meter.position_worst, abs(error))
+    error = torque - continuous_torque
+    meter.force_squares += error * error
+    meter.force_worst = max(meter.force_worst, abs(error))
+
+
+def count_branch(meter: Meter, branch: int) -> None:
+    """Count a hold."""
+    if branch == _FREE:
+        meter.free += 1.0
+    elif branch == _EXACT:
+        meter.exact += 1.0
+    elif branch == _STICKY:
+        meter.sticky += 1.0
+    elif branch == _START:
+        meter.start += 1.0
+    elif branch == _FALLBACK:
+        meter.fallback += 1.0
+    elif branch == _DEPLETED:
+        meter.depleted += 1.0
+    elif branch == _EXIT:
+        meter.exit += 1.0
+
+
+def take_last_part(environment: Environment, meter: Meter, true_position: float, torque: float) -> None:
+    """Take a SYNC of the last part of the run."""
+    meter.last += 1.0
+    meter.last_highest = max(meter.last_highest, true_position)
+    meter.last_lowest = min(meter.last_lowest, true_position)
+    if not environment.relaxes:
+        meter.last_force -= torque
+        if environment.contact(true_position):
+            state = environment.true_state(true_position, 0.0, 0.0)
+            meter.last_state += state
+            meter.last_asked += environment.effort(state)
+
+
+def take_contact(environment: Environment, meter: Meter, position: float, torque: float, rendered: float) -> None:
+    """Take a hold in contact."""
+    meter.contacts += 1.0
+    meter.damping += rendered
+    meter.damping_least = min(meter.damping_least, rendered)
+    meter.damping_most = max(meter.damping_most, rendered)
+    if not environment.relaxes:
+        state = environment.true_state(position, 0.0, 0.0)
+        meter.force -= torque
+        meter.state += state
+        meter.asked += environment.effort(state)
+
+
+OUTSIDE, LOWER, UPPER = 0, 1, 2
+TERMS: Final = 14  # of the series: 0.5^14 / 14! is below 1e-15
+_NEWTON: Final = 8
+_CLOSE: Final = 1e-12
+"""Part of a piece within which a Newton step ends the search: the step after it would be below rounding."""
+_MOST_PIECES: Final = 64
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceSettings:
+    """A continuous environment."""
+
+    exists: bool = False  # whether the loop has one that can be followed
+    lower: float = -inf  # solid below [m or rad]
+    upper: float = inf  # solid above [m or rad]
+    stiffness: float = 0.0  # [N/m or N*m/rad]
+    damping: float = 0.0  # [N*s/m or N*m*s/rad]
+    everywhere: bool = False  # whether the damper acts in every mode
+    with_force: bool = False  # whether the force is asked for
+    with_travel: bool = False  # whether it is asked how far it goes
+    readings: int = 1  # of the force in a hold
+    steps: int = 1  # between two readings
+    step: float = 0.0  # [s]
+    last_from: int = 0  # SYNC with which the last part of the run begins
+
+
+@dataclass(slots=True)
+class ReferenceState:
+    """State of a continuous run."""
+
+    mode: int = OUTSIDE
+    cycle: int = 0
+    torque: float = 0.0  # at the last reading [N or N*m]
+    variation: float = 0.0  # of the torque [N or N*m]
+    highest: float = -inf  # position at any SYNC [m or rad]
+    lowest: float = inf
+    last_highest: float = -inf  # the same in the last part
+    last_lowest: float = inf
+
+
+class ReferenceMemory(NamedTuple):
+    """Matrices and buffers of a continuous run, y = [states of the plant..., 1] of length k."""
+
+    flows: Sequence[Matrix]  # by mode: y after a step, shape (3, k, k)
+    rates: Sequence[Matrix]  # by mode: y' = F y, shape (3, k, k) [1/s]
+    state: Buffer  # y
+    moved: Buffer  # y after a step
+    series: Matrix  # Taylor coefficients of y, shape (TERMS, k)
+
+
+def follow(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory, cycle: int) -> float:
+    """Go to a SYNC; return the mean torque in the hold before it [N or N*m]."""
+    if cycle:
+        return follow_hold(settings, reference, memory)
+    begin_reference(settings, reference, memory)
+    return 0.0
+
+
+def begin_reference(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
+    """Take the first SYNC, with the start in `memory.state`."""
+    position = memory.state[0]
+    reference.mode = LOWER if position < settings.lower else UPPER if position > settings.upper else OUTSIDE
+    reference.highest = reference.lowest = position
+    reference.torque = force(settings, memory)
+    reference.variation = abs(reference.torque)
+
+
+def follow_hold(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> float:
+    """Move by one hold; return the mean torque in it, by the trapezoids between readings [N or N*m]."""
+    mean = 0.0
+    for _ in range(settings.readings):
+        for _ in range(settings.steps):
+            move_step(settings, reference, memory)
+        if settings.with_force:
+            torque = force(settings, memory)
+            mean += (0.5 / settings.readings) * (torque + reference.torque)
+            reference.variation += abs(torque - reference.torque)
+            reference.torque = torque
+    if not settings.with_travel:
+        return mean
+    position = memory.state[0]
+    reference.cycle += 1
+    reference.highest, reference.lowest = max(reference.highest, position), min(reference.lowest, position)
+    if reference.cycle >= settings.last_from:
+        reference.last_highest = max(reference.last_highest, position)
+        reference.last_lowest = min(reference.last_lowest, position)
+    return mean
+
+
+def force(settings: ReferenceSettings, memory: ReferenceMemory) -> float:
+    """Return the torque of the environment [N or N*m]."""
+    position, velocity = memory.state[0], memory.state[1]
+    if settings.everywhere:
+        return -settings.damping * velocity
+    if position < settings.lower:
+        return -settings.stiffness * (position - settings.lower) - settings.damping * velocity
+    if position > settings.upper:
+        return -settings.stiffness * (position - settings.upper) - settings.damping * velocity
+    return 0.0
+
+
+def length_of(state: Buffer) -> int:
+    """Return the length k of y; compiled it is a constant, so that loops over it are unrolled."""
+    return len(state)
+
+
+def move_step(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
+    """Move by one step, and again in pieces where an event may lie in it."""
+    state, moved, mode = memory.state, memory.moved, reference.mode
+    size, flow = length_of(state), memory.flows[mode]
+    for row in range(size - 1):
+        factors, total = flow[row], 0.0
+        for column in range(size):
+            total += factors[column] * state[column]
+        moved[row] = total
+    position = moved[0]
+    crossed = (position < settings.lower) != (mode == LOWER) or (position > settings.upper) != (mode == UPPER)
+    if crossed or state[1] * moved[1] < 0.0:
+        reach = (abs(state[1]) + abs(moved[1])) * settings.step
+        nearest = min(abs(state[0] - settings.lower), abs(state[0] - settings.upper))
+        if nearest <= reach:  # what turns round elsewhere meets no event
+            move_in_pieces(settings, reference, memory)
+            return
+    for row in range(size - 1):
+        state[row] = moved[row]
+
+
+def move_in_pieces(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
+    """Move by one step, piece by piece: each ends at a surface, at a turning point, or at the end."""
+    state, series, left = memory.state, memory.series, settings.step
+    for _ in range(_MOST_PIECES):
+        expand(memory, reference.mode)
+        velocity, end = state[1], value_at(series, 1, left)
+        turns = velocity * end < 0.0
+        until = root(series, 1, velocity, left, end) if turns else left
+        ahead = surface_ahead(settings, reference.mode, velocity if turns else velocity + end)
+        is_up = (velocity if turns else velocity + end) > 0.0
+        beyond = value_at(series, 0, until) - ahead
+        crossed = (beyond > 0.0 if is_up else beyond < 0.0) and abs(ahead) < inf
+        at = root(series, 0, series[0][0] - ahead, until, beyond) if crossed else until
+        for row in range(len(state) - 1):
+            state[row] = value_at(series, row, at)
+        if crossed:
+            state[0] = ahead
+            reference.mode = mode_beyond(settings, reference.mode, is_up)
+        elif turns:
+            state[1] = 0.0
+        left -= at
+        if not (turns or crossed) or left <= 0.0:
+            break
+
+
+def surface_ahead(settings: ReferenceSettings, mode: int, way: float) -> float:
+    """Surface that a motion along `way` meets next [m or rad], infinite if there is none."""
+    if way > 0.0:
+        return settings.lower if mode == LOWER else settings.upper if mode == OUTSIDE else inf
+    return settings.upper if mode == UPPER else settings.lower if mode == OUTSIDE else -inf
+
+
+def mode_beyond(settings: ReferenceSettings, mode: int, is_up: bool) -> int:
+    """Return the mode on the other side of a surface."""
+    if mode == OUTSIDE:
+        return UPPER if is_up else LOWER
+    return LOWER + UPPER - mode if settings.lower == settings.upper else OUTSIDE
+
+
+def expand(memory: ReferenceMemory, mode: int) -> None:
+    """Write the Taylor coefficients of the state in a mode."""
+    series, rates, size = memory.series, memory.rates[mode], len(memory.state)
+    for row in range(size):
+        series[0][row] = memory.state[row]
+    for order in range(1, TERMS):
+        for row in range(size):
+            total = 0.0
+            for column in range(size):
+                total += rates[row][column] * series[order - 1][column]
+            series[order][row] = total / order
+
+
+def value_at(series: Matrix, row: int, at: float) -> float:
+    """Return a polynomial at a time [s]."""
+    total = series[TERMS - 1][row]
+    for order in range(TERMS - 2, -1, -1):
+        total = total * at + series[order][row]
+    return total
+
+
+def root(series: Matrix, row: int, constant: float, until: float, end: float) -> float:
+    """Root before `until` [s] of a monotonic polynomial.
+
+    Args:
+        series: Coefficients; the first is not used.
+        row: Row of the polynomial.
+        constant: First coefficient; 0 or of the sign opposite to `end`.
+        until: End of the bracket [s].
+        end: Value of the polynomial there.
+    """
+    low, high = 0.0, until
+    at = until * constant / (constant - end)
+    for _ in range(_NEWTON):
+        rising = slope = 0.0
+        for order in range(TERMS - 1, 0, -1):
+            rising = rising * at + series[order][row]
+            slope = slope * at + order * series[order][row]
+        value = rising * at + constant
+        if (value > 0.0) == (end > 0.0):
+            high = at
+        else:
+            low = at
+        newton = at - value / slope if slope != 0.0 else low - 1.0
+        better = newton if low <= newton <= high else 0.5 * (low + high)
+        found = abs(better - at) <= _CLOSE * until
+        at = better
+        if found:
+            break
+    return at
+
 
 MOVED: Final = 0
 """What `move_plant` returns of a hold that is over; else the run stops there and may go on from its `Interruption`."""

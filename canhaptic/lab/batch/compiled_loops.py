@@ -1,37 +1,67 @@
-"""Loops of a batch compiled by numba, the controller, the plant and the figures in one; needs the extra `fast`."""
+"""Loops of a batch compiled by numba, the controller, the plant and the figures in one; needs the extra `fast`.
 
-from collections.abc import Mapping, Sequence
+The loop of a group compiled by numba, its motors and its controller in one; needs the extra `fast`.
+
+One loop compiled with its plant, with a record of every SYNC: for studies that need rows and not sums.
+
+Each SYNC is written into a row, and the rows are passed to the recorder of the loop that Python runs. A
+linear plant moves by sums in another order than in `Plant`, so that numbers differ from those of `loop.render` by
+rounding; where the last bit counts, take that.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
+from math import inf
 from operator import attrgetter
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
-from canhaptic.control.environments.environment import Environment
-from canhaptic.control.environments.plain import tuple_type
-from canhaptic.errors import InputError
-from canhaptic.kernels import Buffer, Kernel, Matrix, Run
+from canhaptic.control.balance import EnergyBalance
+from canhaptic.control.environments.environment import Environment, tuple_type
+from canhaptic.control.multi_axis.group_kernel import GroupKernel
+from canhaptic.control.multi_axis.group_motion import GroupMotion, World, why_not_world
+from canhaptic.errors import EventLimitError, InputError, ParameterError
+from canhaptic.kernels import Buffer, Kernel, Matrix, Run, new
 from canhaptic.kernels.compiler import compiled, fixed_tuple
-from canhaptic.kernels.records import Records, records_of
-from canhaptic.lab.batch.batch_case import NotBatchableError
-from canhaptic.lab.batch.batch_reference import ContinuousModes
+from canhaptic.kernels.records import Records, arrays_of, record_of, records_of
+from canhaptic.lab.batch.cases import (
+    ContinuousModes,
+    NotBatchableError,
+    SceneRow,
+    kernel_of,
+    linear_plants,
+    loop_alone,
+    no_modes,
+    scene_rows,
+)
 from canhaptic.lab.batch.closed_loop import (
     MOVED,
+    TERMS,
     Interruption,
     LinearPlants,
+    Meter,
+    MeterSettings,
+    ReferenceMemory,
+    ReferenceState,
     begin_plant,
+    compare,
+    diverge,
+    length_of,
+    miss,
     plant_at,
     run_loop,
     states_in,
     step,
+    take,
 )
-from canhaptic.lab.batch.event_plants import CALLS, Interrupted, Plants
-from canhaptic.lab.batch.meter import Meter
-from canhaptic.lab.batch.reference_kernel import TERMS, ReferenceMemory, ReferenceState, length_of
-from canhaptic.lab.batch.rows import SceneRow
-from canhaptic.lab.loop.axis_loop import Array
+from canhaptic.lab.batch.group_loop import GroupCase, GroupMeter, LinearMotors, run_group
+from canhaptic.lab.batch.group_loop import step as step_group
+from canhaptic.lab.batch.plants import CALLS, Interrupted, Plants, loop_replacements, run_event_plants, uninterrupted
+from canhaptic.lab.loop.axis_loop import Array, DivergedError, LoopCase, LoopRun, Recorder
 from canhaptic.sim.plant.effects.encoder_noise import gaussian, noise, uniform
 
 Numbers = NDArray[np.int64]
@@ -233,3 +263,167 @@ def _memory(kernel: Kernel, settings: object) -> tuple[object, Array]:
         return whole[used - length : used]
 
     return kernel.memory(settings, make_buffer), whole
+
+
+def compiled_world(world: World) -> tuple[Any, Records]:
+    """A world for compiled kernels, and its tables.
+
+    Raises:
+        ParameterError: A part of it is given as functions in Python.
+    """
+    if reason := why_not_world(world):
+        raise ParameterError(
+            f"a compiled group: {reason}, expected mechanisms, geometries and storages that scenes can name"
+        )
+    bare = World(arrays_of(world.mechanism), arrays_of(world.geometry), world.mover, 0, world.functions)  # type: ignore[arg-type]
+    return bare, record_of(world.tables)
+
+
+def run_records(
+    world: World, tables: Records, settings: Records, states: Records, memories: Records, rig: Records,
+    motors: Any, room: Records, followed: Records, meters: Records, rows: Any, cycles: int,
+) -> None:  # fmt: skip
+    """Call `run_group` with records of shape (1,)."""
+    whole = World(world.mechanism, world.geometry, world.mover, tables[0], world.functions)
+    run_group(
+        whole, settings[0], states[0], memories[0], rig[0], motors[0], room[0], followed[0], meters[0], rows, cycles
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=16)
+def _compiled_loop(kernel: GroupKernel, parts: tuple[type, ...], replaced: tuple[tuple[object, object], ...]) -> Any:
+    """Return `run_records` compiled once in a process for each size of group."""
+    instead = {step_group: kernel.step, noise: compiled_noise, uniform: compiled_uniform, **dict(replaced)}
+    return compiled(run_records, instead, keep=True, parts=parts)
+
+
+def _motors(motors: Any) -> tuple[Any, dict[object, object]]:
+    """The motors at their start, and the functions that they replace in the loop."""
+    if isinstance(motors, LinearMotors):
+        return record_of(motors), {}
+    return (motors.made(listed=False),), motors.replacements()
+
+
+def run_compiled(case: GroupCase, cycles: int, rows: Array, instead: Mapping[object, object]) -> GroupMeter:
+    """Sums of a loop after its cycles, or when it diverged.
+
+    Args:
+        case: Case that can be compiled.
+        cycles: SYNCs.
+        rows: Rows for the replacement of `take_group`, shape (cycles, columns).
+        instead: Functions of the loop, each with its replacement.
+    """
+    world = case.world
+    bare, tables = compiled_world(world)
+    motors, replaced = _motors(case.motors)
+    parts = type(world.mechanism), type(world.geometry), type(world.functions)
+    run = _compiled_loop(case.kernel, parts, (*replaced.items(), *instead.items()))
+    meters = records_of([GroupMeter()])
+    run(
+        bare, tables, record_of(case.settings), records_of([case.kernel.state()]),
+        record_of(case.kernel.memory(world, case.settings)), record_of(case.rig), motors,
+        record_of(case.room()), records_of([GroupMotion()]), meters, rows, cycles,
+    )  # fmt: skip
+    found = GroupMeter()
+    _fill(found, meters[0])
+    return found
+
+
+def _fill(into: object, record: Any) -> None:
+    """Copy the numbers of a record into a dataclass."""
+    for name in record.dtype.names:
+        if isinstance(record[name], np.void):
+            _fill(getattr(into, name), record[name])
+        else:
+            setattr(into, name, record[name].item())
+
+
+_OWN: Final = 4  # numbers of a row in front of those of the balance
+_BRANCH, _CERTIFICATE = (EnergyBalance._fields.index(name) for name in ("branch", "certificate"))
+
+
+def keep(
+    environment: Environment, settings: MeterSettings, rows: Matrix, cycle: int, position: float,
+    true_position: float, torque: float, interaction: float, balance: EnergyBalance,
+) -> None:  # fmt: skip
+    """Replace `meter.take`: write a row."""
+    row = rows[cycle]
+    row[0], row[1], row[2], row[3] = position, true_position, torque, interaction
+    row[4], row[5], row[6], row[7], row[8] = balance.torque, balance.h_i, balance.h_pas, balance.h_m, balance.h_r
+    row[9], row[10], row[11], row[12], row[13] = balance.h_s, balance.h_dis, balance.gen, balance.deficit, balance.leak
+    row[14], row[15], row[16], row[17] = balance.paid, balance.branch, balance.damping_rendered, balance.certificate
+    row[18] = balance.state
+
+
+def compare_nothing(
+    rows: Matrix, position: float, torque: float, continuous_position: float, continuous_torque: float
+) -> None:
+    """Replace `meter.compare`: no-op."""
+
+
+def miss_nothing(
+    environment: Environment, settings: MeterSettings, rows: Matrix, cycle: int, true_position: float, torque: float,
+    interaction: float,
+) -> None:  # fmt: skip
+    """Replace `meter.miss`: no frame is lost here."""
+
+
+def diverge_silently(rows: Matrix) -> None:
+    """Replace `meter.diverge`: the rows end."""
+
+
+_KEEPING: Final[dict[object, object]] = {
+    take: keep,
+    miss: miss_nothing,
+    compare: compare_nothing,
+    diverge: diverge_silently,
+}
+
+
+def render_compiled(
+    case: LoopCase, cycles: int, recorder: Recorder, progress: Callable[[], None] | None = None
+) -> LoopRun:
+    """Run a case compiled; see `loop.render`.
+
+    Args:
+        case: Case for which `cases.why_not_compiled` is "".
+        cycles: SYNCs.
+        recorder: Defines divergence.
+        progress: Called once per cycle when the loop is over; may raise.
+
+    EventLimitError: The plant had more events in one sample time than allowed.
+        EventLimitError: The plant had more events in one sample time than are allowed.
+        NotBatchableError: numba cannot compile the environment.
+        ParameterError: The algorithm needs a value that its loop does not give.
+    """
+    case.controller()  # refuses what cannot be built
+    for position, true_position, torque, interaction, *booked in _rows(case, cycles).tolist():
+        booked[_BRANCH], booked[_CERTIFICATE] = int(booked[_BRANCH]), int(booked[_CERTIFICATE])
+        try:
+            recorder.take(position, true_position, torque, new(EnergyBalance, booked), 0.0 - interaction)
+        except DivergedError:
+            return recorder.run("diverged")._replace(engine="numba")
+        if progress is not None:
+            progress()
+    run = recorder.run()
+    if len(run.position) < cycles:
+        run = run._replace(ended="stopped", reason="a position or a torque is not finite")
+    return run._replace(engine="numba")
+
+
+def _rows(case: LoopCase, cycles: int) -> Array:
+    """Rows of all SYNCs up to the end of the loop."""
+    batch, kernel = replace(loop_alone(case), furthest=inf), cast(Kernel, kernel_of(case.algorithm))
+    rows = [*scene_rows(batch, kernel, batch.numbers, 1)]
+    instead: dict[object, object] = {**_KEEPING, **loop_replacements(batch.plants)}
+    loops = CompiledLoops(kernel, rows, no_modes(1), cycles, instead)
+    loops.meters = np.full((1, cycles, _OWN + len(EnergyBalance._fields)), np.nan)
+    if batch.plants:
+        stopped: dict[int, EventLimitError] = {}
+        run_event_plants(loops, batch.plants, np.zeros(1), stopped, listed=False)
+        if stopped:
+            raise stopped[0]
+    else:
+        loops.run([0], linear_plants(batch, batch.numbers, 1, listed=False), uninterrupted)
+    found: Array = loops.meters[0]
+    return found[np.isfinite(found[:, 0])]

@@ -2,23 +2,560 @@
 
 Order and rounding are those of `DirectRig`: the true positions, the encoders' counts, the step, the torque that the
 drives apply for the command.
+
+Motors and the controller of a group in one loop, from SYNC to SYNC: a kernel, as `closed_loop` is for one axis.
+
+Plants that move by one flow are in the loop; others replace `move_motors`. The network's request at the true positions,
+without sampling errors, is followed along with the controller: the torques held are explained by it, as shares of
+spring and damper.
+
+Motors of a group whose plants have events, current loops or forces over substeps, in the loop of the group.
+
+Plants of their own side by side are one `EventPlant` each; a stage is one plant of several motors. All modes that a
+plant can enter are compiled beforehand, so that the loop is never interrupted. All plants use the features of the
+stepper that any of them needs, a booked work or substeps: one loop moves them all.
+
+The motors of a five-bar in the loop of a group; kernels.
+
+Models of the motors of a group for its loop: one flow, the stepper, or a five-bar.
+
+The one group of a scene in kernel form: environment, algorithm and motors.
 """
 
 from array import array
 from collections.abc import Callable, Sequence
-from math import inf, sqrt
-from typing import Final, NamedTuple
+from dataclasses import dataclass, field, replace
+from math import inf, isfinite, prod, sqrt
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 
-from canhaptic.control.multi_axis.group_controller import GroupBalance, GroupController
+from canhaptic.control.balance import RANKS, Branch
+from canhaptic.control.mechanisms.kinematics import Kinematics
+from canhaptic.control.multi_axis import GROUP_ALGORITHMS
+from canhaptic.control.multi_axis.group_controller import GroupBalance, GroupController, NetworkEnvironment
+from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel
+from canhaptic.control.multi_axis.group_motion import (
+    Ahead,
+    GroupMotion,
+    MotionMemory,
+    MotionSettings,
+    RequestedEfforts,
+    World,
+    begin_motion,
+    follow,
+    motion_memory,
+    motion_settings,
+    why_not_world,
+    world_of,
+    write_efforts,
+)
 from canhaptic.errors import ControlError
-from canhaptic.lab.batch.closed_loop import LoopSettings, commanded, measured
-from canhaptic.lab.loop.axis_loop import FURTHEST, DivergedError, LoopRun, Recorder
-from canhaptic.lab.loop.scenes import mechanism_of_group
-from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.scene.parts import build_group, build_mechanism, build_plant
+from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, new
+from canhaptic.kernels.records import arrays_of, records_of
+from canhaptic.lab.batch import plants as event_plant
+from canhaptic.lab.batch.closed_loop import (
+    MOVED,
+    LoopSettings,
+    Meter,
+    acting,
+    commanded,
+    count_branch,
+    measured,
+    read,
+    take_energy,
+)
+from canhaptic.lab.batch.plants import (
+    EventModes,
+    EventPlant,
+    EventState,
+    PlantValues,
+    SignalEffects,
+    book_motor,
+    by_its_way,
+    is_linear,
+    move_held,
+    residual_of_plant,
+    run_on,
+    run_substeps,
+    why_not_in_loop,
+    works_are_booked,
+)
+from canhaptic.lab.loop.axis_loop import FURTHEST, DivergedError, LoopRun, Recorder, mechanism_of_group
+from canhaptic.registry import load
+from canhaptic.scene.models import AxisScene, MechanismScene, Scene
+from canhaptic.scene.parts import build_group, build_mechanism, build_plant, check_group, loop_as_known
 from canhaptic.scene.torque_history import simulation_of
+from canhaptic.sim.plant import splitting, stepper
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant.assembly import PlantModel
+from canhaptic.sim.plant.mechanism.five_bar_linkage import (
+    FiveBarMotion,
+    FiveBarStack,
+    advance_five_bar,
+    five_bar_stack,
+    place_at,
+)
+from canhaptic.sim.plant.mechanism.xy_stage import XYMotion
+from canhaptic.sim.plant.plant import Plant
+from canhaptic.sim.plant.propagator import TICKS, Array
+from canhaptic.sim.plant.stepper import MISSING, MODE, NONE
+
+_FREE, _EXIT = Branch.FREE.value, Branch.EXIT.value
+_SEEN: Final = 1e-9
+"""Part of the largest sum below which a damper counts as nothing."""
+
+
+class GroupRig(NamedTuple):
+    """Properties of the loop between motors and controller."""
+
+    delay: int  # whole holds between computing a torque and its hold, 0 or 1
+    loops: list[LoopSettings]  # of every motor
+    damping_per_time: Buffer  # b / T of every motor for certain [N/m or N*m/rad]
+    furthest: float  # distance from the origin that counts as divergence [m or rad]
+    explains: bool  # whether the shares of spring and damper are asked for
+    true: MotionSettings  # of a group that knows its true positions
+
+
+class LinearMotors(NamedTuple):
+    """Motors that move by one flow."""
+
+    flow: Matrix  # over one hold, shape (states, states + motors + 1)
+    state: Buffer  # [states..., torques..., 1]
+    moved: Buffer  # buffer for the states
+    places: Indices  # of the positions of the motors in the state
+
+
+class GroupRoom(NamedTuple):
+    """Buffers of the loop, of shape (motors,) unless stated."""
+
+    held: Buffer  # since the SYNC before [N or N*m]
+    waiting: Buffer  # one sample late
+    acting: Buffer  # what of `held` reaches the motors
+    temperatures: Buffer  # of their windings [K]
+    true: Buffer  # positions [m or rad]
+    read: Buffer  # positions that the encoders read
+    seen: Buffer  # positions as the controller sees them
+    moved: Buffer  # true motion in the hold that ended
+    spring: Buffer  # asked for at the last SYNC [N or N*m]
+    still: Buffer  # zeros
+    asked: MotionMemory  # of the group that is followed with its true positions
+    wish: RequestedEfforts  # of its network
+
+
+@dataclass(slots=True)
+class GroupMeter:
+    """Running sums of a group."""
+
+    figures: Meter = field(default_factory=Meter)
+    supplied: float = 0.0  # by a mover [J]
+    work: float = 0.0  # of all motors [J]
+    spring_spring: float = 0.0  # sums of products of the requested efforts, over holds that began and ended in contact
+    spring_damper: float = 0.0
+    damper_damper: float = 0.0
+    held_spring: float = 0.0  # of the held with the requested efforts
+    held_damper: float = 0.0
+    damping_asked: float = 0.0  # along the motion, as `Meter.damping` is what was rendered [N*s/m or N*m*s/rad]
+
+
+def step(
+    world: World, settings: object, state: Any, memory: Any, missed: int, positions: Buffer, torques_applied: Buffer
+) -> GroupHold:
+    """Kernel of an algorithm; the caller of `run_group` supplies it."""
+    raise NotImplementedError
+
+
+def run_group(
+    world: World, settings: object, state: Any, memory: Any, rig: GroupRig, motors: Any, room: GroupRoom,
+    followed: GroupMotion, meter: GroupMeter, rows: Matrix, cycles: int,
+) -> None:  # fmt: skip
+    """Run a loop until its last SYNC or until it diverges; a number that is not finite counts as divergence.
+
+    Args:
+        world: Network and kinematics of the group.
+        settings: Settings of the algorithm.
+        state: State of the algorithm, at rest.
+        memory: Memory of the algorithm, zeros.
+        rig: Properties of the loop between motors and controller.
+        motors: Motors in the form of `move_motors`, at their start.
+        room: Buffers of zeros.
+        followed: Motion of the group at its true positions, at rest.
+        meter: Accumulates the sums.
+        rows: Rows for the replacement of `take_group`.
+        cycles: SYNCs.
+    """
+    figures = meter.figures
+    for cycle in range(cycles):
+        act(rig, room, cycle)
+        work = move_motors(motors, room, cycle)
+        if not isfinite(work):
+            figures.diverged = 1.0
+            break
+        meter.work += work
+        if cycle and rig.explains:
+            explain(world, rig, room, followed, meter)
+        elif rig.explains:
+            begin_motion(world, rig.true, followed, room.asked, room.true)
+        see(rig, room, cycle)
+        hold = step(world, settings, state, memory, 0, room.seen, room.held)
+        torques, total = memory.group.commands.torques[hold.place], 0.0
+        for i in range(len(room.held)):
+            total += torques[i] + room.seen[i] + room.held[i]
+        if not isfinite(total):
+            figures.diverged = 1.0
+            break
+        meter.supplied += hold.supplied
+        take_group(rig, room, meter, rows, hold)
+        if is_away(rig, room):
+            figures.diverged = 1.0
+            break
+        send(rig, room, torques)
+
+
+def act(rig: GroupRig, room: GroupRoom, cycle: int) -> None:
+    """Record the part of the held torques that reaches the motors until a SYNC."""
+    for i in range(len(room.held)):
+        signals = rig.loops[i].signals
+        if not cycle:
+            room.temperatures[i] = signals.winding.ambient
+        elif signals.on_torque:
+            room.acting[i], room.temperatures[i] = acting(signals, room.temperatures[i], room.held[i])
+        else:
+            room.acting[i] = room.held[i]
+
+
+def see(rig: GroupRig, room: GroupRoom, cycle: int) -> None:
+    """Write the encoder readings of the positions."""
+    for i in range(len(room.seen)):
+        at, loop = room.read[i], rig.loops[i]
+        room.seen[i] = measured(loop, read(loop.signals, cycle, at)) if isfinite(at) else at
+
+
+def send(rig: GroupRig, room: GroupRoom, torques: Buffer) -> None:
+    """Take the torques that the drives apply for a command in the next free hold."""
+    for i in range(len(room.held)):
+        command = commanded(rig.loops[i], torques[i])
+        if rig.delay:
+            room.held[i], room.waiting[i] = room.waiting[i], command
+        else:
+            room.held[i] = command
+
+
+def is_away(rig: GroupRig, room: GroupRoom) -> bool:
+    """Whether a motor is farther than any user moved it."""
+    for i in range(len(room.true)):
+        if not -rig.furthest < room.true[i] < rig.furthest:
+            return True
+    return False
+
+
+def take_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, hold: GroupHold) -> None:
+    """Take one SYNC; see `meter.take`."""
+    figures, account, square, largest = meter.figures, hold.account, 0.0, 0.0
+    figures.cycles += 1.0
+    for i in range(len(room.held)):
+        figures.lost += rig.damping_per_time[i] * (room.moved[i] * room.moved[i])
+        square += room.held[i] * room.held[i]
+        largest = max(largest, abs(room.held[i]))
+    norm = sqrt(square)
+    take_energy(rig.loops[0].meter, figures, 0.0, meter.supplied - meter.work, account)
+    figures.torque_peak = max(figures.torque_peak, largest)
+    figures.variation += abs(norm - figures.torque)
+    figures.torque = norm
+    figures.certificate = max(figures.certificate, float(RANKS[account.certificate]))
+    count_branch(figures, account.branch)
+    if account.branch != _FREE and account.branch != _EXIT:  # noqa: PLR1714 - `in` would search
+        rendered = account.damping_rendered
+        figures.contacts += 1.0
+        figures.damping += rendered
+        figures.damping_least = min(figures.damping_least, rendered)
+        figures.damping_most = max(figures.damping_most, rendered)
+
+
+def explain(world: World, rig: GroupRig, room: GroupRoom, followed: GroupMotion, meter: GroupMeter) -> None:
+    """Follow the network with the true motion, and add a hold that began and ended in contact to the sums."""
+    was_engaged, wish = followed.engaged, room.wish
+    follow(world, rig.true, followed, room.asked, room.true, room.moved, 1)
+    if followed.engaged:
+        write_efforts(world, rig.true, followed, room.asked, new(Ahead, (0.0, room.still, room.still, False)), wish)
+    along = square = 0.0
+    for i in range(len(room.held)):
+        along += wish.damper[i] * wish.velocity[i]
+        square += wish.velocity[i] * wish.velocity[i]
+        now = wish.spring[i] if followed.engaged else 0.0
+        spring, damper = 0.5 * (room.spring[i] + now), wish.damper[i]
+        room.spring[i] = now
+        if was_engaged and followed.engaged:
+            meter.spring_spring += spring * spring
+            meter.spring_damper += spring * damper
+            meter.damper_damper += damper * damper
+            meter.held_spring -= room.held[i] * spring
+            meter.held_damper -= room.held[i] * damper
+    if followed.engaged and square > 0.0:
+        meter.damping_asked += along / square
+
+
+def shares(meter: GroupMeter) -> tuple[float, float]:
+    """Return the shares of spring and damper that were rendered; NaN without any.
+
+    The spring's share is that in the torques held, by least squares with the damper; the damper's is the damping that
+    the controller booked over the requested one.
+    """
+    both, nothing = meter.spring_spring * meter.damper_damper, float("nan")
+    apart = both - meter.spring_damper * meter.spring_damper
+    damper = meter.figures.damping / meter.damping_asked if meter.damping_asked > 0.0 else nothing
+    if meter.spring_spring == 0.0:
+        return nothing, damper
+    if meter.damper_damper <= _SEEN * meter.spring_spring or apart <= _SEEN * both:
+        return meter.held_spring / meter.spring_spring, damper
+    return (meter.held_spring * meter.damper_damper - meter.held_damper * meter.spring_damper) / apart, damper
+
+
+def states_of(moved: Buffer) -> int:
+    """Return the number of states; compiled it is a constant, so that loops over them are unrolled."""
+    return len(moved)
+
+
+def move_motors(motors: Any, room: GroupRoom, cycle: int) -> float:
+    """Move the motors to a SYNC; return the work that they did in that hold [J], NaN where they cannot move."""
+    flow, state, moved = motors.flow, motors.state, motors.moved
+    states, work, count = states_of(moved), 0.0, len(room.held)
+    if cycle:
+        for i in range(count):
+            state[states + i] = room.acting[i]
+        for row in range(states):
+            factors, total = flow[row], 0.0
+            for column in range(states + count + 1):
+                total += factors[column] * state[column]
+            moved[row] = total
+        for row in range(states):
+            state[row] = moved[row]
+    for i in range(count):
+        work += arrive(room, i, state[motors.places[i]], cycle)
+    return work
+
+
+def arrive(room: GroupRoom, i: int, at: float, cycle: int) -> float:
+    """Record the position of a motor at a SYNC [m or rad]; return the work that it did in that hold [J]."""
+    room.moved[i] = at - room.true[i] if cycle else 0.0
+    room.true[i] = room.read[i] = at
+    return room.acting[i] * room.moved[i]
+
+
+_MOST_MODES: Final = 100
+"""Modes of one plant at most; more would take longer to compile than a run."""
+
+
+class EventMotors(NamedTuple):
+    """Motors whose plants have events."""
+
+    plants: Any  # `EventPlant` of each
+    owners: Indices  # of each motor: number of its plant
+    forces: Indices  # place of its torque in the state of that
+    places: Indices  # place of its position
+
+
+class EventMotorsPlan(NamedTuple):
+    """Plants of motors with events, and the places of the motors in them."""
+
+    models: Sequence[Callable[[], PlantModel]]
+    accuracy: Sequence[AccuracyParameters | None]
+    owners: Sequence[int]
+    forces: Sequence[int]
+    places: Sequence[int]
+
+    def made(self, *, listed: bool) -> EventMotors:
+        """The motors at their start.
+
+        Args:
+            listed: Whether Python runs the loop, on lists.
+        """
+        plants = []
+        for model, accuracy in zip(self.models, self.accuracy, strict=True):
+            modes = EventModes(model(), accuracy, listed=listed, is_booked=self.is_booked)
+            modes.complete()
+            found = modes.plants([EventState()] if listed else records_of([EventState()]))
+            found.plant.counts[MODE], found.plant.counts[MISSING] = found.first, NONE
+            plants.append(found.plant)
+        whole: Callable[[Sequence[int]], Any] = list if listed else np.array
+        return EventMotors(tuple(plants), *(whole(part) for part in (self.owners, self.forces, self.places)))
+
+    @property
+    def is_booked(self) -> bool:
+        """Whether the work of a motor is more than its torque times displacement."""
+        return any(works_are_booked(model()) for model in self.models)
+
+    def replacements(self) -> dict[object, object]:
+        """Replacements in the loop of a group."""
+        found: dict[object, object] = {**by_its_way(), move_motors: move_event_motors}
+        if any(model().efforts for model in self.models):
+            found |= {event_plant.run_ticks: run_with_efforts, splitting.residual: residual_of_plant}
+        return found | {stepper.book: book_motor, work_over: booked_over} if self.is_booked else found
+
+
+def why_not_events(model: PlantModel) -> str:
+    """Return "" when a plant can move in the loop of a group, else the reason by name."""
+    modes = prod(len(part.modes) for part in model.parts)
+    return "" if modes <= _MOST_MODES else f"a plant of {modes} modes, expected {_MOST_MODES} at most"
+
+
+def run_with_efforts(plant: EventPlant, ticks: int, most: int) -> int:
+    """Replace `event_plant.run_ticks` where some plants have forces over substeps."""
+    return run_substeps(plant, ticks, most) if len(plant.efforts) else run_on(plant, ticks, most)
+
+
+def work_over(plant: EventPlant, way: float) -> float:
+    """Work of a motor in a hold [J], from its torque times displacement."""
+    return way
+
+
+def booked_over(plant: EventPlant, way: float) -> float:
+    """Replace `work_over` where the work is booked."""
+    now = plant.now[0]
+    booked: float = plant.books[0].totals[0] + now.rippled - (now.began_work + now.began_ripple)
+    return booked
+
+
+def move_event_motors(motors: EventMotors, room: GroupRoom, cycle: int) -> float:
+    """Replace `move_motors`; NaN where a plant had too many events."""
+    work, count = 0.0, len(room.held)
+    if cycle:
+        for i in range(count):
+            motors.plants[motors.owners[i]].state[motors.forces[i]] = room.acting[i]
+        for k in range(len(motors.plants)):
+            if move_held(motors.plants[k], cycle) != MOVED:
+                return float("nan")
+    for i in range(count):
+        plant = motors.plants[motors.owners[i]]
+        work += work_over(plant, arrive(room, i, plant.state[motors.places[i]], cycle))
+    return work
+
+
+class FiveBarMotors(NamedTuple):
+    """A five-bar and its motors."""
+
+    settings: Any  # (FiveBarSettings,)
+    state: Any  # (FiveBarState,)
+    stack: FiveBarStack
+    left: int  # place of the left motor among those of the group
+    right: int
+
+
+class FiveBarPlan(NamedTuple):
+    """A five-bar at its start, and the numbers of its two motors."""
+
+    motion: FiveBarMotion  # at its start
+    left: int
+    right: int
+
+    def made(self, *, listed: bool) -> FiveBarMotors:
+        """The motors at their start; see `EventMotorsPlan.made`."""
+        settings, state, stack = [self.motion.settings], [replace(self.motion.state)], five_bar_stack()
+        if listed:
+            return FiveBarMotors(settings, state, stack, self.left, self.right)
+        return FiveBarMotors(records_of(settings), records_of(state), arrays_of(stack), self.left, self.right)
+
+    def replacements(self) -> dict[object, object]:
+        """Replacements in the loop of a group."""
+        return {move_motors: move_five_bar}
+
+
+def move_five_bar(motors: FiveBarMotors, room: GroupRoom, cycle: int) -> float:
+    """Replace `move_motors`; NaN where the links were pushed through a singular pose."""
+    state, settings = motors.state[0], motors.settings[0]
+    if cycle:
+        torques = (room.acting[motors.left], room.acting[motors.right])
+        place = place_at(settings.links, state.left, state.right)
+        advance_five_bar(settings, state, motors.stack, place, (cycle - 1) * TICKS, TICKS, torques)
+        if state.stuck != 0.0:
+            return float("nan")
+    return arrive(room, motors.left, state.left, cycle) + arrive(room, motors.right, state.right, cycle)
+
+
+def motors_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> LinearMotors | EventMotorsPlan | FiveBarPlan | str:
+    """Return the motors of a group at their start; the reason by name where they cannot move in its loop.
+
+    Args:
+        scene: Scene with the group alone.
+        axes: Axes of the group.
+
+    Raises:
+        InputError: The motors of the group are not simulated, or move with others.
+    """
+    of = mechanism_of_group(scene)
+    if of is not None:
+        return _of_mechanism(of, [of.axes.index(axis.parameters.name) for axis in axes], scene.bus.sample_time_ns)
+    simulations = [simulation_of(axis) for axis in axes]
+    reason = next(filter(None, map(why_not_in_loop, simulations)), "")
+    if reason:
+        return reason
+    if all(map(is_linear, simulations)):
+        return _side_by_side([build_plant(simulation, scene.bus.sample_time_ns) for simulation in simulations])
+    values = [PlantValues(simulation, scene.bus.sample_time_ns) for simulation in simulations]
+    forces = [len(one.scene().names) - 2 for one in values]
+    return next(filter(None, (why_not_events(one.scene()) for one in values)), "") or EventMotorsPlan(
+        [one.scene for one in values], [one.simulation.accuracy for one in values], list(range(len(axes))), forces,
+        [0] * len(axes),
+    )  # fmt: skip
+
+
+def _of_mechanism(
+    of: MechanismScene, order: Sequence[int], sample_time_ns: int
+) -> LinearMotors | EventMotorsPlan | FiveBarPlan | str:
+    """Model of a mechanism in the loop.
+
+    Args:
+        of: The mechanism.
+        order: Places of the group's motors among the mechanism's.
+        sample_time_ns: T [ns].
+    """
+    moving: Any = build_mechanism(of, sample_time_ns)
+    if isinstance(moving, FiveBarMotion):
+        return FiveBarPlan(moving, order.index(0), order.index(1))
+    if not isinstance(moving, XYMotion):
+        return f"the mechanism {of.mechanism.name} is own code"
+    if moving.is_linear:
+        return _stage(moving, order)
+    places = [[part[at] for at in order] for part in (moving.force_places, moving.position_places)]
+    return why_not_events(moving.model()) or EventMotorsPlan([moving.model], [None], [0] * len(order), *places)
+
+
+def _side_by_side(plants: Sequence[Plant]) -> LinearMotors:
+    """Return plants of states [position, ..., torque, 1] each as one."""
+    flows, starts = [plant.whole_flow() for plant in plants], [plant.initial_state() for plant in plants]
+    sizes = [len(start) - 2 for start in starts]
+    places = [sum(sizes[:i]) for i in range(len(sizes))]
+    states, motors = sum(sizes), len(plants)
+    whole, state = np.zeros((states, states + motors + 1)), np.zeros(states + motors + 1)
+    for i, (flow, start, place, size) in enumerate(zip(flows, starts, places, sizes, strict=True)):
+        rows = slice(place, place + size)
+        whole[rows, rows], whole[rows, states + i], whole[rows, -1] = (
+            flow[:size, :size],
+            flow[:size, -2],
+            flow[:size, -1],
+        )
+        state[rows] = start[:size]
+    return _listed(whole, state, places)
+
+
+def _stage(stage: XYMotion, order: Sequence[int]) -> LinearMotors:
+    """Return a stage, whose forces are states that do not change.
+
+    Args:
+        stage: Stage without dry friction.
+        order: Places of the motors of the group among those of the stage.
+    """
+    flow, start = stage.whole_flow(), stage.state
+    forces = [stage.force_places[at] for at in order]
+    rest = [i for i in range(len(start) - 1) if i not in forces]
+    columns = [*rest, *forces, len(start) - 1]
+    return _listed(flow[np.ix_(rest, columns)], start[columns], [rest.index(stage.position_places[at]) for at in order])
+
+
+def _listed(flow: Array, state: Array, places: Sequence[int]) -> LinearMotors:
+    state[-1] = 1.0
+    return LinearMotors(flow.tolist(), state.tolist(), [0.0] * len(flow), list(places))
+
 
 _PER_MILLE: Final = 1e-3
 
@@ -182,3 +719,66 @@ def render_group(scene: Scene, cycles: int, recorder: GroupRecorder) -> LoopRun:
     except ControlError as error:
         return recorder.run("stopped", str(error))
     return recorder.run()
+
+
+class GroupCase(NamedTuple):
+    """One group in kernel form."""
+
+    kernel: GroupKernel
+    world: World
+    settings: Any
+    rig: GroupRig
+    motors: LinearMotors | EventMotorsPlan | FiveBarPlan | Motors
+    period: int  # [ns]
+    why_not: str = ""  # reason by name why its loop cannot be compiled; "" where it can
+
+    @property
+    def is_compilable(self) -> bool:
+        """Whether its loop can be compiled."""
+        return not self.why_not
+
+    def room(self) -> GroupRoom:
+        """Return buffers of zeros."""
+        axes = len(self.rig.loops)
+        one = [list_of_zeros(axes) for _ in GroupRoom._fields]
+        wish = RequestedEfforts(*(list_of_zeros(axes) for _ in range(4)))
+        return GroupRoom(*one)._replace(asked=motion_memory(self.world, self.rig.true), wish=wish)  # type: ignore[arg-type]
+
+
+def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
+    """Return the one group of a scene.
+
+    Args:
+        scene: Scene with one group, alone.
+        explains: Whether the shares of spring and damper are needed.
+
+    Raises:
+        InputError: The motors of the group are not simulated, or move with others.
+        ParameterError: The group cannot be built.
+    """
+    (group,) = scene.groups
+    check_group(group)
+    axes = [scene.axis(name) for name in group.axes]
+    loops = tuple(loop_as_known(axis) for axis in axes)
+    environment, kinematics = (cast(Any, part.parameters) for part in (group.network, group.kinematics))
+    world = world_of(cast(NetworkEnvironment, environment), cast(Kinematics, kinematics), loops)
+    kernel: GroupKernel = load(GROUP_ALGORITHMS, group.passivity.name, "group algorithm").kernel
+    settings = kernel.settings(world, group.passivity.parameters, loops)
+    exact = tuple(loop.model_copy(update={"encoder_count": 0.0}) for loop in loops)
+    time = scene.bus.sample_time
+    rig = GroupRig(
+        scene.bus.delay, [_with_effects(loop_of(axis, scene.bus.delay), axis, time) for axis in axes],
+        [(axis.loop.device_damping or 0.0) / time for axis in axes], FURTHEST, explains, motion_settings(world, exact),
+    )  # fmt: skip
+    found, period = motors_in_loop(scene, axes), scene.bus.sample_time_ns
+    if isinstance(found, str):
+        return GroupCase(kernel, world, settings, rig, motors_of(scene, axes), period, found)
+    return GroupCase(kernel, world, settings, rig, found, period, why_not_world(world))
+
+
+def _with_effects(loop: LoopSettings, axis: AxisScene, sample_time: float) -> LoopSettings:
+    """Loop between a motor and its controller, with the effects of its plant on torque and encoder."""
+    simulation = axis.simulation
+    if simulation is None:
+        return loop
+    return replace(loop, signals=SignalEffects.of(simulation.effects).at(sample_time, simulation.seed))

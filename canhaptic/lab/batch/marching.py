@@ -1,21 +1,117 @@
-"""Runs many loops of one kind, in parts whose rows fit the memory; parts and engine change no figure."""
+"""Runs many loops of one kind, in parts whose rows fit the memory; parts and engine change no figure.
+
+Loops of a batch run by Python, one after the other: where numba is missing, and as reference for compiled ones.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
 
 from canhaptic.errors import EventLimitError
-from canhaptic.lab.batch.batch_case import BatchCase, NotBatchableError
-from canhaptic.lab.batch.batch_reference import ContinuousModes, continuous_modes, no_modes, why_not_continuous
+from canhaptic.kernels import Kernel, Run, list_of_zeros
+from canhaptic.kernels.records import bound
+from canhaptic.lab.batch.cases import (
+    BatchCase,
+    ContinuousModes,
+    NotBatchableError,
+    SceneRow,
+    continuous_modes,
+    kernel_of,
+    linear_plants,
+    no_modes,
+    scene_rows,
+    why_not_continuous,
+)
+from canhaptic.lab.batch.closed_loop import (
+    BRIEF,
+    MOVED,
+    TERMS,
+    Interruption,
+    Meter,
+    ReferenceMemory,
+    ReferenceState,
+    begin_plant,
+    plant_at,
+    run_loop,
+    step,
+)
 from canhaptic.lab.batch.engine import WORTH_COMPILING, Engine, chosen_engine
-from canhaptic.lab.batch.event_loops import loop_replacements, run_event_plants, uninterrupted
-from canhaptic.lab.batch.interpreted_loops import InterpretedLoops
-from canhaptic.lab.batch.meter import BRIEF
-from canhaptic.lab.batch.rows import kernel_of, linear_plants, scene_rows
+from canhaptic.lab.batch.plants import Interrupted, Plants, loop_replacements, run_event_plants, uninterrupted
 from canhaptic.lab.figures.figures import last_rows, metrics_of, sums_of
 from canhaptic.lab.loop.axis_loop import Array
+
+
+class InterpretedLoops:
+    """One loop after the other.
+
+    Args:
+        kernel: Kernel of the algorithm.
+        rows: Rows of the scenes.
+        modes: Modes of the continuous environments.
+        cycles: SYNCs.
+        instead: Replacements of functions of the loop.
+
+    Attributes:
+        meters: Meter of every scene.
+        references: Memory of its continuous run.
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        rows: Sequence[SceneRow],
+        modes: ContinuousModes,
+        cycles: int,
+        instead: Mapping[object, object],
+    ) -> None:
+        self._kernel, self._rows, self._modes, self._cycles = kernel, rows, modes, cycles
+        self._begin, self._at, self._run = _functions(kernel, tuple(instead.items()))
+        self.meters = [Meter() for _ in rows]
+        self.references = [ReferenceState() for _ in rows]
+
+    def run(self, some: Sequence[int], plants: Plants, interrupted: Interrupted) -> None:
+        """Run some of the scenes.
+
+        Args:
+            some: Numbers of the scenes.
+            plants: Plants of the scenes.
+            interrupted: (plants, number of a scene, its state, reason) -> plants to continue with; None ends that
+                scene.
+        """
+        for number, i in enumerate(some):
+            row, kernel = self._rows[i], self._kernel
+            place = Interruption(temperature=row.loop.signals.winding.ambient)
+            run = Run(row.settings, kernel.state(), kernel.memory(row.settings, list_of_zeros))
+            reference = reference_memory_of(self._modes, i)
+            self._begin(plants, number)
+            while True:
+                outcome = self._run(
+                    row.environment, run, row.loop, self.meters[i], self._at(plants, number), place,
+                    self._modes.settings[i], self.references[i], reference, self._cycles,
+                )  # fmt: skip
+                if outcome == MOVED:
+                    break
+                went_on = interrupted(plants, i, place, outcome)
+                if went_on is None:
+                    break
+                plants = went_on
+
+
+@lru_cache(maxsize=64)
+def _functions(kernel: Kernel, instead: tuple[tuple[object, object], ...]) -> tuple[Any, Any, Any]:
+    replaced = {**dict(instead), step: kernel.step}
+    begin, at = (replaced.get(function, function) for function in (begin_plant, plant_at))
+    return begin, at, bound(run_loop, replaced)
+
+
+def reference_memory_of(modes: ContinuousModes, row: int) -> ReferenceMemory:
+    """Return the matrices and buffers of one scene as lists."""
+    flows, rates, starts = (values[row % len(values)].tolist() for values in modes[1:])
+    return ReferenceMemory(flows, rates, starts, list(starts), [[0.0] * len(starts) for _ in range(TERMS)])
+
 
 _MOST: Final = 8192
 """Scenes whose rows are laid out at a time."""

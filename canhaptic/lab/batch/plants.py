@@ -5,22 +5,597 @@
 The states are those of `Plant`, in its order, and so is the flow: exp(F T) by a series and doubling. The sum of a row
 is taken term by term and not by a matrix product, so that a position may differ from that of `Plant` by a few units in
 its last place per hold. Plants with other linear effects are made one by one, each different one once.
+
+A plant with events in the loop of a batch: replacements of `closed_loop.move_plant`; kernels.
+
+The modes, the stepper and what is solved over substeps are those of `canhaptic.sim.plant`, on arrays of all modes. A
+mode that is not compiled yet interrupts the loop: the state goes back to the start of the hold, the caller compiles
+the mode, and the hold is taken again, with the same bits.
+
+Forces that are not piecewise affine, in the loop of a batch: `canhaptic.sim.plant.splitting` on arrays; kernels.
+
+The force of a substep is found by the same secant, with `EventPlant` in the place of the plant.
+
+Plants with events for many loops: the modes of one plant as kernels take them, compiled when they are entered.
+
+Scenes with the same plant share its modes, which cost some milliseconds each.
+
+Loops with plants that have events, grouped by plant.
+
+Effects of a plant that change a number and not a motion: the encoder reading, and the torque that acts.
 """
 
-from collections.abc import Mapping
-from typing import Any, Final, cast
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import expm1, inf, sqrt
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
-from canhaptic.errors import ParameterError
-from canhaptic.lab.batch.event_plants import PlantValues, distinct_plants, works_are_booked
-from canhaptic.lab.batch.signal_effects import SIGNAL_EFFECTS
+from canhaptic.control.certificates.certified_torque import free_of_late, largest_of_late
+from canhaptic.control.certificates.torque_bound import doubt_of_late, end_gap
+from canhaptic.errors import EventLimitError, ParameterError
+from canhaptic.kernels import Buffer, Indices
+from canhaptic.kernels.records import Records, number_in, records_of
+from canhaptic.lab.batch import closed_loop
+from canhaptic.lab.batch.closed_loop import MOVED, Interruption, Signals, Winding
+from canhaptic.lab.batch.varied import simulation_with
 from canhaptic.lab.loop.axis_loop import Array
+from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisSimulation
-from canhaptic.scene.parts import build_plant
+from canhaptic.scene.parts import build_plant, effect_of
+from canhaptic.sim.plant import splitting, stepper
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant.assembly import PlantModel, collect
+from canhaptic.sim.plant.effort_forces import RIPPLE, Bristle, Effort, bend, mean_force
+from canhaptic.sim.plant.hybrid_automaton import PRODUCTS_EACH, HybridAutomaton
+from canhaptic.sim.plant.mode_arrays import Books, evaluate, flat_tables, largest_term, move, pace, stored
 from canhaptic.sim.plant.plant import Plant
-from canhaptic.sim.plant.propagator import flow_changes
+from canhaptic.sim.plant.propagator import TICKS, flow_changes
+from canhaptic.sim.plant.splitting import fixed_point, mean_torque
+from canhaptic.sim.plant.stepper import COUNTS, EVENTS, LIMIT, MISSING, MODE, NONE, ModeTables, StepperSettings, run
 from canhaptic.sim.plant.user import UserParameters
+
+INCOMPLETE: Final = 1
+"""A mode has to be compiled: `EventState.mode` and what leads out of it say which."""
+STOPPED: Final = 2
+"""There were more events in the hold than are allowed."""
+
+
+_TIDY: Final = 1024
+"""Sample times between two tidyings of rounding, as in `Plant`."""
+
+
+@dataclass(slots=True)
+class EventState:
+    """State of a plant kept from hold to hold, in addition to its state vector."""
+
+    changes: int = 0  # of the timetable that are done
+    force: float = 0.0  # of the efforts in the substep before [N or N*m]
+    slope: float = -1.0  # of their residual there
+    rippled: float = 0.0  # work of a torque ripple [J]
+    is_stopped: bool = False  # by too many events
+    mode: int = NONE  # in which a further mode is missing
+    guard: int = NONE  # that leads to it, or
+    change: int = NONE  # of the timetable that does
+    began_work: float = 0.0  # of the motor [J]
+    began_mode: int = 0  # at the start of the hold, with `EventPlant.began`
+    began_events: int = 0
+    began_changes: int = 0
+    began_force: float = 0.0
+    began_slope: float = 0.0
+    began_ripple: float = 0.0
+    saved_work: float = 0.0  # at the start of the substep, with `EventPlant.saved`
+    saved_mode: int = 0
+    saved_events: int = 0
+    start: float = 0.0  # position there [m or rad]
+    begin: float = 0.0  # torque of the motor there [N or N*m]
+    held: float = 0.0  # its mean over the substep [N or N*m]
+    duration: float = 0.0  # of the substep [s]
+    ticks: int = 0  # asked for
+    passed: int = 0  # that passed
+    limit: int = 0  # events at which the substep ends; -1: the first
+
+
+class EventPlant(NamedTuple):
+    """A plant with events, used by many loops in turn; all but the tables is changed in place."""
+
+    tables: ModeTables
+    settings: StepperSettings
+    state: Any  # z = [states..., torque, 1]
+    spare: Any
+    began: Buffer  # z at the start of the hold
+    books: tuple[Books]  # (Books,), the first work of which is that of the motor
+    counts: Indices  # see `stepper`
+    values: tuple[Buffer, Buffer]  # two buffers for the values of guards
+    sines: Indices  # places of the hand's oscillators in the state: a cosine follows each sine
+    change_ticks: Indices  # of the timetable, in order
+    change_targets: Sequence[
+        Indices
+    ]  # by change and mode: the mode that it leads to, or NONE when that is not compiled yet
+    now: Sequence[EventState] | Records  # (EventState,)
+    saved: Buffer  # z at the start of the substep
+    efforts: Sequence[Effort] | Records  # `Effort` of each force that is solved over substeps
+    bristles: Sequence[Bristle] | Records  # `Bristle` of each, and once more at the start of the hold
+    substep_ticks: int
+    torque_place: int  # in z: of the torque of the motor,
+    travel_place: int  # of the way in the substep,
+    force_place: int  # of the sum of the forces
+
+
+class EventPlants(NamedTuple):
+    """One plant with events, used by many loops in turn."""
+
+    plant: EventPlant
+    start: Buffer  # state at the first SYNC, shape (n,)
+    first: int  # number of the mode there
+
+
+def begin_events(plants: EventPlants, row: int) -> None:
+    """Reset the plant of a loop to its start."""
+    plant, now = plants.plant, plants.plant.now[0]
+    for place in range(len(plants.start)):
+        plant.state[place] = plant.spare[place] = plants.start[place]
+    plant.counts[MODE], plant.counts[EVENTS], plant.counts[MISSING] = plants.first, 0, NONE
+    plant.books[0].totals[0] = 0.0
+    now.changes, now.force, now.slope, now.rippled = 0, 0.0, -1.0, 0.0
+    for i in range(len(plant.bristles)):
+        plant.bristles[i].deflection = 0.0
+
+
+def events_at(plants: EventPlants, row: int) -> EventPlant:
+    """Return the plant of a loop."""
+    return plants.plant
+
+
+def move_events(plant: EventPlant, torque: float, cycle: int) -> int:
+    """Move a plant to a SYNC under a constant torque [N or N*m]; return MOVED, INCOMPLETE or STOPPED."""
+    plant.state[len(plant.state) - 2] = torque
+    return move_held(plant, cycle)
+
+
+def move_held(plant: EventPlant, cycle: int) -> int:
+    """The same under the torque held in its state."""
+    counts, now = plant.counts, plant.now[0]
+    keep(plant)
+    end = cycle * TICKS
+    tick, left = end - TICKS, 0
+    most = counts[EVENTS] + plant.settings.max_events + 1
+    counts[MISSING] = NONE
+    while now.changes < len(plant.change_ticks) and plant.change_ticks[now.changes] < end:
+        at = plant.change_ticks[now.changes]
+        if at > tick:
+            left = run_ticks(plant, at - tick, most)
+            tick = at
+        if left or counts[MISSING] != NONE:
+            break
+        target = plant.change_targets[now.changes][counts[MODE]]
+        if target == NONE:
+            return interrupt(plant, NONE, now.changes)
+        counts[MODE] = target
+        now.changes += 1
+    if not left and counts[MISSING] == NONE:
+        left = run_ticks(plant, end - tick, most)
+    if counts[MISSING] != NONE:
+        return interrupt(plant, counts[MISSING], NONE)
+    if cycle % _TIDY == 0:
+        tidy(plant)
+    return STOPPED if left else MOVED
+
+
+def run_ticks(plant: EventPlant, ticks: int, most: int) -> int:
+    """Move by some ticks; return those left at the limit of events, or before a missing mode."""
+    return run_on(plant, ticks, most)
+
+
+def run_on(plant: EventPlant, ticks: int, most: int) -> int:
+    """The same by the stepper alone, through every event."""
+    plant.counts[LIMIT] = most
+    state, _, left = run(
+        plant.tables, plant.settings, plant.state, plant.spare, plant.books, plant.counts, plant.values, ticks
+    )
+    for row in range(len(plant.state)):
+        plant.state[row] = state[row]
+    return left
+
+
+def tidy(plant: EventPlant) -> None:
+    """Bring the hand's oscillators back to unit amplitude."""
+    state = plant.state
+    for i in range(len(plant.sines)):
+        sine, cosine = state[plant.sines[i]], state[plant.sines[i] + 1]
+        norm = sqrt(sine * sine + cosine * cosine)
+        state[plant.sines[i]], state[plant.sines[i] + 1] = sine / norm, cosine / norm
+
+
+def keep(plant: EventPlant) -> None:
+    """Save everything that a hold changes."""
+    state, now = plant.state, plant.now[0]
+    for row in range(len(state)):
+        plant.began[row] = state[row]
+    now.began_mode, now.began_events = plant.counts[MODE], plant.counts[EVENTS]
+    now.began_changes, now.began_force, now.began_slope = now.changes, now.force, now.slope
+    now.began_ripple, now.is_stopped = now.rippled, False
+    count = len(plant.efforts)
+    for i in range(count):
+        plant.bristles[count + i].deflection = plant.bristles[i].deflection
+    now.began_work = plant.books[0].totals[0]
+
+
+def interrupt(plant: EventPlant, guard: int, change: int) -> int:
+    """Return to the start of the hold, and record the missing mode."""
+    state, counts, now = plant.state, plant.counts, plant.now[0]
+    now.mode, now.guard, now.change = counts[MODE], guard, change
+    for row in range(len(state)):
+        state[row] = plant.began[row]
+    counts[MODE], counts[EVENTS], counts[MISSING] = now.began_mode, now.began_events, NONE
+    plant.books[0].totals[0], now.changes = now.began_work, now.began_changes
+    now.force, now.slope, now.rippled = now.began_force, now.began_slope, now.began_ripple
+    count = len(plant.efforts)
+    for i in range(count):
+        plant.bristles[i].deflection = plant.bristles[count + i].deflection
+    return INCOMPLETE
+
+
+def book_nothing(works: Any, state: Buffer, books: tuple[Books]) -> None:
+    """Replace `stepper.book` where the motor's work is its torque times displacement."""
+
+
+def book_motor(works: Any, state: Buffer, books: tuple[Books]) -> None:
+    """Replace `stepper.book`: the work of the motor alone; `works` has shape (n, 2 n)."""
+    only, size = books[0], len(state)
+    move(works, state, only.rows)
+    total = 0.0
+    for i in range(size):
+        total += only.rows[size + i] * only.rows[i]
+    only.totals[0] += total
+
+
+def booked_work(plant: EventPlant, interaction: float, torque: float, travel: float) -> float:
+    """Replace `closed_loop.work_in` where the motor's work is booked."""
+    booked: float = plant.books[0].totals[0] + plant.now[0].rippled
+    return 0.0 - booked
+
+
+_UNKNOWN_SLOPE: Final = -1.0
+
+
+def run_substeps(plant: EventPlant, ticks: int, most: int) -> int:
+    """Replace `event_plant.run_ticks`: move in substeps that end at their first event at the latest."""
+    counts, now = plant.counts, plant.now[0]
+    while ticks:
+        ticks -= substep(plant, min(ticks, plant.substep_ticks), most)
+        if counts[MISSING] != NONE or now.is_stopped or (ticks and counts[EVENTS] >= most):
+            return max(ticks, 1)
+    return 0
+
+
+def substep(plant: EventPlant, ticks: int, most: int) -> int:
+    """Move by `ticks` or to the first event; return the ticks that passed."""
+    state, now = plant.state, plant.now[0]
+    now.start, now.held = state[0], state[plant.torque_place]
+    force = solve(plant, ticks, most)
+    if plant.counts[MISSING] != NONE or now.is_stopped:
+        return 0
+    travel = state[plant.travel_place]
+    for i in range(len(plant.efforts)):
+        effort, bristle = plant.efforts[i], plant.bristles[i]
+        if effort.kind == RIPPLE:
+            now.rippled += mean_force(effort, bristle, now.start, travel, now.duration, now.held) * travel
+        bend(effort, bristle, travel, now.duration)
+    now.force = force
+    passed: int = now.passed
+    return passed
+
+
+def solve(plant: EventPlant, ticks: int, most: int) -> float:
+    """Force consistent with its own motion; the plant is left at the end of that motion."""
+    counts, now = plant.counts, plant.now[0]
+    for row in range(len(plant.state)):
+        plant.saved[row] = plant.state[row]
+    now.saved_mode, now.saved_events, now.saved_work = counts[MODE], counts[EVENTS], plant.books[0].totals[0]
+    now.begin, now.ticks = now.held, ticks
+    now.limit, now.is_stopped = -1, False
+    force, now.slope, found = fixed_point(plant, now.force, now.slope)
+    if not found:
+        now.limit = most
+        force, now.slope, _ = fixed_point(plant, now.force, _UNKNOWN_SLOPE)
+    return force
+
+
+def residual_of_plant(plant: EventPlant, force: float) -> float:
+    """Replace `splitting.residual`; 0 where the plant cannot be moved on, which ends the search."""
+    state, counts, now = plant.state, plant.counts, plant.now[0]
+    if counts[MISSING] != NONE or now.is_stopped:
+        return 0.0
+    for row in range(len(state)):
+        state[row] = plant.saved[row]
+    counts[MODE], counts[EVENTS], plant.books[0].totals[0] = now.saved_mode, now.saved_events, now.saved_work
+    state[plant.force_place], state[plant.travel_place] = force, 0.0
+    limit = now.limit if now.limit >= 0 else counts[EVENTS] + 1
+    left = run_on(plant, now.ticks, limit)
+    if counts[MISSING] != NONE:
+        return 0.0
+    if left and now.limit >= 0:
+        now.is_stopped = True
+        return 0.0
+    now.passed = now.ticks - left
+    now.duration = now.passed * plant.settings.tick_time
+    now.held = mean_torque(now.begin, state[plant.torque_place], state[len(state) - 2])
+    total = 0.0
+    for i in range(len(plant.efforts)):
+        total += mean_force(
+            plant.efforts[i], plant.bristles[i], now.start, state[plant.travel_place], now.duration, now.held
+        )
+    return total - force
+
+
+_PRODUCTS: Final = {
+    getattr(stepper, function.__name__): function for function in (move, evaluate, pace, largest_term, stored)
+}
+
+CALLS: Final = (
+    stepper.run, splitting.fixed_point, residual_of_plant, doubt_of_late, end_gap, free_of_late, largest_of_late,
+)  # fmt: skip
+"""Long functions, called from several places, and certificates that most loops reach at few SYNCs, or never."""
+
+
+Plants = closed_loop.LinearPlants | EventPlants
+"""What a loop of a batch moves."""
+Interrupted = Callable[[Plants, int, closed_loop.Interruption, int], Plants | None]
+"""(plants, number of a scene, its place, why) -> plants to go on with; None ends that scene."""
+
+
+class PlantValues(NamedTuple):
+    """One plant of a batch, before it is made."""
+
+    simulation: AxisSimulation
+    sample_time_ns: int
+
+    def scene(self) -> PlantModel:
+        """Model of the plant."""
+        effects = [effect_of(effect) for effect in self.simulation.effects]
+        return collect(self.simulation.plant, self.simulation.user, effects, self.sample_time_ns * 1e-9)
+
+
+def distinct_plants(
+    simulation: AxisSimulation, sample_time_ns: Array | float, varied: Mapping[str, Array]
+) -> tuple[list[PlantValues], NDArray[np.intp]]:
+    """Distinct plants, and the number of each scene's plant, shape (n_scenes,).
+
+    Args:
+        simulation: Common part of the scenes.
+        sample_time_ns: One value, or one for each scene, shape (n_scenes,) [ns].
+        varied: Keys under `simulation.` -> value of each scene.
+    """
+    keys = {key: values for key, values in varied.items() if key.startswith("simulation.")}
+    count = max(np.size(sample_time_ns), *map(len, keys.values()), 1)
+    columns = [np.broadcast_to(sample_time_ns, (count,)), *keys.values()]
+    rows, which = np.unique(np.stack(columns, axis=1), axis=0, return_inverse=True)
+    plants = [
+        PlantValues(simulation_with(simulation, dict(zip(keys, row[1:], strict=True))), int(row[0]))
+        for row in rows.tolist()
+    ]
+    return plants, which.ravel()
+
+
+class EventModes:
+    """The modes of one plant, and its start.
+
+    Args:
+        scene: Model of the plant.
+        accuracy: Accuracy; the defaults when None.
+        listed: Whether Python runs the loop, on lists.
+        is_booked: Whether the motor's work is booked; None: as the plant requires.
+    """
+
+    def __init__(
+        self, scene: PlantModel, accuracy: AccuracyParameters | None, *, listed: bool, is_booked: bool | None = None
+    ) -> None:
+        accuracy = accuracy or AccuracyParameters()
+        self._machine = machine = HybridAutomaton(scene, accuracy.max_events, accuracy.event_bits)
+        self._settings = StepperSettings(
+            accuracy.max_events, accuracy.event_bits, machine.tick_time, PRODUCTS_EACH * accuracy.max_events
+        )
+        self._start, self._first = machine.state.copy(), machine.modes.index(machine.mode)
+        self._is_booked = works_are_booked(scene) if is_booked is None else is_booked
+        self._substeps = accuracy.substeps
+        self._listed = listed
+        names = [*scene.names]
+        extra = (names.index("travel"), names.index("effort")) if scene.efforts else (0, 0)
+        self._places = (names.index(scene.motor_torque), *extra)
+        changes = [(round(time / machine.tick_time), part, mode) for time, part, mode in scene.schedule]
+        self._changes = sorted(changes, key=lambda change: change[0])
+        self._change_targets: list[dict[int, int]] = [{} for _ in changes]
+        self._form: Callable[[Any], Any] = (lambda array: array.tolist()) if listed else np.ascontiguousarray
+
+    def plants(self, now: Sequence[EventState] | Records) -> EventPlants:
+        """Return the plant at its start.
+
+        Args:
+            now: (`EventState`,), records where the loop is compiled.
+        """
+        form, names = self._form, self._machine.scene.names
+        room = 2 * len(names) if self._is_booked else 0
+        state, spare, began = (form(self._start.copy()) for _ in range(3))
+        plant = EventPlant(
+            self._tables(), self._settings, state, spare, began,
+            (Books(form(np.zeros(len(self._machine.scene.works))), form(np.zeros(room))),),
+            form(np.zeros(COUNTS, dtype=np.int64)), self._values(),
+            form(np.array([place for place, name in enumerate(names) if name.endswith("_sine")], dtype=np.int64)),
+            form(np.array([tick for tick, _, _ in self._changes], dtype=np.int64)), self._targets(), now,
+            form(self._start.copy()), *self._efforts(), TICKS // self._substeps, *self._places,
+        )  # fmt: skip
+        return EventPlants(plant, form(self._start), self._first)
+
+    def complete(self) -> None:
+        """Compile every mode that can be entered."""
+        machine, mode = self._machine, 0
+        while mode < len(machine.modes):
+            for guard, target in enumerate(list(machine.targets[mode])):
+                if target == NONE:
+                    machine.connect(mode, guard)
+            for (_, part, part_mode), targets in zip(self._changes, self._change_targets, strict=True):
+                targets[mode] = machine.number_with(mode, part, part_mode)
+            mode += 1
+
+    def completed(self, plants: EventPlants) -> EventPlants:
+        """Return the same plant with the mode compiled that interrupted its loop."""
+        mode, guard, change = (int(number_in(plants.plant.now[0], name)) for name in ("mode", "guard", "change"))
+        if guard != NONE:
+            self._machine.connect(mode, guard)
+        else:
+            _, part, part_mode = self._changes[change]
+            self._change_targets[change][mode] = self._machine.number_with(mode, part, part_mode)
+        plant = plants.plant._replace(tables=self._tables(), values=self._values(), change_targets=self._targets())
+        return plants._replace(plant=plant)
+
+    def error(self, plants: EventPlants, cycle: int) -> EventLimitError:
+        """Reason why a loop was stopped in the hold before a SYNC."""
+        machine, plant = self._machine, plants.plant
+        where = f"plant before {cycle * TICKS * machine.tick_time:.9g} s"
+        described = machine.described(int(plant.counts[MODE]), [float(value) for value in plant.state])
+        used_up = plant.counts[EVENTS] < plant.counts[LIMIT]
+        return EventLimitError(
+            self._settings.max_events, described, where, self._settings.max_products if used_up else 0
+        )
+
+    def _tables(self) -> ModeTables:
+        tables = flat_tables(self._machine.modes, self._machine.targets, len(self._machine.scene.works))
+        size = len(self._machine.scene.names) if self._is_booked else 0
+        return ModeTables(*map(self._form, tables._replace(works=tables.works[..., : 2 * size])))
+
+    def _efforts(self) -> tuple[Any, Any]:
+        """Return the efforts, and their bristles twice."""
+        efforts = [getattr(effort, "effort", None) for effort in self._machine.scene.efforts]
+        bristles = [Bristle() for _ in range(2 * len(efforts))]
+        if self._listed:
+            return efforts, bristles
+        return records_of(efforts or [Effort(0)])[: len(efforts)], records_of(bristles or [Bristle()])[: len(bristles)]
+
+    def _targets(self) -> Any:
+        targets = np.full((len(self._changes), len(self._machine.modes)), NONE)
+        for row, known in zip(targets, self._change_targets, strict=True):
+            for mode, target in known.items():
+                row[mode] = target
+        return self._form(targets)
+
+    def _values(self) -> Any:
+        width = 2 * max(len(mode.exits) for mode in self._machine.modes) + len(self._machine.scene.names)
+        return self._form(np.zeros(width)), self._form(np.zeros(width))
+
+
+def by_its_way() -> dict[object, object]:
+    """Replacements in a loop where the motor's work is its torque times displacement."""
+    return {**_PRODUCTS, stepper.book: book_nothing}
+
+
+def works_are_booked(scene: PlantModel) -> bool:
+    """Whether the motor's work is more than its torque times displacement: by a current loop, or a ripple."""
+    return scene.motor_torque != "torque" or any(effort.account == "motor" for effort in scene.efforts)
+
+
+def replacements(scene: PlantModel) -> dict[object, object]:
+    """Replacements in a loop of plants with events.
+
+    Args:
+        scene: Model of one of the plants.
+    """
+    found: dict[object, object] = {
+        **by_its_way(), closed_loop.move_plant: move_events, closed_loop.begin_plant: begin_events,
+        closed_loop.plant_at: events_at,
+    }  # fmt: skip
+    if scene.efforts:
+        found |= {run_ticks: run_substeps, splitting.residual: residual_of_plant}
+    if works_are_booked(scene):
+        return found | {stepper.book: book_motor, closed_loop.work_in: booked_work}
+    return found
+
+
+def run_event_plants(
+    loops: Any, plants: Sequence[PlantValues], which: Array, stopped: dict[int, EventLimitError], *, listed: bool
+) -> None:
+    """Run every loop.
+
+    Args:
+        loops: `InterpretedLoops` or `CompiledLoops`.
+        plants: Each different plant.
+        which: Number of the plant of each loop, shape (n,).
+        stopped: Called with the numbers of loops whose plants could not be moved on, and why.
+        listed: Whether Python runs the loops.
+    """
+    for number in np.unique(which).tolist():
+        plant = plants[int(number)]
+        modes = EventModes(plant.scene(), plant.simulation.accuracy, listed=listed)
+        some = np.flatnonzero(which == number).tolist()
+        loops.run(
+            some, modes.plants([EventState()] if listed else records_of([EventState()])), _going_on(modes, stopped)
+        )
+
+
+def _going_on(modes: EventModes, stopped: dict[int, EventLimitError]) -> Interrupted:
+    def interrupted(plants: Any, loop: int, place: Interruption, outcome: int) -> Plants | None:
+        if outcome == INCOMPLETE:
+            return modes.completed(plants)
+        stopped[loop] = modes.error(plants, int(number_in(place, "cycle")))
+        return None
+
+    return interrupted
+
+
+def uninterrupted(*_what: object) -> None:
+    """Placeholder, which no loop of a linear plant calls."""
+
+
+def loop_replacements(plants: Sequence[PlantValues]) -> dict[object, object]:
+    """Replacements of functions of the loop for plants with events; none for linear ones."""
+    return replacements(plants[0].scene()) if plants else {}
+
+
+_NOISE: Final = "encoder_noise"
+_TORQUE: Final = ("torque_saturation", "thermal_derating", "torque_quantisation")
+SIGNAL_EFFECTS: Final = (_NOISE, "encoder_quantisation", *_TORQUE)
+"""Their names in a scene."""
+
+
+@dataclass(frozen=True, slots=True)
+class SignalEffects:
+    """Signal effects of one plant, in the order in which they act."""
+
+    effects: tuple[ComponentSpec, ...] = ()
+
+    @classmethod
+    def of(cls, effects: Sequence[ComponentSpec]) -> "SignalEffects":
+        """Signal effects among the effects of a plant."""
+        return cls(tuple(effect for effect in effects if effect.name in SIGNAL_EFFECTS))
+
+    def at(self, sample_time: float, seed: int) -> Signals:
+        """The effects as numbers.
+
+        Args:
+            sample_time: Sample time [s].
+            seed: Seed of everything random.
+        """
+        found: dict[str, Any] = {effect.name: effect.parameters for effect in self.effects}
+        order = [effect.name for effect in self.effects if effect.name in _TORQUE]
+        noise, encoder = found.get(_NOISE), found.get("encoder_quantisation")
+        saturation, rounding = found.get("torque_saturation"), found.get("torque_quantisation")
+        warms = found.get("thermal_derating")
+        last = saturation is not None and warms is not None and order.index("thermal_derating") == 0
+        return Signals(
+            noise.deviation if noise else 0.0, seed, encoder.count if encoder else 0.0, bool(order),
+            saturation.limit if saturation else inf, last, rounding.quantum if rounding else 0.0,
+            _winding(warms, sample_time) if warms else Winding(),
+        )  # fmt: skip
+
+
+def _winding(derating: Any, sample_time: float) -> Winding:
+    return Winding(
+        derating.torque_limit, derating.thermal_resistance * derating.copper_loss, derating.ambient, derating.hot,
+        derating.hot - derating.warm, -expm1(-sample_time / derating.time_constant),
+    )  # fmt: skip
+
 
 _IN_ARRAYS: Final = ("viscous_friction", "tremor")
 """Effects whose place in the equation of motion is known here."""

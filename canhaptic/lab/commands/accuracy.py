@@ -5,10 +5,9 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from canhaptic.cli.arguments import check_page, check_picture, check_place, scene_of
+from canhaptic.cli.long_command import StopSignal, run_progress
+from canhaptic.cli.options import check_page, check_picture, check_place, scene_of
 from canhaptic.cli.output import note_file, write_file, write_json
-from canhaptic.cli.progress import run_progress
-from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.lab.studies.accuracy.study import UNITS, AccuracyStudy
 from canhaptic.scene.models import Scene
 from canhaptic.view.energy_table import make_console
@@ -52,9 +51,12 @@ def _is_of_display(scene: Scene, name: str | None) -> bool:
 
 
 def _study_display(scene: Scene, arguments: argparse.Namespace) -> int:
-    from canhaptic.lab.render.display_accuracy_picture import draw_display_accuracy, write_display_accuracy_page
-    from canhaptic.lab.studies.accuracy.display_accuracy import study_display
-    from canhaptic.lab.studies.accuracy.display_accuracy_table import display_accuracy_markdown, display_accuracy_report
+    from canhaptic.lab.render.accuracy_picture import draw_display_accuracy, write_display_accuracy_page
+    from canhaptic.lab.studies.accuracy.display_accuracy import (
+        display_accuracy_markdown,
+        display_accuracy_report,
+        study_display,
+    )
 
     with StopSignal() as stop:
         result = study_display(scene, arguments.axis, arguments.duration, stop.requested)

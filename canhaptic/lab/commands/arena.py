@@ -7,16 +7,14 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
+from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.output import note_file, write_file, write_json, write_note
-from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.lab.commands.scene_progress import scene_progress
 from canhaptic.lab.render.arena_page import write_arena_page
 from canhaptic.lab.render.arena_picture import pictures_of
-from canhaptic.lab.studies.arena.arena_cases import scenes_named
-from canhaptic.lab.studies.arena.arena_store import ArenaStore
-from canhaptic.lab.studies.arena.run_arena import ArenaPlan, run_arena
-from canhaptic.lab.studies.sweep.workers import Pool
+from canhaptic.lab.studies.arena import ArenaPlan, ArenaStore, run_arena, scenes_named
+from canhaptic.lab.studies.sweep.run_sweep import Pool
 from canhaptic.view.energy_table import make_console
 from canhaptic.view.picture_style import require_matplotlib
 from canhaptic.view.table import Table

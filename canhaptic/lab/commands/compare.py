@@ -5,13 +5,12 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
-from canhaptic.cli.arguments import check_picture, scene_of
+from canhaptic.cli.long_command import run_progress
+from canhaptic.cli.options import check_picture, scene_of
 from canhaptic.cli.output import note_file, write_json
-from canhaptic.cli.progress import run_progress
 from canhaptic.errors import InputError
-from canhaptic.lab.loop.algorithms import chosen_algorithms, own_algorithms
-from canhaptic.lab.loop.scenes import cycles_of
-from canhaptic.lab.studies.compare.comparison import compare
+from canhaptic.lab.loop.axis_loop import chosen_algorithms, cycles_of, own_algorithms
+from canhaptic.lab.studies.compare import compare
 from canhaptic.scene.models import Scene
 from canhaptic.view.energy_table import make_console
 
@@ -63,11 +62,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _compare_displays(scene: Scene, arguments: argparse.Namespace) -> int:
-    from canhaptic.lab.studies.compare.display_comparison import (
-        compare_displays,
-        display_algorithms,
-        display_comparison_report,
-    )
+    from canhaptic.lab.studies.compare import compare_displays, display_algorithms, display_comparison_report
 
     if arguments.rate is not None or arguments.png is not None:
         raise InputError("--rate, --png: for impedance displays; for admittance displays use --set bus.rate=...")
@@ -75,7 +70,7 @@ def _compare_displays(scene: Scene, arguments: argparse.Namespace) -> int:
 
 
 def _compare_groups(scene: Scene, arguments: argparse.Namespace) -> int:
-    from canhaptic.lab.studies.compare.group_comparison import compare_groups, group_algorithms, group_comparison_report
+    from canhaptic.lab.studies.compare import compare_groups, group_algorithms, group_comparison_report
 
     if not all(axis.group for axis in scene.axes):
         alone = ", ".join(axis.parameters.name for axis in scene.axes if not axis.group)

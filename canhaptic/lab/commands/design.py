@@ -2,7 +2,7 @@
 
 import argparse
 
-from canhaptic.cli.arguments import scene_of
+from canhaptic.cli.options import scene_of
 from canhaptic.cli.output import write_json
 from canhaptic.lab.commands.scene_progress import scene_progress
 from canhaptic.lab.render.design_report import design_report, snippet

@@ -5,8 +5,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from canhaptic.cli.arguments import add_allow_code, add_json, add_scene, names, seconds
-from canhaptic.cli.value_texts import PORT, budget, delays, length, rate, rates, samples, whole
+from canhaptic.cli.options import (
+    PORT,
+    add_allow_code,
+    add_json,
+    add_scene,
+    budget,
+    delays,
+    length,
+    names,
+    rate,
+    rates,
+    samples,
+    seconds,
+    whole,
+)
 
 _COUNT, _SOME, _WORKERS = whole(0, 10**9), whole(1, 10**9), whole(1, 1024)
 BUDGET: Final = 12.0
@@ -14,7 +27,7 @@ BUDGET: Final = 12.0
 TOLERANCE, MARGIN = 0.05, 0.2
 """As in `lab.studies.design.wall`, which is imported when the search begins."""
 JUDGEMENTS: Final = ("stable", "passive", "margin", "settled", "covered")
-"""As in `lab.studies.map.z_width`, which is imported when a map is drawn."""
+"""As in `lab.studies.map`, which is imported when a map is drawn."""
 
 
 def _accuracy(parser: argparse.ArgumentParser) -> None:

@@ -2,12 +2,9 @@
 
 import argparse
 
-from canhaptic.cli.arguments import check_page, check_picture
+from canhaptic.cli.options import check_page, check_picture
 from canhaptic.cli.output import note_file, write_json, write_line
-from canhaptic.lab.studies.map.field import fields_of
-from canhaptic.lab.studies.map.panel import Lines, Panel
-from canhaptic.lab.studies.map.panels import Chosen, panels_of
-from canhaptic.lab.studies.map.z_width import passing_share, usual_judgement
+from canhaptic.lab.studies.map import Chosen, Lines, Panel, fields_of, panels_of, passing_share, usual_judgement
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.logs.repair import require_readable
 

@@ -6,15 +6,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from canhaptic.cli.arguments import scene_of
+from canhaptic.cli.long_command import StopSignal
+from canhaptic.cli.options import scene_of
 from canhaptic.cli.output import note_file, write_json, write_note
-from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.errors import InputError
 from canhaptic.lab.commands.scene_progress import scene_progress
-from canhaptic.lab.studies.sweep.run_sweep import Progress, sweep
+from canhaptic.lab.studies.sweep.run_sweep import Pool, Progress, dask_executor, sweep
 from canhaptic.lab.studies.sweep.summary import summary, summary_report
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
-from canhaptic.lab.studies.sweep.workers import Pool, dask_executor
 from canhaptic.view.energy_table import make_console
 
 

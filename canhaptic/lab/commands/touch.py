@@ -3,12 +3,12 @@
 import argparse
 from typing import TYPE_CHECKING, Any, Final
 
-from canhaptic.cli.arguments import scene_of
+from canhaptic.cli.options import scene_of
 from canhaptic.cli.page_server import serve_page, usable_port
 from canhaptic.lab.touch.two_sides import two_sides
 
 if TYPE_CHECKING:
-    from canhaptic.lab.touch.hand import TouchHand
+    from canhaptic.lab.touch.hand_process import TouchHand
     from canhaptic.lab.touch.touch_page import TouchPage
     from canhaptic.scene.models import Scene
 
@@ -41,7 +41,7 @@ class _Visits:
 
     def __call__(self, document: Any) -> None:
         """Fill the document of a visitor; the drives start with the first."""
-        from canhaptic.lab.touch.hand import TouchHand
+        from canhaptic.lab.touch.hand_process import TouchHand
         from canhaptic.lab.touch.touch_page import TouchPage
 
         if self._hand is None:

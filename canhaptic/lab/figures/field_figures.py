@@ -1,7 +1,7 @@
 """The field's own figures of an algorithm on one axis: one definition each, with its source (`FIELD_FIGURES`).
 
 Comparisons with the continuous environment (errors, force variation, limit cycle, rendered stiffness) are defined in
-`figures.py`, the time of a step in `cost.py`; here are further figures of the literature on haptic rendering.
+`figures.py`, the time of a step in `axis_loop.py`; here are further figures of the literature on haptic rendering.
 """
 
 import math
@@ -60,7 +60,8 @@ FIELD_FIGURES: Final[dict[str, FieldFigure]] = {
         "mean size of the force held out of contact", "N", "figures.field_figures.drag", _COLGATE_BROWN,
     ),
     "time of a step": FieldFigure(
-        "processor time of one step in Python, interleaved with the others", "us", "loop.cost.microseconds_per_step",
+        "processor time of one step in Python, interleaved with the others", "us",
+        "loop.axis_loop.microseconds_per_step",
         "own definition",
     ),
 }  # fmt: skip

@@ -10,14 +10,25 @@ from functools import partial
 from typing import Any, Protocol
 
 from canhaptic.errors import InputError
-from canhaptic.lab.judge.event_location import SwitchedModel
-from canhaptic.lab.judge.reference_elements import POSITION, VELOCITY, Floats, ReferenceStickSlip, Transition
-from canhaptic.lab.judge.reference_model import MOTOR_WORK, USER_WORK, Model, Modes
+from canhaptic.lab.judge.reference_model import (
+    MOTOR_WORK,
+    POSITION,
+    USER_WORK,
+    VELOCITY,
+    Floats,
+    Model,
+    Modes,
+    ReferenceStickSlip,
+    Transition,
+)
+from canhaptic.lab.judge.solvers import SwitchedModel
 from canhaptic.sim.plant.mechanism import MechanismParameters
-from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
-from canhaptic.sim.plant.mechanism.linkage import (
+from canhaptic.sim.plant.mechanism.five_bar_linkage import (
+    FiveBarLinkage,
     Inertia,
     LinkagePose,
+    force_of_hand,
+    hand_pull,
     inertia_in,
     inertia_rate,
     pose_at,
@@ -26,7 +37,6 @@ from canhaptic.sim.plant.mechanism.linkage import (
     solved,
     span_rates,
 )
-from canhaptic.sim.plant.mechanism.plane_force import force_of_hand, hand_pull
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
 

@@ -1,23 +1,42 @@
-"""One algorithm on one simulated axis, without a bus: a record of every hold with the plant's true values."""
+"""One algorithm on one simulated axis, without a bus: a record of every hold with the plant's true values.
+
+Parts of a scene for a study: the loop of an axis without a bus, and the plant without a controller.
+
+An axis under another algorithm: common parameters are kept, and undeclared properties are taken from the plant.
+
+Cost of one step of an algorithm: its own run fed to a fresh controller, interleaved with the others.
+
+Times are of this machine at this moment: for comparing the columns of one table, never a pass mark.
+"""
 
 from array import array
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Final, NamedTuple, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.control.balance import Branch, EnergyBalance, residual
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
+from canhaptic.control.balance import Branch, EnergyBalance, RunningSum, add, residual
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.ledger import Ledger, LedgerSummary
-from canhaptic.control.passivity import build_controller
+from canhaptic.control.multi_axis import GROUP_ALGORITHMS
+from canhaptic.control.passivity import ALGORITHMS, build_controller
 from canhaptic.control.passivity.controller import Controller, LoopProperties
-from canhaptic.control.running_sum import RunningSum, add
-from canhaptic.errors import ControlError
-from canhaptic.scene.models import AxisSimulation
+from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.clock import WallClock
+from canhaptic.errors import ControlError, InputError, ParameterError
+from canhaptic.registry import load
+from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.display_checks import refuse_displays
+from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene
+from canhaptic.scene.parts import build_plant
+from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.direct_rig import DirectRig
-from canhaptic.sim.plant.plant import Plant
+from canhaptic.sim.plant.effects import Effect
+from canhaptic.sim.plant.plant import Plant, PlantParameters
+from canhaptic.sim.plant.user import UserParameters
 from canhaptic.units import Parameters
 
 Array = NDArray[np.float64]
@@ -210,3 +229,312 @@ def render(
     except ControlError as error:
         return taken.run("stopped", str(error))
     return taken.run()
+
+
+_DEFAULT_DURATION: Final = 5.0
+"""Duration of scenes that name none [s]."""
+_PER_MILLE: Final = 1e-3
+
+
+def cycles_of(scene: Scene, duration: float | None) -> int:
+    """SYNCs of a run of a duration [s], at least 2; for None the duration of the scene."""
+    return max(2, round((duration or scene.run.duration or _DEFAULT_DURATION) / scene.bus.sample_time))
+
+
+def require_design_room(margin: float, tolerance: float) -> None:
+    """Refuse a margin or a tolerance of a design that is out of range.
+
+    Raises:
+        InputError: One is.
+    """
+    if not 0.0 <= margin <= 10.0 or not 0.0 < tolerance < 1.0:
+        raise InputError(
+            f"got margin {margin:g} and tolerance {tolerance:g}, expected 0 <= margin <= 10, 0 < tolerance < 1"
+        )
+
+
+def require_single_axes(scene: Scene, command: str, axis: str | None = None) -> None:
+    """Refuse axes that a group of the scene moves together.
+
+    Args:
+        scene: Scene of the study.
+        command: Command of the study, for the message.
+        axis: The only axis studied; None for all.
+
+    Raises:
+        InputError: A group renders on one of them, or one is an admittance display.
+    """
+    refuse_displays(scene, command)
+    for group in scene.groups:
+        if axis is None or axis in group.axes:
+            raise InputError(
+                f"{scene.source}: group {group.name!r} renders on the axes {', '.join(group.axes)} together, expected "
+                f"axes that render by themselves: {command} judges one axis at a time; `canhaptic run` and "
+                "`canhaptic inspect` give the account of a group"
+            )
+
+
+def parts_of(scene: Scene) -> dict[str, Scene]:
+    """Independently rendering parts, axes or groups, by name, each as a scene alone."""
+    alone = {
+        axis.parameters.name: replace(scene, axes=(axis,), groups=(), mechanisms=())
+        for axis in scene.axes
+        if not axis.group
+    }
+    return alone | {group.name: _of_group(scene, group) for group in scene.groups}
+
+
+def _of_group(scene: Scene, group: GroupScene) -> Scene:
+    axes = tuple(axis for axis in scene.axes if axis.group == group.name)
+    moved = tuple(of for of in scene.mechanisms if not set(of.axes).isdisjoint(group.axes))
+    return replace(scene, axes=axes, groups=(group,), mechanisms=moved)
+
+
+def mechanism_of_group(scene: Scene) -> MechanismScene | None:
+    """Return the mechanism that the one group of a scene moves; None where each of its axes has a plant of its own.
+
+    Raises:
+        InputError: Its motors move with others.
+    """
+    (group,) = scene.groups
+    if not scene.mechanisms:
+        return None
+    (of, *others) = scene.mechanisms
+    if others or set(of.axes) != set(group.axes):
+        raise InputError(
+            f"{scene.source}: group {group.name!r} moves the axes {', '.join(group.axes)}, its mechanism "
+            f"{', '.join(of.axes)}; expected the same axes: use canhaptic run, which moves all of them"
+        )
+    return of
+
+
+def at_rate(scene: Scene, rate: float) -> Scene:
+    """The scene at another rate [Hz], without a check of the bus load.
+
+    Nor is the torque's arrival time checked: it acts in the first half of its hold at the latest.
+
+    Raises:
+        ParameterError: The rate is out of range.
+    """
+    bus = BusParameters(**{**scene.bus.model_dump(), "rate": rate})
+    return replace(scene, bus=bus, axes=tuple(axis_at(axis, bus.sample_time) for axis in scene.axes))
+
+
+def axis_at(axis: AxisScene, sample_time: float) -> AxisScene:
+    """Return an axis at another sample time [s]; its torques act in the first half of a hold at the latest."""
+    window = axis.loop.torque_window and min(axis.loop.torque_window, 0.5 * sample_time)
+    return replace(axis, loop=axis.loop.model_copy(update={"sample_time": sample_time, "torque_window": window}))
+
+
+def environment_of(axis: AxisScene) -> Environment:
+    """Return the environment of an axis; every class of `ENVIRONMENTS` is one.
+
+    Raises:
+        InputError: A group renders on it.
+    """
+    if axis.group:
+        raise InputError(
+            f"{axis.parameters.name}: group {axis.group!r} renders on this axis, expected one that renders by itself"
+        )
+    return cast(Environment, axis.environment.parameters)
+
+
+def plant_parts(axis: AxisScene) -> tuple[PlantParameters, UserParameters | None, list[Effect], int]:
+    """Return moving mass, hand, effects and seed of an axis.
+
+    Raises:
+        InputError: The axis is not simulated.
+    """
+    simulation = simulation_of(axis)
+    effects = [cast(Effect, effect.parameters) for effect in simulation.effects]
+    return simulation.plant, simulation.user, effects, simulation.seed
+
+
+def loop_case(axis: AxisScene, scene: Scene) -> LoopCase:
+    """Return an axis as a loop without a bus, with the quantisation, delay and torque limit of its scene."""
+    simulation, sample_time_ns = simulation_of(axis), scene.bus.sample_time_ns
+    rated = axis.parameters.rated_torque
+    return LoopCase(
+        environment=environment_of(axis),
+        algorithm=axis.passivity.name,
+        own=axis.passivity.own,
+        parameters=axis.passivity.parameters,
+        loop=axis.loop,
+        make_plant=lambda: build_plant(simulation, sample_time_ns),
+        simulation=simulation,
+        sample_time_ns=sample_time_ns,
+        delay=scene.bus.delay,
+        counts_per_unit=axis.parameters.counts_per_unit,
+        torque_quantum=None if rated is None else rated * _PER_MILLE,
+        torque_limit=axis.parameters.torque_limit,
+        device_damping=_device_damping(axis),
+        device_friction=sum(float(getattr(effect.parameters, "kinetic", 0.0)) for effect in simulation.effects),
+    )
+
+
+def _device_damping(axis: AxisScene) -> float:
+    """Declared damping of the device, else that of the simulated plant."""
+    if axis.loop.device_damping is not None:
+        return axis.loop.device_damping
+    if axis.simulation is None:
+        return 0.0
+    return axis.simulation.plant.damping + viscous_friction(axis.simulation)
+
+
+def viscous_friction(simulation: AxisSimulation) -> float:
+    """Return the damping that effects add to that of the plant [N*s/m or N*m*s/rad]."""
+    viscous = (effect.parameters for effect in simulation.effects if effect.name == "viscous_friction")
+    return sum((float(getattr(effect, "damping", 0.0)) for effect in viscous), 0.0)
+
+
+PLANT_OF: Final = {"moving_mass": "mass", "device_damping": "damping", "device_damping_bound": "damping"}
+"""Property of the loop -> parameter of the simulated plant that is its true value."""
+
+
+class _AbleAxis(NamedTuple):
+    """An axis completed with the properties that its algorithm needs."""
+
+    axis: AxisScene
+    from_plant: tuple[str, ...] = ()  # properties of its loop that the scene does not declare, taken from the plant
+
+    @property
+    def remark(self) -> str:
+        """Properties taken from the plant, in words; "" for none."""
+        shown = [f"{key} {getattr(self.axis.loop, key):g}" for key in self.from_plant if key != "device_damping_bound"]
+        return f"from the plant: {', '.join(shown)}" if self.from_plant else ""
+
+
+def own_algorithms(scene: Scene) -> list[str]:
+    """Names of the user's own algorithms in a scene."""
+    return list(dict.fromkeys(axis.passivity.name for axis in scene.axes if axis.passivity.own is not None))
+
+
+def chosen_algorithms(algorithms: Sequence[str] | None, own: Sequence[str] = ()) -> list[str]:
+    """Requested names, each known; for None all of them, the one for real rigs first.
+
+    Args:
+        algorithms: Requested names.
+        own: Names of the user's own algorithms, also permitted; for None they come first.
+
+    Raises:
+        ParameterError: One is unknown.
+    """
+    chosen = list(dict.fromkeys(algorithms or (*own, "guarded", *ALGORITHMS)))
+    for name in chosen:
+        if name in own:
+            continue
+        load(ALGORITHMS, name, "passivity algorithm")
+    return chosen
+
+
+def with_algorithm(axis: AxisScene, name: str) -> AxisScene:
+    """An axis under another algorithm, with the common parameters (alpha, velocity, ...) kept."""
+    if axis.passivity.name == name:
+        return axis
+    model: type[Parameters] = load(ALGORITHMS, name, "passivity algorithm").parameters_type
+    given = axis.passivity.parameters
+    common = {key: getattr(given, key) for key in model.model_fields if key in type(given).model_fields}
+    return replace(axis, passivity=ComponentSpec(name, model().model_copy(update=common)))
+
+
+def group_under(group: GroupScene, name: str) -> GroupScene:
+    """A group under another algorithm, with the common parameters kept."""
+    if group.passivity.name == name:
+        return group
+    model = load(GROUP_ALGORITHMS, name, "group algorithm").parameters_type
+    given = group.passivity.parameters
+    common = {key: getattr(given, key) for key in model.model_fields if key in type(given).model_fields}
+    return replace(group, passivity=ComponentSpec(name, model().model_copy(update=common)))
+
+
+def display_under(axis: AxisScene, name: str) -> AxisScene:
+    """An admittance display under another algorithm, with defaults where it differs from the scene's.
+
+    Raises:
+        ParameterError: The algorithm needs parameters that the scene does not give.
+    """
+    if axis.passivity.name == name:
+        return axis
+    model = load(DISPLAY_ALGORITHMS, name, "admittance algorithm").parameters_type
+    return replace(axis, passivity=_with_defaults(name, model, "compare a scene with it"))
+
+
+def display_group_under(group: GroupScene, name: str) -> GroupScene:
+    """Return a group of admittance displays under another algorithm; see `display_under`."""
+    if group.passivity.name == name:
+        return group
+    model = load(DISPLAY_GROUP_ALGORITHMS, name, "algorithm of several admittance displays").parameters_type
+    return replace(group, passivity=_with_defaults(name, model, "study a scene with it"))
+
+
+def _with_defaults(name: str, model: type[Parameters], remedy: str) -> ComponentSpec:
+    try:
+        return ComponentSpec(name, model())
+    except ValueError as error:
+        raise ParameterError(f"{name}: needs parameters that the scene does not give; {remedy}") from error
+
+
+def _with_known_plant(axis: AxisScene) -> _AbleAxis:
+    """An axis with undeclared properties of its algorithm taken from the simulated plant."""
+    plant = simulation_of(axis).plant
+    from_plant = tuple(key for key in PLANT_OF if getattr(axis.loop, key) is None)
+    values = {key: getattr(plant, PLANT_OF[key]) for key in from_plant}
+    return _AbleAxis(replace(axis, loop=axis.loop.model_copy(update=values)), from_plant)
+
+
+def able_under(axis: AxisScene, name: str, scene: Scene) -> _AbleAxis:
+    """An axis under an algorithm, with indispensable properties taken from the plant where undeclared.
+
+    Raises:
+        ParameterError: It cannot be built even so.
+    """
+    chosen = _AbleAxis(with_algorithm(axis, name))
+    try:
+        loop_case(chosen.axis, scene).controller()
+    except ParameterError:
+        chosen = _with_known_plant(chosen.axis)
+        loop_case(chosen.axis, scene).controller()
+    return chosen
+
+
+_Block = list[tuple[float, float]]
+"""(position, torque applied) of each step; of a group a list of each."""
+
+_STEPS: Final = 2000
+"""Steps of one timing, from the middle of a run, where contacts are."""
+_BLOCK: Final = 250
+"""Steps between two readings of the clock: short enough that some repeat of each block is not interrupted."""
+
+
+def microseconds_per_step(cases: Mapping[str, tuple[Case, LoopRun]], repeats: int) -> dict[str, float]:
+    """Return the time of a step [us]: each block of steps at its least over interleaved repeats.
+
+    Args:
+        cases: Algorithm -> its case and the run that it is fed with; one without steps is left out.
+        repeats: Repeats of each, in turn A B C A B C, so that a drifting machine affects all alike.
+    """
+    blocks = {name: _blocks(run) for name, (_, run) in cases.items() if run.position.size}
+    best = {name: [float("inf")] * len(of_run) for name, of_run in blocks.items()}
+    for _ in range(repeats):
+        for name, of_run in blocks.items():
+            times = _times(cases[name][0].controller().step, of_run)
+            best[name] = [min(pair) for pair in zip(best[name], times, strict=True)]
+    steps = {name: sum(len(block) for block in of_run) for name, of_run in blocks.items()}
+    return {name: sum(times) * 1e-3 / steps[name] for name, times in best.items()}
+
+
+def _times(step: Callable[[float, float], object], blocks: Sequence[_Block]) -> list[int]:
+    clock, times = WallClock(), []
+    for block in blocks:
+        begin = clock.now()
+        for position, torque in block:
+            step(position, torque)
+        times.append(clock.now() - begin)
+    return times
+
+
+def _blocks(run: LoopRun) -> list[_Block]:
+    begin = max(0, (len(run.position) - _STEPS) // 2)
+    part = slice(begin, begin + _STEPS)
+    pairs = list(zip(run.position[part].tolist(), run.torque[part].tolist(), strict=True))
+    return [pairs[start : start + _BLOCK] for start in range(0, len(pairs), _BLOCK)]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.control.balance import RANKS, Certificate, EnergyBalance
-from canhaptic.drive.profile.force_channel import ForceChannel
+from canhaptic.drive.profile.display_parameters import ForceChannel
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.lab.loop.axis_loop import FURTHEST, Array
 from canhaptic.scene.models import AxisScene, Scene

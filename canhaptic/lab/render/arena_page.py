@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from canhaptic.lab.figures.field_figures import FIELD_FIGURES
 from canhaptic.lab.render.arena_picture import Found, pictures_of
-from canhaptic.lab.studies.arena.standings import COLUMNS
+from canhaptic.lab.studies.arena import COLUMNS
 from canhaptic.view.html_page import picture, words, write_page
 from canhaptic.view.table import Cell, Styled, Table, shown
 

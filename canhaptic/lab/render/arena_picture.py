@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
-from canhaptic.view.picture_style import drawing, save_picture
+from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, drawing, save_picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

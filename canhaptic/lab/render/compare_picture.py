@@ -15,11 +15,19 @@ from numpy.typing import NDArray
 from canhaptic.axis_units import effort_unit
 from canhaptic.errors import InputError
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
-from canhaptic.lab.reference.continuous_reference import ContinuousReference
-from canhaptic.lab.studies.compare.comparison import AxisComparison, Comparison
-from canhaptic.view.decimate import decimate
-from canhaptic.view.palette import BLUE, GREEN, PALE, VERMILION
-from canhaptic.view.picture_style import axis_scale, drawing, require_matplotlib, save_picture
+from canhaptic.lab.reference import ContinuousReference
+from canhaptic.lab.studies.compare import AxisComparison, Comparison
+from canhaptic.view.picture_style import (
+    BLUE,
+    GREEN,
+    PALE,
+    VERMILION,
+    axis_scale,
+    drawing,
+    require_matplotlib,
+    save_picture,
+)
+from canhaptic.view.series import decimate
 from canhaptic.view.si import si
 
 if TYPE_CHECKING:

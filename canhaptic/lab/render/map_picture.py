@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from canhaptic.lab.studies.map.panel import Cells, Lines, Panel, common_limits
+from canhaptic.lab.studies.map import Cells, Lines, Panel, common_limits
 from canhaptic.view.html_page import picture, words, write_page
 from canhaptic.view.picture_style import drawing, save_picture
 from canhaptic.view.table import Cell, Table

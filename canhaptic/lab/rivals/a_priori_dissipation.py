@@ -27,20 +27,18 @@ from typing import Any, Literal
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.hold_account import Hold, HoldAccount
 from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.control.passivity.storage import (
+from canhaptic.control.passivity.stored_model import (
     Storage,
+    StoredModelParameters,
+    StoredModelSettings,
+    StoredModelState,
     approximate,
+    dissipation,
     empty,
     entered_by,
     is_deadlocked,
     pushed_inward,
     start,
-)
-from canhaptic.control.passivity.stored_model import (
-    StoredModelParameters,
-    StoredModelSettings,
-    StoredModelState,
-    dissipation,
     stored_model_kernel,
 )
 

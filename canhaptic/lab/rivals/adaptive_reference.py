@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated
 
+from canhaptic.control.balance import add
 from canhaptic.control.passivity.hold_account import Hold
 from canhaptic.control.passivity.passivity_observer import (
     ObserverState,
@@ -23,7 +24,6 @@ from canhaptic.control.passivity.passivity_observer import (
 )
 from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun, sampled_kernel
 from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.control.running_sum import add
 from canhaptic.kernels import new
 from canhaptic.units import quantity
 

@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from math import copysign, inf
 from typing import Annotated, Any
 
+from canhaptic.control.balance import add
+from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import Hold
@@ -31,8 +33,6 @@ from canhaptic.control.passivity.sampled_model import (
     sampled_settings,
 )
 from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.control.running_sum import add
-from canhaptic.control.velocity import DamperVelocity
 from canhaptic.kernels import new
 from canhaptic.units import quantity
 

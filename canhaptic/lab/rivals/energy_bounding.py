@@ -15,11 +15,11 @@ needs one torque in a hold: where an older one acts in a part of it (window, lag
 from dataclasses import dataclass, field
 from math import inf, sqrt
 
-from canhaptic.control.balance import Certificate
+from canhaptic.control.balance import Certificate, RunningSum, add
+from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import Hold, hold_settings
-from canhaptic.control.passivity.in_flight import towards_zero
 from canhaptic.control.passivity.sampled_model import (
     Asked,
     Reply,
@@ -28,9 +28,7 @@ from canhaptic.control.passivity.sampled_model import (
     SampledState,
     sampled_kernel,
 )
-from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.control.running_sum import RunningSum, add
-from canhaptic.control.velocity import DamperVelocity
+from canhaptic.control.passivity.stepped import SteppedController, towards_zero
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, new
 

@@ -19,10 +19,10 @@ power out of the tank. The motion of a hold is not known beforehand, so that it 
 from dataclasses import dataclass
 from typing import Annotated
 
+from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.passivity.hold_account import Hold
 from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun, SampledState, sampled_kernel
 from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.control.velocity import DamperVelocity
 from canhaptic.kernels import Buffer, new
 from canhaptic.units import quantity
 

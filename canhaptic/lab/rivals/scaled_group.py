@@ -6,41 +6,572 @@ L holds the damper efforts that were inside the torques applied in that very hol
 dissipated inside the network. Of one axis with spring and damper it is `passivity.internal_dissipation` to rounding,
 start by eq. 14, exact and sticky root, eq. 18 where there is none, exit. The state creeps away from that of the model,
 and no torque is limited: `guarded` is more accurate, and certified.
+
+The scalar balance of a scaled step: the share of a state change that the energy of a hold pays for.
+
+    H(x + l s) - H(x) + l L = H_m
+
+H is convex along most steps but not along all (double wells), so the root is bracketed first and then found by Newton
+steps that fall back to halving the bracket. In every case at most `_EVALUATIONS` evaluations are made; the caller books
+the remaining energy, so that an early end costs fidelity and never energy.
+
+State of a network that holds only received energy: every change of it balances the energy of a hold.
 """
 
-from math import sqrt
-from typing import ClassVar, NamedTuple
+from dataclasses import dataclass, field
+from math import inf, isnan, sqrt
+from typing import ClassVar, Final, NamedTuple
 
-from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
-from canhaptic.control.multi_axis.group_commands import (
+from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
+from canhaptic.control.damping import Alpha, modulated_damping
+from canhaptic.control.multi_axis.group_kernel import (
+    Group,
+    GroupHold,
     GroupHolds,
+    GroupKernel,
+    GroupLoop,
+    GroupMemory,
+    SteppedGroup,
     end_holds,
+    group_loop,
+    group_memory,
     next_place,
     norm,
     send_nothing,
     torque_held,
 )
-from canhaptic.control.multi_axis.group_kernel import (
-    GroupHold,
-    GroupKernel,
-    GroupLoop,
-    group_loop,
-    group_memory,
-)
-from canhaptic.control.multi_axis.group_motion import World, begin_motion, move
-from canhaptic.control.multi_axis.stepped_group import SteppedGroup
+from canhaptic.control.multi_axis.group_motion import World, begin_motion, move, to_motors
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.recovery import Alpha, modulated_damping
-from canhaptic.kernels import Buffer, list_of_zeros, new
-from canhaptic.lab.rivals.scaled_state import (
-    ScaledGroupMemory,
-    ScaledGroupState,
-    begin_state,
-    exchange,
-    paid_memory,
-    write_state_efforts,
+from canhaptic.control.passivity.hold_account import HoldAccount
+from canhaptic.control.passivity.stored_model import solve_balance
+from canhaptic.control.port_hamiltonian.network import NetworkTables, discrete_gradient, extension, gradient
+from canhaptic.control.port_hamiltonian.sampled_network import (
+    begin_network,
+    dampers,
+    place_state,
+    propose,
+    settle_network,
+    share_inside,
+    springs,
 )
+from canhaptic.control.port_hamiltonian.storages import Functions
+from canhaptic.kernels import Buffer, list_of_zeros, new
 from canhaptic.units import Parameters
+
+EVALUATIONS: Final = 60
+"""Most evaluations of the energy in one balance."""
+_SEARCH: Final = 20
+"""Evaluations for the bracket; halving has the rest."""
+_PIECES: Final = 8
+"""Pieces of a step, searched for a place that takes up the energy received where the end of the step does not."""
+FURTHEST: Final = 2.0
+"""Largest share of a step, in either direction; what more energy would need is left over."""
+_ROUNDING: Final = 1e-15
+
+
+class StepScaling(NamedTuple):
+    """A share of the step."""
+
+    share: float
+    found: bool  # False: nothing balances; `share` is where the most is given, or the end where the most is taken
+    evaluations: int
+
+
+class LineMemory(NamedTuple):
+    """A line of states x + l s, and its work arrays; shapes (states,)."""
+
+    state: Buffer  # x
+    step: Buffer  # s
+    moved: Buffer
+    efforts: Buffer
+    slopes: Buffer
+
+
+def line_memory(states: int) -> LineMemory:
+    """Return empty buffers."""
+    return LineMemory(*[list_of_zeros(states) for _ in range(5)])
+
+
+def taken(
+    tables: NetworkTables, functions: Functions, line: LineMemory, loss: float, share: float
+) -> tuple[float, float]:
+    """Return the energy that a share of the step takes up, l L included, and its slope [J].
+
+    Without cancellation: H(x + l s) - H(x) = l s . e_dg(x, x + l s).
+    """
+    moved, efforts, step, state = line.moved, line.efforts, line.step, line.state
+    for i in range(len(step)):
+        moved[i] = share * step[i]
+    discrete_gradient(tables, state, moved, efforts, line.slopes)
+    if tables.by_functions:
+        functions.add_discrete_gradient(state, moved, efforts)
+    energy = loss * share
+    for i in range(len(step)):
+        energy += efforts[i] * moved[i]
+        moved[i] += state[i]
+    gradient(tables, moved, efforts)
+    if tables.by_functions:
+        functions.add_gradient(moved, efforts)
+    slope = loss
+    for i in range(len(step)):
+        slope += efforts[i] * step[i]
+    return energy, slope
+
+
+def stiffness_along(tables: NetworkTables, line: LineMemory) -> float:
+    """Return s . H'' s [J] where the energy is quadratic along the line while its storages stay engaged, else -1."""
+    total = 0.0
+    if tables.by_functions:
+        return -1.0
+    for i in range(len(line.step)):
+        s, x = line.step[i], line.state[i]
+        if s == 0.0 or (tables.stiffness[i] == 0.0 and tables.hardening[i] == 0.0):
+            continue
+        if tables.hardening[i] != 0.0:
+            return -1.0
+        inside_edges = tables.lower[i] < x < tables.upper[i]  # at an edge: emptied, and touched all the same
+        if inside_edges and extension(tables, i, x) == 0.0:
+            if extension(tables, i, x + FURTHEST * s) != 0.0 or extension(tables, i, x - FURTHEST * s) != 0.0:
+                return -1.0
+            continue
+        total += tables.stiffness[i] * s * s
+    if tables.coupled:
+        for i in range(len(line.step)):
+            row, along = tables.quadratic[i], 0.0
+            for j in range(len(line.step)):
+                along += row[j] * line.step[j]
+            total += line.step[i] * along
+    return max(total, 0.0)
+
+
+def solve_scale(
+    tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, limit: float
+) -> StepScaling:
+    """Return the share l nearest 0, |l| <= limit, that takes up an energy together with a loss in proportion to it.
+
+    Args:
+        tables: The network.
+        functions: Energies given as functions.
+        line: Line along which its state moves.
+        energy: H_m, the energy that the model received [J].
+        loss: L, what its dissipators take with l = 1 [J].
+        limit: Largest |l|.
+    """
+    stiffness = stiffness_along(tables, line)
+    if stiffness < 0.0:
+        tolerance = _ROUNDING * (abs(energy) + abs(loss))
+        return search_scale(tables, functions, line, energy, loss, limit, tolerance)
+    square = 0.0
+    for s in line.step:
+        square += s * s
+    length = sqrt(square)  # along a unit step: of one state, eq. 16 itself
+    if length == 0.0:
+        return new(StepScaling, (0.0, energy >= 0.0, 1))
+    slope = taken(tables, functions, line, loss, 0.0)[1]
+    change = solve_balance(stiffness / (length * length), slope / length, energy, length)
+    if isnan(change):
+        return new(StepScaling, (0.0, False, 1))
+    share = change / length
+    if abs(share) > limit and energy > 0.0:
+        share = limit if share > 0.0 else -limit
+    return new(StepScaling, (share, True, 1))
+
+
+def search_scale(
+    tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, limit: float,
+    tolerance: float,
+) -> StepScaling:  # fmt: skip
+    """Return `solve_scale` of an energy that is not quadratic; `tolerance` is its rounding [J]."""
+    if abs(energy) <= tolerance:
+        return new(StepScaling, (0.0, True, 0))
+    slope = taken(tables, functions, line, loss, 0.0)[1]
+    if slope == 0.0 and energy < 0.0:
+        return new(StepScaling, (0.0, False, 1))
+    far = limit if (slope > 0.0) == (energy > 0.0) or slope == 0.0 else -limit
+    end, found, evaluations = (
+        bracket_upwards(tables, functions, line, energy, loss, far)
+        if energy > 0.0
+        else bracket_downwards(tables, functions, line, energy, loss, far)
+    )
+    if not found:
+        return new(StepScaling, (end, False, evaluations + 1))
+    return root_between(tables, functions, line, energy, loss, tolerance, end, evaluations + 1)
+
+
+def bracket_upwards(
+    tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, far: float
+) -> tuple[float, bool, int]:
+    """Return a place towards `far` that takes up at least an energy > 0, whether there is one, and evaluations."""
+    if taken(tables, functions, line, loss, far)[0] >= energy:
+        return far, True, 1
+    for piece in range(1, _PIECES):
+        place = far * piece / _PIECES
+        if taken(tables, functions, line, loss, place)[0] >= energy:
+            return place, True, piece + 1
+    return far, False, _PIECES
+
+
+def bracket_downwards(
+    tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, far: float
+) -> tuple[float, bool, int]:
+    """Return a place that gives at least -energy, from 0 towards the lowest place before `far`.
+
+    Returns:
+        The place, or the one of the largest release; whether it suffices; evaluations.
+    """
+    near, here, least, best, evaluations = 0.0, far, 0.0, 0.0, 0
+    for _ in range(_SEARCH):
+        here_energy, here_slope = taken(tables, functions, line, loss, here)
+        evaluations += 1
+        if here_energy < least:
+            least, best = here_energy, here
+        if here_energy <= energy:
+            return here, True, evaluations
+        if here_slope * far < 0.0 and here_energy <= least:
+            if here == far:
+                break
+            near = here
+        else:
+            far = here
+        here = 0.5 * (near + far)
+    return best, False, evaluations
+
+
+def root_between(
+    tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, tolerance: float,
+    far: float, evaluations: int,
+) -> StepScaling:  # fmt: skip
+    """Return the share between 0, which takes up too little of the energy, and `far`, with enough of it."""
+    near, share, width = 0.0, far, abs(far)
+    if energy > 0.0:
+        slope = taken(tables, functions, line, loss, 0.0)[1]
+        evaluations += 1
+        if slope * far > 0.0 and abs(energy / slope) < abs(far):
+            share = energy / slope
+    while evaluations < EVALUATIONS:
+        found, slope = taken(tables, functions, line, loss, share)
+        evaluations += 1
+        missing = energy - found
+        if abs(missing) <= tolerance:
+            break
+        if (missing > 0.0) == (energy > 0.0):
+            near = share
+        else:
+            far = share
+        following = share + missing / slope if slope != 0.0 else inf
+        if not min(near, far) < following < max(near, far) or abs(following - share) > 0.5 * width:
+            following = 0.5 * (near + far)
+        width = abs(following - share)
+        if following == share:
+            break
+        share = following
+    return new(StepScaling, (share, True, evaluations))
+
+
+_START, _EXACT, _STICKY = Branch.START.value, Branch.EXACT.value, Branch.STICKY.value
+_FALLBACK, _DEPLETED = Branch.FALLBACK.value, Branch.DEPLETED.value
+_EXIT, _FREE = Branch.EXIT.value, Branch.FREE.value
+_STATE_ROUNDING: Final = 1e-12  # of the energy at hand: below it a rest is rounding, not a leak
+
+
+@dataclass(slots=True)
+class PaidState:
+    """Stored energy, and the state of the paper's flow chart (Fig. 6)."""
+
+    h_s: float = 0.0  # energy stored at the state, computed from it [J]
+    engaged: bool = False  # whether anything can be felt
+    pace: float = 0.0  # size of the last change of state over the step of the model: its velocity over the measured one
+    blind: int = 0  # holds for which a start goes on
+    touched: bool = False  # whether the model was in contact
+
+
+@dataclass(slots=True)
+class ScaledGroupState:
+    """State kept from SYNC to SYNC."""
+
+    h_dis: float = 0.0  # surplus still to be dissipated [J]
+    group: Group = field(default_factory=Group)
+    paid: PaidState = field(default_factory=PaidState)
+
+
+class PaidMemory(NamedTuple):
+    """Buffers of the state; shapes (states,) and (ports,)."""
+
+    line: LineMemory
+    model: Buffer  # state of the model
+    rest: Buffer  # change of state that takes every storage back to its edge
+    efforts: Buffer
+    ports: Buffer  # motion of the ports in one hold [m or rad]
+    whole: Buffer  # efforts at the ports [N or N*m]
+
+
+class ScaledGroupMemory(NamedTuple):
+    """Buffers of a group."""
+
+    group: GroupMemory
+    paid: PaidMemory
+    previous: Buffer  # displacement of the hold before, (axes,) [rad or m]
+    spring: Buffer  # efforts to be sent, (axes,) [N*m or N]
+    damper: Buffer
+
+
+def paid_memory(tables: NetworkTables) -> PaidMemory:
+    """Return empty buffers."""
+    states, ports = len(tables.stiffness), len(tables.gain[0])
+    return PaidMemory(
+        line_memory(states), *[list_of_zeros(states) for _ in range(3)], *[list_of_zeros(ports) for _ in range(2)]
+    )  # fmt: skip
+
+
+def begin_state(world: World, state: ScaledGroupState, memory: ScaledGroupMemory) -> None:
+    """Take the first coordinates: strain there stores energy that no port supplied, and is released."""
+    paid, motion, followed = state.paid, state.group.motion, memory.group.motion.network
+    paid.h_s, paid.engaged, paid.pace, paid.blind, paid.touched = 0.0, False, 0.0, 0, False
+    if not motion.located:
+        return
+    begin_network(world.tables, world.functions, motion.network, followed, memory.group.motion.coordinates)
+    for i in range(len(followed.state)):
+        followed.state[i] -= extension(world.tables, i, followed.state[i])
+    settle_network(world.tables, world.functions, motion.network, followed)
+    paid.h_s = motion.network.energy
+    write_model(world, state, memory)
+    paid.touched = touches(world.tables, memory.paid)
+
+
+def exchange(
+    world: World,
+    state: ScaledGroupState,
+    memory: ScaledGroupMemory,
+    delay: int,
+    h_m: float,
+    damped: float,
+    power: float,
+) -> HoldAccount:
+    """Book a hold whose motion `group_motion.move` has taken.
+
+    Args:
+        world: Network and kinematics of the group.
+        state: State of the group; changed.
+        memory: Buffers of the group.
+        delay: Whole holds between computation and action.
+        h_m: Energy that the model received [J].
+        damped: Damper efforts inside the torques applied, times the displacements [J].
+        power: The same efforts times the velocities they came from, times the hold (eq. 18) [J].
+    """
+    paid, motion, followed = state.paid, state.group.motion, memory.group.motion
+    if not motion.located or motion.began:
+        available = paid.h_s + h_m
+        begin_state(world, state, memory)
+        rest = available - paid.h_s
+        return new(HoldAccount, (_EXIT, 0.0, 0.0, max(0.0, -rest), max(0.0, rest)))
+    propose(
+        world.tables, world.functions, motion.network, followed.network, followed.displacement, motion.elapsed
+    )  # fmt: skip
+    write_model(world, state, memory)
+    touching, touched = touches(world.tables, memory.paid), paid.touched
+    entered, left = touching and not touched, touched and not touching
+    paid.touched = touching
+    starts = touching and (entered or paid.blind > 0 or (paid.h_s == 0.0 and paid.pace == 0.0))
+    if starts and not entered and not is_pushed_inward(world, memory):
+        paid.blind, starts = 0, False
+    if starts:
+        account = start(world, state, memory, delay, h_m, entered)
+    else:
+        account = balance(world, state, memory, h_m, damped, power)
+    return leave(world, state, memory, account, touching, left or h_m != 0.0)
+
+
+def start(
+    world: World, state: ScaledGroupState, memory: ScaledGroupMemory, delay: int, h_m: float, entered: bool
+) -> HoldAccount:
+    """First-order start (eq. 14): the state is the model's, and the energy for it is created.
+
+    After it the user feels no torque before `delay` more holds have ended; until then it goes on.
+    """
+    paid, network, followed = state.paid, state.group.motion.network, memory.group.motion.network
+    model = memory.paid.model
+    paid.blind = delay if entered or paid.blind == 0 else paid.blind - 1
+    available = paid.h_s + h_m
+    paid.pace = share_inside(world.tables, followed.room, model) if entered else 1.0
+    for i in range(len(model)):
+        followed.state[i] = model[i]
+    settle_network(world.tables, world.functions, network, followed)
+    paid.h_s = h_s = network.energy
+    return new(HoldAccount, (_START, 0.0, max(0.0, h_s - available), 0.0, max(0.0, available - h_s)))
+
+
+def lay_line(memory: ScaledGroupMemory, step: Buffer) -> None:
+    """Set the line from the state along a step."""
+    line, state = memory.paid.line, memory.group.motion.network.state
+    for i in range(len(state)):
+        line.state[i], line.step[i] = state[i], step[i]
+
+
+def balance(
+    world: World, state: ScaledGroupState, memory: ScaledGroupMemory, h_m: float, damped: float, power: float
+) -> HoldAccount:
+    """Solve the scalar balance and take its step; eq. 18 where there is no solution."""
+    tables, functions, line, before = world.tables, world.functions, memory.paid.line, state.paid.h_s
+    step = memory.group.motion.network.room.step
+    lay_line(memory, step)
+    loss = damped + state.group.motion.network.internal
+    scale = solve_scale(tables, functions, line, h_m, loss, FURTHEST)
+    if scale.found and loss * scale.share < 0.0:
+        loss = 0.0
+        scale = solve_scale(tables, functions, line, h_m, 0.0, FURTHEST)
+    share = scale.share
+    if not scale.found and h_m <= 0.0:
+        return approximate(world, state, memory, h_m, power, share)
+    is_sticky = h_m > 0.0 and taken(tables, functions, line, 0.0, 0.0)[1] * share < 0.0
+    take(world, state, memory, share, step)
+    return settle_state(world, state, memory, _STICKY if is_sticky else _EXACT, before + h_m, loss * share, share)
+
+
+def approximate(
+    world: World, state: ScaledGroupState, memory: ScaledGroupMemory, h_m: float, power: float, deepest: float
+) -> HoldAccount:
+    """Dissipate the last velocity's loss, as far as available; the state relaxes to the remaining energy (eq. 18).
+
+    Where that frees too little, the step is taken to its largest energy release, and the rest is a deficit.
+    """
+    tables, functions, followed, h_s = world.tables, world.functions, memory.group.motion.network, state.paid.h_s
+    line, rest, model, available = memory.paid.line, memory.paid.rest, followed.room.step, h_s + h_m
+    h_r = min(max(0.0, power), max(0.0, available))
+    left, is_empty = max(0.0, available) - h_r, available <= 0.0
+    for i in range(len(rest)):
+        rest[i] = -extension(tables, i, followed.state[i])
+    lay_line(memory, rest)
+    sunk = solve_scale(tables, functions, line, left - h_s, 0.0, 1.0)
+    share, sinks = (sunk.share, True) if sunk.found else (deepest, False)
+    is_bottom = left <= _STATE_ROUNDING * h_s  # a double root, not to be searched for
+    if is_bottom and taken(tables, functions, line, 0.0, 1.0)[0] <= (_STATE_ROUNDING - 1.0) * h_s:
+        share, sinks = 1.0, True
+    square = along = 0.0
+    for i in range(len(model)):
+        change = share * (rest[i] if sinks else model[i])
+        line.step[i] = change
+        square += model[i] * model[i]
+        along += change * model[i]
+    take(world, state, memory, 1.0, line.step)
+    pace = along / square if square > 0.0 and not is_empty else 0.0
+    return settle_state(world, state, memory, _DEPLETED if is_empty else _FALLBACK, available, h_r, pace)
+
+
+def take(world: World, state: ScaledGroupState, memory: ScaledGroupMemory, share: float, step: Buffer) -> None:
+    """Change the state by a share of a step; it does not cross to the other side of a wall that the model touches."""
+    tables, found, model = world.tables, memory.group.motion.network.state, memory.paid.model
+    write_model(world, state, memory)
+    for i in range(len(found)):
+        found[i] += share * step[i]
+    for i in tables.edged:
+        true = extension(tables, i, model[i])
+        if true * extension(tables, i, found[i]) <= 0.0 and true != 0.0:
+            found[i] = tables.upper[i] if true > 0.0 else tables.lower[i]
+
+
+def settle_state(
+    world: World,
+    state: ScaledGroupState,
+    memory: ScaledGroupMemory,
+    branch: int,
+    available: float,
+    h_r: float,
+    pace: float,
+) -> HoldAccount:
+    """Take the energy of the state; book its excess or shortfall."""
+    network = state.group.motion.network
+    settle_network(world.tables, world.functions, network, memory.group.motion.network)
+    state.paid.h_s = h_s = network.energy
+    state.paid.pace = pace
+    rest = available - h_r - h_s
+    if abs(rest) <= _STATE_ROUNDING * max(abs(available), h_r, h_s):
+        rest = 0.0
+    return new(HoldAccount, (branch, h_r, 0.0, max(0.0, -rest), max(0.0, rest)))
+
+
+def leave(
+    world: World,
+    state: ScaledGroupState,
+    memory: ScaledGroupMemory,
+    account: HoldAccount,
+    touching: bool,
+    exchanged: bool,
+) -> HoldAccount:
+    """Leak the energy of storages that the model no longer touches."""
+    tables, paid, motion = world.tables, state.paid, state.group.motion
+    followed, model = memory.group.motion.network, memory.paid.model
+    branch, h_r, gen, deficit, leak = account
+    if not tables.moving:
+        before = motion.network.energy
+        write_model(world, state, memory)
+        for i in tables.edged:
+            if extension(tables, i, model[i]) == 0.0:
+                upper, lower = tables.upper[i], tables.lower[i]
+                followed.state[i] = upper if abs(model[i] - upper) <= abs(model[i] - lower) else lower
+        settle_network(tables, world.functions, motion.network, followed)
+        paid.h_s = motion.network.energy
+        leak = leak + before - motion.network.energy
+    paid.engaged = touching and motion.limit == 0
+    if not touching:
+        paid.pace, paid.blind = 0.0, 0
+        branch = _EXIT if exchanged or leak != 0.0 else _FREE
+    return new(HoldAccount, (branch, h_r, gen, deficit, leak))
+
+
+def write_model(world: World, state: ScaledGroupState, memory: ScaledGroupMemory) -> None:
+    """Write the state of the model: at the ports, or a whole step further."""
+    followed, model = memory.group.motion.network, memory.paid.model
+    if world.tables.moving or not state.group.motion.located:
+        for i in range(len(model)):
+            model[i] = followed.state[i] + followed.room.step[i]
+    else:
+        place_state(world.tables, followed, memory.group.motion.coordinates, model)
+
+
+def touches(tables: NetworkTables, memory: PaidMemory) -> bool:
+    """Return whether the model is in contact."""
+    if tables.always or len(tables.edged) == 0:
+        return True
+    for i in tables.edged:
+        if extension(tables, i, memory.model[i]) != 0.0:
+            return True
+    return False
+
+
+def is_pushed_inward(world: World, memory: ScaledGroupMemory) -> bool:
+    """Return True when the step stores energy at the model's state, or when nothing opposes it there."""
+    tables, efforts, step = world.tables, memory.paid.efforts, memory.group.motion.network.room.step
+    gradient(tables, memory.paid.model, efforts)
+    if tables.by_functions:
+        world.functions.add_gradient(memory.paid.model, efforts)
+    along, moves = 0.0, False
+    for i in range(len(step)):
+        along += efforts[i] * step[i]
+        if step[i] != 0.0:
+            moves = True
+    return along > 0.0 or (along == 0.0 and moves)
+
+
+def write_state_efforts(world: World, state: ScaledGroupState, memory: ScaledGroupMemory) -> float:
+    """Write springs and dampers at the motors and their sum at the ports; return the dampers' power in a hold [J]."""
+    motion, followed, tables = state.group.motion, memory.group.motion, world.tables
+    holds, ports, network = motion.holds, memory.paid.ports, followed.network
+    for j in range(len(ports)):
+        ports[j] = state.paid.pace * followed.displacement[j] / holds
+    for j in range(len(network.room.engaged)):
+        network.room.engaged[j] = 1.0
+    write_model(world, state, memory)
+    spring, damper = followed.spring_at_ports, followed.damper_at_ports
+    dampers(tables, network, ports, motion.elapsed / holds, memory.paid.model, damper)
+    springs(tables, world.functions, network, 0.0, 1, ports, spring, followed.lead_at_ports)
+    power = 0.0
+    for j in range(len(ports)):
+        power += damper[j] * ports[j]
+        memory.paid.whole[j] = spring[j] + damper[j]
+    to_motors(followed, spring, memory.spring)
+    to_motors(followed, damper, memory.damper)
+    return power
+
 
 _NO_PROMISE = Certificate.NONE.value
 

@@ -27,14 +27,13 @@ from canhaptic.axis_units import effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE, passive_verdict
 from canhaptic.errors import CanHapticError
 from canhaptic.lab.loop.axis_loop import Array
-from canhaptic.lab.touch.hand import TouchHand, TouchNews
-from canhaptic.lab.touch.hand_process import TouchStatus
-from canhaptic.lab.touch.touch_scene import TouchScene, TouchSlider
+from canhaptic.lab.touch.hand_process import TouchHand, TouchNews, TouchStatus
+from canhaptic.lab.touch.two_sides import TouchScene, TouchSlider
 from canhaptic.view.bokeh_style import finished, new_panel, si_ticks
-from canhaptic.view.decimate import decimate
-from canhaptic.view.palette import BLUE, GREY, PALE, VERMILION
+from canhaptic.view.html_page import verdict_bar
+from canhaptic.view.picture_style import BLUE, GREY, PALE, VERMILION
+from canhaptic.view.series import decimate
 from canhaptic.view.si import si
-from canhaptic.view.verdict_bar import verdict_bar
 
 _WINDOW: Final = 3.0  # [s]
 _POINTS: Final = 3000  # kept per line

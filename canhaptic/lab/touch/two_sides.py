@@ -2,34 +2,284 @@
 
 Both are axes of one rig, on a bus each, moved by the same SYNC: every delay of the computer affects both.
 Nothing real moves, so a page that keeps the processor busy does not end the run: the link policy waits long.
+
+Description of the two sides for the page of `canhaptic touch`, and common parts of all kinds of sides.
+
+Both sides of admittance displays: force in, velocity out; one axis, or two axes with one account as a plane.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Final, NamedTuple
 
+from canhaptic.axis_units import damping_unit, mass_unit, stiffness_unit
+from canhaptic.control.admittance.display_environment import DisplayEnvironment
+from canhaptic.control.admittance.group_environment import GroupMass, PathMass
+from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.passivity.unprotected import UnprotectedParameters
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.errors import InputError
-from canhaptic.lab.loop.algorithms import able_under
-from canhaptic.lab.touch.display_sides import display_line, display_plane
-from canhaptic.lab.touch.touch_scene import (
-    GUARDED,
-    HAND,
-    PLAIN,
-    Side,
-    TouchScene,
-    on_two_buses,
-    pointer_hand,
-    reach,
-    sliders_of,
-)
+from canhaptic.lab.loop.axis_loop import able_under, display_group_under, display_under
 from canhaptic.scene.components import ComponentSpec
-from canhaptic.scene.models import AxisScene, GroupScene, MechanismScene, Scene
+from canhaptic.scene.models import AxisScene, FurtherBus, GroupScene, MechanismScene, Scene
 from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, PointerTaskHand, TaskHand
+from canhaptic.sim.plant.pointer_hand import PointerHand
 from canhaptic.sim.plant.user import UserParameters
+from canhaptic.units import Parameters
+
+PLAIN: Final = "unprotected"
+GUARDED: Final = "guarded"
+_PATIENCE: Final = 10.0  # [s] until a silent peer counts as lost
+_LOST_CYCLES: Final = 2000
+HAND: Final = {"stiffness": 300.0, "damping": 3.0}
+"""Hand of a scene without one [N/m, N*s/m] or [N*m/rad, N*m*s/rad]."""
+_ROOM: Final = 0.1
+"""Half of the displayed range of a scene whose hand does not move [m or rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One handle.
+
+    Attributes:
+        name: Name of the side, which is that of its algorithm.
+        axes: Names of its axes in the rig.
+        group: Name of the group that renders on them; empty where each renders by itself.
+        allowance: Energy that its algorithm may give out before any came in [J].
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    group: str = ""
+    allowance: float = 0.0
+
+
+class TouchSlider(NamedTuple):
+    """A value of the scene that the page can change."""
+
+    title: str
+    key: str  # its path in the scene
+    value: float
+    unit: str
+    decades: float  # to either side; 0: from 0 to five times the value
+
+
+@dataclass(frozen=True, slots=True)
+class TouchScene:
+    """A scene with two sides.
+
+    Attributes:
+        scene: Scene with both sides, to be built.
+        sides: The two sides, unprotected first.
+        unit: Unit of the handle's motion.
+        shown: Range of positions on the page in each direction [m or rad].
+        start: Position of the handle at the start [m or rad].
+        solid: Solid region: [low, high] along an axis, or the outside of a box, by direction [m or rad].
+        sliders: Values that the page can change besides the rate.
+        path: Corners of a path that the handle is led along, in a plane [m or rad]; empty: none.
+        is_display: Whether the sides are admittance displays: force in, velocity out.
+    """
+
+    scene: Scene
+    sides: tuple[Side, Side]
+    unit: str
+    shown: tuple[tuple[float, float], ...]
+    start: tuple[float, ...]
+    solid: tuple[tuple[float, float], ...]
+    sliders: tuple[TouchSlider, ...]
+    path: tuple[tuple[float, ...], ...] = ()
+    is_display: bool = False
+
+    @property
+    def is_plane(self) -> bool:
+        """Whether the handle moves in a plane."""
+        return len(self.shown) == 2
+
+    @property
+    def directions(self) -> tuple[str, ...]:
+        """Names of the directions in which it moves."""
+        return ("x", "y") if self.is_plane else ("x",)
+
+
+def sliders_of(section: str, values: Parameters, names: Sequence[str], unit: str) -> tuple[TouchSlider, ...]:
+    """Sliders for those of the given parameters that a section has.
+
+    Args:
+        section: Path of the section in the scene.
+        values: Its parameters.
+        names: Names of the parameters.
+        unit: "m" or "rad".
+    """
+    kinds = {
+        "stiffness": (stiffness_unit(unit), 2.0),
+        "damping": (damping_unit(unit), 0.0),
+        "mass": (mass_unit(unit), 1.0),
+        "cup": (mass_unit(unit), 1.0),
+    }
+    return tuple(
+        TouchSlider(name, f"{section}.{name}", float(getattr(values, name)), *kinds[name])
+        for name in names
+        if name in type(values).model_fields
+    )
+
+
+def pointer_hand(user: UserParameters, start: float) -> PointerHand:
+    """Return the hand of a scene with the pointer as its place."""
+    grip = {"stiffness": user.stiffness, "damping": user.damping} if user.stiffness else HAND
+    return PointerHand(**grip, place=start)
+
+
+def reach(motion: Any, rest: float, start: float) -> tuple[float, float]:
+    """Range on the page in a direction [m or rad]: half as much again as the hand of the scene would move."""
+    middle = rest + (motion.offset if motion else 0.0)
+    half = 1.5 * motion.amplitude if motion else _ROOM
+    return min(middle - half, start), max(middle + half, start)
+
+
+def on_two_buses(
+    scene: Scene,
+    axes: Sequence[AxisScene],
+    sides: tuple[Side, Side],
+    groups: tuple[GroupScene, ...] = (),
+    mechanisms: tuple[MechanismScene, ...] = (),
+) -> Scene:
+    """Return a scene with a bus for each side, whose drives and master wait long for a silent peer."""
+    bus = scene.bus.model_copy(
+        update={"heartbeat_timeout": _PATIENCE, "stop_cycles": max(_LOST_CYCLES, scene.bus.stop_cycles)}
+    )
+    log = scene.log.model_copy(update={"energy": None, "bus": None})
+    return replace(
+        scene, bus=bus, bus_name=sides[0].name, further_buses=(FurtherBus(name=sides[1].name),), axes=tuple(axes),
+        groups=groups, mechanisms=mechanisms, log=log,
+    )  # fmt: skip
+
+
+_OVER: Final = 1.05
+"""What is declared of a simulated drive over its true values, where the scene declares nothing."""
+_DISPLAY_SLIDERS: Final = ("mass", "cup", "damping")
+
+
+def display_line(scene: Scene, axis: AxisScene) -> TouchScene:
+    """Return an admittance display twice: unprotected, and under its own algorithm."""
+    plain = display_under(axis, PLAIN)
+    guarded = axis if axis.passivity.name != PLAIN else replace(axis, passivity=_guard_of(axis))
+    sides = (Side(PLAIN, (PLAIN,)), _side(guarded.passivity, (guarded.passivity.name,)))
+    axes = [_display_held(one, side, side.axes[0]) for one, side in zip((plain, guarded), sides, strict=True)]
+    user, start = _hand_of(axis)
+    shown = reach(user.motion, user.rest, start)
+    environment: Any = axis.environment.parameters
+    return TouchScene(
+        on_two_buses(scene, axes, sides), sides, axis.parameters.unit, (shown,), (start,),
+        _walls(environment, shown), sliders_of("environment", environment, _DISPLAY_SLIDERS, axis.parameters.unit),
+        is_display=True,
+    )  # fmt: skip
+
+
+def display_plane(scene: Scene, name: str) -> TouchScene:
+    """Return two admittance displays with one account twice.
+
+    Raises:
+        InputError: The group has another number of axes, or moves them through a mechanism.
+    """
+    index, group = next((i, one) for i, one in enumerate(scene.groups) if one.name == name)
+    if len(group.axes) != 2 or group.kinematics.name != "identity":
+        raise InputError(
+            f"{scene.source}: group {name!r} has {len(group.axes)} axes and kinematics {group.kinematics.name}; touch "
+            "shows an axis by itself, or two axes with kinematics: identity as a plane"
+        )
+    members = [scene.axis(axis) for axis in group.axes]
+    guarded = group if group.passivity.name != PLAIN else replace(group, passivity=_guard_of(*members))
+    both = (display_group_under(group, PLAIN), guarded)
+    sides = tuple(
+        _side(one.passivity, tuple(f"{one.passivity.name} {axis}" for axis in group.axes), one.passivity.name)
+        for one in both
+    )
+    axes = [
+        _display_held(axis, side, port)
+        for side in sides
+        for axis, port in zip(members, side.axes, strict=True)
+    ]  # fmt: skip
+    groups = tuple(replace(one, name=side.group, axes=side.axes) for one, side in zip(both, sides, strict=True))
+    hands = [_hand_of(axis) for axis in members]
+    network: Any = group.network.parameters
+    shown = tuple(reach(user.motion, user.rest, start) for user, start in hands)
+    pair = (sides[0], sides[1])
+    return TouchScene(
+        on_two_buses(scene, axes, pair, groups), pair, members[0].parameters.unit, shown,
+        tuple(start for _, start in hands), _box(network),
+        sliders_of(f"groups.{index}.network", network, _DISPLAY_SLIDERS, members[0].parameters.unit),
+        path=_path(network), is_display=True,
+    )  # fmt: skip
+
+
+def _side(passivity: ComponentSpec, axes: tuple[str, ...], group: str = "") -> Side:
+    allowance = float(getattr(passivity.parameters, "energy_allowance", 0.0))
+    return Side(passivity.name, axes, group, allowance)
+
+
+def _display_held(axis: AxisScene, side: Side, port: str) -> AxisScene:
+    """Return an axis of one side, held by the pointer.
+
+    A simulated sensor without noise shows one count while the pointer rests: the check for a frozen sensor is off here.
+    """
+    display = axis.parameters.admittance
+    if display is not None:
+        force = display.force.model_copy(update={"frozen_after": None})
+        display = display.model_copy(update={"force": force})
+    changes = {"name": port, "energy_loss_limit": "none", "admittance": display}
+    return replace(
+        axis,
+        parameters=axis.parameters.model_copy(update=changes),
+        bus=side.name,
+        group=side.group,
+        simulation=replace(simulation_of(axis), user=pointer_hand(*_hand_of(axis))),
+    )
+
+
+def _hand_of(axis: AxisScene) -> tuple[UserParameters, float]:
+    """Return the hand of a scene, and where the handle is at the start [m or rad]."""
+    simulation = simulation_of(axis)
+    return simulation.user or UserParameters(), simulation.plant.initial_position
+
+
+def _guard_of(*axes: AxisScene) -> ComponentSpec:
+    """`guarded` with the simulated drives' properties, for a scene that is unprotected."""
+    masses, gains, integrals = [0.0], [0.0], [0.0]
+    for axis in axes:
+        simulation = simulation_of(axis)
+        masses.append(simulation.plant.mass)
+        if simulation.admittance is not None:
+            gains.append(simulation.admittance.loop.gain)
+            integrals.append(simulation.admittance.loop.integral_gain)
+    known = GuardedDisplayParameters(
+        drive_mass=_OVER * max(masses), loop_gain=_OVER * max(gains), integral_gain=_OVER * max(integrals),
+        energy_allowance=1e-3,
+    )  # fmt: skip
+    return ComponentSpec(GUARDED, known)
+
+
+def _walls(environment: DisplayEnvironment, shown: tuple[float, float]) -> tuple[tuple[float, float], ...]:
+    """Walls on the page [m or rad]."""
+    spans = ((shown[0], environment.lower_wall), (environment.upper_wall, shown[1]))
+    return tuple((low, high) for low, high in spans if low < high)
+
+
+def _box(network: GroupMass) -> tuple[tuple[float, float], ...]:
+    """Return where each direction is between its walls [m or rad]; nothing without walls."""
+    if not network.lower and not network.upper:
+        return ()
+    far = (-1e3, -1e3), (1e3, 1e3)
+    return tuple(zip(network.lower or far[0], network.upper or far[1], strict=True))
+
+
+def _path(network: GroupMass) -> tuple[tuple[float, ...], ...]:
+    if not isinstance(network, PathMass):
+        return ()
+    points: Sequence[tuple[float, ...]] = network.points
+    return (*points, points[0]) if network.closed else tuple(points)
+
 
 _SLIDERS = ("stiffness", "damping")
 

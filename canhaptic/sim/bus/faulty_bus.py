@@ -4,21 +4,472 @@ It wraps one connection, the master's or the drives', and disturbs both directio
 give the same faults. In lock-step a delayed frame arrives at its own virtual instant, because the bus takes part in the
 simulated drives' `process` and `next_due`; in real time it does so whenever its owner receives. A scene that names no
 effect on its bus never imports this module.
+
+Effects of a simulated bus on its frames, as a scene names them under `simulation.bus`. Absent: the bus is ideal.
+
+Effects on single frames, one class each; a line of a bus runs only those that its scene names.
+
+Each draws from a random stream of its own, once per frame, so that naming one more effect does not change the others.
+
+One direction of a simulated bus, and the wire that both directions share.
 """
 
 import copy
 import errno
+import heapq
+import itertools
 from collections import Counter, deque
-from typing import Protocol
+from collections.abc import Callable, Container, Sequence
+from random import Random
+from typing import Annotated, Final, Literal, NamedTuple, Protocol
 
 import can
+from pydantic import model_validator
 
 from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
 from canhaptic.signals import SimulatedPeer
-from canhaptic.sim.bus.bus_effects import BusEffects, Direction, Schedule
-from canhaptic.sim.bus.bus_segment import BusSegment, Counts, Foreign, Wire
-from canhaptic.sim.bus.frame_effects import Refuse
 from canhaptic.sim.drive.timers import NEVER
+from canhaptic.units import Parameters, quantity
+
+Direction = Literal["to_drive", "to_master"]
+_Probability = Annotated[float, quantity("1", ge=0.0, le=1.0)]
+_CobId = Annotated[int, quantity("1", ge=0, le=0x7FF)]
+
+_NANO: Final = 1e9
+_EFFECTS: Final = (
+    *("drop", "duplicate", "reorder", "truncate", "corrupt", "refuse", "delay", "jitter", "foreign_rate", "wire_time"),
+    *("freeze", "stall", "bus_off"),
+)
+
+
+class Window(Parameters):
+    """A time window, once or periodic."""
+
+    begin: Annotated[float, quantity("s", ge=0.0, le=1e6)] = 0.0
+    """Counted from the first SYNC; from the first frame when `bring_up` is set."""
+    duration: Annotated[float, quantity("s", gt=0.0, le=1e6)]
+    """From its beginning to its end."""
+    every: Annotated[float, quantity("s", gt=0.0, le=1e6)] | None = None
+    """Period from one beginning to the next; None: it happens once."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "Window":
+        if self.every is not None and self.every <= self.duration:
+            raise ValueError(f"every is {self.every:g} s, expected more than duration ({self.duration:g} s)")
+        return self
+
+
+class BusEffects(Parameters):
+    """Faults of frames between master and drives. Probabilities are per frame and direction.
+
+    `direction`, `ids` and `during` select the frames for the effects on single frames: drop, duplicate, reorder,
+    truncate, corrupt, refuse, delay, jitter. The others act on the bus as a whole; frames of other devices keep to
+    `during` too.
+    """
+
+    drop: _Probability = 0.0
+    """Share of frames that are lost."""
+    drop_burst: Annotated[float, quantity("count", ge=1.0, le=1e4)] | None = None
+    """Mean number of frames lost in a row (Gilbert's two states); None: each frame is lost on its own."""
+    duplicate: _Probability = 0.0
+    """Share of frames that arrive twice."""
+    reorder: _Probability = 0.0
+    """Share of frames that are held back for `reorder_delay` while those behind them pass."""
+    reorder_delay: Annotated[float, quantity("s", gt=0.0, le=10.0)] = 1e-3
+    """For which a reordered frame is held back."""
+    truncate: _Probability = 0.0
+    """Share of frames that lose bytes at their end."""
+    corrupt: _Probability = 0.0
+    """Share of frames that arrive with one bit of their data turned, as behind a gateway with a fault."""
+    refuse: _Probability = 0.0
+    """Share of the master's frames that its interface refuses to send (ENOBUFS)."""
+    delay: Annotated[float, quantity("s", ge=0.0, le=10.0)] = 0.0
+    """Delay of every frame."""
+    jitter: Annotated[float, quantity("s", ge=0.0, le=10.0)] = 0.0
+    """And later again by anything between zero and this; no frame overtakes another of its direction."""
+    direction: Literal["both", "to_drive", "to_master"] = "both"
+    """Direction of the frames that are affected."""
+    ids: tuple[_CobId, ...] | None = None
+    """COB-IDs that suffer; None: all."""
+    during: tuple[Window, ...] = ()
+    """When they suffer; empty: always."""
+    foreign_rate: Annotated[float, quantity("Hz", ge=0.0, le=1e5)] = 0.0
+    """Frames of other devices per second, at random times (Poisson), seen by master and drives."""
+    foreign_ids: tuple[_CobId, ...] = (0x7F0,)
+    """COB-IDs that these frames take in turn; those of an axis make them impostors."""
+    wire_time: bool = False
+    """Whether each frame takes its worst-case time at `bus.bitrate`, one at a time, lowest COB-ID first."""
+    freeze: tuple[Window, ...] = ()
+    """When the bus carries no frame; waiting frames come at the end, in one burst."""
+    stall: tuple[Window, ...] = ()
+    """When the master's host is stalled; needs the master in the same process."""
+    bus_off: tuple[Window, ...] = ()
+    """When nothing can be sent and what arrives is lost."""
+    bring_up: bool = False
+    """Whether frames before the first SYNC suffer too."""
+    buses: tuple[str, ...] | None = None
+    """Names of the buses that suffer, each from faults of its own; None: all."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "BusEffects":
+        if not any(getattr(self, name) for name in _EFFECTS):
+            raise ValueError(f"names no effect, expected one of: {', '.join(_EFFECTS)}; leave it out for an ideal bus")
+        for name, what in (("ids", "COB-ID"), ("foreign_ids", "COB-ID"), ("buses", "name")):
+            if getattr(self, name) == ():
+                raise ValueError(f"{name} is empty, expected at least one {what}; leave it out for the usual ones")
+        most = 1.0 if self.drop_burst is None else self.drop_burst / (1.0 + self.drop_burst)
+        if self.drop > most:
+            raise ValueError(
+                f"drop is {self.drop:g}, expected at most {most:g} with a drop_burst of {self.drop_burst:g} frames, "
+                "since one frame at least is heard between two bursts"
+            )
+        return self
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Effects other than their defaults, in the order in which they are listed."""
+        return tuple(name for name in _EFFECTS if getattr(self, name))
+
+    def suffers(self, direction: Direction) -> bool:
+        """Whether the effects on single frames act on a direction."""
+        return self.direction in ("both", direction)
+
+
+class Schedule:
+    """Windows on integer nanoseconds.
+
+    Args:
+        windows: Windows of the scene.
+    """
+
+    def __init__(self, windows: Sequence[Window]) -> None:
+        self._windows = tuple(
+            (round(w.begin * _NANO), round(w.duration * _NANO), round((w.every or 0.0) * _NANO)) for w in windows
+        )
+
+    def end(self, time: int) -> int:
+        """End of the window around `time` [ns], joined with those that follow it at once; 0 in none."""
+        latest = time
+        for begin, duration, every in self._windows * len(self._windows):  # any of them may follow any other
+            since = latest - begin
+            if since >= 0 and every:
+                since %= every
+            if 0 <= since < duration:
+                latest += duration - since
+        return latest if latest > time else 0
+
+
+class Flight(NamedTuple):
+    """A frame on its way."""
+
+    message: can.Message
+    due: int  # when it arrives [ns]
+    keeps_order: bool  # False: the ones behind it may overtake
+
+
+_Count = Callable[[str, int], None]
+"""Called as count(effect, COB-ID) for each frame that an effect struck."""
+
+
+class _FrameEffect(Protocol):
+    """Effect on one frame: none, another due time, another content, no frame, or two."""
+
+    def apply(self, flight: Flight) -> list[Flight]:
+        """Apply delay, loss or corruption to one frame; return the resulting frames."""
+
+
+def _with_data(message: can.Message, data: bytearray) -> can.Message:
+    """Return a copy of a frame with other data."""
+    changed = copy.copy(message)
+    changed.data, changed.dlc = data, len(data)
+    return changed
+
+
+class _Drop:
+    """Loses frames, each on its own or in runs (Gilbert, 1960: two states, lost and received)."""
+
+    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
+        share, burst = effects.drop, effects.drop_burst
+        self._after_heard = share if burst is None else share / (burst * (1.0 - share))
+        self._after_lost = share if burst is None else 1.0 - 1.0 / burst
+        self._is_lost = False
+        self._random, self._count = random, count
+
+    def apply(self, flight: Flight) -> list[Flight]:
+        """Return the frame, or nothing."""
+        self._is_lost = self._random.random() < (self._after_lost if self._is_lost else self._after_heard)
+        if not self._is_lost:
+            return [flight]
+        self._count("drop", flight.message.arbitration_id)
+        return []
+
+
+class _Truncate:
+    """Cuts bytes off the end of the data."""
+
+    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
+        self._share, self._random, self._count = effects.truncate, random, count
+
+    def apply(self, flight: Flight) -> list[Flight]:
+        """Return the frame, perhaps shorter."""
+        message = flight.message
+        if self._random.random() >= self._share or not message.data:
+            return [flight]
+        self._count("truncate", message.arbitration_id)
+        kept = self._random.randrange(len(message.data))
+        return [flight._replace(message=_with_data(message, bytearray(message.data[:kept])))]
+
+
+class _Corrupt:
+    """Flips one bit of the data."""
+
+    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
+        self._share, self._random, self._count = effects.corrupt, random, count
+
+    def apply(self, flight: Flight) -> list[Flight]:
+        """Return the frame, perhaps with another content."""
+        message = flight.message
+        if self._random.random() >= self._share or not message.data:
+            return [flight]
+        self._count("corrupt", message.arbitration_id)
+        bit = self._random.randrange(8 * len(message.data))
+        data = bytearray(message.data)
+        data[bit // 8] ^= 1 << bit % 8
+        return [flight._replace(message=_with_data(message, data))]
+
+
+class _Delay:
+    """Delays every frame by a fixed time and a random one."""
+
+    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
+        self._delay, self._jitter = round(effects.delay * 1e9), round(effects.jitter * 1e9)
+        self._random = random
+
+    def apply(self, flight: Flight) -> list[Flight]:
+        """Return the frame with its new due time."""
+        later = self._delay + (self._random.randrange(self._jitter + 1) if self._jitter else 0)
+        return [flight._replace(due=flight.due + later)]
+
+
+class _Duplicate:
+    """Duplicates a frame, one right behind the other."""
+
+    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
+        self._share, self._random, self._count = effects.duplicate, random, count
+
+    def apply(self, flight: Flight) -> list[Flight]:
+        """Return the frame once or twice."""
+        if self._random.random() >= self._share:
+            return [flight]
+        self._count("duplicate", flight.message.arbitration_id)
+        return [flight, flight._replace(message=_with_data(flight.message, bytearray(flight.message.data)))]
+
+
+class _Reorder:
+    """Delays a frame while others overtake it."""
+
+    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
+        self._share, self._hold = effects.reorder, round(effects.reorder_delay * 1e9)
+        self._random, self._count = random, count
+
+    def apply(self, flight: Flight) -> list[Flight]:
+        """The frame, perhaps delayed."""
+        if self._random.random() >= self._share:
+            return [flight]
+        self._count("reorder", flight.message.arbitration_id)
+        return [Flight(flight.message, flight.due + self._hold, keeps_order=False)]
+
+
+class Refuse:
+    """Selects the frames that the interface refuses to take (ENOBUFS)."""
+
+    def __init__(self, effects: BusEffects, seed: int) -> None:
+        self._share, self._random = effects.refuse, stream(seed, "to_drive", "refuse")
+
+    def happens(self) -> bool:
+        """Return whether the next frame is refused."""
+        return self._random.random() < self._share
+
+
+_CLASSES: dict[str, Callable[[BusEffects, Random, _Count], _FrameEffect]] = {
+    "drop": _Drop,
+    "truncate": _Truncate,
+    "corrupt": _Corrupt,
+    "delay": _Delay,
+    "jitter": _Delay,
+    "duplicate": _Duplicate,
+    "reorder": _Reorder,
+}
+
+
+def stream(seed: int, direction: str, effect: str) -> Random:
+    """Random numbers of one effect on one direction; the same on every machine."""
+    return Random(f"canhaptic bus {seed} {direction} {effect}")
+
+
+def frame_effects(effects: BusEffects, direction: Direction, seed: int, count: _Count) -> list[_FrameEffect]:
+    """Effects on single frames that a scene names for one direction, in the order in which they act."""
+    if not effects.suffers(direction):
+        return []
+    chosen = {kind: name for name, kind in _CLASSES.items() if name in effects.named}
+    return [kind(effects, stream(seed, direction, name), count) for kind, name in chosen.items()]
+
+
+_Delivery = Callable[[can.Message, int], None]
+"""Called as deliver(frame, now [ns]) when it arrives."""
+Counts = Counter[tuple[str, str, int]]
+"""Frames struck, by (effect, direction, COB-ID)."""
+
+_SECOND: Final = 1_000_000_000  # [ns]
+
+
+def _worst_case_bits(length: int) -> int:
+    """Most bits of a classic frame with `length` data bytes, interframe space included.
+
+    47 bits around the data and one stuff bit in every four of the 34 + 8 n that are stuffed (Davis et al. 2007, eq. 1).
+    """
+    return 47 + 8 * length + (33 + 8 * length) // 4
+
+
+class Wire:
+    """A medium that carries one frame at a time; of those that wait when it falls free, the lowest COB-ID goes first.
+
+    Args:
+        bitrate: Bit rate of the wire [bit/s].
+    """
+
+    def __init__(self, bitrate: int) -> None:
+        self._bitrate = bitrate
+        self._waiting: list[tuple[int, int, can.Message, _Delivery]] = []
+        self._number = 0
+        self._current: tuple[can.Message, _Delivery] | None = None
+        self._end = NEVER
+
+    def request(self, message: can.Message, deliver: _Delivery) -> None:
+        """Queue a frame for the wire."""
+        self._number += 1
+        heapq.heappush(self._waiting, (message.arbitration_id, self._number, message, deliver))
+
+    def run(self, now: int, frozen_until: int) -> None:
+        """End the frame whose time is over and begin the next; called at `next_due` and after each request.
+
+        Args:
+            now: Time [ns].
+            frozen_until: End of a freeze, before which no frame begins [ns]; not later than `now` without one.
+        """
+        if self._current is not None and self._end <= now:
+            (message, deliver), self._current, self._end = self._current, None, NEVER
+            deliver(message, now)
+        if self._current is None and self._waiting:
+            if frozen_until > now:
+                self._end = frozen_until
+                return
+            _, _, message, deliver = heapq.heappop(self._waiting)
+            self._current = (message, deliver)
+            self._end = now + -(-_worst_case_bits(len(message.data)) * _SECOND // self._bitrate)
+
+    def next_due(self) -> int:
+        """Time when the frame on the wire, or a freeze, ends [ns]."""
+        return self._end
+
+
+class Foreign:
+    """Frames of other devices, at random times.
+
+    Attributes:
+        due: Time of the next frame [ns]; `NEVER` before `begin`.
+    """
+
+    def __init__(self, effects: BusEffects, seed: int) -> None:
+        self._rate, self._ids = effects.foreign_rate, itertools.cycle(effects.foreign_ids)
+        self._random = stream(seed, "both", "foreign")
+        self._freeze = Schedule(effects.freeze)
+        self._epoch = self._asked = 0  # begin, and when the next frame would like to be sent [ns]
+        self.due = NEVER
+
+    def begin(self, now: int) -> None:
+        """Start at `now` [ns]."""
+        self._epoch = self._asked = now
+        self._schedule()
+
+    def take(self) -> can.Message:
+        """Frame that is due; the next one becomes due later."""
+        self._schedule()
+        data = self._random.randbytes(self._random.randrange(9))
+        return can.Message(arbitration_id=next(self._ids), is_extended_id=False, data=data)
+
+    def _schedule(self) -> None:
+        self._asked += max(1, round(self._random.expovariate(self._rate) * _SECOND))
+        self.due = max(self._asked, self._epoch + self._freeze.end(self._asked - self._epoch))
+
+
+class BusSegment:
+    """Frames of one direction in transit, with the effects that the scene names.
+
+    Args:
+        effects: Effects of the bus.
+        direction: Direction of the frames.
+        seed: Seed of everything random.
+        counts: Counts every frame affected.
+        wire: Wire on which frames are arbitrated after their delays; None: they arrive at once.
+        deliver: Takes the frames that arrive.
+    """
+
+    def __init__(
+        self,
+        effects: BusEffects,
+        direction: Direction,
+        seed: int,
+        counts: Counts,
+        wire: Wire | None,
+        deliver: _Delivery,
+    ) -> None:
+        def count(effect: str, cob_id: int) -> None:
+            counts[effect, direction, cob_id] += 1
+
+        self._effects = frame_effects(effects, direction, seed, count)
+        self._ids: Container[int] = range(0x800) if effects.ids is None else frozenset(effects.ids)
+        self._during = Schedule(effects.during) if effects.during else None
+        self._freeze = Schedule(effects.freeze)
+        self._deliver: _Delivery = deliver if wire is None else lambda m, _now: wire.request(m, deliver)
+        self._queue: list[tuple[int, int, can.Message]] = []
+        self._number = 0
+        self._last_due = -NEVER
+
+    def suffers(self, cob_id: int, time: int) -> bool:
+        """Whether the effects on single frames act on a frame, `time` [ns] after the first SYNC."""
+        return cob_id in self._ids and (self._during is None or bool(self._during.end(time)))
+
+    def push(self, message: can.Message, now: int, epoch: int) -> None:
+        """Take a frame sent at `now` [ns]; `epoch` is the time of the first SYNC [ns]."""
+        flights = [Flight(message, now, keeps_order=True)]
+        if self.suffers(message.arbitration_id, now - epoch):
+            for effect in self._effects:
+                flights = [result for flight in flights for result in effect.apply(flight)]
+        for flight in flights:
+            due = max(flight.due, self._freeze.end(flight.due - epoch) + epoch)
+            self._enter(flight.message, due, keeps_order=flight.keeps_order)
+
+    def pass_through(self, message: can.Message, now: int) -> None:
+        """Take a frame without effects; it still waits for those before it."""
+        self._enter(message, now, keeps_order=True)
+
+    def _enter(self, message: can.Message, due: int, *, keeps_order: bool) -> None:
+        if keeps_order:
+            self._last_due = due = max(due, self._last_due)
+        self._number += 1
+        heapq.heappush(self._queue, (due, self._number, message))
+
+    def run(self, now: int) -> None:
+        """Deliver the frames due up to `now` [ns]."""
+        queue = self._queue
+        while queue and queue[0][0] <= now:
+            _, _, message = heapq.heappop(queue)
+            self._deliver(message, now)
+
+    def next_due(self) -> int:
+        """Return when the next frame arrives [ns]; `NEVER` when none is on its way."""
+        return self._queue[0][0] if self._queue else NEVER
 
 
 class _BusClock(Protocol):

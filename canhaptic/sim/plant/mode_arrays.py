@@ -12,8 +12,8 @@ import numpy as np
 
 from canhaptic.kernels import Buffer
 from canhaptic.sim.plant.accuracy_parameters import LEVELS
+from canhaptic.sim.plant.assembly import Mode
 from canhaptic.sim.plant.hybrid_automaton import matrix_of, reset_matrix
-from canhaptic.sim.plant.mode_matrices import Mode
 from canhaptic.sim.plant.stepper import NONE, ModeTables
 
 Matrix = Sequence[Sequence[float]]

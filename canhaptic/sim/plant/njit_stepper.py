@@ -14,10 +14,9 @@ import numpy as np
 from canhaptic.kernels.compiler import compiled
 from canhaptic.sim.plant import stepper
 from canhaptic.sim.plant.accuracy_parameters import LEVELS
-from canhaptic.sim.plant.assembly import PlantModel
+from canhaptic.sim.plant.assembly import Mode, PlantModel
 from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton, matrix_of
 from canhaptic.sim.plant.mode_arrays import Books, book, evaluate, flat_tables, largest_term, move, pace, stored
-from canhaptic.sim.plant.mode_matrices import Mode
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.plant.stepper import COUNTS, LIMIT, MISSING, MODE, NONE, PRODUCTS, ModeTables
 

@@ -3,8 +3,10 @@
 Between two SYNCs the torque is constant and the plant piecewise affine, so a hold is a few matrix-vector products and
 every energy a quadratic form of the state (`hybrid_automaton.py`); what is not piecewise affine is held over substeps
 around that core (`splitting.py`). A hold that no guard can end costs as little as one without guards
-(`guard_horizon.py`). A plant contains only what its parameters name. Time is an integer number of ticks of T / 2^24
+(`hybrid_automaton.py`). A plant contains only what its parameters name. Time is an integer number of ticks of T / 2^24
 since the plant's epoch, so that k whole sample times are exactly k steps.
+
+Choice of the stepper: interpreted, or compiled by numba, which is imported only then.
 """
 
 import math
@@ -16,12 +18,19 @@ import numpy as np
 from canhaptic.errors import EventLimitError, OwnCodeError, ParameterError
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, LinearPart, PlantModel, Rows, collect
+from canhaptic.sim.plant.assembly import (
+    LEAST_MASS,
+    MOTOR,
+    Body,
+    LinearPart,
+    Mode,
+    PlantModel,
+    Rows,
+    collect,
+    initial_state,
+)
 from canhaptic.sim.plant.effects import Effect
-from canhaptic.sim.plant.guard_horizon import HOLDS
-from canhaptic.sim.plant.hybrid_automaton import matrix_of
-from canhaptic.sim.plant.machine_choice import machine_type
-from canhaptic.sim.plant.mode_matrices import Mode, initial_state
+from canhaptic.sim.plant.hybrid_automaton import HOLDS, HybridAutomaton, matrix_of
 from canhaptic.sim.plant.propagator import TICKS, Array
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.units import Parameters, quantity
@@ -29,6 +38,26 @@ from canhaptic.units import Parameters, quantity
 if TYPE_CHECKING:
     from canhaptic.sim.plant.splitting import Splitting
     from canhaptic.sim.plant.timetable import Timetable
+
+
+def machine_type(compiled: bool) -> type[HybridAutomaton]:
+    """Return the machine whose holds are interpreted, or compiled.
+
+    Raises:
+        ParameterError: numba is not installed.
+    """
+    if not compiled:
+        return HybridAutomaton
+    try:
+        from canhaptic.sim.plant.njit_stepper import CompiledMachine
+    except ImportError as error:
+        from canhaptic.extras import install_hint
+
+        raise ParameterError(
+            f"compiled: needs numba ({error}); {install_hint('fast')}, or leave it out", "compiled"
+        ) from error
+    return CompiledMachine
+
 
 _tuple: Final = tuple.__new__  # makes the energies at half the cost of calling their class
 _WORTH_LOOKING: Final = 8  # holds without events ahead: a look costs as much as two that are judged

@@ -1,7 +1,7 @@
 """The one stepper as pure functions on tables: interpreted, or compiled by numba (`njit_stepper.py`).
 
 A hold is taken in the largest steps that the mode allows. When a guard is below zero at the end of a step, or the
-strict bound of `guard_bounds.py` does not exclude that it was inside, the step is halved, down to one tick; there the
+strict bound of `assembly.py` does not exclude that it was inside, the step is halved, down to one tick; there the
 mode changes. After a step that was accepted, longer ones are tried, up to the whole hold: the flow is exact and the
 bound strict at every length, so that guards alone keep a step short, and no fast mode at rest does. No root finder, and
 no step that an error estimate adapts. It stops at a number of events, or of products, that the caller sets.

@@ -2,7 +2,7 @@
 
 import pytest
 
-from canhaptic.control.admittance.damping_border import damping_border
+from canhaptic.control.admittance.declared_hand import damping_border
 from tools.bench.admittance import _GAIN, _MASS, _is_stable
 
 

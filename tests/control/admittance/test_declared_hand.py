@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 
 from canhaptic.control.admittance.declared_hand import DeclaredHand, declared_hand_settings, go_on, lightest, loss
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters, loop_settings
-from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.port import DisplayProperties
+from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters, loop_settings
 from canhaptic.errors import ParameterError
 from tools.displays.declared_loop import DeclaredOutcome, DeclaredRig, _follow, _Hold, random_rig, with_true_bounds
 from tools.displays.judge import false_claims

@@ -10,10 +10,10 @@ from scipy.integrate import solve_ivp
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, build_display_controller
 from canhaptic.control.admittance.cup_and_ball import CupAndBall
 from canhaptic.control.admittance.display_environment import DisplayEnvironment
-from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.dissipating_display import next_speed
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
-from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.group_environment import DisplayMass
+from canhaptic.control.admittance.port import DisplayProperties
+from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
 from canhaptic.errors import ParameterError
 
 _GRAVITY = 9.80665

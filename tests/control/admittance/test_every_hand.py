@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from canhaptic.control.admittance import build_display_controller
-from canhaptic.control.admittance.display_mass import DisplayMass
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
-from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.group_environment import DisplayMass
+from canhaptic.control.admittance.port import DisplayProperties
+from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
 from canhaptic.errors import ControlError, ParameterError
 from tests.control.admittance import attacked_drive as attack
 

@@ -6,10 +6,9 @@ from typing import Any
 import pytest
 
 from canhaptic.control.admittance import DISPLAY_GROUP_ALGORITHMS, build_display_group
-from canhaptic.control.admittance.group_environment import GroupMass
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
-from canhaptic.control.admittance.properties import DisplayProperties
-from canhaptic.control.admittance.task_environment import TaskEnvironment
+from canhaptic.control.admittance.group_environment import GroupMass, TaskEnvironment
+from canhaptic.control.admittance.port import DisplayProperties
+from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
 from canhaptic.control.balance import Certificate, residual
 from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.errors import ControlError, ParameterError

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters, loop_settings
-from canhaptic.control.admittance.momentum_check import Disagreement, MomentumCheck, MovedHold, momentum_check
-from canhaptic.control.admittance.port import port_settings
-from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.force_evidence import Disagreement, MomentumCheck, MovedHold, momentum_check
+from canhaptic.control.admittance.port import DisplayProperties, port_settings
+from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters, loop_settings
 from canhaptic.errors import ForceContradictedError
 from tools.displays.direct import run
 from tools.displays.random_display import random_display, with_true_bounds

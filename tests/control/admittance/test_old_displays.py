@@ -8,8 +8,8 @@ import pytest
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, build_display_controller
 from canhaptic.control.admittance.cup_and_ball import CupAndBall
-from canhaptic.control.admittance.display_mass import DisplayMass
-from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.group_environment import DisplayMass
+from canhaptic.control.admittance.port import DisplayProperties
 from canhaptic.registry import load
 from tests.control.old_forms.table import OLD_DISPLAYS
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from canhaptic.control.admittance.motion import DisplayMotion, send
+from canhaptic.control.admittance.display_environment import DisplayMotion, send
 from canhaptic.control.admittance.velocity_loop import (
     LoopState,
     VelocityLoopSettings,

@@ -9,8 +9,7 @@ import pytest
 
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.mechanisms.five_bar import FiveBar
-from canhaptic.control.mechanisms.identity import Identity
-from canhaptic.control.mechanisms.kinematics import Limit
+from canhaptic.control.mechanisms.kinematics import Identity, Limit
 from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.control.mechanisms.transmission import Transmission
 from canhaptic.control.mechanisms.user_function import UserFunction

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg import expm
 
-from canhaptic.control.mechanisms.identity import Identity
+from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded_settings import GuardedParameters

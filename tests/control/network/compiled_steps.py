@@ -11,7 +11,7 @@ from canhaptic.control.multi_axis.group_motion import World
 from canhaptic.kernels import Buffer
 from canhaptic.kernels.compiler import compiled
 from canhaptic.kernels.records import Records, record_of, records_of
-from canhaptic.lab.batch.compiled_group_loop import compiled_world
+from canhaptic.lab.batch.compiled_loops import compiled_world
 
 
 def step(

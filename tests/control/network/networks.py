@@ -4,11 +4,17 @@ import math
 
 import numpy as np
 
-from canhaptic.control.mechanisms.identity import Identity
+from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.group_certificates import Acting
-from canhaptic.control.multi_axis.per_axis_certificates import inward_first, needed_by_hand, share_by_hand, take_sent
-from canhaptic.control.multi_axis.per_axis_memory import per_axis_limits, per_axis_memory
+from canhaptic.control.multi_axis.per_axis_certificates import (
+    inward_first,
+    needed_by_hand,
+    per_axis_limits,
+    per_axis_memory,
+    share_by_hand,
+    take_sent,
+)
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.control.port_hamiltonian.network import Damper, DoubleWell, Mass, Network, QuadraticForm, Spring

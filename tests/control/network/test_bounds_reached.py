@@ -5,12 +5,10 @@ import random
 
 import pytest
 
-from canhaptic.control.certificates.lost_samples import Gap, doubt_of
-from canhaptic.control.multi_axis.account_memory import account_memory
-from canhaptic.control.multi_axis.group_account import doubt_of_axis, doubt_of_mover
+from canhaptic.control.multi_axis.group_account import Gap, account_memory, doubt_of, doubt_of_axis, doubt_of_mover
 from canhaptic.control.multi_axis.group_certificates import axes_of
-from canhaptic.control.multi_axis.group_commands import GroupHolds
-from canhaptic.control.multi_axis.per_axis_memory import per_axis_limits
+from canhaptic.control.multi_axis.group_kernel import GroupHolds
+from canhaptic.control.multi_axis.per_axis_certificates import per_axis_limits
 from canhaptic.control.passivity.controller import LoopProperties
 from tests.control.network.networks import AxesApart
 

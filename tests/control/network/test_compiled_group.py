@@ -6,13 +6,13 @@ import struct
 import pytest
 
 from canhaptic.control.mechanisms.five_bar import FiveBar
-from canhaptic.control.mechanisms.identity import Identity
+from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.control.mechanisms.transmission import Transmission
 from canhaptic.control.mechanisms.user_function import UserFunction
 from canhaptic.control.multi_axis import build_group_controller
+from canhaptic.control.multi_axis.group_kernel import SteppedGroup
 from canhaptic.control.multi_axis.group_motion import world_of
-from canhaptic.control.multi_axis.stepped_group import SteppedGroup
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.control.port_hamiltonian.network import Network, UserEnergy
@@ -30,7 +30,7 @@ from canhaptic.lab.rivals.scaled_group import ScaledGroupParameters
 
 pytest.importorskip("numba")
 
-from canhaptic.lab.batch.compiled_group_loop import compiled_world
+from canhaptic.lab.batch.compiled_loops import compiled_world
 from tests.control.network.compiled_steps import begin_compiled
 
 ODD = (-0.0, 5e-324, -1e-310, 1e-160, 1e3, 1e150)

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from canhaptic.lab.batch.group_case import group_case
-from canhaptic.lab.batch.group_closed_loop import shares
-from canhaptic.lab.batch.group_scalar import group_meter
+from canhaptic.lab.batch.group_loop import group_case, shares
+from canhaptic.lab.batch.scalar import group_meter
 from canhaptic.scene.load import load_scene
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from canhaptic.control.mechanisms.five_bar import FiveBar
-from canhaptic.control.mechanisms.identity import Identity
-from canhaptic.control.mechanisms.kinematics import Limit
+from canhaptic.control.mechanisms.kinematics import Identity, Limit
 from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.control.multi_axis import NETWORKS, build_group_controller
 from canhaptic.control.passivity.controller import LoopProperties
@@ -231,7 +230,7 @@ class _Unsolvable:
 
 
 def test_a_step_that_is_not_solved_is_rendered_as_no_torque(monkeypatch):
-    monkeypatch.setattr("canhaptic.control.port_hamiltonian.user_energy.check_gradient", lambda _storage: None)
+    monkeypatch.setattr("canhaptic.control.port_hamiltonian.storages.check_gradient", lambda _storage: None)
     controller = group(_Unsolvable(), axes=1)
     limits = set()
     for cycle in range(20):

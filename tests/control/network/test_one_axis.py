@@ -8,7 +8,7 @@ import pytest
 
 from canhaptic.control.balance import Certificate
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.mechanisms.identity import Identity
+from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded

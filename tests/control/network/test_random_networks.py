@@ -4,13 +4,11 @@ import random
 
 import pytest
 
-from canhaptic.control.port_hamiltonian import newton as step
-from canhaptic.control.port_hamiltonian.discrete_gradient import stored_energy
-from canhaptic.control.port_hamiltonian.equation import new_workspace
-from canhaptic.control.port_hamiltonian.network import DoubleWell, Mass, Network, Spring, UserEnergy
-from canhaptic.control.port_hamiltonian.newton import _EVALUATIONS, advance
-from canhaptic.lab.rivals.step_scaling import EVALUATIONS as SCALE_EVALUATIONS
-from canhaptic.lab.rivals.step_scaling import FURTHEST, line_memory, solve_scale, taken
+from canhaptic.control.port_hamiltonian import sampled_network as step
+from canhaptic.control.port_hamiltonian.network import DoubleWell, Mass, Network, Spring, UserEnergy, stored_energy
+from canhaptic.control.port_hamiltonian.sampled_network import _EVALUATIONS, advance, new_workspace
+from canhaptic.lab.rivals.scaled_group import EVALUATIONS as SCALE_EVALUATIONS
+from canhaptic.lab.rivals.scaled_group import FURTHEST, line_memory, solve_scale, taken
 from tests.control.network.networks import random_network, tangled_network
 
 ON_A_MASS = [[0.0, -1.0], [1.0, 0.0]]

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.mechanisms.identity import Identity
+from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS, build_group_controller
 from canhaptic.control.passivity import ALGORITHMS, build_controller
 from canhaptic.control.passivity.controller import LoopProperties

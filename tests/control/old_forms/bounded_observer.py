@@ -2,11 +2,10 @@ from dataclasses import dataclass, field
 from math import copysign, inf
 from typing import Annotated, ClassVar
 
-from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
+from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance, RunningSum, add
+from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.running_sum import RunningSum, add
-from canhaptic.control.velocity import DamperVelocity
 from canhaptic.kernels import new
 from canhaptic.units import Parameters, quantity
 from tests.control.old_forms.hold_account import (

@@ -1,7 +1,6 @@
 from typing import ClassVar
 
-from canhaptic.control.admittance.display_environment import DisplayEnvironment
-from canhaptic.control.admittance.motion import send
+from canhaptic.control.admittance.display_environment import DisplayEnvironment, send
 from tests.control.old_forms.stepped import SteppedController, Wording
 
 

@@ -1,10 +1,9 @@
 from math import sqrt
 from typing import ClassVar
 
-from canhaptic.control.admittance.display_mass import DisplayMass
-from canhaptic.control.admittance.motion import DisplayMemory, motion_settings
-from canhaptic.control.admittance.port import begin_port, port_settings
-from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.display_environment import DisplayMemory, motion_settings
+from canhaptic.control.admittance.group_environment import DisplayMass
+from canhaptic.control.admittance.port import DisplayProperties, begin_port, port_settings
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.errors import ParameterError
 from canhaptic.units import Parameters

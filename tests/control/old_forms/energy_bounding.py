@@ -2,12 +2,11 @@ from dataclasses import dataclass, field
 from math import sqrt
 from typing import ClassVar
 
-from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
+from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance, RunningSum, add
+from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.in_flight import towards_zero
-from canhaptic.control.running_sum import RunningSum, add
-from canhaptic.control.velocity import DamperVelocity
+from canhaptic.control.passivity.stepped import towards_zero
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, new
 from canhaptic.units import Parameters

@@ -1,10 +1,9 @@
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
-from canhaptic.control.balance import AT_REST, EnergyBalance
+from canhaptic.control.balance import AT_REST, EnergyBalance, RunningSum, add
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.running_sum import RunningSum, add
 from canhaptic.kernels import new
 from canhaptic.units import Parameters, quantity
 from tests.control.old_forms.hold_account import Axis, AxisMemory, HoldAccount, close_hold, open_hold

@@ -4,7 +4,7 @@ from typing import ClassVar, Final
 
 from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.root import Balance, solve_balance, solve_balance_nonlinear
+from canhaptic.control.passivity.stored_model import Balance, solve_balance, solve_balance_nonlinear
 from canhaptic.kernels import new
 from canhaptic.units import Parameters
 from tests.control.old_forms.hold_account import Axis, AxisMemory, Hold, HoldAccount, begin, hold_memory, open_hold

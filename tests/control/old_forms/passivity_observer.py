@@ -1,12 +1,10 @@
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, Protocol
 
-from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
+from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance, RunningSum, add
+from canhaptic.control.damping import DamperVelocity, damping_cap
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.recovery import damping_cap
-from canhaptic.control.running_sum import RunningSum, add
-from canhaptic.control.velocity import DamperVelocity
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import MakeBuffer, new
 from canhaptic.units import Parameters, quantity

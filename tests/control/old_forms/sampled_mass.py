@@ -1,8 +1,8 @@
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from canhaptic.control.admittance.display_environment import DisplayEnvironment
-from canhaptic.control.admittance.motion import (
+from canhaptic.control.admittance.display_environment import (
+    DisplayEnvironment,
     DisplayMemory,
     DisplayMotion,
     DisplayMotionSettings,
@@ -12,8 +12,7 @@ from canhaptic.control.admittance.motion import (
     send,
     whole,
 )
-from canhaptic.control.admittance.port import Port, PortSettings, book, port_settings
-from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.port import DisplayProperties, Port, PortSettings, book, port_settings
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.kernels import MakeBuffer, new
 from canhaptic.units import Parameters

@@ -1,10 +1,9 @@
 from dataclasses import dataclass
 
 from canhaptic.control.balance import Certificate, EnergyBalance
+from canhaptic.control.damping import Alpha, DamperVelocity, damping_cap, modulated_damping
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.recovery import Alpha, damping_cap, modulated_damping
-from canhaptic.control.velocity import DamperVelocity
 from tests.control.old_forms.hold_account import (
     Axis,
     AxisMemory,

@@ -1,10 +1,8 @@
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from canhaptic.control.admittance.display_environment import DisplayEnvironment
-from canhaptic.control.admittance.motion import DisplayMemory, motion_settings
-from canhaptic.control.admittance.port import begin_port, port_settings
-from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.display_environment import DisplayEnvironment, DisplayMemory, motion_settings
+from canhaptic.control.admittance.port import DisplayProperties, begin_port, port_settings
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.units import Parameters, quantity
 from tests.control.old_forms.display_controller import DisplayController

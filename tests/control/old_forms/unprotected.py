@@ -2,9 +2,9 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
+from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.velocity import DamperVelocity
 from canhaptic.kernels import MakeBuffer, new
 from canhaptic.units import Parameters
 from tests.control.old_forms.hold_account import (

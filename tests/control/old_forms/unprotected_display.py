@@ -1,7 +1,6 @@
 from typing import ClassVar
 
-from canhaptic.control.admittance.display_environment import DisplayEnvironment
-from canhaptic.control.admittance.motion import DisplayMemory
+from canhaptic.control.admittance.display_environment import DisplayEnvironment, DisplayMemory
 from canhaptic.control.admittance.port import begin_port
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.units import Parameters

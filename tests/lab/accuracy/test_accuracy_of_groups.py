@@ -18,15 +18,13 @@ from canhaptic.control.multi_axis.group_motion import (
 )
 from canhaptic.control.multi_axis.group_motion import GroupMotion as MotionState
 from canhaptic.lab.batch.group_loop import GroupRecorder, motors_of, render_group
-from canhaptic.lab.judge.event_location import located_states
 from canhaptic.lab.judge.reference_group import mechanism_model
-from canhaptic.lab.loop.scenes import at_rate
-from canhaptic.lab.reference.continuous_group import continuous_group, group_model
-from canhaptic.lab.studies.accuracy.candidates import OURS
-from canhaptic.lab.studies.accuracy.cycle_timing import WallTime
-from canhaptic.lab.studies.accuracy.group_variants import group_variants
-from canhaptic.lab.studies.accuracy.loop_sensitivity import engines_of
-from canhaptic.lab.studies.accuracy.study import AccuracyStudy
+from canhaptic.lab.judge.solvers import located_states
+from canhaptic.lab.loop.axis_loop import at_rate
+from canhaptic.lab.reference import continuous_group, group_model
+from canhaptic.lab.studies.accuracy.loop_sensitivity import engines_of, group_variants
+from canhaptic.lab.studies.accuracy.plant_solvers import OURS
+from canhaptic.lab.studies.accuracy.study import AccuracyStudy, WallTime
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canhaptic.lab.studies.accuracy.accuracy_choice import fitted_order
-from canhaptic.lab.studies.accuracy.advice import (
+from canhaptic.lab.studies.accuracy.accuracy_table import (
     advice,
     cheapest,
     error_per_microsecond,
@@ -15,7 +15,7 @@ from canhaptic.lab.studies.accuracy.advice import (
     pareto,
     rank_agreement,
 )
-from canhaptic.lab.studies.accuracy.cycle_timing import interleaved
+from canhaptic.lab.studies.accuracy.study import interleaved
 from tests.executed_bytecodes import executed_bytecodes
 
 errors = st.sampled_from([1e-16, 1e-12, 1e-9, 2e-9, 1e-6, 1e-3])

@@ -9,19 +9,18 @@ import numpy as np
 import pytest
 import yaml
 
-from canhaptic.lab.judge.event_location import located
-from canhaptic.lab.judge.reference_motion import difference
-from canhaptic.lab.reference.continuous_reference import textbook_model
+from canhaptic.lab.judge.reference_model import difference
+from canhaptic.lab.judge.solvers import located
+from canhaptic.lab.reference import textbook_model
 from canhaptic.lab.studies.accuracy.accuracy_choice import LEAST_ORDER, fitted_order, holds_of
 from canhaptic.lab.studies.accuracy.accuracy_table import advice_lines
-from canhaptic.lab.studies.accuracy.continuous_loop import continuous_loop
+from canhaptic.lab.studies.accuracy.loop_sensitivity import continuous_loop
 from canhaptic.lab.studies.accuracy.study import AccuracyStudy
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_axis_controller, build_plant
 from canhaptic.scene.torque_history import declared_order, simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.direct_rig import DirectRig
-from canhaptic.sim.plant.plant_motion import observed
+from canhaptic.sim.plant.direct_rig import DirectRig, observed
 
 WALL = {"type": "spring_damper_wall", "stiffness": "500 N/m", "damping": "2 N*s/m", "position": "0 m"}
 AWAY = {**WALL, "position": "-1 m"}

@@ -8,17 +8,16 @@ import pytest
 
 from canhaptic.cycle import run
 from canhaptic.errors import InputError, SceneError
-from canhaptic.lab.judge.event_location import reference
-from canhaptic.lab.judge.reference_motion import difference
-from canhaptic.lab.reference.continuous_reference import textbook_model
+from canhaptic.lab.judge.reference_model import difference
+from canhaptic.lab.judge.solvers import reference
+from canhaptic.lab.reference import textbook_model
 from canhaptic.lab.studies.accuracy.accuracy_choice import holds_of, ladder, with_chosen_accuracy
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.method import method_line
+from canhaptic.scene.method import PlantPrice, estimated_error, method_line, plant_prices
 from canhaptic.scene.parts import build_plant
-from canhaptic.scene.plant_price import PlantPrice, estimated_error, plant_prices
 from canhaptic.scene.torque_history import simulation_of, torque_history
-from canhaptic.sim.plant.plant_motion import observed
+from canhaptic.sim.plant.direct_rig import observed
 from tests.scene.scene_text import scene_file
 
 COGGING = "simulation.effects=[{type: cogging, amplitude: 0.2, pitch: 5 mm}]"

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from canhaptic.lab.loop.scenes import environment_of, plant_parts
-from canhaptic.lab.reference.continuous_reference import continuous_reference
-from canhaptic.lab.studies.accuracy.continuous_loop import continuous_loop
+from canhaptic.lab.loop.axis_loop import environment_of, plant_parts
+from canhaptic.lab.reference import continuous_reference
+from canhaptic.lab.studies.accuracy.loop_sensitivity import continuous_loop
 from canhaptic.scene.load import load_scene
 from tests.lab.accuracy.accuracy_scenes import FOLDER
 

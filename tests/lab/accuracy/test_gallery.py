@@ -8,19 +8,18 @@ from functools import cache
 
 import pytest
 
-from canhaptic.lab.judge.event_location import located
-from canhaptic.lab.judge.reference_motion import difference
-from canhaptic.lab.reference.continuous_reference import textbook_model
+from canhaptic.lab.judge.reference_model import difference
+from canhaptic.lab.judge.solvers import located
+from canhaptic.lab.reference import textbook_model
 from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR, choose, holds_of, ladder
-from canhaptic.lab.studies.accuracy.advice import advice, line, meets
-from canhaptic.lab.studies.accuracy.candidates import OURS
-from canhaptic.lab.studies.accuracy.plant_solvers import PlantSide
+from canhaptic.lab.studies.accuracy.accuracy_table import advice, line, meets
+from canhaptic.lab.studies.accuracy.plant_solvers import OURS, PlantSide
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.old_forms import RELEASES
 from canhaptic.scene.parts import build_plant
 from canhaptic.scene.torque_history import simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.plant_motion import observed
+from canhaptic.sim.plant.direct_rig import observed
 from tests.lab.accuracy.accuracy_scenes import FOLDER, REPOSITORY, SCENES
 
 DEAR = 6.0  # evaluations a period: such rungs are measured anew by the slow tests only

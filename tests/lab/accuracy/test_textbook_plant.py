@@ -6,18 +6,16 @@ from typing import Literal
 import pytest
 
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.lab.judge.event_location import located, reference
-from canhaptic.lab.judge.fixed_step import METHODS, fixed_step
-from canhaptic.lab.judge.reference_model import Model
-from canhaptic.lab.judge.reference_motion import difference
-from canhaptic.lab.reference.continuous_reference import textbook_model
+from canhaptic.lab.judge.reference_model import Model, difference
+from canhaptic.lab.judge.solvers import METHODS, fixed_step, located, reference
+from canhaptic.lab.reference import textbook_model
 from canhaptic.lab.studies.accuracy.accuracy_choice import fitted_order
 from canhaptic.scene.parts import build_plant
+from canhaptic.sim.plant.direct_rig import observed
 from canhaptic.sim.plant.effects import EFFECTS as ALL_EFFECTS
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.effects.viscous_friction import ViscousFriction
 from canhaptic.sim.plant.plant import Plant
-from canhaptic.sim.plant.plant_motion import observed
 from tests.lab.accuracy.accuracy_scenes import (
     EFFECTS,
     EXACT,

@@ -6,10 +6,19 @@ from pathlib import Path
 import pytest
 
 from canhaptic.cli.main import main
-from canhaptic.lab.studies.arena.arena_cases import CaseGroup, group_figures, scenes_named
-from canhaptic.lab.studies.arena.arena_store import ArenaStore
-from canhaptic.lab.studies.arena.run_arena import ArenaPlan, run_arena
-from canhaptic.lab.studies.arena.standings import COLUMNS, given_out, ranks, result_rows, standings
+from canhaptic.lab.studies.arena import (
+    COLUMNS,
+    ArenaPlan,
+    ArenaStore,
+    CaseGroup,
+    given_out,
+    group_figures,
+    ranks,
+    result_rows,
+    run_arena,
+    scenes_named,
+    standings,
+)
 
 SUBSET = [
     "--scenes",

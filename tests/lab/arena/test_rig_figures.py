@@ -3,15 +3,8 @@
 import numpy as np
 import pytest
 
-from canhaptic.lab.studies.arena import rig_figures
-from canhaptic.lab.studies.arena.rig_figures import (
-    DAMPINGS,
-    borders,
-    impedances,
-    mass_widths,
-    theory,
-    tried_stiffnesses,
-)
+from canhaptic.lab.studies import arena
+from canhaptic.lab.studies.arena import DAMPINGS, borders, impedances, mass_widths, theory, tried_stiffnesses
 from canhaptic.package_data import shipped
 
 RIG = shipped("configs") / "arena_rig.yaml"
@@ -30,7 +23,7 @@ def test_the_lines_of_theory_begin_where_the_books_say() -> None:
 
 
 def test_the_plain_wall_is_late_by_half_a_hold_and_a_whole_one_of_delay(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rig_figures, "FREQUENCIES", (5.0, 20.0))
+    monkeypatch.setattr(arena, "FREQUENCIES", (5.0, 20.0))
     for delay in (0, 1):
         for found in impedances(RIG, "unprotected", delay):
             lag = 2.0 * np.pi * found["frequency"] * (0.5 + delay) * 1e-3

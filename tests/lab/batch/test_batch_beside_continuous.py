@@ -7,17 +7,13 @@ import pytest
 
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.lab.batch import ALL, CONTINUOUS, METRICS, run_batch, run_scalar, scene_with
-from canhaptic.lab.batch.batch_reference import continuous_modes, why_not_continuous
-from canhaptic.lab.batch.cases import loop_in_arrays
-from canhaptic.lab.batch.interpreted_loops import reference_memory_of
-from canhaptic.lab.batch.marching import march
-from canhaptic.lab.batch.reference_kernel import ReferenceState, begin_reference, follow_hold
+from canhaptic.lab.batch.cases import continuous_modes, loop_in_arrays, why_not_continuous
+from canhaptic.lab.batch.closed_loop import ReferenceState, begin_reference, follow_hold
+from canhaptic.lab.batch.marching import march, reference_memory_of
 from canhaptic.lab.figures.figures import figures
 from canhaptic.lab.judge.reference_model import Model
-from canhaptic.lab.loop.axis_loop import render
-from canhaptic.lab.loop.scenes import environment_of, loop_case, plant_parts
-from canhaptic.lab.reference.continuous_reference import continuous_reference
-from canhaptic.lab.reference.textbook_environment import continuous_run
+from canhaptic.lab.loop.axis_loop import environment_of, loop_case, plant_parts, render
+from canhaptic.lab.reference import continuous_reference, continuous_run
 from canhaptic.registry import load
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters

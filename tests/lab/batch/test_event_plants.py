@@ -8,8 +8,8 @@ import pytest
 from canhaptic.errors import EventLimitError
 from canhaptic.lab.batch import METRICS, run_batch, run_scalar
 from canhaptic.lab.batch.cases import batch_case
-from canhaptic.lab.batch.event_loops import run_event_plants
 from canhaptic.lab.batch.marching import march
+from canhaptic.lab.batch.plants import run_event_plants
 from canhaptic.lab.batch.varied import scene_with
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_plant
@@ -107,7 +107,7 @@ def test_a_loop_has_the_events_of_the_plant(monkeypatch):
 
 def run_scalar_with(plant, scene, monkeypatch):
     with monkeypatch.context() as patched:
-        patched.setattr("canhaptic.lab.loop.scenes.build_plant", lambda *_: plant)
+        patched.setattr("canhaptic.lab.loop.axis_loop.build_plant", lambda *_: plant)
         run_scalar(scene, CYCLES)
 
 

@@ -7,12 +7,11 @@ import pytest
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.lab.batch.meter import MeterSettings
-from canhaptic.lab.batch.rendering import render_by, work_of
-from canhaptic.lab.loop.axis_loop import Recorder
-from canhaptic.lab.loop.scenes import loop_case
+from canhaptic.lab.batch.closed_loop import MeterSettings
+from canhaptic.lab.batch.scalar import render_by, work_of
+from canhaptic.lab.loop.axis_loop import Recorder, loop_case
 from canhaptic.lab.studies.accuracy.loop_sensitivity import engines_of, variants
-from canhaptic.lab.studies.compare.comparison import compare
+from canhaptic.lab.studies.compare import compare
 from canhaptic.scene.load import load_scene
 from tests.lab.batch.test_event_plants import PLANTS, demo
 
@@ -23,7 +22,7 @@ def case_of(scene):
 
 def test_a_row_holds_what_a_recorder_takes():
     pytest.importorskip("numba")
-    from canhaptic.lab.batch.kept_rows import keep
+    from canhaptic.lab.batch.compiled_loops import keep
 
     balance = EnergyBalance(*(float(i) for i in range(4, 19)))  # type: ignore[arg-type]
     rows = [[0.0] * 19, [0.0] * 19]

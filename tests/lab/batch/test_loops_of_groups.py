@@ -6,16 +6,13 @@ import numpy as np
 import pytest
 
 from canhaptic.control.balance import EnergyBalance
+from canhaptic.control.mechanisms.kinematics import PoseAsked
 from canhaptic.control.mechanisms.transmission import Transmission
-from canhaptic.control.mechanisms.workspace import PoseAsked
 from canhaptic.control.multi_axis.group_kernel import GroupHold
 from canhaptic.control.multi_axis.group_motion import why_not_world
-from canhaptic.lab.batch.group_case import group_case
-from canhaptic.lab.batch.group_closed_loop import GroupMeter, LinearMotors, shares
-from canhaptic.lab.batch.group_loop import GroupRecorder, motors_of
-from canhaptic.lab.batch.group_rows import keep_group, render_group_by
-from canhaptic.lab.batch.group_scalar import group_meter
-from canhaptic.lab.studies.compare.group_comparison import compare_groups
+from canhaptic.lab.batch.group_loop import GroupMeter, GroupRecorder, LinearMotors, group_case, motors_of, shares
+from canhaptic.lab.batch.scalar import group_meter, keep_group, render_group_by
+from canhaptic.lab.studies.compare import compare_groups
 from canhaptic.lab.studies.sweep import sweep
 from canhaptic.lab.studies.sweep.chunk import ENGINES
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable

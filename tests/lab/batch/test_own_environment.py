@@ -5,8 +5,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 import pytest
 
-from canhaptic.lab.batch.batch_case import NotBatchableError
-from canhaptic.lab.batch.cases import loop_in_arrays
+from canhaptic.lab.batch.cases import NotBatchableError, loop_in_arrays
 from canhaptic.lab.batch.marching import march
 from canhaptic.lab.figures.figures import METRICS
 from canhaptic.units import Parameters, quantity

@@ -18,9 +18,7 @@ from canhaptic.lab.batch import (
     why_not_batchable,
 )
 from canhaptic.lab.figures.figures import figures
-from canhaptic.lab.loop.algorithms import with_algorithm
-from canhaptic.lab.loop.axis_loop import render
-from canhaptic.lab.loop.scenes import environment_of, loop_case
+from canhaptic.lab.loop.axis_loop import environment_of, loop_case, render, with_algorithm
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene

@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 from canhaptic.cli.main import main
-from canhaptic.lab.studies.accuracy import control_thread
+from canhaptic.lab.studies.accuracy import study as control_thread
 from canhaptic.lab.studies.accuracy.study import AccuracyStudy
 from canhaptic.scene.load import load_scene
 

@@ -10,11 +10,10 @@ import yaml
 from canhaptic.errors import CheckFailedError, InputError
 from canhaptic.lab.batch import run_scalar
 from canhaptic.lab.render.design_report import snippet
-from canhaptic.lab.studies.compare.comparison import compare
+from canhaptic.lab.studies.compare import compare
 from canhaptic.lab.studies.design import wall
-from canhaptic.lab.studies.design.felt_walls import felt_of
 from canhaptic.lab.studies.design.trial import Trial
-from canhaptic.lab.studies.design.wall import _rounded, design_wall
+from canhaptic.lab.studies.design.wall import _rounded, design_wall, felt_of
 from canhaptic.scene.load import load_scene
 
 DEMO = str(Path(__file__).resolve().parents[3] / "configs" / "demo.yaml")

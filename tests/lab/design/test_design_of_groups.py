@@ -10,8 +10,7 @@ import yaml
 
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError
-from canhaptic.lab.studies.design.group_trial import GroupTrial
-from canhaptic.lab.studies.design.network_scale import network_scale
+from canhaptic.lab.studies.design.trial import GroupTrial, network_scale
 from canhaptic.scene.load import load_scene
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"

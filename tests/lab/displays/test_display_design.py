@@ -7,7 +7,7 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.errors import CheckFailedError
-from canhaptic.lab.figures.display_figures import display_figures
+from canhaptic.lab.figures.figures import display_figures
 from canhaptic.lab.studies.design import display_design
 from canhaptic.lab.studies.design.display_design import design_displays
 from canhaptic.scene.load import load_scene

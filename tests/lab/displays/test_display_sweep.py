@@ -8,9 +8,9 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.cycle import run
-from canhaptic.lab.figures.display_figures import DISPLAY_METRICS, display_figures
+from canhaptic.lab.figures.figures import DISPLAY_METRICS, display_figures
+from canhaptic.lab.loop.axis_loop import parts_of
 from canhaptic.lab.loop.display_loop import DisplayRun, felt, run_display
-from canhaptic.lab.loop.scenes import parts_of
 from canhaptic.scene.build import build
 from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.load import load_scene

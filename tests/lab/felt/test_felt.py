@@ -6,13 +6,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from canhaptic.control.certificates.scalar_bounds import displacement_response
-from canhaptic.control.certificates.start_energy import energy_for_any_hand, start_energy
+from canhaptic.control.certificates.scalar_bounds import displacement_response, energy_for_any_hand, start_energy
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.lab.figures.guided import GuidedPlant, Leg
-from canhaptic.lab.figures.guided_hand import GuidedHand
-from canhaptic.lab.figures.held import Bench, Leaning, held, largest_held, settling_time
-from canhaptic.lab.figures.slow_hand import SlowHand, certified_rest, enter
+from canhaptic.lab.figures.contact_quality import (
+    Bench,
+    GuidedHand,
+    GuidedPlant,
+    Leaning,
+    Leg,
+    SlowHand,
+    certified_rest,
+    enter,
+    held,
+    largest_held,
+    settling_time,
+)
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters

@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 
 from canhaptic.lab.judge.reference_group import FiveBarModel, StageModel
-from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
-from canhaptic.sim.plant.mechanism.linkage import pose_at
-from canhaptic.sim.plant.mechanism.plane_force import force_of_hand, hand_slope, hand_target, mean_pull
+from canhaptic.sim.plant.mechanism.five_bar_linkage import (
+    FiveBarLinkage,
+    force_of_hand,
+    hand_slope,
+    hand_target,
+    mean_pull,
+    pose_at,
+)
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, TaskHand
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
 from canhaptic.sim.plant.user import SinusoidMotion

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from canhaptic.lab.judge.reference_motion import difference
-from canhaptic.sim.plant.plant_motion import Motion
+from canhaptic.lab.judge.reference_model import difference
+from canhaptic.sim.plant.direct_rig import Motion
 
 
 def motion(position: float, velocity: float, motor: float, user: float) -> Motion:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canhaptic.lab.judge.fixed_step import runge_kutta_4
+from canhaptic.lab.judge.solvers import runge_kutta_4
 
 A = np.array([[0.0, 1.0], [-4.0, -0.5]])
 

@@ -9,11 +9,20 @@ import pytest
 
 from canhaptic.errors import InputError
 from canhaptic.lab.render.map_picture import draw_map, write_map
-from canhaptic.lab.studies.map.field import fields_of
-from canhaptic.lab.studies.map.panel import Cells, Lines, _edges_of
-from canhaptic.lab.studies.map.panels import Chosen, panels_of
-from canhaptic.lab.studies.map.theory import colgate_stiffness, theory_at
-from canhaptic.lab.studies.map.z_width import _Border, _passes, border_of, usual_judgement
+from canhaptic.lab.studies.map import (
+    Cells,
+    Chosen,
+    Lines,
+    _Border,
+    _edges_of,
+    _passes,
+    border_of,
+    colgate_stiffness,
+    fields_of,
+    panels_of,
+    theory_at,
+    usual_judgement,
+)
 from canhaptic.lab.studies.sweep import sweep
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.scene.load import load_scene

@@ -11,12 +11,11 @@ from hypothesis.extra.numpy import arrays
 
 from canhaptic.errors import InputError, SceneError
 from canhaptic.lab.batch import run_scalar
-from canhaptic.lab.loop.algorithms import with_algorithm
+from canhaptic.lab.loop.axis_loop import with_algorithm
 from canhaptic.lab.studies.sweep import sweep
 from canhaptic.lab.studies.sweep.chunk import _MORE, SLOTS
 from canhaptic.lab.studies.sweep.run_sweep import _pays
-from canhaptic.lab.studies.sweep.selected import Selected
-from canhaptic.lab.studies.sweep.summary import summary
+from canhaptic.lab.studies.sweep.summary import Selected, summary
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.scene.load import load_scene
 from tests.lab.sweep.conftest_sweep import DEMO, VARY
@@ -191,7 +190,7 @@ def test_medians_and_extremes_of_a_column_read_in_blocks_are_those_of_the_whole(
     selected = Selected(Table(), "handle")  # type: ignore[arg-type]
     known = values[np.isfinite(values)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("canhaptic.lab.studies.sweep.selected._BLOCK", 7)
+        patch.setattr("canhaptic.lab.studies.sweep.summary._BLOCK", 7)
         assert selected.least("margin") == (known.min() if len(known) else None)
         middle = statistics.median(known.tolist()) if len(known) and np.abs(known).max() < 1e308 else None
         assert middle is None or selected.median("margin") == pytest.approx(middle, rel=1e-15, abs=0.0)

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from canhaptic.control.mechanisms.identity import Identity
+from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.errors import InputError
 from canhaptic.lab.batch import run_scalar, why_not_batchable
-from canhaptic.lab.studies.compare.group_comparison import compare_groups
+from canhaptic.lab.studies.compare import compare_groups
 from canhaptic.lab.studies.sweep import sweep
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.scene.components import ComponentSpec

@@ -9,7 +9,7 @@ import pytest
 
 from canhaptic.errors import InputError, WorkersLostError
 from canhaptic.lab.studies.sweep import sweep
-from canhaptic.lab.studies.sweep.workers import Pool, dask_executor
+from canhaptic.lab.studies.sweep.run_sweep import Pool, dask_executor
 from canhaptic.scene.load import load_scene
 from tests.lab.sweep.conftest_sweep import DEMO, VARY
 from tests.lab.sweep.dask_cluster import dask_cluster
@@ -101,7 +101,7 @@ def test_a_dask_cluster_that_loses_a_worker_gives_the_same_bits(demo, tmp_path, 
 @pytest.mark.slow
 def test_an_address_where_no_scheduler_answers_is_named(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("canhaptic.lab.studies.sweep.workers._CONNECT", 0.5)
+    monkeypatch.setattr("canhaptic.lab.studies.sweep.run_sweep._CONNECT", 0.5)
     with pytest.raises(InputError, match="no scheduler answers"), dask_executor("tcp://127.0.0.1:9"):
         pass
 

@@ -17,7 +17,7 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError
-from canhaptic.lab.touch.hand import TouchHand, TouchNews
+from canhaptic.lab.touch.hand_process import TouchHand, TouchNews
 from canhaptic.scene.load import load_scene
 from tests.view.chromium import Page, chromium
 

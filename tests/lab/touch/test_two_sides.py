@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
 from canhaptic.control.admittance.sampled_mass import NothingToChoose
+from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
 from canhaptic.cycle import run
 from canhaptic.errors import InputError
 from canhaptic.lab.touch.two_sides import two_sides

@@ -14,9 +14,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from canhaptic.lab.judge.event_location import through
-from canhaptic.lab.judge.reference_elements import Transition
-from canhaptic.lab.judge.reference_model import Model, Modes
+from canhaptic.lab.judge.reference_model import Model, Modes, Transition
+from canhaptic.lab.judge.solvers import through
 from canhaptic.sim.plant.propagator import Array
 from tools.bench.plants.random_scenes import RandomScene
 

@@ -8,11 +8,11 @@ from pydantic import model_validator
 from canhaptic.control.port_hamiltonian.network import Damper, Network, Spring
 from canhaptic.control.port_hamiltonian.shapes.geometry import (
     Rendered,
+    Surface,
     check_length,
     identity_rows,
     linear_geometry,
 )
-from canhaptic.control.port_hamiltonian.shapes.surface import Surface
 from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import Coordinates
 

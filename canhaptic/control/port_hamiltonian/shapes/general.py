@@ -2,10 +2,9 @@
 
 from pydantic import model_validator
 
-from canhaptic.control.port_hamiltonian.dissipators import Dissipator
 from canhaptic.control.port_hamiltonian.network import Network, check_rows
 from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, identity_rows, linear_geometry
-from canhaptic.control.port_hamiltonian.storages import Storage
+from canhaptic.control.port_hamiltonian.storages import Dissipator, Storage
 from canhaptic.errors import ParameterError
 from canhaptic.units import Coordinates, Numbers, Parameters
 

@@ -3,8 +3,7 @@
 import math
 from typing import Annotated
 
-from canhaptic.control.port_hamiltonian.shapes.geometry import Mover, Rendered, linear_geometry
-from canhaptic.control.port_hamiltonian.shapes.surface import Surface, unit_vector
+from canhaptic.control.port_hamiltonian.shapes.geometry import Mover, Rendered, Surface, linear_geometry, unit_vector
 from canhaptic.units import Numbers, quantity
 
 

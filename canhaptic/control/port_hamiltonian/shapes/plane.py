@@ -2,8 +2,7 @@
 
 from typing import Annotated
 
-from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, linear_geometry
-from canhaptic.control.port_hamiltonian.shapes.surface import Surface, unit_vector
+from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, Surface, linear_geometry, unit_vector
 from canhaptic.units import Numbers, quantity
 
 

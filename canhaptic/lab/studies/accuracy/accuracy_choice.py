@@ -13,14 +13,14 @@ from typing import Final
 import numpy as np
 
 from canhaptic.errors import InputError
-from canhaptic.lab.judge.event_location import reference
-from canhaptic.lab.judge.reference_motion import MotionError, difference
-from canhaptic.lab.reference.continuous_reference import textbook_model
+from canhaptic.lab.judge.reference_model import MotionError, difference
+from canhaptic.lab.judge.solvers import reference
+from canhaptic.lab.reference import textbook_model
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.scene.torque_history import declared_order, simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.plant_motion import Motion, observed
+from canhaptic.sim.plant.direct_rig import Motion, observed
 
 HOLDS: Final = 1000
 """Holds that settings are compared over; a scene that lasts shorter is compared over all of it."""

@@ -1,23 +1,313 @@
-"""The plant side: the whole ladder on the torques of the scene's own controller, and every effect left out in turn."""
+"""The plant side: the whole ladder on the torques of the scene's own controller, and every effect left out in turn.
+
+A linear plant in MuJoCo, where it is installed: a slide joint with the hand as its spring and damper.
+
+The hand's motion comes as a force that is held over each step. Works: the motor's is exact for a held torque, the
+user's by the trapezoidal rule over the steps.
+
+Every way to compute one plant under given torques: our settings, fixed-step methods, LSODA, MuJoCo.
+
+The price that is the same on every machine is the number of evaluations of the equations of motion: a matrix-vector
+product of ours that was tried, a right-hand side of a textbook method (forces looked at for a guard counted too), a
+step of MuJoCo. It ranks like time; the study reports how well it did.
+
+The plant side of a group: what its motors move, under the torques of the scene's own controller.
+
+Motors with plants of their own are each an axis of the ladder, and a setting is as good as on the worst of them; a
+mechanism is held against its equations of motion by DOP853.
+"""
 
 import importlib.util
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
-from typing import Any, Final
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from importlib import import_module
+from typing import Any, Final, Protocol
 
 import numpy as np
 
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.lab.judge.event_location import reference
-from canhaptic.lab.judge.reference_motion import MotionError, difference
-from canhaptic.lab.reference.continuous_reference import textbook_model
+from canhaptic.extras import install_hint
+from canhaptic.lab.batch.group_loop import GroupRecorder, Motors, motors_of, render_group
+from canhaptic.lab.judge.reference_group import GroupModel
+from canhaptic.lab.judge.reference_model import MotionError, difference
+from canhaptic.lab.judge.solvers import (
+    METHODS,
+    fixed_step,
+    fixed_step_states,
+    located,
+    located_states,
+    reference,
+    runge_kutta_4,
+)
+from canhaptic.lab.loop.axis_loop import viscous_friction
+from canhaptic.lab.reference import group_model, textbook_model
 from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR, fitted_order, ladder
-from canhaptic.lab.studies.accuracy.candidates import OURS, Candidate, candidates, ours
+from canhaptic.lab.studies.accuracy.loop_sensitivity import finely_solved
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.scene.torque_history import declared_order, simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.plant_motion import Motion
+from canhaptic.sim.plant.direct_rig import Motion, observed
+from canhaptic.sim.plant.own_hand import OwnHand
+from canhaptic.sim.plant.plant import Plant
+from canhaptic.sim.plant.propagator import Array
+from canhaptic.sim.plant.user import UserParameters
+
+_EXPRESSIBLE: Final = ("viscous_friction", "encoder_noise", "encoder_quantisation")
+
+
+def inexpressible(simulation: AxisSimulation) -> list[str]:
+    """Return the effects of a scene that this joint does not have."""
+    hand = ["a hand of one's own"] if isinstance(simulation.user, OwnHand) else []
+    return hand + [effect.name for effect in simulation.effects if effect.name not in _EXPRESSIBLE]
+
+
+class MujocoPlant:
+    """One joint, stepped from Python.
+
+    Args:
+        simulation: With expressible effects only.
+        integrator: "Euler" (semi-implicit) or "RK4".
+        substeps: Steps in a hold.
+        torques: Torque of each hold [N or N*m].
+        sample_time_ns: Duration of a hold [ns].
+    """
+
+    def __init__(
+        self, simulation: AxisSimulation, integrator: str, substeps: int, torques: Sequence[float], sample_time_ns: int
+    ) -> None:
+        self._mujoco = import_module("mujoco")
+        self._plant, self._user = simulation.plant, simulation.user or UserParameters()
+        self._step, self._substeps = sample_time_ns * 1e-9 / substeps, substeps
+        damping = self._user.damping + self._plant.damping + viscous_friction(simulation)
+        self._model = self._mujoco.MjModel.from_xml_string(f"""
+<mujoco><option timestep="{self._step!r}" gravity="0 0 0" integrator="{integrator}"><flag contact="disable"/></option>
+<worldbody><body><joint name="x" type="slide" axis="1 0 0" stiffness="{self._user.stiffness!r}"
+damping="{damping!r}"/><geom type="sphere" size="0.01" mass="{self._plant.mass!r}"/></body></worldbody>
+<actuator><motor joint="x"/></actuator></mujoco>""")
+        self._torques = np.repeat(np.array(torques), substeps)
+        self._commands = (self._torques + self._forces()).tolist()
+
+    def _forces(self) -> Array:
+        """Return what the hand adds to spring and damper at the start of each step [N or N*m]."""
+        user, target, speed = self._user, self._target(), self._speed()
+        forces: Array = user.stiffness * target + user.damping * speed + user.push
+        return forces[: len(self._torques)]
+
+    def _times(self) -> Array:
+        times: Array = np.arange(len(self._torques) + 1, dtype=float)
+        return times * np.float64(self._step)
+
+    def _target(self) -> Array:
+        motion = self._user.motion
+        target: Array = np.full(len(self._torques) + 1, self._user.rest + (motion.offset if motion else 0.0))
+        if motion:
+            target += motion.amplitude * np.sin(2.0 * math.pi * motion.frequency * self._times() + motion.phase)
+        return target
+
+    def _speed(self) -> Array:
+        motion = self._user.motion
+        if not motion:
+            return np.zeros(len(self._torques) + 1)
+        omega = 2.0 * math.pi * motion.frequency
+        speed: Array = motion.amplitude * omega * np.cos(omega * self._times() + motion.phase)
+        return speed
+
+    def _begin(self) -> Any:
+        data = self._mujoco.MjData(self._model)
+        data.qpos[0], data.qvel[0] = self._plant.initial_position, self._plant.initial_velocity
+        return data
+
+    def run(self) -> list[float]:
+        """Run it and return the positions."""
+        model, data, move, positions = self._model, self._begin(), self._mujoco.mj_step, []
+        control, place = data.ctrl, data.qpos
+        for command in self._commands:
+            control[0] = command
+            move(model, data)
+            positions.append(place[0])
+        return positions
+
+    def motion(self) -> Motion:
+        """Run it and return the motion."""
+        data = self._begin()
+        states = [(data.qpos[0], data.qvel[0])]
+        for command in self._commands:
+            data.ctrl[0] = command
+            self._mujoco.mj_step(self._model, data)
+            states.append((data.qpos[0], data.qvel[0]))
+        position, velocity = np.array(states, dtype=float).T
+        motor = np.cumsum(self._torques * np.diff(position))
+        force = self._user.stiffness * (self._target() - position) + self._user.damping * (self._speed() - velocity)
+        power = (force + self._user.push) * velocity
+        user = np.cumsum(0.5 * self._step * (power[1:] + power[:-1]))
+        ends = slice(self._substeps - 1, None, self._substeps)
+        return Motion(position[1:][ends], velocity[1:][ends], motor[ends], user[ends])
+
+
+OURS: Final = "canhaptic"
+COMPILED: Final = "canhaptic, compiled"
+LSODA: Final = "LSODA, located"
+MUJOCO: Final = "MuJoCo"
+_SUBSTEPS: Final = (1, 2, 4, 8, 16)
+_TOLERANCES: Final = (1e-3, 1e-5, 1e-7, 1e-9)
+_ABSOLUTE: Final = 1e-3
+"""Absolute tolerance over relative."""
+_MOST_WORK: Final = 130_000
+"""Most evaluations of a fixed-step method in one run: finer rungs are left out."""
+_WORK: Final = {"semi-implicit Euler": 1, "implicit midpoint": 8, "RK4": 4}
+"""Per step, about, in right-hand sides."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One method at one setting.
+
+    Attributes:
+        method: Its name.
+        setting: What distinguishes it from others of the same method.
+        size: Its step, relative; for fitting the order. None where there is no step.
+        order: Declared; None for exact and adaptive methods.
+        accuracy: As a scene names it; None for what no scene can name.
+        observe: Runs it; returns motion, evaluations and events.
+        spend: Runs it for its time only.
+    """
+
+    method: str
+    setting: str
+    size: float | None
+    order: int | None
+    accuracy: AccuracyParameters | None
+    observe: Callable[[], tuple[Motion, int, int]]
+    spend: Callable[[], object]
+
+    @property
+    def name(self) -> str:
+        """Method and setting."""
+        return f"{self.method}, {self.setting}"
+
+
+def candidates(
+    simulation: AxisSimulation,
+    torques: Sequence[float],
+    sample_time_ns: int,
+    settings: Sequence[AccuracyParameters],
+) -> list[Candidate]:
+    """Return the whole ladder of one plant.
+
+    Args:
+        simulation: The plant, the user and the effects.
+        torques: Torque of each hold [N or N*m].
+        sample_time_ns: Duration of a hold [ns].
+        settings: Settings of our plant.
+    """
+    found = [ours(simulation, accuracy, torques, sample_time_ns) for accuracy in settings]
+    for method, (order, _) in METHODS.items():
+        for substeps in _SUBSTEPS:
+            if substeps * _WORK[method] * len(torques) <= _MOST_WORK:
+                found.append(_fixed(simulation, method, order, substeps, torques, sample_time_ns))
+    if importlib.util.find_spec("scipy"):
+        found += [_adaptive(simulation, tolerance, torques, sample_time_ns) for tolerance in _TOLERANCES]
+    if importlib.util.find_spec("mujoco") and not inexpressible(simulation):
+        for integrator in ("Euler", "RK4"):
+            found += [_mujoco(simulation, integrator, n, torques, sample_time_ns) for n in (1, 4, 16)]
+    return found
+
+
+def remarks(simulation: AxisSimulation) -> list[str]:
+    """Return what could not be run, and why."""
+    lines = []
+    if not importlib.util.find_spec("mujoco"):
+        lines.append(f"MuJoCo: not installed ({install_hint('bench')})")
+    elif inexpressible(simulation):
+        lines.append(f"MuJoCo: the scene cannot be expressed there ({', '.join(inexpressible(simulation))})")
+    return lines
+
+
+def ours(
+    simulation: AxisSimulation,
+    accuracy: AccuracyParameters,
+    torques: Sequence[float],
+    sample_time_ns: int,
+    *,
+    compiled: bool = False,
+) -> Candidate:
+    """Return our plant at one accuracy; compiled, it is a method of its own, for its time."""
+    solved = replace(simulation, accuracy=accuracy)
+    kept = build_plant(solved, sample_time_ns, compiled=compiled)
+
+    def observe() -> tuple[Motion, int, int]:
+        plant = build_plant(solved, sample_time_ns, compiled=compiled)
+        return observed(plant, torques), plant.products, plant.events
+
+    return Candidate(
+        COMPILED if compiled else OURS,
+        _setting_of(accuracy, kept),
+        1.0 / accuracy.substeps,
+        None,
+        accuracy,
+        observe,
+        lambda: stepped(kept, torques),
+    )
+
+
+def _setting_of(accuracy: AccuracyParameters, plant: Plant) -> str:
+    """Return what of an accuracy matters to a plant."""
+    words = []
+    if any(part.has_guards for part in plant.scene.parts):
+        words.append(f"{accuracy.event_bits} bits")
+    if not plant.is_exact:
+        words.append(counted(accuracy.substeps, "substep"))
+    return ", ".join(words) or "exact"
+
+
+def counted(count: int, what: str) -> str:
+    """Return a number of things in words."""
+    return f"{count} {what}{'s' if count > 1 else ''}"
+
+
+def stepped(plant: Plant, torques: Sequence[float]) -> None:
+    """Move a plant from its start, as a drive does: one call a hold."""
+    plant.reset()
+    plant.begin(0)
+    move, period, now = plant.advance_to, plant.sample_time_ns, 0
+    for torque in torques:
+        now += period
+        move(now, torque)
+
+
+def _fixed(
+    simulation: AxisSimulation, method: str, order: int, substeps: int, torques: Sequence[float], sample_time_ns: int
+) -> Candidate:
+    def run() -> tuple[Motion, int, int]:
+        model = textbook_model(simulation)
+        motion = fixed_step(model, torques, sample_time_ns, METHODS[method][1](), substeps)
+        return motion, model.evaluations, 0
+
+    return Candidate(method, counted(substeps, "step"), 1.0 / substeps, order, None, run, run)
+
+
+def _adaptive(simulation: AxisSimulation, tolerance: float, torques: Sequence[float], sample_time_ns: int) -> Candidate:
+    def run() -> tuple[Motion, int, int]:
+        model = textbook_model(simulation)
+        motion = located(model, torques, sample_time_ns, "LSODA", tolerance, tolerance * _ABSOLUTE)
+        return motion, model.evaluations, 0
+
+    return Candidate(LSODA, f"tolerance {tolerance:.0e}", None, None, None, run, run)
+
+
+def _mujoco(
+    simulation: AxisSimulation, integrator: str, substeps: int, torques: Sequence[float], sample_time_ns: int
+) -> Candidate:
+    plant = MujocoPlant(simulation, integrator, substeps, torques, sample_time_ns)
+    price = (4 if integrator == "RK4" else 1) * substeps * len(torques)
+    setting = counted(substeps, "step")
+    return Candidate(
+        f"{MUJOCO} {integrator}", setting, 1.0 / substeps, 1, None, lambda: (plant.motion(), price, 0), plant.run
+    )  # order 1 for RK4 too: the hand's force is held over a step
+
 
 FURTHEST: Final = 1.0
 """Error of the position, in travels of the reference, from which a method counts as unstable."""
@@ -191,3 +481,243 @@ def named(candidate: Candidate) -> Row:
 def _errors_of(found: MotionError) -> Row:
     """Return the columns of the errors."""
     return {"position_error": found.position, "force_error": found.force, "energy_error": found.energy}
+
+
+_GROUP_SUBSTEPS: Final = (1, 2, 4, 8, 16, 32)
+_REFERENCE: Final = 1e-12
+_RUNGE_KUTTA: Final = (1, 2, 4, 8)
+
+
+class Plants(Protocol):
+    """One side of a study: see `PlantSide`."""
+
+    rows: list[Row]
+    effects: list[Row]
+    candidates: list[Candidate]
+    without: dict[str, Candidate]
+    travel: float
+    energy: float
+    evaluations: int
+
+    def measure(self) -> Iterator[str]:
+        """Run every rung once; yield the name of each before it is run."""
+
+    def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
+        """Run the plant without each effect; yield the name of each before it is run."""
+
+    def orders(self) -> list[Row]:
+        """Return the order of every method with a step."""
+
+
+def group_side(scene: Scene, holds: int, stop: Callable[[], bool], *, with_compiled: bool) -> Plants:
+    """Return the plant side of the one group of a scene; arguments as for `PlantSide`.
+
+    Raises:
+        InputError: The loop of the scene does not run to its end, or there are no equations to compare with.
+    """
+    run = render_group(finely_solved(scene), holds + 1, GroupRecorder(len(scene.axes)))
+    if run.ended:
+        raise InputError(f"{scene.source}: the loop {run.ended} before its end ({run.reason}); nothing can be compared")
+    torques = run.torque[1:]
+    return _Mechanism(scene, torques, stop) if scene.mechanisms else _OwnPlants(scene, torques, stop, with_compiled)
+
+
+class _OwnPlants:
+    """Plants that each axis of the group has by itself; see `PlantSide`."""
+
+    def __init__(self, scene: Scene, torques: Array, stop: Callable[[], bool], with_compiled: bool) -> None:
+        axes = [scene.axis(name) for name in scene.groups[0].axes]
+        period = scene.bus.sample_time_ns
+        ladders = [ladder(simulation_of(axis), period) for axis in axes]
+        lead = max(range(len(axes)), key=lambda place: len(ladders[place]))  # names the settings
+        self._names = [axis.parameters.name for axis in axes]
+        self._sides = [
+            PlantSide(
+                axis,
+                scene,
+                len(torques),
+                stop,
+                with_compiled=with_compiled,
+                torques=column.tolist(),
+                settings=ladders[lead],
+            )
+            for axis, column in zip(axes, torques.T, strict=True)
+        ]
+        rungs = [{_rung(candidate): candidate for candidate in side.candidates} for side in self._sides]
+        self.candidates = [
+            replace(candidate, spend=partial(_spend, [of[rung] for of in rungs]))
+            for rung, candidate in rungs[lead].items()
+            if all(rung in of for of in rungs)
+        ]
+        self.travel, self.energy = (max(getattr(side, name) for side in self._sides) for name in ("travel", "energy"))
+        self.evaluations = sum(side.evaluations for side in self._sides)
+        self.rows: list[Row] = []
+        self.effects: list[Row] = []
+        self.without: dict[str, Candidate] = {}
+
+    def measure(self) -> Iterator[str]:
+        """Run every rung once on every plant; yield the name of each before it is run."""
+        rows: list[dict[object, Row]] = []
+        for axis, side in zip(self._names, self._sides, strict=True):
+            for name in side.measure():
+                yield f"{axis}: {name}"
+            rows.append({_rung(of): row for of, row in zip(side.candidates, side.rows, strict=True)})
+        for candidate in self.candidates:
+            self.rows.append({**_worst([of[_rung(candidate)] for of in rows]), "setting": candidate.setting})
+
+    def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
+        """Run every plant without each of its effects; yield the name of each before it is run."""
+        for axis, side in zip(self._names, self._sides, strict=True):
+            for name in side.measure_effects(accuracy):
+                yield f"{axis}: {name}"
+            self.effects += [{**row, "effect": f"{axis}: {row['effect']}"} for row in side.effects]
+            self.without |= {f"{axis}: {name}".rstrip(): of for name, of in side.without.items()}
+
+    def orders(self) -> list[Row]:
+        """Return the order of every method with a step, by the worst plant."""
+
+        def declared(method: str) -> int | None:
+            found = [side.declared(method) for side in self._sides]
+            return min((order for order in found if order is not None), default=None)
+
+        return orders_of(self.candidates, self.rows, self.travel, declared)
+
+
+def _rung(candidate: Candidate) -> tuple[str, object]:
+    """Return what a rung is on every plant; a setting of ours names only what matters to one of them."""
+    return candidate.method, candidate.accuracy or candidate.setting
+
+
+def _spend(parts: Sequence[Candidate]) -> None:
+    for part in parts:
+        part.spend()
+
+
+def _worst(rows: Sequence[Row]) -> Row:
+    """Return one row of several plants: the largest errors, and the sum of the prices."""
+    bad = next((row for row in rows if row["status"] != "ok"), None)
+    if bad is not None:
+        return bad
+    errors = {key: max(row[key] for row in rows) for key in ("position_error", "force_error", "energy_error")}
+    prices = {key: sum(row[key] for row in rows) for key in ("evaluations", "evaluations_per_period", "events")}
+    return {**rows[0], **errors, **prices}
+
+
+@dataclass(slots=True)
+class _Mechanism:
+    """A mechanism that the motors of the group move together; its motions have a column for each motor."""
+
+    scene: Scene
+    torques: Array
+    stop: Callable[[], bool]
+    candidates: list[Candidate] = field(default_factory=list)
+    rows: list[Row] = field(default_factory=list)
+    effects: list[Row] = field(default_factory=list)
+    without: dict[str, Candidate] = field(default_factory=dict)
+    evaluations: int = 0
+    travel: float = 0.0
+    energy: float = 0.0
+    _switches: bool = False
+    _exact: Any = None  # Motion
+    _inertia: Any = None  # in every pose of it, shape (holds, axes, axes)
+
+    def __post_init__(self) -> None:
+        model = group_model(self.scene)
+        self._switches = model.switches
+        self._exact = exact = self._solved(model, "DOP853", _REFERENCE)
+        self._inertia = np.array([model.inertia(row) for row in exact.position])
+        self.evaluations, self.travel = model.evaluations, max(float(np.ptp(exact.position, axis=0).max()), 1e-9)
+        works = (exact.motor, exact.user, self._kinetic(exact))
+        self.energy = max(float(np.abs(work).max()) for work in works)
+        settings = _GROUP_SUBSTEPS if self._order else (1,)
+        self.candidates = [self._ours(n) for n in settings]
+        self.candidates += [self._runge_kutta(n) for n in _RUNGE_KUTTA] + [self._adaptive(t) for t in _TOLERANCES]
+
+    @property
+    def _order(self) -> int | None:
+        order: int | None = getattr(self.scene.mechanisms[0].mechanism.parameters, "order", None)
+        return order
+
+    def measure(self) -> Iterator[str]:
+        """Run every rung once; yield the name of each before it is run."""
+        for candidate in self.candidates:
+            yield candidate.name
+            motion, evaluations, events = candidate.observe()
+            self.rows.append({**named(candidate), **self._judged(motion), "evaluations": evaluations,
+                              "evaluations_per_period": evaluations / len(self.torques), "events": events})  # fmt: skip
+
+    def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
+        """Yield nothing: a mechanism has no effects."""
+        return iter(())
+
+    def orders(self) -> list[Row]:
+        """Return the order of every method with a step, declared and as fitted to this very scene."""
+        declared: Mapping[str, int | None] = {OURS: self._order, "RK4": 1 if self._switches else 4}
+        return orders_of(self.candidates, self.rows, self.travel, lambda method: declared.get(method))
+
+    def _judged(self, motion: Motion) -> Row:
+        """Return the largest differences from the reference at the end of any hold."""
+        exact, period = self._exact, self.scene.bus.sample_time
+        with np.errstate(all="ignore"):
+            apart = np.einsum("kij,kj->ki", self._inertia, motion.velocity - exact.velocity)
+            kicks = np.diff(apart, axis=0, prepend=np.zeros((1, apart.shape[1]))) / period
+            works = (motion.motor - exact.motor, motion.user - exact.user, self._kinetic(motion) - self._kinetic(exact))
+            found = [motion.position - exact.position, kicks, np.array(works)]
+        largest = [float(np.abs(values).max()) if np.isfinite(values).all() else math.inf for values in found]
+        stable = math.isfinite(sum(largest)) and largest[0] <= FURTHEST * self.travel
+        names = ("position_error", "force_error", "energy_error")
+        errors = dict(zip(names, largest, strict=True)) if stable else dict.fromkeys(names)
+        return {"status": "ok" if stable else "unstable", **errors}
+
+    def _kinetic(self, motion: Motion) -> Array:
+        return np.asarray(0.5 * np.einsum("ki,kij,kj->k", motion.velocity, self._inertia, motion.velocity))
+
+    def _ours(self, substeps: int) -> Candidate:
+        mechanisms = tuple(replace(of, substeps=substeps) for of in self.scene.mechanisms)
+        scene = replace(self.scene, mechanisms=mechanisms)
+        axes = [scene.axis(name) for name in scene.groups[0].axes]
+        accuracy = AccuracyParameters(substeps=substeps)
+
+        def run(look: Callable[[Motors], object]) -> tuple[list[Any], int]:
+            motors, period, found = motors_of(scene, axes), scene.bus.sample_time_ns, []
+            for k, torques in enumerate(self.torques.tolist()):
+                motors.advance_to((k + 1) * period, tuple(torques))
+                found.append(look(motors))
+            return found, motors.evaluations() or len(found)
+
+        def observe() -> tuple[Motion, int, int]:
+            table, evaluations = run(lambda m: (m.positions(), m.velocities(), m.work(), m.user_work()))
+            return Motion(*(np.array(column) for column in zip(*table, strict=True))), evaluations, 0
+
+        setting = "exact" if self._order is None else counted(substeps, "substep")
+        return Candidate(
+            OURS, setting, 1.0 / substeps, None, accuracy, observe, lambda: run(lambda _motors: None)
+        )  # fmt: skip
+
+    def _adaptive(self, tolerance: float) -> Candidate:
+        def run() -> tuple[Any, int, int]:
+            model = group_model(self.scene)
+            return self._solved(model, "LSODA", tolerance), model.evaluations, 0
+
+        return Candidate(LSODA, f"tolerance {tolerance:.0e}", None, None, None, run, run)
+
+    def _runge_kutta(self, substeps: int) -> Candidate:
+        def run() -> tuple[Any, int, int]:
+            model, period = group_model(self.scene), self.scene.bus.sample_time_ns
+            states = fixed_step_states(model, self.torques.tolist(), period, runge_kutta_4, substeps)
+            return _motion_of(model, states), model.evaluations, 0
+
+        return Candidate("RK4", counted(substeps, "step"), 1.0 / substeps, 4, None, run, run)
+
+    def _solved(self, model: GroupModel, method: str, rtol: float) -> Motion:
+        """Return the motion by one of scipy's solvers, hold by hold; errors as for `located_states`."""
+        period = self.scene.bus.sample_time_ns
+        states = located_states(model, self.torques.tolist(), period, method, rtol, 1e-3 * rtol, self.stop)
+        return _motion_of(model, states)
+
+
+def _motion_of(model: GroupModel, states: Sequence[Any]) -> Motion:
+    works = np.array([model.works(state) for state in states])
+    positions = np.array([model.positions(state) for state in states])
+    velocities = np.array([model.velocities(state) for state in states])
+    return Motion(positions, velocities, works[:, 0], works[:, 1])

@@ -2,27 +2,312 @@
 
 torques of the scene's own controller -> every method, every setting, every effect left out   against DOP853
 every rate, delay, algorithm, filter and resolution                                           against the continuous run
+
+What one cycle costs the control thread apart from the algorithm: frames, checks and accounts, without the far side.
+
+The rig of the scene runs in lock-step with its simulated drives in one thread; the time that these take is measured
+on the way and taken off.
+
+Wall times that a busy machine spoils as little as possible: interleaved repeats, their least, their spread.
+
+A fixed workload runs with them, so that a table made on one machine can be read on another by its ratios.
+
+What a study of accuracy is of: one axis that renders by itself, or one group.
 """
 
-from collections.abc import Callable, Iterator
-from typing import Any, Final
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, ClassVar, Final, NamedTuple, Protocol
 
 import numpy as np
 
+from canhaptic.control.balance import AT_REST, EnergyBalance
+from canhaptic.cycle import Cycle, run
+from canhaptic.drive.axis_parameters import AxisParameters
+from canhaptic.drive.can.link import Link
+from canhaptic.drive.clock import VirtualClock, WallClock
+from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError
 from canhaptic.lab.batch.engine import Engine
-from canhaptic.lab.loop.cost import microseconds_per_step
-from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR, holds_of
-from canhaptic.lab.studies.accuracy.advice import advice, error_per_microsecond, pareto, rank_agreement
-from canhaptic.lab.studies.accuracy.candidates import LSODA
-from canhaptic.lab.studies.accuracy.control_thread import exchange_time, log_time
-from canhaptic.lab.studies.accuracy.cycle_timing import WORKLOAD, WallTime, interleaved, workload
-from canhaptic.lab.studies.accuracy.group_plant_side import Plants
-from canhaptic.lab.studies.accuracy.loop_sensitivity import FINEST, LoopRow, bus_figures, engines_of, loop_row
-from canhaptic.lab.studies.accuracy.part import chosen_part
-from canhaptic.lab.studies.accuracy.plant_solvers import Row
-from canhaptic.scene.models import Scene
+from canhaptic.lab.loop.axis_loop import microseconds_per_step, parts_of
+from canhaptic.lab.reference import continuous_group
+from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR, holds_of, require_own_axis
+from canhaptic.lab.studies.accuracy.accuracy_table import advice, error_per_microsecond, pareto, rank_agreement
+from canhaptic.lab.studies.accuracy.loop_sensitivity import (
+    FINEST,
+    Continuous,
+    LoopRow,
+    Variant,
+    bus_figures,
+    continuous_loop,
+    engines_of,
+    group_variants,
+    loop_row,
+    variants,
+)
+from canhaptic.lab.studies.accuracy.plant_solvers import LSODA, Plants, PlantSide, Row, group_side, remarks
+from canhaptic.scene.build import build, build_drive_group, open_bus, private_channel
+from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.parts import build_servo_drive
+from canhaptic.scene.torque_history import simulation_of
+from canhaptic.signals import SimulatedPeer
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+
+_CYCLES: Final = 600
+_TURNS: Final = 3
+_BLOCK: Final = 50
+"""Cycles between two readings: the least block counts, so that interruptions do not."""
+_NS_PER_US: Final = 1e3
+
+
+def exchange_time(scene: Scene) -> float | None:
+    """Return the time of a cycle in the control thread without its algorithms [us].
+
+    None where the scene has real drives, effects on its bus or several buses.
+    """
+    if not scene.simulated or scene.bus_effects is not None or len(scene.buses) != 1:
+        return None
+    with ExitStack() as stack:
+        channel = private_channel()
+        ends = [open_bus(scene.bus, channel) for _ in range(2)]
+        for end in ends:
+            stack.callback(end.shutdown)
+        far_side = _TimedFarSide(build_drive_group(scene, ends[0]))
+        link = Link(ends[1], VirtualClock([far_side]))
+        rig = Rig(link, [build_servo_drive(axis, link, scene.bus) for axis in scene.axes], scene.bus)
+        readings: list[int] = []
+
+        def read(cycles: int) -> None:
+            if cycles % _BLOCK == 0:
+                readings.append(far_side.clock.now() - far_side.spent)
+
+        run(Cycle(rig, [_Idle() for _ in scene.axes]), _CYCLES, progress=read)
+    return min(after - before for before, after in pairwise(readings)) / _BLOCK / _NS_PER_US
+
+
+def log_time(scene: Scene) -> float | None:
+    """Return what writing the energy log costs the control thread in a cycle [us]; None where nothing can be run.
+
+    The least block of a run with the log, less the least of one without; both in lock-step, taken in turn.
+    """
+    if not scene.simulated or scene.bus_effects is not None:
+        return None
+    clock, least = WallClock(), [math.inf, math.inf]
+    with TemporaryDirectory() as folder:
+        for turn in range(2 * _TURNS):
+            log = Path(folder) / f"{turn}.h5" if turn % 2 else None
+            with build(replace(scene, auto_accuracy=None), energy_log=log) as experiment:
+                readings: list[int] = []
+
+                def read(cycles: int, readings: list[int] = readings) -> None:
+                    if cycles % _BLOCK == 0:
+                        readings.append(clock.now())
+
+                run(experiment.cycle, _CYCLES // 2, progress=read)
+            each = min(after - before for before, after in pairwise(readings))
+            least[turn % 2] = min(least[turn % 2], each / _BLOCK / _NS_PER_US)
+    return max(0.0, least[1] - least[0])
+
+
+class _TimedFarSide:
+    """A far side and the time it took [ns]."""
+
+    def __init__(self, far_side: SimulatedPeer) -> None:
+        self.clock, self.spent = WallClock(), 0
+        self._far_side = far_side
+
+    def process(self, now: int) -> None:
+        """Handle what is due."""
+        begin = self.clock.now()
+        self._far_side.process(now)
+        self.spent += self.clock.now() - begin
+
+    def next_due(self) -> int:
+        """Return the time of the next timer [ns]."""
+        begin = self.clock.now()
+        due = self._far_side.next_due()
+        self.spent += self.clock.now() - begin
+        return due
+
+
+class _Idle:
+    """A controller that does nothing."""
+
+    def reset(self) -> None:
+        """Keep nothing."""
+
+    def hold(self) -> EnergyBalance:
+        """Return rest."""
+        return AT_REST
+
+    def step(self, position: float, torque_applied: float) -> EnergyBalance:
+        """Return rest."""
+        return AT_REST
+
+
+_LEAST_REPEATS: Final = 2
+_MOST_REPEATS: Final = 15
+_LONG: Final = 1_000_000_000  # [ns]; what takes longer is timed once
+_PRODUCTS: Final = 20_000
+WORKLOAD: Final = f"{_PRODUCTS} products of a 6 x 6 matrix with a vector, called from Python"
+
+
+class WallTime(NamedTuple):
+    """Wall-clock time of one candidate."""
+
+    least: float  # [s]
+    spread: float  # median over least, less one
+    repeats: int
+
+
+def interleaved(
+    candidates: Mapping[str, Callable[[], object]],
+    budget: float,
+    stop: Callable[[], bool],
+    progress: Callable[[float], None],
+) -> dict[str, WallTime]:
+    """Return the wall time of each candidate, run in turn A B C A B C; what is quick is repeated more often.
+
+    Args:
+        candidates: By name.
+        budget: Shared alike among them [s]; beyond its share a candidate is run twice, a long one once.
+        stop: Asked before each run whether to give up; what was measured is returned.
+        progress: Called with the part that is done.
+    """
+    clock = WallClock()
+    share = round(budget * 1e9 / max(1, len(candidates)))
+    done = 0
+    times: dict[str, list[int]] = {name: [] for name in candidates}
+    for repeat in range(_MOST_REPEATS):
+        for name, candidate in candidates.items():
+            taken = times[name]
+            enough = repeat >= _LEAST_REPEATS and sum(taken) > share
+            if stop() or enough or (taken and min(taken) > _LONG):
+                continue
+            start = clock.now()
+            candidate()
+            taken.append(clock.now() - start)
+            done += 1
+            progress(min(1.0, done / (_LEAST_REPEATS * len(candidates))))
+    progress(1.0)
+    return {name: _wall_time(of_one) for name, of_one in times.items() if of_one}
+
+
+def _wall_time(times: list[int]) -> WallTime:
+    least = min(times)
+    return WallTime(least * 1e-9, float(np.median(times)) / max(least, 1) - 1.0, len(times))
+
+
+def workload() -> None:
+    """Do the fixed work that every time is a multiple of."""
+    matrix, state = np.eye(6) * 0.999, np.ones(6)
+    product = matrix.dot
+    for _ in range(_PRODUCTS):
+        state = product(state)
+
+
+Stop = Callable[[], bool]
+
+
+class StudiedPart(Protocol):
+    """What renders by itself."""
+
+    is_group: ClassVar[bool]
+
+    @property
+    def name(self) -> str:
+        """Name of the axis or the group."""
+
+    @property
+    def parameters(self) -> Sequence[AxisParameters]:
+        """Parameters of its axes."""
+
+    def plants(self, holds: int, stop: Stop, *, with_compiled: bool) -> Plants:
+        """Return the plant side; see `PlantSide`."""
+
+    def remarks(self) -> list[str]:
+        """Return what could not be run, and why."""
+
+    def continuous(self, step_ns: int, steps: int, stop: Stop) -> Continuous:
+        """Return what is felt without sampling."""
+
+    def variants(self) -> Sequence[Variant]:
+        """Return every loop of the loop side."""
+
+
+@dataclass(frozen=True, slots=True)
+class _AxisPart:
+    is_group: ClassVar[bool] = False
+    axis: AxisScene
+    scene: Scene
+
+    @property
+    def name(self) -> str:
+        return self.axis.parameters.name
+
+    @property
+    def parameters(self) -> Sequence[AxisParameters]:
+        return (self.axis.parameters,)
+
+    def plants(self, holds: int, stop: Stop, *, with_compiled: bool) -> Plants:
+        return PlantSide(self.axis, self.scene, holds, stop, with_compiled=with_compiled)
+
+    def remarks(self) -> list[str]:
+        return remarks(simulation_of(self.axis))
+
+    def continuous(self, step_ns: int, steps: int, stop: Stop) -> Continuous:
+        return continuous_loop(self.axis, step_ns, steps, stop)
+
+    def variants(self) -> Sequence[Variant]:
+        return variants(self.axis, self.scene)
+
+
+@dataclass(frozen=True, slots=True)
+class _GroupPart:
+    is_group: ClassVar[bool] = True
+    name: str
+    scene: Scene  # of the group alone
+
+    @property
+    def parameters(self) -> Sequence[AxisParameters]:
+        return tuple(self.scene.axis(name).parameters for name in self.scene.groups[0].axes)
+
+    def plants(self, holds: int, stop: Stop, *, with_compiled: bool) -> Plants:
+        return group_side(self.scene, holds, stop, with_compiled=with_compiled)
+
+    def remarks(self) -> list[str]:
+        if self.scene.mechanisms:
+            return [f"MuJoCo and other methods: not run on a {self.scene.mechanisms[0].mechanism.name}"]
+        return list(dict.fromkeys(line for axis in self.scene.axes for line in remarks(simulation_of(axis))))
+
+    def continuous(self, step_ns: int, steps: int, stop: Stop) -> Continuous:
+        return continuous_group(self.scene, step_ns, steps, stop)
+
+    def variants(self) -> Sequence[Variant]:
+        return group_variants(self.scene)
+
+
+def chosen_part(scene: Scene, name: str | None) -> StudiedPart:
+    """Return an axis or a group by name; the first axis by default, and the group of an axis that has one.
+
+    Raises:
+        InputError: There is none of that name, or it is not simulated.
+    """
+    axis = next((axis for axis in scene.axes if name in (None, axis.parameters.name)), None)
+    parts = parts_of(scene)
+    if axis is None and name not in parts:
+        raise InputError(f"{scene.source}: got axis {name!r}, expected one of: {', '.join(parts)}")
+    if axis is not None and not axis.group:
+        require_own_axis(axis, scene)
+        return _AxisPart(axis, scene)
+    group = str(axis.group if axis is not None else name)
+    return _GroupPart(group, parts[group])
+
 
 DEFAULT_BUDGET: Final = 12.0
 """Time for timings [s], the plant side's; runs for errors come on top."""

@@ -14,13 +14,12 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from canhaptic.axis_units import mass_unit
-from canhaptic.control.admittance.display_mass import DisplayMass
-from canhaptic.control.admittance.group_environment import GroupMass, PathMass
-from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
+from canhaptic.control.admittance.group_environment import DisplayMass, GroupMass, PathMass
+from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import CheckFailedError, InputError
-from canhaptic.lab.figures.display_figures import display_figures
-from canhaptic.lab.loop.scenes import parts_of, require_design_room
+from canhaptic.lab.figures.figures import display_figures
+from canhaptic.lab.loop.axis_loop import parts_of, require_design_room
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import display_properties

@@ -9,31 +9,207 @@ promises sum(h_i) + (b / T) sum(dq^2) >= 0 by proof, which is judged, and what t
 
 The rig is that of the scene. Where the scene is of real drives its plant is what `passivity` declares: the least moving
 mass and damping, which is what the certificates rest on.
+
+One stiffness and one damping for every network that is designed for: the largest, with which all others change.
+
+surface, path, coupled handles, virtual mass    its own `stiffness` and `damping`
+anisotropic spring       the largest eigenvalues of both matrices, whose shapes stay; without a damping matrix the
+                         damping has the shape of the stiffness
+general                  the springs and forms that the ports move, and what dissipates at the ports or in parallel
+                         with a spring; masses, inner springs and what is not linear stay as they are. Without such
+                         a damper each of those springs gets one in proportion to its stiffness
+
+Networks of a group on trial: each leant on and stroked by the hands of the scene, without a bus.
+
+    lean      the hands rest where the network of the scene pushes most
+    stroke    the hands move as in the scene
+
+A network passes if the torques that were held are its spring within the tolerance, by least squares over the holds in
+contact, if stroked its damping is rendered within it, and if no more energy came out than went in.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any, Final
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, fields, replace
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from canhaptic.control.balance import RANKS, WEAKEST_LAST, Certificate
+from canhaptic.control.port_hamiltonian.shapes.anisotropic_spring import AnisotropicSpring
+from canhaptic.control.port_hamiltonian.shapes.general import General
+from canhaptic.control.port_hamiltonian.storages import (
+    Damper,
+    DampingMatrix,
+    Dissipator,
+    QuadraticForm,
+    Spring,
+    Storage,
+    states_of,
+)
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
-from canhaptic.errors import InputError
+from canhaptic.errors import CanHapticError, InputError
 from canhaptic.lab.batch.cases import why_not_beforehand
 from canhaptic.lab.batch.engine import ChosenEngine, Engine, chosen_engine
+from canhaptic.lab.batch.group_loop import GroupRecorder, group_case, render_group, shares
+from canhaptic.lab.batch.scalar import group_meter
 from canhaptic.lab.loop.axis_loop import Array
-from canhaptic.lab.studies.sweep.chunk import COMPLETED, ENGINES, REFUSED, ChunkResult, run_chunk
-from canhaptic.lab.studies.sweep.places import places_of
-from canhaptic.lab.studies.sweep.points import CONTROLLER, Column, make_points
-from canhaptic.lab.studies.sweep.recipe import Recipe, make_recipe
-from canhaptic.lab.studies.sweep.vary import listed, ranged
+from canhaptic.lab.studies.sweep.chunk import (
+    COMPLETED,
+    ENGINES,
+    REFUSED,
+    ChunkResult,
+    Recipe,
+    make_recipe,
+    places_of,
+    run_chunk,
+)
+from canhaptic.lab.studies.sweep.vary import CONTROLLER, Column, listed, make_points, ranged
 from canhaptic.scene.hints import LEAN
 from canhaptic.scene.load import scene_from_text
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.models import AxisScene, MechanismScene, Scene, task_unit
 from canhaptic.scene.torque_history import simulation_of
+from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion
+from canhaptic.sim.plant.user import SinusoidMotion
+from canhaptic.units import Parameters
+
+_Matrix = Sequence[Sequence[float]]
+
+
+class NetworkScale(NamedTuple):
+    """The parameter of a network that a design varies."""
+
+    stiffness: float  # of the scene [N/m or N*m/rad]
+    with_values: Callable[[float, float], Parameters]  # the network with another stiffness and damping
+
+
+def network_scale(network: Parameters, name: str) -> NetworkScale:
+    """Return the parameter of a network that a design varies.
+
+    Args:
+        network: Network of a scene.
+        name: Its name in a scene.
+
+    Raises:
+        InputError: It has no spring at a port.
+    """
+    if isinstance(network, AnisotropicSpring):
+        return _anisotropic(network)
+    if isinstance(network, General):
+        return _general(network, name)
+    if not hasattr(network, "stiffness") or not hasattr(network, "damping"):
+        raise InputError(f"network {name!r} has no stiffness to design; expected a network with a spring at its ports")
+    return NetworkScale(
+        cast(Any, network).stiffness,
+        lambda stiffness, damping: network.model_copy(update={"stiffness": stiffness, "damping": damping}),
+    )
+
+
+def _anisotropic(network: AnisotropicSpring) -> NetworkScale:
+    stiffest = _largest(network.stiffness)
+    if stiffest == 0.0:
+        raise InputError("network 'anisotropic_spring' has the stiffness 0 in every direction; give it a shape")
+    shape = network.damping if network.damping is not None and _largest(network.damping) else network.stiffness
+
+    def with_values(stiffness: float, damping: float) -> Parameters:
+        damped = _times(shape, damping / _largest(shape)) if damping else None
+        return network.model_copy(
+            update={"stiffness": _times(network.stiffness, stiffness / stiffest), "damping": damped}
+        )
+
+    return NetworkScale(stiffest, with_values)
+
+
+def _general(network: General, name: str) -> NetworkScale:
+    at_ports = _moved_by_ports(network)
+    stiffest = max((_stiffness(storage) for _, storage in at_ports), default=0.0)
+    if stiffest == 0.0:
+        raise InputError(
+            f"network {name!r} has no spring that a port moves, so no stiffness to design; its masses and inner "
+            "springs are what the scene says"
+        )
+    most = max((_viscous(part) for part in network.dissipators), default=0.0)
+    dissipators = network.dissipators if most else (*network.dissipators, *_in_proportion(network, at_ports))
+    most = most or stiffest
+
+    def with_values(stiffness: float, damping: float) -> Parameters:
+        chosen = {place for place, _ in at_ports}
+        storages = [
+            _stiffened(storage, stiffness / stiffest) if place in chosen else storage
+            for place, storage in enumerate(network.storages)
+        ]
+        damped = tuple(_damped(part, damping / most) for part in dissipators)
+        return network.model_copy(update={"storages": tuple(storages), "dissipators": damped})
+
+    return NetworkScale(stiffest, with_values)
+
+
+def _moved_by_ports(network: General) -> list[tuple[int, Storage]]:
+    """Return the springs and forms that a port moves, each with its place among the storages."""
+    found: list[tuple[int, Storage]] = []
+    state = 0
+    for place, storage in enumerate(network.storages):
+        rows = network.gain[state : state + states_of(storage)]
+        if isinstance(storage, Spring | QuadraticForm) and any(value != 0.0 for row in rows for value in row):
+            found.append((place, storage))
+        state += states_of(storage)
+    return found
+
+
+def _in_proportion(network: General, at_ports: Sequence[tuple[int, Storage]]) -> list[Dissipator]:
+    """Return a damper in parallel with each spring that a port moves, as large in number as its stiffness."""
+    found: list[Dissipator] = []
+    starts = np.cumsum([0, *(states_of(storage) for storage in network.storages)]).tolist()
+    for place, storage in at_ports:
+        state = starts[place]
+        if isinstance(storage, Spring):
+            found.append(Damper(type="damper", viscous=storage.stiffness, beside=state))
+        elif isinstance(storage, QuadraticForm):
+            gain = np.array(network.gain[state : state + states_of(storage)])
+            matrix = gain.T @ np.array(storage.matrix) @ gain
+            ports = tuple(range(gain.shape[1]))
+            found.append(DampingMatrix(type="damping_matrix", matrix=_times(matrix.tolist(), 1.0), ports=ports))
+    return found
+
+
+def _stiffness(storage: Storage) -> float:
+    if isinstance(storage, QuadraticForm):
+        return _largest(storage.matrix)
+    return storage.stiffness if isinstance(storage, Spring) else 0.0
+
+
+def _stiffened(storage: Storage, factor: float) -> Storage:
+    if isinstance(storage, QuadraticForm):
+        return storage.model_copy(update={"matrix": _times(storage.matrix, factor)})
+    return storage.model_copy(update={"stiffness": cast(Spring, storage).stiffness * factor})
+
+
+def _viscous(part: Dissipator) -> float:
+    """Return the largest linear coefficient of what dissipates at the ports or in parallel with a spring."""
+    if isinstance(part, DampingMatrix):
+        return _largest(part.matrix) if part.ports else 0.0
+    return 0.0 if part.states else part.viscous
+
+
+def _damped(part: Dissipator, factor: float) -> Dissipator:
+    if not _viscous(part):
+        return part
+    if isinstance(part, DampingMatrix):
+        return part.model_copy(update={"matrix": _times(part.matrix, factor)})
+    return part.model_copy(update={"viscous": part.viscous * factor})
+
+
+def _largest(matrix: _Matrix) -> float:
+    """Return the largest eigenvalue of a symmetric matrix that is positive semidefinite."""
+    return max(0.0, float(np.linalg.eigvalsh(np.array(matrix))[-1]))
+
+
+def _times(matrix: _Matrix, factor: float) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(factor * value for value in row) for row in matrix)
+
 
 STIFFNESS, DAMPING = "environment.stiffness", "environment.damping"
 _USER: Final = "simulation.user"
@@ -248,3 +424,175 @@ def _recipe(scene: Scene, hands: Mapping[str, tuple[float, float]], engine: Chos
     varied = [ranged(STIFFNESS, 1e-3, STIFFEST, 2, "log"), ranged(DAMPING, 0.0, _MOST_DAMPING, 2)]
     points = make_points([*varied, *(listed(key, values) for key, values in hands.items())], [ALGORITHM])
     return make_recipe(scene, points, metrics=_METRICS, engine=engine, duration=DURATION)
+
+
+_SPAN: Final = 10.0
+"""Stiffness of the scene over the least that is tried."""
+_TIME: Final = 0.05
+"""Damping over stiffness that is hardly rendered [s]."""
+_LEAN: Final = 1.0  # [s]
+_STROKE: Final = (1.0, 5.0)
+"""Least and longest time in which the hands move [s]."""
+_DECLARED: Final = ("moving_mass", "device_damping", "device_damping_bound")
+
+
+class _Tried(NamedTuple):
+    """What one loop gave."""
+
+    spring: float  # share
+    damper: float
+    least: float  # [J]
+    covered: float
+    passed: bool  # whether it ran to its end, in contact
+    certificate: int  # its place in `WEAKEST_LAST`
+
+
+class GroupTrial:
+    """The rig on which networks are tried.
+
+    Args:
+        scene: With one group, simulated; its network has a spring at its ports (`network_scale`).
+        tolerance: How far a rendering may be from what is asked, as a part of it.
+        engine: Engine of the trials.
+        executor: Runs the loops that are not compiled; None: this thread.
+
+    Attributes:
+        scene: With the hands in motion.
+        unit: In which the handle moves.
+        softest: Stiffness that is tried [N/m or N*m/rad].
+        engine: What computes the trials.
+        is_quick: Whether they are compiled.
+        walls: How many were tried.
+
+    Raises:
+        InputError: Several groups, other axes, a network without a spring at its ports, or motors that are not
+            simulated.
+    """
+
+    def __init__(
+        self, scene: Scene, tolerance: float, engine: Engine = "auto", executor: Executor | None = None
+    ) -> None:
+        if len(scene.groups) != 1 or any(not axis.group for axis in scene.axes):
+            raise InputError(f"{scene.source}: has more than one group; one is designed for, make a scene of each")
+        (group,) = scene.groups
+        self._scale = network_scale(group.network.parameters, group.network.name)
+        self.scene, self._tolerance, self._executor = scene, tolerance, executor
+        self.unit = task_unit(group.kinematics.name, scene.axis(group.axes[0]).parameters.unit)
+        self.softest = min(self._scale.stiffness, STIFFEST) / _SPAN
+        self._stroke = _stroke_time(scene)
+        self._leaning = self._with_hands_at_rest()
+        self._chosen: ChosenEngine = chosen_engine(engine, pays=True)
+        self.is_quick = self._chosen == "numba" and group_case(scene).is_compilable
+        self.engine, self.walls, self.remark = "numba" if self.is_quick else "python", 0, ""
+        self._allowance = float(getattr(group.passivity.parameters, "energy_allowance", 0.0)) + PASSIVE_TOLERANCE
+        self._has_damping = all(axis.loop.device_damping for axis in scene.axes)
+
+    def damping_scale(self, stiffness: float) -> float:
+        """Return a damping that is hardly rendered."""
+        return _TIME * stiffness
+
+    def verdict(self, stiffness: Array, damping: Array) -> TrialVerdict:
+        """Try networks; see `Trial.verdict`."""
+        self.walls += len(stiffness)
+        pairs = list(zip(stiffness.tolist(), damping.tolist(), strict=True))
+        scenes = [(scene, time) for scene, time in self._hands() for _ in pairs]
+        jobs = [
+            (self._with_network(scene, *pair), time, self._chosen)
+            for (scene, time), pair in zip(scenes, 2 * pairs, strict=True)
+        ]
+        run: Callable[..., Any] = map if self._executor is None or self.is_quick else self._executor.map
+        table = np.array([*run(_tried, jobs)], dtype=float).reshape(2, len(pairs), -1)
+        spring, damper, least, covered, ran, _ = np.moveaxis(table, 2, 0)
+        judged = covered if self._has_damping else least
+        return verdict_of(
+            spring, np.where(damping > 0.0, damper[1], np.nan), least.min(axis=0), judged.min(axis=0),
+            ran.all(axis=0), self._allowance, self._tolerance, damping,
+        )  # fmt: skip
+
+    def account(self, verdict: TrialVerdict, stiffness: float, damping: float) -> dict[str, Any]:
+        """Return what the network is and costs."""
+        (group,) = self.scene.groups
+        axes = [self.scene.axis(name) for name in group.axes]
+        worst = max(
+            _tried((self._with_network(scene, stiffness, damping), time, "python"))[5] for scene, time in self._hands()
+        )
+        network = self._scale.with_values(stiffness, damping).model_dump(mode="json", exclude_unset=True)
+        given = group.passivity.parameters
+        losses = getattr(given, "max_consecutive_losses", 0)
+        hand = {"hand_force": getattr(given, "hand_force", 0.0)} | (
+            {"max_consecutive_losses": losses} if losses else {}
+        )
+        return {
+            "scene": self.scene.source,
+            "group": group.name,
+            "unit": self.unit,
+            "network": {"type": group.network.name, **network},
+            "stiffness": stiffness,
+            "damping": damping,
+            **verdict.account(damping),
+            "certificate": WEAKEST_LAST[worst].name.lower(),
+            "certified": {},
+            "engine": self.engine,
+            "remark": self.remark,
+            "loop": {key: value for key in _DECLARED if (value := getattr(axes[0].loop, key)) is not None},
+            "hand": hand,
+        }
+
+    def _hands(self) -> Sequence[tuple[Scene, float]]:
+        return (self._leaning, _LEAN), (self.scene, self._stroke)
+
+    def _with_network(self, scene: Scene, stiffness: float, damping: float) -> Scene:
+        (group,) = scene.groups
+        network = group.network._replace(parameters=self._scale.with_values(stiffness, damping))
+        return replace(scene, groups=(replace(group, network=network),))
+
+    def _with_hands_at_rest(self) -> Scene:
+        """Return the scene with its hands where the torques were largest while they moved."""
+        period = self.scene.bus.sample_time
+        run = render_group(self.scene, round(self._stroke / period), GroupRecorder(len(self.scene.axes)))
+        time = int(np.abs(run.torque).max(axis=1).argmax()) * period
+        axes = tuple(_at_rest(axis, time) for axis in self.scene.axes)
+        return replace(
+            self.scene, axes=axes, mechanisms=tuple(_handle_at_rest(of, time) for of in self.scene.mechanisms)
+        )
+
+
+def _tried(job: tuple[Scene, float, ChosenEngine]) -> _Tried:
+    scene, time, engine = job
+    try:
+        meter = group_meter(group_case(scene, explains=True), round(time / scene.bus.sample_time), engine)
+    except CanHapticError:
+        return _Tried(np.nan, np.nan, 0.0, 0.0, False, RANKS[Certificate.NONE])
+    figures = meter.figures
+    passed = figures.diverged == 0.0 and figures.contacts > 0.0
+    return _Tried(
+        *shares(meter), figures.least_interaction, figures.least_covered, passed, round(figures.certificate)
+    )  # fmt: skip
+
+
+def _motions(scene: Scene) -> list[SinusoidMotion]:
+    users = [axis.simulation.user for axis in scene.axes if axis.simulation is not None]
+    hands = [motion for of in scene.mechanisms if of.hand is not None for motion in of.hand.motions]
+    found = [*(user.motion for user in users if user is not None), *hands]
+    return [motion for motion in found if motion is not None]
+
+
+def _stroke_time(scene: Scene) -> float:
+    slowest = min((motion.frequency for motion in _motions(scene)), default=1.0)
+    return min(max(1.0 / slowest, _STROKE[0]), _STROKE[1])
+
+
+def _at_rest(axis: AxisScene, time: float) -> AxisScene:
+    user = axis.simulation.user if axis.simulation is not None else None
+    if axis.simulation is None or user is None or user.motion is None:
+        return axis
+    still = user.model_copy(update={"rest": user.rest + user.motion.position(time), "motion": None})
+    return replace(axis, simulation=replace(axis.simulation, user=still))
+
+
+def _handle_at_rest(of: MechanismScene, time: float) -> MechanismScene:
+    if of.hand is None:
+        return of
+    moved = [0.0 if motion is None else motion.position(time) for motion in of.hand.motions]
+    rest = tuple(at + by for at, by in zip(of.hand.rest, moved, strict=True))
+    return replace(of, hand=of.hand.model_copy(update={"rest": rest, "motion": PlaneMotion()}))

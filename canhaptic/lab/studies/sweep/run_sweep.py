@@ -2,36 +2,144 @@
 
 What a scene gives depends on its own values and its global index alone, so that serial, pool and cluster write the same
 bits; only the order in which chunks become ready differs.
+
+Where chunks run: in this process, in a process pool, on a Dask cluster, on any executor of `concurrent.futures`.
+
+A pool whose worker dies is made anew and what it had not finished is run again; Dask does that by itself.
 """
 
 import hashlib
 import json
 import math
+import multiprocessing
 import os
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
-from contextlib import ExitStack
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import wait as wait_for_chunks
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from importlib.metadata import version
+from multiprocessing.connection import wait
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 
 from canhaptic.errors import CanHapticError, InputError, WorkersLostError
+from canhaptic.extras import install_hint
 from canhaptic.lab.batch import why_not_batchable
 from canhaptic.lab.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
-from canhaptic.lab.batch.group_case import group_case
-from canhaptic.lab.loop.algorithms import with_algorithm
+from canhaptic.lab.batch.group_loop import group_case
+from canhaptic.lab.loop.axis_loop import cycles_of, parts_of, with_algorithm
 from canhaptic.lab.loop.display_loop import is_display
-from canhaptic.lab.loop.scenes import cycles_of, parts_of
-from canhaptic.lab.studies.sweep.chunk import FIGURES, ChunkResult, is_batch_key, run_chunk, usual_figures
-from canhaptic.lab.studies.sweep.points import Points, make_points
-from canhaptic.lab.studies.sweep.recipe import RATE, Recipe, make_recipe, scene_of
+from canhaptic.lab.studies.sweep.chunk import (
+    FIGURES,
+    RATE,
+    ChunkResult,
+    Recipe,
+    is_batch_key,
+    make_recipe,
+    run_chunk,
+    scene_of,
+    usual_figures,
+)
 from canhaptic.lab.studies.sweep.sweep_table import Columnset, SweepTable, create
-from canhaptic.lab.studies.sweep.vary import Varied, parse_vary
-from canhaptic.lab.studies.sweep.workers import Pool, SerialExecutor
+from canhaptic.lab.studies.sweep.vary import Points, Varied, make_points, parse_vary
 from canhaptic.scene.models import Scene
+
+T = TypeVar("T")
+
+_CONNECT: Final = 10.0
+"""Time in which a scheduler must answer [s]."""
+
+
+class SerialExecutor(Executor):
+    """Runs what is submitted at once, in this thread."""
+
+    def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
+        """Return a future that is done."""
+        future: Future[T] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+class Pool:
+    """Worker processes of our own; `renew` replaces them when one died.
+
+    Started afresh (`spawn`), so that no thread or lock of this process lives on in them. They leave Ctrl-C to this
+    process, and end when it does, however it ends.
+
+    Args:
+        workers: Number of processes.
+    """
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+        self.executor = self._made()
+
+    def renew(self) -> Executor:
+        """Return new processes in the place of the old ones."""
+        self.executor.shutdown(wait=True, cancel_futures=True)
+        self.executor = self._made()
+        return self.executor
+
+    def close(self) -> None:
+        """End the processes once they have finished what they are at."""
+        self.executor.shutdown(wait=True, cancel_futures=True)
+
+    def _made(self) -> ProcessPoolExecutor:
+        context = multiprocessing.get_context("spawn")
+        return ProcessPoolExecutor(self.workers, mp_context=context, initializer=_begin_worker)
+
+
+def _begin_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    threading.Thread(target=_follow_parent, daemon=True).start()
+
+
+def _follow_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+@contextmanager
+def dask_executor(address: str) -> Iterator[tuple[Executor, int]]:
+    """Yield (executor, number of threads of its workers) of a Dask cluster.
+
+    Args:
+        address: Address of the scheduler, as in tcp://10.0.0.5:8786.
+
+    Raises:
+        InputError: Dask is not installed, no scheduler answers, or it has no worker.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError(f"--dask needs Dask; install it with: {install_hint('sweep')}") from error
+    try:
+        client = Client(address, timeout=_CONNECT, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(
+            f"--dask {address}: no scheduler answers there within {_CONNECT:g} s ({error}); "
+            "start one with dask scheduler"
+        ) from error
+    try:
+        threads = sum(client.nthreads().values())
+        if not threads:
+            raise InputError(f"--dask {address}: the cluster has no worker; start some with dask worker {address}")
+        yield client.get_executor(pure=False), threads
+    finally:
+        client.close()
+
 
 _BATCH_CHUNK: Final = (1000, 5000)
 """Least and most scenes of a chunk unless the user says otherwise: fewer, and making the batch costs more than it."""
@@ -215,7 +323,7 @@ class _Run:
         try:
             while (self._waiting or self._out) and not stop_requested():
                 self._submit(executor, in_flight)
-                ready, _ = wait(self._out, timeout=_LOOK, return_when=FIRST_COMPLETED)
+                ready, _ = wait_for_chunks(self._out, timeout=_LOOK, return_when=FIRST_COMPLETED)
                 for future in ready:
                     self._take(future, executor)
         finally:

@@ -1,26 +1,249 @@
-"""The process data of the simulated drive: its actions at a SYNC, on an RPDO, and on events."""
+"""The process data of the simulated drive: its actions at a SYNC, on an RPDO, and on events.
 
+PDOs of the simulated drive: the rules of mapping (CiA 301, 7.5.2.35-38), and one precompiled codec per PDO.
+"""
+
+import struct
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
+from operator import attrgetter
 from typing import Final
 
 from canhaptic.canopen.objects import (
+    COB_ID_INVALID,
     COMMUNICATION_CYCLE_PERIOD,
+    EVENT_DRIVEN,
+    RPDO_COMMUNICATION,
+    RPDO_MAPPING,
     SYNC_COB_ID,
     SYNC_COUNTER_OVERFLOW,
     SYNC_FRAME_COB_ID,
+    TARGET_TORQUE,
+    TPDO_COMMUNICATION,
+    TPDO_MAPPING,
     DataType,
     SdoAbort,
 )
-from canhaptic.sim.drive.can import emergency as emcy
-from canhaptic.sim.drive.can.pdo import Pdo, find_pdos
+from canhaptic.sim.drive.can import nmt_slave as emcy
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.drive.profile.object_store import ObjectStore
+from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
 from canhaptic.sim.drive.profile.servo import Servo
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from canhaptic.sim.drive.timers import Timers
+
+_PDOS: Final = 512
+_EXTENDED_FRAME: Final = 1 << 29
+_LARGEST_SYNCHRONOUS: Final = 240  # transmission types 0..240 follow the SYNC, 254 and 255 events
+_MAX_BITS: Final = 64
+_ANY: Final = 1 << 63  # no integer of a PDO is beyond it
+_value_of: Final = attrgetter("value")
+_RESTRICTED: Final = (  # CAN identifiers that no PDO may use (CiA 301, table 28)
+    range(0x080),
+    range(0x101, 0x181),
+    range(0x581, 0x600),
+    range(0x601, 0x680),
+    range(0x6E0, 0x800),
+)
+_NS_PER_MS: Final = 1_000_000
+_NS_PER_INHIBIT_UNIT: Final = 100_000
+
+
+class Pdo:
+    """One PDO: its guarded objects, and its codec.
+
+    Args:
+        store: The objects.
+        number: 0 for the first PDO.
+        is_transmit: TPDO or RPDO, as the drive sees it.
+        on_change: Called when a communication or mapping object was written.
+
+    Attributes:
+        pack: Makes the frame of a TPDO with the present values.
+        is_active: Whether its COB-ID is valid and its map is not empty.
+        cob_id: CAN identifier.
+        transmission_type: 0..240, 254, 255.
+        entries: The mapped objects, in order.
+        length: Length of its frame [bytes].
+        event_time: Longest silence of a TPDO, or timeout of an RPDO [ns]; 0 for none.
+        inhibit_time: Shortest interval between frames of a TPDO [ns].
+    """
+
+    def __init__(self, store: ObjectStore, number: int, is_transmit: bool, on_change: Callable[[], None]) -> None:
+        communication = (TPDO_COMMUNICATION if is_transmit else RPDO_COMMUNICATION) + number
+        mapping = (TPDO_MAPPING if is_transmit else RPDO_MAPPING) + number
+        self._store, self._is_transmit = store, is_transmit
+        self._cob_id = _require(store.find(communication, 1))
+        self._type = store.find(communication, 2)
+        self._inhibit = store.find(communication, 3)
+        self._event_timer = store.find(communication, 5)
+        self._count = _require(store.find(mapping, 0))
+        self._slots: list[Entry] = []
+        while (slot := store.find(mapping, len(self._slots) + 1)) is not None:
+            slot.check = self._check_slot
+            self._slots.append(slot)
+        self._cob_id.check, self._count.check = self._check_cob_id, self._check_count
+        for entry, check in ((self._type, self._check_type), (self._inhibit, self._check_inhibit)):
+            if entry is not None:
+                entry.check = check
+        for entry in (self._cob_id, self._type, self._inhibit, self._event_timer, self._count, *self._slots):
+            if entry is not None:
+                entry.changed = on_change
+        self.compile()
+
+    def compile(self) -> None:
+        """Rebuild the codec from the objects."""
+        cob_id = COB_ID_INVALID if self._cob_id.value is None else self._cob_id.number
+        self.entries = self._mapped()
+        image = struct.Struct("<" + "".join(entry.code for entry in self.entries))
+        self._places = tuple(range(len(self.entries)))
+        self.pack, self._unpack, self.length = _packer(image.pack, self.entries), image.unpack_from, image.size
+        self.is_active = not cob_id & COB_ID_INVALID and bool(self.entries)
+        for entry in self.entries if self.is_active else ():
+            if entry.value is None:
+                entry.value = 0  # a frame has no room for "no data"
+        self.cob_id = cob_id & 0x7FF
+        kind = None if self._type is None else self._type.value
+        self.transmission_type = kind if isinstance(kind, int) else EVENT_DRIVEN
+        self.is_synchronous = self.transmission_type <= _LARGEST_SYNCHRONOUS
+        self.event_time = _NS_PER_MS * (self._event_timer.number if self._event_timer else 0)
+        self.inhibit_time = _NS_PER_INHIBIT_UNIT * (self._inhibit.number if self._inhibit else 0)
+        # Too large a torque is for the drive's limiter, which shows it; any other value out of range is ignored.
+        self._ranges = [(-_ANY, _ANY) if e.index == TARGET_TORQUE else (e.low, e.high) for e in self.entries]
+        self._takes_all = not any(map(_can_be_beyond, self.entries, self._ranges))
+        self._hooks = tuple(dict.fromkeys(e.changed for e in self.entries if e.changed is not None))
+        self.reset()
+
+    def reset(self) -> None:
+        """Clear the record of frames received, sent and announced."""
+        self.pending: bytes | bytearray | None = None  # of a synchronous RPDO, until the next SYNC
+        self.was_short = False  # of an RPDO: the last frame was refused
+        self.is_due = False  # of a TPDO of type 0: something happened since the last SYNC
+        self.not_before = 0  # of a TPDO: end of its inhibit time [ns]
+        self._syncs = 0
+
+    def load(self, content: bytes | bytearray) -> None:
+        """Take over the values of an RPDO and let the drive act on them."""
+        unpack = self._unpack
+        values = unpack(content)
+        if self._takes_all:
+            entries = self.entries
+            for place in self._places:
+                entries[place].value = values[place]
+        else:
+            for entry, value, (low, high) in zip(self.entries, values, self._ranges, strict=True):
+                if low <= value <= high:
+                    entry.value = value
+        for hook in self._hooks:
+            hook()
+
+    def counts_sync(self) -> bool:
+        """Return whether a synchronous TPDO is due at this SYNC."""
+        if self.transmission_type == 0:
+            is_due, self.is_due = self.is_due, False
+            return is_due
+        self._syncs += 1
+        if self._syncs < self.transmission_type:
+            return False
+        self._syncs = 0
+        return True
+
+    def _mapped(self) -> tuple[Entry, ...]:
+        """Return the mapped objects; none when the map of the dictionary cannot be used."""
+        entries = []
+        for slot in self._slots[: self._count.number]:
+            entry = self._object(slot.number)
+            if entry is None or not entry.code or 8 * entry.size != slot.number & 0xFF:
+                return ()
+            entries.append(entry)
+        if sum(entry.size for entry in entries) * 8 > _MAX_BITS:
+            return ()
+        return tuple(entries)
+
+    def _object(self, mapping: int) -> Entry | None:
+        return self._store.find(mapping >> 16, mapping >> 8 & 0xFF)
+
+    # --- what may be written ----------------------------------------------------------------------------------------
+
+    def _exists(self) -> bool:
+        """Whether bit 31 must be set before the PDO is changed; a PDO with a read-only COB-ID is changed directly."""
+        is_valid = self._cob_id.value is not None and not self._cob_id.number & COB_ID_INVALID
+        return is_valid and self._cob_id.writable
+
+    def _check_cob_id(self, value: int) -> SdoAbort | None:
+        is_valid = not value & COB_ID_INVALID
+        if self._exists() and is_valid and (value ^ self._cob_id.number) & 0x1FFF_FFFF:
+            return SdoAbort.DEVICE_STATE
+        is_refused = value & _EXTENDED_FRAME or any(value & 0x7FF in identifiers for identifiers in _RESTRICTED)
+        return SdoAbort.VALUE_RANGE if is_valid and is_refused else None
+
+    def _check_type(self, value: int) -> SdoAbort | None:
+        return None if value <= _LARGEST_SYNCHRONOUS or value in (254, 255) else SdoAbort.VALUE_RANGE
+
+    def _check_inhibit(self, _value: int) -> SdoAbort | None:
+        return SdoAbort.DEVICE_STATE if self._exists() else None
+
+    def _check_slot(self, value: int) -> SdoAbort | None:
+        if self._exists():
+            return SdoAbort.DEVICE_STATE
+        if self._count.number:
+            return SdoAbort.UNSUPPORTED_ACCESS
+        return self._check_mapping(value) if value else None
+
+    def _check_mapping(self, value: int) -> SdoAbort | None:
+        entry = self._object(value)
+        if entry is None:
+            return SdoAbort.NO_OBJECT
+        is_mappable = entry.transmittable if self._is_transmit else entry.receivable
+        is_whole = entry.code and 8 * entry.size == value & 0xFF
+        return None if is_mappable and is_whole else SdoAbort.NOT_MAPPABLE
+
+    def _check_count(self, value: int) -> SdoAbort | None:
+        if self._exists():
+            return SdoAbort.DEVICE_STATE
+        if value > len(self._slots):
+            return SdoAbort.PDO_LENGTH
+        mappings = [slot.number for slot in self._slots[:value]]
+        for mapping in mappings:
+            if (abort := self._check_mapping(mapping)) is not None:
+                return abort
+        return SdoAbort.PDO_LENGTH if sum(mapping & 0xFF for mapping in mappings) > _MAX_BITS else None
+
+
+def find_pdos(store: ObjectStore, is_transmit: bool, on_change: Callable[[], None]) -> tuple[Pdo, ...]:
+    """Return every PDO that the dictionary describes with both its objects."""
+    communication = TPDO_COMMUNICATION if is_transmit else RPDO_COMMUNICATION
+    mapping = TPDO_MAPPING if is_transmit else RPDO_MAPPING
+    return tuple(
+        Pdo(store, number, is_transmit, on_change)
+        for number in range(_PDOS)
+        if store.find(communication + number, 1) is not None and store.find(mapping + number, 0) is not None
+    )
+
+
+def _can_be_beyond(entry: Entry, allowed: tuple[float, float]) -> bool:
+    """Return whether a frame can carry a value of this object that is not allowed; a real one may be no number."""
+    if entry.code in "fd":
+        return True
+    whole = Entry(entry.index, entry.subindex, entry.data_type)
+    low, high = allowed
+    return whole.low < low or whole.high > high
+
+
+def _packer(pack: Callable[..., bytes], entries: Sequence[Entry]) -> Callable[[], bytes]:
+    """Function that makes a frame of the present values; unrolled for the object counts of TPDOs in torque mode."""
+    if len(entries) == 3:
+        first, second, third = entries
+        return lambda: pack(first.value, second.value, third.value)
+    return lambda: pack(*map(_value_of, entries))
+
+
+def _require(entry: Entry | None) -> Entry:
+    if entry is None:
+        raise LookupError("find_pdos() made sure that this object exists")
+    return entry
+
 
 _NS_PER_US: Final = 1000
 _LARGEST_COUNTER: Final = 240  # of the SYNC

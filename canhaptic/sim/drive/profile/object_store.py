@@ -9,8 +9,15 @@ from collections.abc import Callable, Mapping, Set
 from functools import partial
 from typing import Final
 
-from canhaptic.canopen.dictionary import Dictionary, Variable, variables
-from canhaptic.canopen.objects import RESTORE_PARAMETERS, STORE_PARAMETERS, DataType, SdoAbort
+from canhaptic.canopen.objects import (
+    RESTORE_PARAMETERS,
+    STORE_PARAMETERS,
+    DataType,
+    Dictionary,
+    SdoAbort,
+    Variable,
+    variables,
+)
 from canhaptic.errors import ParameterError
 
 _Value = int | float | bytes

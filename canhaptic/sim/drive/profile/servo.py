@@ -1,4 +1,9 @@
-"""The power stage of the simulated drive: states, cyclic torque, measurement, and the motor behind it. No bus."""
+"""The power stage of the simulated drive: states, cyclic torque, measurement, and the motor behind it. No bus.
+
+Torque on the drive's side: per mille of rated torque to the torque at the axis, and the drive's own limits.
+
+Torque measurement of the simulated drive (0x6077): the motor's torque, through a filter, with a sensor's error.
+"""
 
 import math
 from collections.abc import Callable
@@ -10,10 +15,12 @@ from canhaptic.canopen.objects import (
     CURRENT_ACTUAL,
     CYCLIC_SYNC_TORQUE,
     CYCLIC_SYNC_TORQUE_BIT,
+    MAX_TORQUE,
     MODES_OF_OPERATION,
     MODES_OF_OPERATION_DISPLAY,
     POSITION_ACTUAL,
     QUICK_STOP_OPTION,
+    RATED_TORQUE,
     STATUSWORD,
     SUPPORTED_DRIVE_MODES,
     TARGET_TORQUE,
@@ -25,13 +32,152 @@ from canhaptic.canopen.objects import (
     SdoAbort,
     StatusBit,
 )
+from canhaptic.errors import ParameterError
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.drive.profile.drive_torque import TorqueStage
 from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
 from canhaptic.sim.drive.profile.state_machine import STATUSWORD as STATUSWORDS
 from canhaptic.sim.drive.profile.state_machine import DriveState, PowerCommand, StateMachine, command_of
-from canhaptic.sim.drive.profile.torque_meter import TorqueMeter
+
+
+class TorqueStage:
+    """Limits a target torque (0x6071) to a demand (0x6074) and scales it to the axis.
+
+    The rated torque is what 0x6076 shows, so that master and drive cannot differ by a rounding; where the dictionary
+    has no 0x6076 it is the parameter itself. A dictionary without 0x6071 gives a stage without torque.
+
+    Raises:
+        ParameterError: No rated torque is stated anywhere, or it is not a whole number of counts of 0x6076.
+    """
+
+    def __init__(self, store: ObjectStore, parameters: SimulatedDriveParameters, on_change: Callable[[], None]) -> None:
+        self._target = store.entry(TARGET_TORQUE, DataType.INTEGER16)
+        self._max_torque = store.find(MAX_TORQUE)
+        self._rated = store.find(RATED_TORQUE)
+        self._parameters = parameters
+        if parameters.rated_torque is not None and self._rated is not None:
+            counts = _counts(parameters) if parameters.rated_torque_stated else 0
+            if counts > _largest(self._rated):
+                raise ParameterError(
+                    f"rated_torque: 0x6076 of the dictionary cannot hold {counts}; correct its data type"
+                )
+            self._rated.initial = self._rated.value = counts
+        if store.find(TARGET_TORQUE) is not None and self._rated_torque() <= 0.0:
+            seen = "no such object" if self._rated is None else f"value {self._rated.value!r}"
+            raise ParameterError(
+                f"rated_torque: got none, and the dictionary states none (0x6076: {seen}); "
+                "give the rated torque of the motor in the parameters of the simulated drive"
+            )
+        for entry in (self._max_torque, self._rated):
+            if entry is not None:
+                entry.changed = on_change
+        self.reload()
+
+    def _rated_torque(self) -> float:
+        if self._rated is not None and self._rated.number > 0:
+            return self._rated.number * self._parameters.rated_torque_resolution
+        return self._parameters.rated_torque or 0.0
+
+    def reload(self) -> None:
+        """Apply rated torque and limits from the objects."""
+        # [N or N*m] per count of 0x6071
+        self.quantum = self._rated_torque() / round(1.0 / self._parameters.torque_resolution, 9)
+        limit = float("inf")
+        if self._max_torque is not None and self._max_torque.value is not None:
+            limit = self._max_torque.number
+        if self._parameters.torque_limit is not None and self.quantum > 0.0:
+            # Tiny allowance: a limit given as a whole number of per mille must not lose one to rounding.
+            limit = min(limit, int(self._parameters.torque_limit / self.quantum * (1.0 + 1e-12)))
+        self._low = int(max(self._target.low, -limit))
+        self._high = int(min(self._target.high, limit))
+
+    @property
+    def largest(self) -> float:
+        """Largest torque by 0x6072 and the drive itself [N or N*m]; inf where the type of 0x6071 is its only limit."""
+        return self._high * self.quantum if self._high < self._target.high else float("inf")
+
+    def limit(self, target: int) -> int:
+        """Return the torque demand [per mille of rated torque] for a target."""
+        if target > self._high:
+            return self._high
+        return target if target >= self._low else self._low
+
+
+def _largest(entry: Entry) -> float:
+    """Return the largest value of the type of an object; limits for writing do not count."""
+    return Entry(entry.index, entry.subindex, entry.data_type).high if entry.size else -1
+
+
+def _counts(parameters: SimulatedDriveParameters) -> int:
+    exact = (parameters.rated_torque or 0.0) / parameters.rated_torque_resolution
+    counts = round(exact)
+    if abs(exact - counts) > 1e-6 * exact or counts > 0xFFFF_FFFF:
+        raise ParameterError(
+            f"rated_torque: got {parameters.rated_torque}, expected a whole number of "
+            f"{parameters.rated_torque_resolution} (what 0x6076 can show), at most {0xFFFF_FFFF} of them"
+        )
+    return counts
+
+
+_LARGEST: Final = 0x7FFF  # 0x6077 is INTEGER16
+
+
+class _TorqueSource(Protocol):
+    """A motor; an attribute `motor_torque` [N*m or N], if it has one, is the torque behind its current loop."""
+
+    @property
+    def position(self) -> float:
+        """True position [rad or m]."""
+
+
+class TorqueMeter:
+    """Measures the torque of a motor.
+
+    0x6077 = filter(motor torque) * (1 + ripple * sin(2 pi position / pitch)), the filter of first order and exact for a
+    torque that is constant since the last measurement. Without lag, ripple and current loop it is the demand itself.
+
+    Args:
+        motor: Motor whose torque is measured.
+        parameters: Lag and ripple.
+
+    Attributes:
+        is_ideal: Whether the measurement equals the demand.
+    """
+
+    def __init__(self, motor: _TorqueSource, parameters: SimulatedDriveParameters) -> None:
+        self._motor = motor
+        self._has_own_torque = getattr(motor, "motor_torque", None) is not None
+        self._lag = parameters.torque_lag
+        self._ripple = parameters.torque_ripple
+        self.is_ideal = not (self._has_own_torque or self._lag or self._ripple)
+        self._wave_number = 2.0 * math.pi / parameters.torque_ripple_pitch
+        self.reset()
+
+    def reset(self) -> None:
+        """Clear the measurement."""
+        self._filtered, self._measured_at = 0.0, 0
+
+    def counts(self, now: int, held: float, quantum: float) -> int:
+        """Measured torque at `now` [ns] in counts; 0 without a rated torque, and where the torque is not finite.
+
+        Args:
+            now: Time [ns], never before the last one.
+            held: Torque held by the power stage [N*m or N].
+            quantum: Torque of one count, with its sign [N*m or N].
+        """
+        torque = float(getattr(self._motor, "motor_torque")) if self._has_own_torque else held  # noqa: B009
+        if self._lag:
+            share = math.exp(-(now - self._measured_at) * 1e-9 / self._lag)
+            torque = self._filtered = torque + (self._filtered - torque) * share
+            self._measured_at = now
+        try:
+            if self._ripple:
+                torque *= 1.0 + self._ripple * math.sin(self._wave_number * self._motor.position)
+            counts = round(torque / quantum)
+        except (ZeroDivisionError, ValueError, OverflowError):  # no rated torque, or a motor that has diverged
+            return 0
+        return max(-_LARGEST - 1, min(_LARGEST, counts))
+
 
 SENSOR_FAULT: Final = 0x7300
 """Error code (0x603F) of a position, velocity or force that is no number."""

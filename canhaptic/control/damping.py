@@ -1,0 +1,216 @@
+"""Dampers of a controller: the velocity that they act on, and the modulated damper that recovers surplus energy.
+
+Velocity for the damper from an encoder: the longest recent window through which one straight line fits.
+
+A difference over one sample turns one count into count / T, at 10 kHz and 0.1 mm 1 m/s. First-order adaptive windowing
+(Janabi-Sharifi, Hayward and Chen 2000) takes the slope over the longest window whose end-to-end line stays within one
+count of every sample in it: long and quiet at rest, short and quick in motion.
+
+The oldest sample of the window is its anchor. The slopes of lines from it that pass every sample since within the
+tolerance form an interval; a new sample whose line lies in it narrows it and lengthens the window by one. Otherwise
+a new window is searched backwards from the newest sample, over at most half of the old one: a search over n samples
+is paid by the n samples that lengthened the window before. The published search goes over the whole window every
+time and can keep up to twice the length after a change of speed; that is the price.
+
+Recovery of surplus energy: the modulated damper of eq. 19, with its total capped for the actual delay.
+"""
+
+import math
+from dataclasses import dataclass
+from math import inf
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator
+
+from canhaptic.errors import ParameterError
+from canhaptic.kernels import Buffer
+from canhaptic.units import Parameters, quantity
+
+
+class DamperVelocity(Parameters):
+    """Which velocity an algorithm's damper uses."""
+
+    velocity: Literal["last", "windowed"] = "last"
+    """`last`: of the last hold, as the paper has it. `windowed`: adaptive windowing; needs the encoder count."""
+    velocity_window: Annotated[float, quantity("s", gt=0.0, le=1.0)] = 0.02
+    """Longest window of `windowed`."""
+
+    def window_tolerance(self, encoder_count: float) -> float:
+        """Return the tolerance of the window [m or rad]; 0 for `last`.
+
+        Raises:
+            ParameterError: `windowed` without an encoder count.
+        """
+        if self.velocity == "last":
+            return 0.0
+        if encoder_count <= 0.0:
+            raise ParameterError(
+                f"velocity 'windowed': got encoder_count {encoder_count!r}, expected > 0; its window is as long as one "
+                "count allows: give passivity.encoder_count, or use velocity: last"
+            )
+        return encoder_count
+
+    def longest_window(self, sample_time: float) -> int:
+        """Return the longest window of `windowed`, in samples of a sample time [s]."""
+        return max(2, round(self.velocity_window / sample_time))
+
+
+@dataclass(slots=True)
+class VelocityWindow:
+    """The samples through which the line of the newest velocity passes; the samples themselves are in a ring."""
+
+    newest: int = 0  # place of the newest sample in the ring
+    length: int = 0  # samples from the anchor to the newest
+    anchor: float = 0.0  # oldest sample of the window [m or rad]
+    least: float = -inf  # slopes of the lines that pass every sample within the tolerance, per sample
+    most: float = inf
+    velocity: float = 0.0  # [m/s or rad/s]
+    scanned: int = 0  # samples that searches looked at since the start, to prove the cost
+
+
+def restart(window: VelocityWindow, ring: Buffer, position: float) -> None:
+    """Begin anew at a position [m or rad], at rest."""
+    for place in range(len(ring)):
+        ring[place] = position
+    window.newest = window.length = window.scanned = 0
+    window.anchor, window.velocity = position, 0.0
+    window.least, window.most = -inf, inf
+
+
+def update(window: VelocityWindow, ring: Buffer, tolerance: float, sample_time: float, position: float) -> None:
+    """Take the position one sample later.
+
+    Args:
+        window: The window; changed.
+        ring: Its samples, one more than the longest window [m or rad]; changed.
+        tolerance: Largest distance of a sample from the line [m or rad]: one encoder count.
+        sample_time: Sample time [s].
+        position: The new sample [m or rad].
+    """
+    newest, size = window.newest + 1, len(ring)
+    if newest == size:
+        newest = 0
+    window.newest = newest
+    ring[newest] = position
+    length = window.length + 1
+    slope = (position - window.anchor) / length
+    if length < size and window.least <= slope <= window.most:
+        window.length = length
+        least = (position - tolerance - window.anchor) / length
+        most = (position + tolerance - window.anchor) / length
+        if least > window.least:
+            window.least = least
+        if most < window.most:
+            window.most = most
+    else:
+        search(window, ring, tolerance, (length if length < size else size - 1) // 2)
+        slope = (position - window.anchor) / window.length
+    window.velocity = slope / sample_time
+
+
+def search(window: VelocityWindow, ring: Buffer, tolerance: float, furthest: int) -> None:
+    """Take the longest window of at most `furthest` samples, or of one, that fits.
+
+    It then admits only slopes that pass each of its samples within the tolerance.
+    """
+    newest = window.newest  # an index below 0 wraps, as the ring does
+    position, least, most, length = ring[newest], -inf, inf, 0
+    for distance in range(1, max(1, furthest) + 1):
+        ahead = position - ring[newest - distance]
+        if not least <= ahead / distance <= most:
+            break
+        length = distance
+        low, high = (ahead - tolerance) / distance, (ahead + tolerance) / distance
+        if low > least:
+            least = low
+        if high < most:
+            most = high
+    first = newest - length
+    anchor = ring[first]
+    least, most = -inf, inf
+    for distance in range(1, length + 1):
+        passed = ring[first + distance]
+        low, high = (passed - tolerance - anchor) / distance, (passed + tolerance - anchor) / distance
+        if low > least:
+            least = low
+        if high < most:
+            most = high
+    window.length, window.anchor, window.least, window.most = length, anchor, least, most
+    window.scanned += 2 * length
+
+
+def _with_unit(value: Any) -> Any:
+    bare = isinstance(value, (int, float)) and value != 0
+    if isinstance(value, str):
+        try:
+            bare = float(value) != 0.0
+        except ValueError:
+            return value
+    if bare:
+        raise ValueError("damping per joule has no natural unit: write it, as in '200 s/m^2' or '5 s/rad^2'")
+    return value
+
+
+Alpha = Annotated[float, quantity("s/m^2", "s/rad^2", ge=0.0), BeforeValidator(_with_unit)]
+"""Modulated damping per joule of surplus (eq. 19). A number other than 0 must come with its unit."""
+
+
+def least_oscillating_damping(delay: int, mass: float, sample_time: float) -> float:
+    """Return the damping [N*s/m or N*m*s/rad] above which a sampled damper makes a free mass ripple.
+
+    A mass under zero-order-held damping with a velocity from the last displacement has the characteristic equation
+    (z - 1) z^n + g (z + 1) = 0 with n = 1 + delay, g = d T / 2m. Its roots leave the real axis where
+    g = (1 - z) z^n / (1 + z) is largest, at z = (sqrt(1 + n^2) - 1) / n: d T / m = 0.343, 0.180, 0.122
+    for delay 0, 1, 2.
+
+    Args:
+        delay: Whole holds between computation and action.
+        mass: Inertia rigid with the encoder [kg or kg*m^2]; an under-estimate is safe.
+        sample_time: Sample time [s].
+    """
+    n = 1 + delay
+    z = (math.sqrt(1.0 + n * n) - 1.0) / n
+    return float(2.0 * mass / sample_time * (1.0 - z) * z**n / (1.0 + z))
+
+
+def largest_stable_damping(delay: int, mass: float, sample_time: float) -> float:
+    """Return the damping [N*s/m or N*m*s/rad] above which a sampled damper makes a free mass diverge.
+
+    On z = exp(i theta) the equation above has (z - 1) / (z + 1) = i tan(theta / 2), so theta = pi / 2n and
+    d T / m = 2 tan(pi / 4n): 2, 0.828, 0.536 for delay 0, 1, 2.
+    """
+    return 2.0 * mass / sample_time * math.tan(math.pi / (4.0 * (1 + delay)))
+
+
+def damping_cap(delay: int, mass: float | None, sample_time: float) -> float:
+    """Return the largest total damping to render [N*s/m or N*m*s/rad]; infinite when the moving mass is not known."""
+    return math.inf if mass is None else least_oscillating_damping(delay, mass, sample_time)
+
+
+def modulated_damping(
+    alpha: float,
+    surplus: float,
+    model_damping: float,
+    cap: float,
+    displacement: float = 0.0,
+    sample_time: float = 1.0,
+) -> float:
+    """Return d_pas of eq. 19 [N*s/m or N*m*s/rad]: in proportion to the surplus, the total not above the cap.
+
+    Nor is it more than dissipates the surplus in one hold like the last: eq. 19 alone would take out more than there
+    is where alpha is large, and set up an oscillation of its own.
+
+    Args:
+        alpha: Damping per joule of surplus [s/m^2 or s/rad^2].
+        surplus: Energy still to be dissipated [J]; at or below 0 the damper is off.
+        model_damping: Damping that the model itself has inside the same torque [N*s/m or N*m*s/rad].
+        cap: Largest total damping [N*s/m or N*m*s/rad].
+        displacement: Motion of the hold that ended [m or rad]; 0 for no limit by the surplus.
+        sample_time: Sample time [s].
+    """
+    if surplus <= 0.0:
+        return 0.0
+    damping = min(alpha * surplus, cap - model_damping)
+    if damping * displacement * displacement > surplus * sample_time:
+        damping = surplus * sample_time / (displacement * displacement)
+    return max(0.0, damping)

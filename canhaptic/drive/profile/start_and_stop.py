@@ -1,0 +1,404 @@
+"""Start and stop of a rig, and the cycle as both use it.
+
+Interface of the cycle for the start and the stop of a rig, on any fieldbus.
+
+The start of a rig after the configuration of each drive: SYNC, operational, zero torque on the wire, enable.
+
+How a rig ends: zero torque first, then disabled, then pre-operational; confirmed, and without trusting the bus.
+
+Nothing in here raises for a bus or drive that is already failing: each part is tried, and what was not confirmed is
+returned as text.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from enum import Enum
+from functools import partial
+from itertools import count
+from typing import Final, Protocol
+
+from canhaptic.canopen.code_texts import emcy_remedy
+from canhaptic.canopen.objects import CONTROLWORD, POSITION_ACTUAL, STATUSWORD, Controlword, StatusBit
+from canhaptic.drive.profile.bring_up import BringUp, Confirmation
+from canhaptic.drive.profile.power_states import FAULTED, TORQUE_FREE, PowerState, drive_state, next_controlword
+from canhaptic.drive.profile.torque_axis import TorqueAxis
+from canhaptic.errors import LinkError, RigError
+
+
+class CyclicExchange(Protocol):
+    """Runs the cycle of several drives."""
+
+    @property
+    def drives(self) -> Sequence[TorqueAxis]:
+        """All drives."""
+
+    @property
+    def periods(self) -> int:
+        """Sample times between the last two SYNCs."""
+
+    @property
+    def skipped(self) -> int:
+        """SYNCs missed and left out since `begin`."""
+
+    @property
+    def sample_time_ns(self) -> int:
+        """The sample time [ns]."""
+
+    @property
+    def beat_cycles(self) -> int:
+        """Sample times from one sign of life of the master to the next."""
+
+    @property
+    def silence(self) -> int:
+        """Silence of the master that a drive tolerates [ns]."""
+
+    def now(self) -> int:
+        """Return the time [ns]."""
+
+    def wait_until(self, deadline: int) -> None:
+        """Return when `deadline` [ns] has come."""
+
+    def begin(self) -> None:
+        """Let the next SYNC go out at once and count from there."""
+
+    def leave_one_out(self) -> None:
+        """Let the next SYNC go out one sample time later, and take what still answers the last; raise LinkError."""
+
+    def sync(self) -> None:
+        """Wait for the next deadline, send SYNC and take its answers; raise LinkError."""
+
+    def write_zero(self) -> None:
+        """Send every drive its controlword with zero torque; raise LinkError."""
+
+    def beat(self, *, at_once: bool = False) -> None:
+        """Send the master's sign of life, when due or at once; raise LinkError."""
+
+
+_PLAUSIBLE_COUNTS: Final = 1 << 15  # a shifted map is wrong by 2^16 and more; a hand moves less between two frames
+_WRAP: Final = 1 << 32
+_ORDER: Final = (
+    "set transmission type 1, inhibit time 0 and event timer 0 of that TPDO (0x1800 and up), or lower bus.rate"
+)
+_PATIENCE: Final = 3  # heartbeats after which a drive that has not confirmed is asked again
+
+
+def start(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
+    """Take every drive to OPERATION ENABLED with zero torque; return after the first SYNC that found all enabled.
+
+    Args:
+        exchange: The cycle.
+        bring_ups: One for each drive of the exchange, in its order.
+
+    Raises:
+        StartError: A step was not confirmed.
+    """
+    for drive in exchange.drives:
+        drive.reset()
+        drive.answers = drive.is_foreign = False
+    for bring_up in bring_ups:
+        bring_up.call()  # all of them first: their heartbeats come while the first is awaited
+    for bring_up in bring_ups:
+        bring_up.configure()
+    exchange.begin()
+    _enter_operational(exchange, bring_ups)
+    _exchange_zero_torque(exchange, bring_ups)
+    _check_positions(exchange, bring_ups)
+    for bring_up in bring_ups:
+        bring_up.check_rest()
+    _enable(exchange, bring_ups)
+
+
+def _cycle(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
+    """One SYNC with zero torque and the controlwords as they are."""
+    with bring_ups[0].step("bus"):
+        exchange.sync()
+        exchange.write_zero()
+
+
+def _cycle_until(
+    exchange: CyclicExchange, bring_ups: Sequence[BringUp], confirmation: Callable[[BringUp], Confirmation]
+) -> None:
+    """Cycles until every drive has confirmed; those that have not are asked again now and then.
+
+    Raises:
+        StartError: One did not within its time.
+    """
+    begin = exchange.now()
+    awaited = [confirmation(bring_up) for bring_up in bring_ups]
+    for cycle in count():
+        _cycle(exchange, bring_ups)
+        if all(wanted.is_given() for wanted in awaited):
+            return
+        for drive, bring_up, wanted in zip(exchange.drives, bring_ups, awaited, strict=True):
+            if wanted.is_given():
+                continue
+            if (cycle + 1) % (_PATIENCE * exchange.beat_cycles) == 0:
+                wanted.ask()
+            if exchange.now() - begin > round(drive.axis.step_timeout * 1e9):
+                raise bring_up.refusal(wanted.step, wanted.seen(), wanted.expected)
+
+
+def _enter_operational(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
+    for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
+        drive.controlword = int(Controlword.DISABLE_VOLTAGE)
+        bring_up.command_operational()
+    _cycle_until(exchange, bring_ups, lambda bring_up: bring_up.operational())
+
+
+def _exchange_zero_torque(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
+    """Cycle until every drive answers SYNC, then read back its target torque and its torque demand."""
+    _require_order(exchange, bring_ups)
+    for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
+        with bring_up.step("zero torque"):
+            target = _read(exchange, drive, drive.axis.target)
+        if not drive.rests_at(target):
+            seen = f"{drive.axis.target:#06x} = {target} after an RPDO with 0"
+            raise bring_up.refusal("zero torque", seen, drive.rest_text)
+        if drive.read_back == "demand" and drive.reported_per_mille != 0:
+            raise bring_up.refusal("zero torque", f"0x6074 = {drive.reported_per_mille} in the TPDO", "0")
+
+
+def _require_order(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
+    """Cycles until every drive answers two SYNCs, of which the first is followed by a pause, and sends nothing in it.
+
+    What comes in the pause answers an older SYNC, or none: it would be taken for the answer of the next.
+    """
+    drives, begin = exchange.drives, exchange.now()
+    while True:
+        _cycle_until(exchange, bring_ups, lambda bring_up: bring_up.process_data())
+        with bring_ups[0].step("bus"):
+            exchange.leave_one_out()
+        before = [drive.unasked for drive in drives]
+        _cycle(exchange, bring_ups)  # a synchronous RPDO acts only now
+        wrong = [n for n, drive in enumerate(drives) if drive.unasked > before[n] or not drive.is_complete]
+        if not wrong:
+            return
+        drive, bring_up = drives[wrong[0]], bring_ups[wrong[0]]
+        if exchange.now() - begin > round(drive.axis.step_timeout * 1e9):
+            is_late = drive.unasked > before[wrong[0]]
+            seen = "process data that answer no SYNC, or an older one" if is_late else "no answer to one SYNC of two"
+            wanted = "each SYNC answered before the part tpdo_timeout of its cycle ends, and nothing sent between"
+            raise bring_up.refusal("PDO exchange", f"{drive.culprit}: {seen}", wanted, _ORDER)
+
+
+def _read(exchange: CyclicExchange, drive: TorqueAxis, index: int) -> int:
+    """Read an object while the drives' watchdogs of the master run: no heartbeat goes out until the answer."""
+    exchange.beat(at_once=True)
+    value = drive.sdo.read_within(exchange.silence // 2, index)
+    exchange.beat(at_once=True)
+    return value
+
+
+def _check_positions(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
+    """Compare the position in the TPDO with the one by SDO: a map that is shifted shows here, before any torque."""
+    for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
+        with bring_up.step("position"):
+            by_sdo = _read(exchange, drive, POSITION_ACTUAL)
+        by_tpdo = drive.position_counts
+        distance = (by_tpdo - by_sdo + _WRAP // 2) % _WRAP - _WRAP // 2
+        if abs(distance) >= _PLAUSIBLE_COUNTS:
+            seen = f"{by_tpdo} counts in the TPDO"
+            raise bring_up.refusal("position", seen, f"{by_sdo} counts as by SDO (0x6064)")
+
+
+def _enable(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
+    """Walk every drive through 0x06, 0x07, 0x0F, each confirmed by the statusword before the next."""
+    begin = dict.fromkeys(exchange.drives, exchange.now())
+    states = {drive: drive.state for drive in exchange.drives}
+    while True:
+        for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
+            _refuse_fault(exchange, drive, bring_up)
+            state, now = drive.state, exchange.now()
+            if state is not states[drive]:
+                states[drive], begin[drive] = state, now
+            if not _is_enabled(drive) and now - begin[drive] > _enable_time(drive):
+                raise bring_up.refusal("enable", _state_text(drive), _expected_after(drive))
+            drive.controlword = int(next_controlword(state) or Controlword.DISABLE_VOLTAGE)
+        if all(_is_enabled(drive) and drive.is_complete for drive in exchange.drives):
+            return
+        with bring_ups[0].step("bus"):
+            exchange.write_zero()
+            exchange.sync()
+
+
+def _is_enabled(drive: TorqueAxis) -> bool:
+    """Whether a drive is enabled and, if it reports bit 12 late (quirk late_following), has reported it."""
+    follows = not drive.quirks.waits_for_following or drive.statusword & StatusBit.FOLLOWS_COMMAND
+    return drive.state is PowerState.OPERATION_ENABLED and bool(follows)
+
+
+def _enable_time(drive: TorqueAxis) -> int:
+    """Return how long one step of the enabling may take [ns]."""
+    return round(max(drive.axis.step_timeout, drive.quirks.enable_time) * 1e9)
+
+
+def _refuse_fault(exchange: CyclicExchange, drive: TorqueAxis, bring_up: BringUp) -> None:
+    if drive.state in FAULTED or drive.emergency is not None:
+        code = 0 if drive.emergency is None else drive.emergency.code
+        remedy = emcy_remedy(code, exchange.silence * 1e-9, exchange.skipped)
+        raise bring_up.refusal("enable", bring_up.fault_text(), PowerState.OPERATION_ENABLED.value, remedy)
+
+
+def _state_text(drive: TorqueAxis) -> str:
+    return f"{drive.state.value} (statusword {drive.statusword:#06x}) after controlword {drive.controlword:#04x}"
+
+
+def _expected_after(drive: TorqueAxis) -> str:
+    after = {
+        Controlword.SHUTDOWN: PowerState.READY_TO_SWITCH_ON,
+        Controlword.SWITCH_ON: PowerState.SWITCHED_ON,
+        Controlword.ENABLE_OPERATION: PowerState.OPERATION_ENABLED,
+    }
+    return after.get(Controlword(drive.controlword), PowerState.SWITCH_ON_DISABLED).value
+
+
+_LONGEST_RAMP: Final = 50_000_000  # [ns]
+_CONFIRMATION: Final = 100_000_000  # [ns] that a drive may take for one step of the stop
+_FEWEST_CYCLES: Final = 4  # a synchronous RPDO acts one SYNC later and shows in the TPDO one later still
+_ROUNDS: Final = 2  # of SDO and NMT before the loop of PDOs is given up
+
+
+class Trust(Enum):
+    """How far RPDOs and SYNCs are trusted to reach the drives."""
+
+    FULL = "the operator stops a rig that is well"
+    SOME = "something is wrong, but not with the link"
+    NONE = "the link failed: frames may be lost on any way"
+
+
+def ramp_down(exchange: CyclicExchange, duration: float) -> None:
+    """Take the torque of every axis to zero along a straight line, through the limiter.
+
+    Args:
+        exchange: The cycle.
+        duration: Duration of the ramp [s], at most 0.05 s.
+
+    Raises:
+        LinkError: The bus failed on the way.
+        ControlError: Never in practice: the torques are our own.
+    """
+    ramp = min(round(duration * 1e9), _LONGEST_RAMP)
+    cycles = max(1, ramp // exchange.sample_time_ns)
+    begin = [drive.limiter.last for drive in exchange.drives]
+    for cycle in range(1, cycles + 1):
+        exchange.sync()
+        for drive, torque in zip(exchange.drives, begin, strict=True):
+            drive.sample(0, exchange.periods)
+            drive.write(drive.command_per_mille(torque * (1.0 - cycle / cycles)))
+        exchange.beat()
+
+
+def disable(exchange: CyclicExchange, trust: Trust) -> list[str]:
+    """Send zero torque, disable every drive and take it to pre-operational.
+
+    Args:
+        exchange: The drives.
+        trust: Without any, disable goes out by SDO right behind the zero torque: it needs neither RPDO nor SYNC to
+            arrive. Unless it is full, SDO and NMT pre-operational follow a few SYNCs later to every drive that may
+            still hold a torque.
+
+    Returns:
+        What was not confirmed, one text per drive; empty when all is well.
+    """
+    _try(lambda: _write_zero([drive for drive in exchange.drives if not drive.is_foreign]))
+    reachable = [drive for drive in exchange.drives if drive.answers]
+    if not reachable:
+        return []
+    if trust is Trust.NONE:
+        _try_each(drive.disable_unconfirmed for drive in reachable)
+    operational = [drive for drive in reachable if drive.is_operational]
+    if operational:
+        _try(exchange.sync)  # a synchronous RPDO acts at the next SYNC
+    for drive in exchange.drives:
+        drive.controlword = int(drive.stop_word)
+    if operational:
+        _cycle_until_disabled(exchange, operational, insists=trust is not Trust.FULL)
+    confirmed = [drive for drive in reachable if _is_disabled(drive)]
+    _leave_operational(confirmed)  # before any waiting: no heartbeat goes out meanwhile
+    others = [drive for drive in reachable if drive not in confirmed]
+    _try_each(drive.leave_operational for drive in others if drive not in operational)  # STOPPED takes no SDO
+    problems = {drive: _confirm_disabled(drive) for drive in others}
+    _leave_operational([drive for drive in others if not problems[drive]])
+    return [f"{drive.axis.name}: {problem}" for drive, problem in problems.items() if problem]
+
+
+def _write_zero(drives: Sequence[TorqueAxis]) -> None:
+    """Send zero to every drive, even where the frame of another is refused."""
+    failure: LinkError | None = None
+    for drive in drives:
+        try:
+            drive.write(0)
+        except LinkError as error:
+            failure = error
+    if failure is not None:
+        raise failure
+
+
+def _cycle_until_disabled(exchange: CyclicExchange, drives: Sequence[TorqueAxis], *, insists: bool) -> None:
+    """Repeat zero torque and disable until every drive confirms; a bus that is off may come back meanwhile.
+
+    After the silence of the master that they tolerate the drives have stopped by their own watchdogs. Where none of
+    those that are left shows that it is without torque, disable follows by SDO.
+    """
+    period, now = exchange.sample_time_ns, exchange.now
+    stopping = max([drive.stop_time for drive in drives])  # until then a drive that brakes is left to brake
+    patience = now() + stopping
+    end = now() + max(_CONFIRMATION, _FEWEST_CYCLES * period, exchange.silence) + stopping
+    cycles = rounds = 0
+    while now() < end:
+        parts = [_try(partial(_write_zero, exchange.drives)), _try(exchange.beat), _try(exchange.sync)]
+        if not all(parts):
+            exchange.wait_until(now() + period)
+            continue
+        left = [drive for drive in drives if not _is_disabled(drive)]
+        if not left:
+            return
+        cycles += 1
+        if insists and cycles % _FEWEST_CYCLES == 0 and now() >= patience:
+            doubtful = [drive for drive in left if not _demands_no_torque(drive)]
+            if rounds == _ROUNDS and len(doubtful) == len(left):
+                return
+            _try_each(drive.disable_unconfirmed for drive in doubtful)
+            _try_each(drive.leave_operational for drive in doubtful)
+            rounds += 1
+
+
+def _is_disabled(drive: TorqueAxis) -> bool:
+    """Whether the TPDO that answered the last SYNC says so."""
+    return drive.is_complete and drive.state in TORQUE_FREE
+
+
+def _demands_no_torque(drive: TorqueAxis) -> bool:
+    """Whether the drive's last TPDO shows no torque, as from a drive that leaves its state slowly."""
+    return drive.is_complete and drive.read_back == "demand" and drive.reported_per_mille == 0
+
+
+def _confirm_disabled(drive: TorqueAxis) -> str:
+    """Error of a drive that should be disabled; asks by SDO, for its TPDO did not show it."""
+    try:
+        drive.sdo.write(CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
+        state = drive_state(drive.sdo.read(STATUSWORD))
+    except RigError as error:
+        return str(error)
+    return "" if state in TORQUE_FREE else f"state {state.value}"
+
+
+def _leave_operational(drives: Sequence[TorqueAxis]) -> None:
+    """Send the drives to pre-operational, switch their watchdogs off and wait for their heartbeats."""
+    _try_each(drive.leave_operational for drive in drives)
+    for drive in drives:
+        _try(drive.disarm)
+        _try(drive.await_pre_operational)
+
+
+def _try(action: Callable[[], object]) -> bool:
+    """Run one part of the stop; return False when bus or drive failed, so that the other parts still happen."""
+    try:
+        action()
+    except RigError:
+        return False
+    return True
+
+
+def _try_each(actions: Iterable[Callable[[], object]]) -> None:
+    for action in actions:
+        _try(action)

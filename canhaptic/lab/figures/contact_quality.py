@@ -1,0 +1,310 @@
+"""What a hand feels of a wall: a hand that is guided, the stiffness held, the depth and drag of a slow approach.
+
+A hand guided from outside: its position and its push change at rates that are set between two holds.
+
+Place, speed, push and its rate are states that change linearly, so that the plant stays as exact as with any other
+hand, with any effects; `Plant.set_states` changes them at a SYNC.
+
+A simulated axis whose hand follows a course: legs of constant speed and constant rise of the push.
+
+Largest stiffness that a loop holds at rest under a slowly rising push, found by bisection.
+
+    push     from 0 to its full force while it rises, from in front of the wall; then constant
+    held     over the last part of the run: mean torque over mean depth is within the tolerance of the stiffness, depth
+             swings by no more than the tolerance, and no more energy came out than the allowance
+
+Initial oscillations must have died away by the damping of device and hand when a wall is judged: `settling_time`.
+
+A slow hand that enters a wall and stops there: its depth at rest, and the drag before.
+
+The hand is a spring whose outer end moves at a constant speed through free space and then into the wall, and stops. The
+handle begins with that speed, so that it does not swing on the spring.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from canhaptic.control.certificates.scalar_bounds import DisplacementResponse, renderable_by_hand_force
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Recorder, render
+from canhaptic.sim.plant.assembly import PlantModel, Rows
+from canhaptic.sim.plant.effects import Effect
+from canhaptic.sim.plant.plant import Plant, PlantParameters
+from canhaptic.sim.plant.pointer_hand import PLACE, PointerHand
+from canhaptic.sim.plant.user import Hand
+
+SPEED: Final = "hand_speed"
+"""State that is the speed of the place [m/s or rad/s]."""
+PUSH: Final = "hand_push"
+"""State that is the force of the hand besides its grip [N or N*m]."""
+PUSH_RATE: Final = "hand_push_rate"
+"""State that is the rate of that force [N/s or N*m/s]."""
+
+
+class GuidedHand(PointerHand):
+    """A grip on the handle and a push, both set from outside."""
+
+    def add_to(self, scene: PlantModel) -> None:
+        """Add the hand and its states."""
+        _GuidedPart(self).add_to(scene)
+        for name, initial in ((PLACE, self.place), (SPEED, 0.0), (PUSH, 0.0), (PUSH_RATE, 0.0)):
+            scene.add_state(name, initial)
+        scene.deflection[PLACE] = -1.0
+
+
+class _GuidedPart(Hand):
+    def assemble(self, rows: Rows, mode: str) -> None:
+        """Add the force on the handle, its work, and the course of place and push."""
+        stiffness, damping = self.grasp(mode)
+        super().assemble(rows, mode)
+        rows.set_rate(PLACE, rows.row(**{SPEED: 1.0}))
+        rows.set_rate(PUSH, rows.row(**{PUSH_RATE: 1.0}))
+        handle = len(rows.forces) - 1
+        force = rows.row(**{PLACE: stiffness, SPEED: damping, PUSH: 1.0})
+        rows.forces[handle] += force
+        rows.add_power(self.name, force, rows.velocity(handle))
+
+
+_NS: Final = 1e9
+
+
+class Leg(NamedTuple):
+    """A part of the course of a hand; it begins with the SYNC nearest to its time."""
+
+    begins: float  # [s]
+    speed: float = 0.0  # of the place [m/s or rad/s]
+    push_rate: float = 0.0  # [N/s or N*m/s]
+
+
+class GuidedPlant(Plant):
+    """A plant whose hand is given new rates at the beginning of each leg.
+
+    Args:
+        parameters: Mass, bearings and start.
+        hand: The guided hand.
+        effects: Effects of the plant.
+        sample_time_ns: Sample time [ns].
+        course: Course of the hand, in the order of time; before the first leg the hand rests.
+        seed: Seed of every random effect.
+    """
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        hand: GuidedHand,
+        effects: Sequence[Effect],
+        sample_time_ns: int,
+        course: Iterable[Leg],
+        seed: int = 0,
+    ) -> None:
+        super().__init__(parameters, hand, effects, sample_time_ns, seed)
+        self._legs = {round(leg.begins * _NS / sample_time_ns) * sample_time_ns: leg for leg in course}
+
+    def begin(self, now: int) -> None:
+        """Start the clock, and the first leg where it begins at once."""
+        super().begin(now)
+        self._turn(now)
+
+    def advance_to(self, now: int, torque: float) -> None:
+        """Move to `now` [ns] under a torque; see `Plant`."""
+        super().advance_to(now, torque)
+        self._turn(now)
+
+    def _turn(self, now: int) -> None:
+        leg = self._legs.get(now)
+        if leg is not None:
+            self.set_states({SPEED: leg.speed, PUSH_RATE: leg.push_rate})
+
+
+def guided_case(
+    case: LoopCase,
+    parameters: PlantParameters,
+    hand: GuidedHand,
+    course: Sequence[Leg],
+    effects: Sequence[Effect] = (),
+    seed: int = 0,
+) -> LoopCase:
+    """Return a loop whose plant is held by a guided hand."""
+    period = case.sample_time_ns
+    return replace(
+        case, make_plant=lambda: GuidedPlant(parameters, hand, effects, period, course, seed), simulation=None
+    )
+
+
+_FURTHEST: Final = 4.0
+"""Way that counts as divergence, over the depth asked for."""
+_LEAST_FURTHEST: Final = 0.2  # [m or rad]
+_TIMES: Final = 5.0
+"""Time constants of a free swing in a run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leaning:
+    """A push against a wall at the origin."""
+
+    push: float = 5.0  # [N or N*m]
+    rise: float = 0.3  # [s]
+    clearance: float = 5e-4  # [m or rad] in front of the wall
+    duration: float = 5.0  # [s]
+    rest: float = 0.5  # at the end, over which it is judged [s]
+    tolerance: float = 0.05
+    allowance: float = 1e-6  # of energy given out [J]
+    damping: float = 0.0  # of the hand [N*s/m or N*m*s/rad]
+    per_decade: int = 12  # walls tried before the largest is bracketed
+    fine: float = 0.005  # part to which the largest stiffness is found
+
+
+def settling_time(mass: float, damping: float) -> float:
+    """Time of leaning until a swing of the device on an ideal spring has died away to 1 % [s]."""
+    return _TIMES * 2.0 * mass / damping
+
+
+class Held(NamedTuple):
+    """Outcome of a trial of one wall."""
+
+    share: float  # mean torque over the requested one at the mean depth
+    ripple: float  # way to and fro over the mean depth
+    least: float  # least true sum of h_i [J]
+    passed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """The device that is loaded."""
+
+    case: LoopCase  # its environment and plant are replaced
+    plant: PlantParameters
+    effects: Sequence[Effect] = ()
+    seed: int = 0
+
+
+def held(bench: Bench, stiffness: float, leaning: Leaning, damping: float = 0.0) -> Held:
+    """Outcome of one wall.
+
+    Args:
+        bench: Device and loop.
+        stiffness: Stiffness of the wall [N/m or N*m/rad].
+        leaning: Push on the wall.
+        damping: Damping of the wall [N*s/m or N*m*s/rad].
+    """
+    plant = bench.plant.model_copy(update={"initial_position": leaning.clearance, "initial_velocity": 0.0})
+    course = (Leg(0.0, push_rate=-leaning.push / leaning.rise), Leg(leaning.rise))
+    wall = SpringDamperWall(stiffness=stiffness, damping=damping)
+    hand = GuidedHand(damping=leaning.damping)
+    case = guided_case(replace(bench.case, environment=wall), plant, hand, course, bench.effects, bench.seed)
+    period = case.sample_time_ns * 1e-9
+    deepest = max(_FURTHEST * leaning.push / stiffness, _LEAST_FURTHEST)
+    run = render(case, round(leaning.duration / period), Recorder(furthest=deepest))
+    if run.ended:
+        return Held(float("nan"), float("nan"), run.least_interaction, passed=False)
+    last = slice(-max(2, round(leaning.rest / period)), None)
+    depth, torque = -run.true_position[last], run.torque[last]
+    mean = float(depth.mean())
+    share = float(torque.mean()) / (stiffness * mean) if mean > 0.0 else 0.0
+    ripple = float(np.ptp(depth)) / mean if mean > 0.0 else float("inf")
+    least = run.least_interaction
+    within = abs(share - 1.0) <= leaning.tolerance and ripple <= leaning.tolerance
+    return Held(share, ripple, least, within and least >= -leaning.allowance)
+
+
+class LargestHeld(NamedTuple):
+    """Result of `largest_held`."""
+
+    stiffness: float  # 0: none [N/m or N*m/rad]
+    softer: int  # walls that were tried and are softer
+    failing: int  # those of them that are not held
+
+
+def largest_held(bench: Bench, leaning: Leaning, softest: float, stiffest: float) -> LargestHeld:
+    """Largest stiffness that is held; counts the softer walls that are not.
+
+    Args:
+        bench: Device and loop.
+        leaning: Push on the walls.
+        softest: Stiffness tried first [N/m or N*m/rad].
+        stiffest: Largest stiffness tried; below the softest none is.
+    """
+    if stiffest < softest:
+        return LargestHeld(0.0, 0, 0)
+    walls = np.geomspace(softest, stiffest, 2 + int(leaning.per_decade * np.log10(stiffest / softest))).tolist()
+    passed = [held(bench, stiffness, leaning).passed for stiffness in walls]
+    if True not in passed:
+        return LargestHeld(0.0, 0, 0)
+    last = len(passed) - 1 - passed[::-1].index(True)
+    low, high = walls[last], walls[min(last + 1, len(walls) - 1)]
+    while high > (1.0 + leaning.fine) * low:
+        middle = (low * high) ** 0.5
+        low, high = (middle, high) if held(bench, middle, leaning).passed else (low, middle)
+    return LargestHeld(float(low), last, passed[:last].count(False))
+
+
+_HALVINGS: Final = 60
+
+
+@dataclass(frozen=True, slots=True)
+class SlowHand:
+    """A spring with a moving end, towards a wall at the origin."""
+
+    speed: float  # [m/s or rad/s]
+    stiffness: float = 300.0  # [N/m or N*m/rad]
+    damping: float = 0.0  # [N*s/m or N*m*s/rad]
+    free: float = 0.05  # way in free space [m or rad]
+    into: float = 0.03  # way into the wall [m or rad]
+    settling: float = 3.0  # after the stop [s]
+    rest: float = 1.0  # of that, over which depth is taken [s]
+
+
+class Entered(NamedTuple):
+    """Result of a slow hand."""
+
+    depth: float  # mean, at rest [m or rad]
+    drag: float  # largest |torque| before the surface [N or N*m]
+    least: float  # least true sum of h_i [J]
+    run: LoopRun
+
+
+def enter(bench: Bench, wall: SpringDamperWall, hand: SlowHand) -> Entered:
+    """Result of a slow hand at a wall that is solid below the origin."""
+    period, way = bench.case.sample_time_ns * 1e-9, hand.free + hand.into
+    moving = max(1, round(way / hand.speed / period)) * period  # it stops with a SYNC
+    speed = way / moving
+    plant = bench.plant.model_copy(update={"initial_position": hand.free, "initial_velocity": -speed})
+    course = (Leg(0.0, speed=-speed), Leg(moving))
+    guided = GuidedHand(stiffness=hand.stiffness, damping=hand.damping, place=hand.free)
+    case = guided_case(replace(bench.case, environment=wall), plant, guided, course, bench.effects, bench.seed)
+    run = render(case, round((moving + hand.settling) / period), Recorder(furthest=1.0))
+    if run.ended:
+        return Entered(float("nan"), float("nan"), run.least_interaction, run)
+    inside = np.flatnonzero(run.true_position < 0.0)
+    before = run.torque[: int(inside[0])] if len(inside) else run.torque
+    depth = -float(run.true_position[-max(2, round(hand.rest / period)) :].mean())
+    return Entered(depth, float(np.abs(before).max(initial=0.0)), run.least_interaction, run)
+
+
+def certified_rest(response: DisplacementResponse, delay: int, hand: SlowHand) -> tuple[float, float]:
+    """Depth [m or rad] and stiffness at which the hand rests on the force held by the hand-force certificate.
+
+    The certificate holds the stiffness c F / (F + F_h) at a force F. With the force K (s - x) of a spring K that ends
+    at s, the depth x has c x = F + F_h. Where it lies beyond s, the spring is too weak to be held: the depth is s, and
+    the stiffness is 0.
+
+    Args:
+        response: Displacement response of the axis.
+        delay: Delay in whole holds.
+        hand: The hand.
+    """
+
+    def lacking(depth: float) -> float:
+        force = hand.stiffness * (hand.into - depth)
+        return force - renderable_by_hand_force(response, delay, force) * depth
+
+    shallow, deep = 0.0, hand.into * (1.0 - 1e-9)
+    if lacking(deep) > 0.0:
+        return hand.into, 0.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (shallow + deep)
+        shallow, deep = (middle, deep) if lacking(middle) > 0.0 else (shallow, middle)
+    return deep, hand.stiffness * (hand.into - deep) / deep

@@ -1,0 +1,350 @@
+"""Solvers of the plant as textbooks write it: event-located by scipy, and fixed-step as most simulators take them.
+
+Equations with modes by scipy's adaptive solvers, every change of mode located; needs the extra `study`.
+
+DOP853 at 1e-12 is the reference of the accuracy study, LSODA at 1e-9 its witness.
+
+The reference plant by fixed-step methods, as in most simulators: a mode changes at the end of a step only.
+
+So each is of its own order while nothing switches, and of order 1 where something does.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from itertools import pairwise
+from typing import Any, Final, Protocol, cast
+
+import numpy as np
+
+from canhaptic.errors import InputError
+from canhaptic.extras import install_hint
+from canhaptic.lab.judge.reference_model import Floats, Model, Modes, State, Transition, motion_of
+from canhaptic.sim.plant.direct_rig import Motion
+from canhaptic.sim.plant.propagator import Array
+
+_MISSING: Final = f"the reference of an accuracy study needs scipy; install it with: {install_hint('study')}"
+_LONGEST_STEP: Final = 2.5e-4
+"""[s] where modes may change: their guards are looked at at the ends of steps."""
+_MOST_CHANGES: Final = 10_000
+"""Changes of mode in one hold."""
+_STRETCH: Final = 0.02
+"""[s] that are solved at once, so that memory stays small and a request to stop is noticed."""
+_CHAIN: Final = 16
+"""Changes of mode without time between them."""
+
+
+class SwitchedModel(Protocol):
+    """Ordinary differential equations with modes; a torque is a number, or one for each motor.
+
+    Attributes:
+        start: State at time 0.
+        first: Modes at time 0.
+        breaks: Times at which the equations change by the clock [s].
+        switches: Whether anything may leave its mode.
+    """
+
+    start: Floats
+    first: Modes
+    breaks: list[float]
+    switches: bool
+
+    def rates(self, time: float, state: Any, torque: Any, modes: Modes) -> Floats:
+        """Return the rate of every state."""
+
+    def ways(self, modes: Modes) -> list[Transition]:
+        """Every transition out of these modes; valid until the next call."""
+
+
+def reference(
+    model: SwitchedModel, torques: Sequence[float], sample_time_ns: int, stop: Callable[[], bool] | None = None
+) -> Motion:
+    """Return the motion under the torques by DOP853 with relative tolerance 1e-12.
+
+    Args:
+        model: The plant.
+        torques: Torque of each hold [N or N*m].
+        sample_time_ns: Duration of a hold [ns].
+        stop: Polled now and then; true gives up.
+
+    Raises:
+        InputError: scipy is missing, the solver fails, or it was stopped.
+    """
+    return located(model, torques, sample_time_ns, "DOP853", 1e-12, 1e-15, stop)
+
+
+def located(
+    model: SwitchedModel,
+    torques: Sequence[float],
+    sample_time_ns: int,
+    method: str,
+    rtol: float,
+    atol: float,
+    stop: Callable[[], bool] | None = None,
+) -> Motion:
+    """Return the motion under the torques; arguments and errors as for `located_states`."""
+    return motion_of(located_states(model, torques, sample_time_ns, method, rtol, atol, stop))
+
+
+def located_states(
+    model: SwitchedModel,
+    torques: Sequence[Any],
+    sample_time_ns: int,
+    method: str,
+    rtol: float,
+    atol: float,
+    stop: Callable[[], bool] | None = None,
+) -> list[Floats]:
+    """Return every state at the end of each hold, by a solver of `scipy.integrate.solve_ivp`.
+
+    Args:
+        model: The plant.
+        torques: Torque of each hold [N or N*m]; where the plant has several motors, one for each.
+        sample_time_ns: Duration of a hold [ns].
+        method: Name of the solver.
+        rtol: Relative tolerance.
+        atol: Absolute tolerance, of each state in its own unit.
+        stop: Polled now and then; true gives up.
+
+    Raises:
+        InputError: scipy is missing, the solver fails, or it was stopped.
+    """
+    period = sample_time_ns * 1e-9
+    longest = min(0.25 * period, _LONGEST_STEP) if model.switches else math.inf
+    solve = partial(_solve_ivp(), method=method, rtol=rtol, atol=atol, max_step=longest)
+    state, modes, states = list(model.start), model.first, []
+    for k, torque in enumerate(torques):
+        if k % 16 == 0:
+            _require_running(stop)
+        begin, end = k * period, (k + 1) * period
+        cuts = [begin, *(t for t in sorted(model.breaks) if begin < t < end), end]
+        for start, finish in pairwise(cuts):
+            state, modes = _hold(model, solve, state, modes, torque, (start, finish))
+        states.append(list(state))
+    return states
+
+
+def states_at(
+    model: SwitchedModel,
+    times: Sequence[float],
+    rtol: float,
+    stop: Callable[[], bool] | None = None,
+    longest: float = _LONGEST_STEP,
+) -> list[Floats]:
+    """Return every state without a torque at some times, by DOP853 with dense output.
+
+    Args:
+        model: The plant and the forces on it.
+        times: Ascending, from 0 [s].
+        rtol: Relative tolerance; a thousandth of it is the absolute one, of each state in its own unit.
+        stop: Polled now and then; true gives up.
+        longest: Longest step, at whose ends guards are checked, where modes may change [s].
+
+    Raises:
+        InputError: scipy is missing, the solver fails, or it was stopped.
+    """
+    longest = longest if model.switches else math.inf
+    solve = partial(_solve_ivp(), method="DOP853", rtol=rtol, atol=1e-3 * rtol, max_step=longest, dense_output=True)
+    state, modes, found = list(model.start), model.first, [list(model.start)]
+    wanted = iter(times[1:])
+    due = next(wanted, math.inf)
+
+    def read(result: Any) -> None:
+        nonlocal due
+        _require_running(stop)
+        while due <= result.t[-1]:
+            found.append(result.sol(due).tolist())
+            due = next(wanted, math.inf)
+
+    cuts = [*np.arange(0.0, times[-1], _STRETCH), *(t for t in model.breaks if t < times[-1]), times[-1]]
+    for start, finish in pairwise(sorted(cuts)):
+        if finish > start:
+            state, modes = _hold(model, solve, state, modes, 0.0, (start, finish), read)
+    return found
+
+
+def _solve_ivp() -> Callable[..., Any]:
+    """Return the function of that name, or raise InputError where scipy is missing."""
+    try:
+        from scipy.integrate import solve_ivp
+    except ImportError as error:
+        raise InputError(_MISSING) from error
+    return cast(Callable[..., Any], solve_ivp)
+
+
+def _require_running(stop: Callable[[], bool] | None) -> None:
+    """Raise InputError where a stop was requested."""
+    if stop is not None and stop():
+        raise InputError("stopped before the reference was there; nothing can be compared without it")
+
+
+def _hold(
+    model: SwitchedModel,
+    solve: Callable[..., Any],
+    state: list[float],
+    modes: Modes,
+    torque: float,
+    span: tuple[float, float],
+    read: Callable[[Any], None] = lambda _result: None,
+) -> tuple[list[float], Modes]:
+    """State and modes after a time under one torque; `read` receives every solution on the way."""
+    now, end = span
+    for _ in range(_MOST_CHANGES):
+        state, modes = settled(model, now, state, torque, modes)
+        ways = model.ways(modes)
+        result = solve(
+            model.rates, (now, end), state, events=[_event(way) for way in ways] or None, args=(torque, modes)
+        )
+        if result.status < 0:
+            raise InputError(f"the reference failed at {now:g} s ({result.message}); shorten the study or the scene")
+        read(result)
+        state, now = result.y[:, -1].tolist(), float(result.t[-1])
+        if result.status == 0:
+            return state, modes
+        fired = next(way for way, times in zip(ways, result.t_events, strict=True) if len(times))
+        state, modes = through(fired, state, modes)
+    raise InputError(f"the reference changed its mode {_MOST_CHANGES} times in one hold at {now:g} s; damp the contact")
+
+
+def settled(
+    model: SwitchedModel, time: float, state: list[float], torque: Any, modes: Modes
+) -> tuple[list[float], Modes]:
+    """State and modes after every transition whose value is below zero here."""
+    for _ in range(_CHAIN):
+        ways = model.ways(modes)
+        broken = next((way for way in ways if way.value(time, state, torque) < -way.rounding), None)
+        if broken is None:
+            break
+        state, modes = through(broken, state, modes)
+    return state, modes
+
+
+def through(way: Transition, state: Sequence[float], modes: Modes) -> tuple[Floats, Modes]:
+    """State and modes after a transition."""
+    after = [float(value) for value in state]
+    if way.reset is not None:
+        way.reset(after)
+    return after, (*modes[: way.element], way.mode, *modes[way.element + 1 :])
+
+
+def _event(way: Transition) -> Any:
+    """Guard value slightly beyond zero: a guard that stays at zero is no event."""
+
+    def event(time: float, state: State, torque: Any, _modes: Modes) -> float:
+        return way.value(time, state, torque) + way.rounding
+
+    event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined]
+    return event
+
+
+_Step = Callable[[Model, float, Floats, float, Modes, float], Floats]
+_LARGEST: Final = 1e6  # [m or rad] beyond which a motion counts as diverged
+_CLOSE: Final = 1e-13  # relative change at which the implicit step is solved
+_MOST_CORRECTIONS: Final = 8
+
+
+def fixed_step(model: Model, torques: Sequence[float], sample_time_ns: int, step: _Step, substeps: int) -> Motion:
+    """Return the motion under the torques; arguments as for `fixed_step_states`."""
+    return motion_of(fixed_step_states(model, torques, sample_time_ns, step, substeps))
+
+
+def fixed_step_states(
+    model: SwitchedModel, torques: Sequence[Any], sample_time_ns: int, step: Callable[..., Floats], substeps: int
+) -> list[Floats]:
+    """Return every state at the end of each hold; not finite from where it diverges.
+
+    Args:
+        model: The plant.
+        torques: Torque of each hold [N or N*m]; where the plant has several motors, one for each.
+        sample_time_ns: Duration of a hold [ns].
+        step: One of `METHODS`.
+        substeps: Steps in a hold.
+    """
+    period = sample_time_ns * 1e-9
+    length = period / substeps
+    state, modes, states = list(model.start), model.first, []
+    for k, torque in enumerate(torques):
+        for i in range(substeps):
+            now = k * period + i * length
+            if model.switches:
+                state, modes = settled(model, now, state, torque, modes)
+            try:
+                state = step(model, now, state, torque, modes, length)
+            except (OverflowError, np.linalg.LinAlgError):
+                state = [float("inf")] * len(state)
+            if not abs(state[0]) < _LARGEST:
+                states += [[float("inf")] * len(state)] * (len(torques) - k)
+                return states
+        if model.switches:
+            state, modes = settled(model, (k + 1) * period, state, torque, modes)
+        states.append(list(state))
+    return states
+
+
+def _semi_implicit_euler(model: Model, now: float, state: Floats, torque: float, modes: Modes, step: float) -> Floats:
+    """Return the state after a step of order 1: positions move with the new velocities."""
+    rates = model.rates(now, state, torque, modes)
+    after = [value + step * rate for value, rate in zip(state, rates, strict=True)]
+    for index, terms in model.kinematics.items():
+        after[index] = state[index] + step * sum(factor * after[velocity] for velocity, factor in terms)
+    return after
+
+
+def runge_kutta_4(model: SwitchedModel, now: float, state: Floats, torque: Any, modes: Modes, step: float) -> Floats:
+    """Return the state after a step of the classical method of order 4."""
+    half = 0.5 * step
+    a = model.rates(now, state, torque, modes)
+    b = model.rates(now + half, [y + half * r for y, r in zip(state, a, strict=True)], torque, modes)
+    c = model.rates(now + half, [y + half * r for y, r in zip(state, b, strict=True)], torque, modes)
+    d = model.rates(now + step, [y + step * r for y, r in zip(state, c, strict=True)], torque, modes)
+    slopes = zip(state, a, b, c, d, strict=True)
+    return [y + step / 6.0 * (ka + 2.0 * kb + 2.0 * kc + kd) for y, ka, kb, kc, kd in slopes]
+
+
+class _ImplicitMidpoint:
+    """Steps of the implicit midpoint rule, order 2, solved by Newton's method with a kept Jacobian."""
+
+    def __init__(self) -> None:
+        self._solvers: dict[tuple[Modes, float], Array] = {}
+
+    def __call__(self, model: Model, now: float, state: Floats, torque: float, modes: Modes, step: float) -> Floats:
+        """Return the state after a step."""
+        middle_time, size = now + 0.5 * step, model.dynamic_size
+        begin = np.array(state)
+        middle, rates = begin.copy(), np.array(model.rates(middle_time, state, torque, modes))
+        key = (modes, step)
+        for correction in range(_MOST_CORRECTIONS):
+            residual = (begin + 0.5 * step * rates - middle)[:size]
+            change = np.linalg.solve(self._matrix(model, middle_time, middle, torque, key), residual)
+            middle[:size] += change
+            rates = np.array(model.rates(middle_time, middle.tolist(), torque, modes))
+            if np.abs(change).max() <= _CLOSE * max(1e-6, float(np.abs(middle[:size]).max())):
+                break
+            if correction == 2:
+                self._solvers.pop(key, None)  # the Jacobian is out of date
+        result: Floats = (begin + step * rates).tolist()
+        return result
+
+    def _matrix(self, model: Model, time: float, state: Array, torque: float, key: tuple[Modes, float]) -> Array:
+        """Return I - h/2 df/dy of the states without the works, by differences."""
+        if key not in self._solvers:
+            modes, step = key
+            size = model.dynamic_size
+            base = np.array(model.rates(time, state.tolist(), torque, modes))
+            jacobian = np.empty((size, size))
+            for column in range(size):
+                moved = state.copy()
+                width = 1e-7 * max(1e-3, abs(float(state[column])))
+                moved[column] += width
+                changed = np.array(model.rates(time, moved.tolist(), torque, modes))
+                jacobian[:, column] = (changed - base)[:size] / width
+            self._solvers[key] = np.eye(size) - 0.5 * step * jacobian
+        return self._solvers[key]
+
+
+METHODS: Final[Mapping[str, tuple[int, Callable[[], _Step]]]] = {
+    "semi-implicit Euler": (1, lambda: _semi_implicit_euler),
+    "implicit midpoint": (2, _ImplicitMidpoint),
+    "RK4": (4, lambda: runge_kutta_4),
+}
+"""Name -> (order while nothing switches, maker of its step)."""

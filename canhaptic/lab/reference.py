@@ -1,0 +1,644 @@
+"""The continuous environment rendered to the same user and plant: the ideal for comparison.
+
+The continuous environment on the textbook plant, by event-located DOP853; needs extra `study`.
+
+Independent of the sampled loop and of the plant's own stepper. It takes every effect and environment for which there
+are equations, and refuses the others.
+
+The continuous environment rendered to the same user and plant: the reference for every sampled algorithm.
+
+No sampling, no encoder, no torque limit. Environments that are piecewise affine become a part of the exact machine of
+`canhaptic.sim` (crossings bracketed to a tick); the others are integrated by DOP853 (`reference`).
+
+The continuous environment at every SYNC and in between: position, force, and variation of the force.
+
+A network on the motors of a group in continuous time, by DOP853: what the hands would feel without sampling.
+
+    positions -> mechanism -> ports c(t) -> states x(t) of the network -> efforts at the ports -> torques of the motors
+    x' = J e - sum(a_j phi_j(f_j)) + g c',    e = dH/dx,    f_j = a_j . e + b_j . c'
+
+The equations are those of `canhaptic.control.port_hamiltonian`, in time and not in steps; energies and geometry are the
+network's own. Where a contact begins the solver takes shorter steps by itself; a second run with a coarser tolerance
+says how far that can be trusted.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import ClassVar, Final, NamedTuple, cast
+
+import numpy as np
+
+from canhaptic.control.environments.coulomb_surface import CoulombSurface
+from canhaptic.control.environments.damper_wall import DamperWall
+from canhaptic.control.environments.detents import Detents
+from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments.free_space import FreeSpace
+from canhaptic.control.environments.hardening_wall import HardeningWall
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.environments.two_sided_wall import TwoSidedWall
+from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
+from canhaptic.control.environments.viscous_medium import ViscousMedium
+from canhaptic.control.mechanisms.kinematics import Kinematics, Limit
+from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
+from canhaptic.control.multi_axis.group_motion import World, world_of
+from canhaptic.control.port_hamiltonian.network import extension, gradient
+from canhaptic.control.port_hamiltonian.shapes.geometry import moved_by
+from canhaptic.errors import InputError, ParameterError
+from canhaptic.kernels import Buffer, list_of_zeros, zeros
+from canhaptic.lab.judge.reference_group import AxesModel, GroupModel, mechanism_model
+from canhaptic.lab.judge.reference_group import State as GroupState
+from canhaptic.lab.judge.reference_model import POSITION, VELOCITY, Floats, Model, Modes, State, Transition
+from canhaptic.lab.judge.solvers import states_at
+from canhaptic.lab.loop.axis_loop import mechanism_of_group
+from canhaptic.scene.models import AxisSimulation, Scene
+from canhaptic.scene.parts import effect_of
+from canhaptic.scene.torque_history import simulation_of
+from canhaptic.sim.plant.assembly import MOTOR, Guard, LinearPart, Part, PlainPart, PlantModel, Rows
+from canhaptic.sim.plant.effects import Effect
+from canhaptic.sim.plant.mechanism import MechanismParameters
+from canhaptic.sim.plant.plant import Plant, PlantParameters
+from canhaptic.sim.plant.propagator import Array
+from canhaptic.sim.plant.user import UserParameters
+
+_ROUNDING: Final = 1e-12  # [m or rad]
+_BETWEEN_EVENTS: Final = 2.5e-4
+"""Step at whose ends friction, stops and flanks are looked at [s]."""
+_BETWEEN_SURFACES: Final = 2e-3
+"""The same where nothing but the environment switches: a handle crosses a surface and returns in no less [s]."""
+_SURFACES: Final[dict[type, tuple[str, ...]]] = {
+    SpringDamperWall: ("position",),
+    HardeningWall: ("position",),
+    DamperWall: ("position",),
+    TwoSidedWall: ("lower", "upper"),
+    ViscousMedium: (),
+    ViscoelasticMedium: (),
+    CoulombSurface: (),
+    Detents: (),
+    FreeSpace: (),
+}
+"""Parameters that are positions where contact begins or ends. A subclass is another environment: it may add some."""
+
+
+class ContinuousRun(NamedTuple):
+    """The axis in the continuous environment, shapes (n,)."""
+
+    position: Array  # [m or rad]
+    velocity: Array  # [m/s or rad/s]
+    impulse: Array  # of the environment's force since the start [N*s or N*m*s]
+    interaction: Array  # energy into the environment since the start [J]
+
+
+def continuous_run(
+    environment: Environment, model: Model, times: Sequence[float], rtol: float, stop: Callable[[], bool] | None = None
+) -> ContinuousRun:
+    """Motion that the user would feel without sampling.
+
+    Args:
+        environment: Rendered without sampling.
+        model: Plant, user and effects; the environment is added to it.
+        times: Ascending, from 0 [s].
+        rtol: Relative tolerance of the solver.
+        stop: Polled now and then; true gives up.
+
+    Raises:
+        InputError: There are no equations for the environment, scipy is missing, the solver fails, or it was stopped.
+    """
+    longest = _BETWEEN_EVENTS if model.switches else _BETWEEN_SURFACES
+    force = _EnvironmentForce(environment, model)
+    model.add(force)
+    table = np.array(states_at(model, times, rtol, stop, longest))
+    return ContinuousRun(*(table[:, place] for place in (POSITION, VELOCITY, force.impulse, force.interaction)))
+
+
+def surfaces(environment: Environment) -> list[float]:
+    """Return the positions where contact begins or ends [m or rad]; where the torque may jump.
+
+    Raises:
+        InputError: There are no equations for an environment of this class.
+    """
+    names = _SURFACES.get(type(environment))
+    if names is None and _has_own_surfaces(environment):
+        return [float(place) for place in environment.surfaces()]  # type: ignore[attr-defined]
+    if names is None:
+        known = ", ".join(kind.__name__ for kind in _SURFACES)
+        raise InputError(
+            f"environment: got {type(environment).__name__}, for which there is no continuous run, expected one of: "
+            f"{known}, or an OwnEnvironment with `surfaces` of its `contact`; what needs none is measured all the same"
+        )
+    return [float(getattr(environment, name)) for name in names]
+
+
+def _has_own_surfaces(environment: Environment) -> bool:
+    """Whether a user's own environment defines its switching surfaces, and is a force of position alone.
+
+    `surfaces` must be defined in the class of `contact` and `true_state`, or below: otherwise it may not match them.
+    """
+    where = {
+        name: place
+        for place, kind in reversed(list(enumerate(type(environment).__mro__)))
+        for name in ("surfaces", "contact", "true_state")
+        if name in vars(kind)
+    }
+    return "surfaces" in where and not environment.relaxes and where["surfaces"] == min(where.values())
+
+
+class _EnvironmentForce:
+    """The environment as an element of the textbook plant; books its impulse and the energy it takes."""
+
+    def __init__(self, environment: Environment, model: Model) -> None:
+        self._environment = environment
+        self.impulse, self.interaction = model.add_state("impulse"), model.add_state("interaction")
+        self._strain = model.add_state("strain") if environment.relaxes else -1
+        self._surfaces = surfaces(environment)
+        start = model.start[POSITION]
+        if isinstance(environment, CoulombSurface):
+            self.modes: tuple[str, ...] = ("elastic", "forward", "backward")
+        elif self._surfaces:
+            zone = str(environment.contact(start))
+            self.modes = (zone, *(z for z in ("0", "1", "2") if z != zone))
+        else:
+            self.modes = ("only",)
+
+    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
+        """Add the force of the environment, its power, and the rate of its strain."""
+        velocity = float(state[VELOCITY])
+        force = 0.0 if mode == "0" else self._force(state, mode, velocity, rates)
+        forces[0] += force
+        rates[self.impulse] = force
+        rates[self.interaction] = -force * velocity
+
+    def ways(self, index: int, mode: str) -> Sequence[Transition]:
+        """Transitions: crossing of the surfaces, yielding, or its reversal."""
+        if isinstance(self._environment, CoulombSurface):
+            return self._yielding(index, mode, self._environment.friction / self._environment.stiffness)
+        if mode == "only":
+            return ()
+        found = []
+        for surface in self._surfaces:
+            for zone in {self._zone(surface, -1.0), self._zone(surface, 1.0)} - {mode}:
+                if mode in (self._zone(surface, -1.0), self._zone(surface, 1.0)):
+                    sign = -1.0 if zone == self._zone(surface, 1.0) else 1.0
+                    found.append(Transition(index, zone, _distance(surface, sign), _ROUNDING))
+        return found
+
+    def _zone(self, surface: float, side: float) -> str:
+        return str(self._environment.contact(math.nextafter(surface, side * math.inf)))
+
+    def _force(self, state: State, mode: str, velocity: float, rates: Floats) -> float:
+        environment, damper = self._environment, -self._environment.damping * velocity
+        if isinstance(environment, CoulombSurface):
+            strain = float(state[self._strain])
+            rates[self._strain] = velocity if mode == "elastic" else 0.0
+            return damper - environment.effort(strain)
+        if isinstance(environment, ViscoelasticMedium):
+            strain = float(state[self._strain])
+            rates[self._strain] = velocity - strain / environment.relaxation_time
+            return damper - environment.effort(strain)
+        place = float(state[POSITION])
+        for surface in self._surfaces if mode != "only" else ():  # rounding may have it on the wrong side
+            if mode == self._zone(surface, 1.0) != self._zone(surface, -1.0):
+                place = max(place, math.nextafter(surface, math.inf))
+            elif mode == self._zone(surface, -1.0) != self._zone(surface, 1.0):
+                place = min(place, math.nextafter(surface, -math.inf))
+        return damper - environment.effort(environment.true_state(place, 0.0, 0.0))
+
+    def _yielding(self, index: int, mode: str, limit: float) -> Sequence[Transition]:
+        strain = self._strain
+
+        def at(value: float) -> Callable[[Floats], None]:
+            def reset(state: Floats) -> None:
+                state[strain] = value
+
+            return reset
+
+        if mode == "elastic":
+            return (
+                Transition(index, "forward", lambda t, y, u: limit - float(y[strain]), _ROUNDING, at(limit)),
+                Transition(index, "backward", lambda t, y, u: limit + float(y[strain]), _ROUNDING, at(-limit)),
+            )
+        sign = 1.0 if mode == "forward" else -1.0
+        return (Transition(index, "elastic", lambda t, y, u: sign * float(y[VELOCITY]), _ROUNDING),)
+
+
+def _distance(surface: float, sign: float) -> Callable[[float, State, float], float]:
+    """Value that falls through zero where the axis crosses the surface towards -sign."""
+
+    def distance(_time: float, state: State, _torque: float) -> float:
+        return sign * (float(state[POSITION]) - surface)
+
+    return distance
+
+
+def continuous_effect(environment: Environment) -> Effect | None:
+    """Return the environment as an exact effect of a plant; None when it is not piecewise affine.
+
+    Raises:
+        InputError: There are no equations for an environment of this class; a subclass may differ in anything.
+    """
+    surfaces(environment)
+    if isinstance(environment, HardeningWall) and environment.linear_stiffness is not None:
+        environment = SpringDamperWall(**environment.model_dump(exclude={"hardening"}))
+    if isinstance(environment, SpringDamperWall | DamperWall):
+        below, stiffness = environment.side == "below", environment.linear_stiffness
+        return _effect([_Wall("wall", environment.position, below, stiffness, environment.damping)])
+    if isinstance(environment, TwoSidedWall):
+        k, d = environment.stiffness, environment.damping
+        lower, upper = environment.lower, environment.upper
+        return _effect([_Wall("lower_wall", lower, True, k, d), _Wall("upper_wall", upper, False, k, d)])
+    if isinstance(environment, ViscousMedium):
+        return _effect([_medium(environment.damping)])
+    if isinstance(environment, ViscoelasticMedium):
+        return _effect([_maxwell(environment)], "strain")
+    if isinstance(environment, CoulombSurface):
+        return _effect([_PrandtlElement(environment)], "strain")
+    return _effect([]) if isinstance(environment, FreeSpace) else None
+
+
+@dataclass(frozen=True, slots=True)
+class _ContinuousEffect:
+    """Parts that are added to a plant like those of an effect named in a scene."""
+
+    order: ClassVar[int | None] = None
+    rank: ClassVar[int] = 1
+    type: ClassVar[str] = "continuous_environment"
+
+    parts: tuple[Part, ...]
+    state: str | None
+
+    def add_to(self, scene: PlantModel) -> None:
+        """Add the parts, the state they share, and the work they dissipate."""
+        if self.state is not None:
+            scene.add_state(self.state)
+        for part in self.parts:
+            scene.works[part.name] = "dissipated"
+            scene.parts.append(part)
+
+
+def _effect(parts: Sequence[Part], state: str | None = None) -> Effect:
+    return _ContinuousEffect(tuple(parts), state)
+
+
+class _Wall(PlainPart):
+    """Spring and damper beyond a surface, exactly as in eq. 12: the damper resists until the surface is passed.
+
+    Args:
+        name: Name of the part and of its work.
+        surface: Position of the surface [m or rad].
+        below: Whether it is solid below the surface.
+        stiffness: Stiffness of the spring [N/m or N*m/rad].
+        damping: Damping of the damper [N*s/m or N*m*s/rad].
+    """
+
+    modes: tuple[str, ...] = ("outside", "inside")
+    has_guards = True
+
+    def __init__(self, name: str, surface: float, below: bool, stiffness: float, damping: float) -> None:
+        self.name = name
+        self._surface, self._sign = surface, -1.0 if below else 1.0
+        self._stiffness, self._damping = stiffness, damping
+
+    def assemble(self, rows: Rows, mode: str) -> None:
+        """Add force, stored energy and losses of contact."""
+        if mode == "inside":
+            depth, velocity = self._depth(rows), rows.velocity(MOTOR)
+            rows.forces[MOTOR] -= self._stiffness * depth + self._damping * velocity
+            rows.add_storage(self._stiffness, depth)
+            rows.add_power(self.name, self._damping * velocity, velocity)
+
+    def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
+        """Guard: crossing of the surface."""
+        beyond = self._sign * self._depth(rows)
+        return (Guard(-beyond, "inside") if mode == "outside" else Guard(beyond, "outside"),)
+
+    def _depth(self, rows: Rows) -> Array:
+        return rows.position(MOTOR) - rows.row(one=self._surface)
+
+
+class _PrandtlElement(PlainPart):
+    """Prandtl's element: a spring between axis and ground that slides at its limit."""
+
+    modes: tuple[str, ...] = ("elastic", "forward", "backward")
+    has_guards = True
+
+    def __init__(self, surface: CoulombSurface) -> None:
+        self.name = "bristle"
+        self._surface = surface
+
+    def assemble(self, rows: Rows, mode: str) -> None:
+        """Add force, strain and losses; a sliding bristle keeps its strain."""
+        surface, velocity, strain = self._surface, rows.velocity(MOTOR), rows.row(strain=1.0)
+        effort = surface.stiffness * strain
+        rows.forces[MOTOR] -= effort + surface.damping * velocity
+        rows.add_storage(surface.stiffness, strain)
+        rows.add_power(self.name, surface.damping * velocity, velocity)
+        if mode == "elastic":
+            rows.set_rate("strain", velocity)
+        else:
+            rows.add_power(self.name, effort, velocity)
+
+    def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
+        """Guards: yielding when elastic, the reversal when sliding."""
+        if mode == "elastic":
+            limit = rows.row(one=self._surface.friction / self._surface.stiffness)
+            strain, place = rows.row(strain=1.0), rows.index["strain"]
+            return (
+                Guard(limit - strain, "forward", ((place, limit),)),
+                Guard(limit + strain, "backward", ((place, -limit),)),
+            )
+        velocity = rows.velocity(MOTOR)
+        return (Guard(velocity if mode == "forward" else -velocity, "elastic"),)
+
+
+def _medium(damping: float) -> Part:
+    def write(rows: Rows) -> None:
+        velocity = rows.velocity(MOTOR)
+        rows.forces[MOTOR] -= damping * velocity
+        rows.add_power("medium", damping * velocity, velocity)
+
+    return LinearPart("medium", write)
+
+
+def _maxwell(medium: ViscoelasticMedium) -> Part:
+    def write(rows: Rows) -> None:
+        velocity, strain = rows.velocity(MOTOR), rows.row(strain=1.0)
+        slip = strain / medium.relaxation_time
+        rows.forces[MOTOR] -= medium.stiffness * strain + medium.damping * velocity
+        rows.set_rate("strain", velocity - slip)
+        rows.add_storage(medium.stiffness, strain)
+        rows.add_power("medium", medium.damping * velocity, velocity)
+        rows.add_power("medium", medium.stiffness * strain, slip)
+
+    return LinearPart("medium", write)
+
+
+_FINEST: Final = 200_000
+"""Longest time between two readings of the reference [ns]; at least two readings a hold."""
+_MOST_READINGS: Final = 400_000
+_TOLERANCE: Final = 1e-10
+"""Relative, of DOP853."""
+REST: Final = 0.02
+"""Peak-to-peak motion, as a part of the whole travel, below which the reference counts as being at rest."""
+
+
+class ContinuousReference(NamedTuple):
+    """The continuous run."""
+
+    position: Array  # at SYNC k, shape (n,) [m or rad]
+    torque: Array  # mean over the hold that ended at SYNC k, shape (n,) [N or N*m]
+    variation: float  # total variation of the force, sampled finely [N or N*m]
+    fine_time: Array  # [s]
+    fine_torque: Array  # [N or N*m]
+    method: str  # how it was computed
+
+    @property
+    def travel(self) -> float:
+        """Largest less least position [m or rad]."""
+        return float(np.ptp(self.position))
+
+
+def continuous_reference(
+    environment: Environment,
+    plant: PlantParameters,
+    user: UserParameters | None,
+    effects: Sequence[Effect],
+    sample_time_ns: int,
+    cycles: int,
+    seed: int = 0,
+) -> ContinuousReference:
+    """Motion and force that the user would feel from the continuous environment.
+
+    Args:
+        environment: Rendered without sampling.
+        plant: Moving mass.
+        user: The hand.
+        effects: Effects of the plant; those of encoder and command are left out.
+        sample_time_ns: T [ns], the grid of the result.
+        cycles: SYNCs.
+        seed: Seed of random effects.
+
+    Raises:
+        InputError: There are no equations for the environment or an effect, or they are not piecewise affine and scipy
+            is missing.
+    """
+    readings = readings_per_hold(sample_time_ns, cycles)
+    times = [(k * sample_time_ns) // readings for k in range((cycles - 1) * readings + 1)]
+    effect = continuous_effect(environment)
+    if effect is None:
+        run = continuous_run(environment, Model(plant, user, effects), [time * 1e-9 for time in times], _TOLERANCE)
+        position, velocity = run.position, run.velocity
+        method = "DOP853 with event location, relative tolerance 1e-10"
+    else:
+        step = sample_time_ns // readings if sample_time_ns % readings == 0 else sample_time_ns
+        whole = Plant(plant, user, [*effects, effect], step, seed)
+        position, velocity = _march(whole, times)
+        method = "exact between events" if whole.is_exact else "exact but for the effects that declare an order"
+    torque = _environment_torque(environment, position, velocity, times[1] * 1e-9 if len(times) > 1 else 1.0)
+    ends = 0.5 * (torque[1:] + torque[:-1])
+    mean = np.concatenate([[0.0], ends.reshape(-1, readings).mean(axis=1)]) if cycles > 1 else torque[:1]
+    variation = float(np.abs(np.diff(torque, prepend=0.0)).sum())
+    return ContinuousReference(position[::readings], mean, variation, np.array(times) * 1e-9, torque, method)
+
+
+def _environment_torque(environment: Environment, position: Array, velocity: Array, step: float) -> Array:
+    """Return the torque of the continuous environment along a motion [N or N*m], shape (n,).
+
+    Strains that relax are followed over half a step before and half a step after the motion: second order in the step.
+
+    Args:
+        environment: Environment in contact.
+        position: Shape (n,) [m or rad].
+        velocity: Shape (n,) [m/s or rad/s].
+        step: Time between two of them [s].
+    """
+    torque = np.zeros(len(position))
+    state = last = 0.0
+    zone_before = 0
+    damping = environment.damping
+    for i, (q, v) in enumerate(zip(position.tolist(), velocity.tolist(), strict=True)):
+        zone = environment.contact(q)
+        if zone:
+            before = environment.relaxed(state, 0.5 * step) if zone == zone_before else 0.0
+            state = environment.true_state(q, q - last if i else 0.0, before)
+            state = environment.relaxed(state, 0.5 * step)
+            torque[i] = -environment.effort(state) - damping * v
+        zone_before, last = zone, q
+    return torque
+
+
+def textbook_model(simulation: AxisSimulation, without: Callable[[str], bool] = lambda _name: False) -> Model:
+    """Return the plant of an axis as textbook equations.
+
+    Args:
+        simulation: Simulation of the axis.
+        without: Whether an effect of this name is left out.
+    """
+    effects = [effect_of(effect) for effect in simulation.effects if not without(effect.name)]
+    return Model(simulation.plant, simulation.user, effects)
+
+
+def readings_per_hold(sample_time_ns: int, cycles: int) -> int:
+    """Return how often the reference is read in a hold [ns] of a run of some cycles."""
+    least = max(2, -(-sample_time_ns // _FINEST))
+    least = min(least, max(2, _MOST_READINGS // max(1, cycles)))
+    return next((n for n in range(least, 2 * least + 8) if sample_time_ns % n == 0), least)
+
+
+def _march(plant: Plant, times: Sequence[int]) -> tuple[Array, Array]:
+    position, velocity = np.empty(len(times)), np.empty(len(times))
+    plant.begin(0)
+    for i, now in enumerate(times):
+        plant.advance_to(now, 0.0)
+        position[i], velocity[i] = plant.position, plant.velocity
+    return position, velocity
+
+
+_TOLERANCES: Final = (1e-9, 1e-7)
+"""Relative, of the run and of the one that it is compared with."""
+_BETWEEN_GUARDS: Final = (2.5e-4, 5e-4)
+"""Longest step where modes may change, of the run and of the one that it is compared with [s]."""
+
+
+class ContinuousGroup(NamedTuple):
+    """The continuous group at every `step_ns`."""
+
+    step_ns: int
+    position: Array  # of the motors, shape (steps + 1, axes) [m or rad]
+    impulse: Array  # of the network's torques since the start, shape (steps + 1, axes) [N*s or N*m*s]
+    interaction: Array  # energy into the network since the start, shape (steps + 1,) [J]
+    apart: float  # largest distance of the positions from those of a coarser tolerance [m or rad]
+
+
+def group_model(scene: Scene) -> GroupModel:
+    """Equations of the plant of a scene's one group; the motors in the order of the group's axes.
+
+    Raises:
+        InputError: There are none for it.
+    """
+    (group,) = scene.groups
+    of = mechanism_of_group(scene)
+    if of is not None:
+        if of.axes != group.axes:
+            raise InputError("the mechanism names its axes in another order than the group")
+        return mechanism_model(cast(MechanismParameters, of.mechanism.parameters), of.hand)
+    simulations = [simulation_of(scene.axis(name)) for name in group.axes]
+    try:
+        models = [textbook_model(simulation) for simulation in simulations]
+    except ParameterError as error:
+        raise InputError(f"a plant of the group has no equations here: {error}") from error
+    return AxesModel(models, [simulation.plant.mass for simulation in simulations])
+
+
+def continuous_group(
+    scene: Scene, step_ns: int, steps: int, stop: Callable[[], bool] = lambda: False
+) -> ContinuousGroup:
+    """Return what the hands would feel without sampling.
+
+    Args:
+        scene: Scene with one group, alone.
+        step_ns: Time between two readings [ns].
+        steps: Readings after the first.
+        stop: Polled now and then; true gives up.
+
+    Raises:
+        InputError: There are no equations, scipy is missing, the solver fails, the mechanism leaves its workspace, or
+            it was stopped.
+    """
+    times, coupled = [k * step_ns * 1e-9 for k in range(steps + 1)], _Coupled(scene)
+    fine, coarse = (
+        states_at(coupled, times, tolerance, stop, step)
+        for tolerance, step in zip(_TOLERANCES, _BETWEEN_GUARDS, strict=True)
+    )
+    position, rough = (np.array([coupled.model.positions(row) for row in rows]) for rows in (fine, coarse))
+    table, apart = np.array(fine), float(np.abs(position - rough).max())
+    return ContinuousGroup(step_ns, position, table[:, -1 - coupled.axes : -1], table[:, -1], apart)
+
+
+class _Coupled:
+    """Motors and network; state: that of the motors, x of the network, impulse of every motor, energy taken."""
+
+    def __init__(self, scene: Scene) -> None:
+        (group,) = scene.groups
+        loops = tuple(scene.axis(name).loop for name in group.axes)
+        environment = cast(NetworkEnvironment, group.network.parameters)
+        self._world: World = world_of(environment, cast(Kinematics, group.kinematics.parameters), loops)
+        self.model, self.axes = group_model(scene), len(group.axes)
+        geometry, tables = self._world.geometry, self._world.tables
+        ports, dimensions = geometry.ports, geometry.dimensions
+        self._place, self._jacobian = list_of_zeros(dimensions), zeros(dimensions, self.axes)
+        self._values, self._rows = list_of_zeros(ports), zeros(ports, dimensions)
+        self._at_motors = zeros(ports, self.axes)
+        self._states, self._efforts = len(tables.stiffness), list_of_zeros(len(tables.stiffness))
+        self.first, self.breaks, self.switches = self.model.first, self.model.breaks, self.model.switches
+        coordinates, _ = self._ports(0.0, self.model.start)
+        begun = [_dot(row, coordinates) for row in tables.origin]
+        self.start = [*self.model.start, *begun, *(0.0,) * self.axes, 0.0]
+
+    def rates(self, time: float, state: GroupState, torque: float, modes: Modes) -> list[float]:
+        """Return the rate of every state; see `SwitchedModel`, whose torque is that of the network here."""
+        torques, moved, taken = self._felt(time, state)
+        motors = state[: len(self.model.start)]
+        return [*self.model.rates(time, motors, torques, modes), *moved, *torques, taken]
+
+    def ways(self, modes: Modes) -> list[Transition]:
+        """Every transition out of these modes, which are those of the motors; see `SwitchedModel`."""
+        return [way._replace(value=partial(self._guard, way)) for way in self.model.ways(modes)]
+
+    def _guard(self, way: Transition, time: float, state: GroupState, _torque: float) -> float:
+        return way.value(time, state[: len(self.model.start)], self._felt(time, state)[0])
+
+    def _felt(self, time: float, state: GroupState) -> tuple[Buffer, Buffer, float]:
+        """Return the torques of the network, the rates of its states and the power that it takes [W]."""
+        own = len(self.model.start)
+        motors, x = state[:own], [float(value) for value in state[own : own + self._states]]
+        _, flows = self._ports(time, motors)
+        moved, efforts = self._network(x, flows)
+        torques = [-_dot([row[i] for row in self._at_motors], efforts) for i in range(self.axes)]
+        return torques, moved, _dot(efforts, flows)
+
+    def _ports(self, time: float, motors: GroupState) -> tuple[Buffer, Buffer]:
+        """Return the coordinates of the ports [m or rad] and their velocities [m/s or rad/s]."""
+        world, velocities = self._world, self.model.velocities(motors)
+        limit = world.mechanism.locate(self.model.positions(motors), self._place, self._jacobian)
+        if limit != Limit.NONE:
+            raise InputError(f"at {time:g} s the mechanism is at its limit {Limit(limit).name.lower()}")
+        world.geometry.measure(self._place, self._values, self._rows)
+        for row, into in zip(self._rows, self._at_motors, strict=True):
+            into[:] = [_dot(row, [line[i] for line in self._jacobian]) for i in range(self.axes)]
+        mover, offset, speed = world.mover, 0.0, 0.0
+        if mover.half != 0.0:
+            offset, speed = moved_by(mover, time), mover.half * mover.rate * math.sin(mover.rate * time)
+        coordinates = [value - offset for value in self._values]
+        return coordinates, [_dot(row, velocities) - speed for row in self._at_motors]
+
+    def _network(self, x: Buffer, flows: Buffer) -> tuple[Buffer, Buffer]:
+        """Return the rates of the states, and the efforts at the ports."""
+        world = self._world
+        tables, efforts, structure = world.tables, self._efforts, world.tables.structure
+        gradient(tables, x, efforts)
+        if tables.by_functions:
+            world.functions.add_gradient(x, efforts)
+            world.functions.fill_structure(x, structure)
+        moved = [_dot(structure[i], efforts) + _dot(tables.gain[i], flows) for i in range(self._states)]
+        at_ports = [_dot([row[j] for row in tables.gain], efforts) for j in range(len(flows))]
+        for j, beside in enumerate(tables.beside):
+            is_left = beside >= 0 and tables.lower[beside] != tables.upper[beside]
+            if is_left and extension(tables, beside, x[beside]) == 0.0:
+                continue
+            a, b = tables.on_states[j], tables.on_ports[j]
+            loss = _loss(tables.viscous[j], tables.squared[j], tables.coulomb[j], tables.corner[j],
+                         _dot(a, efforts) + _dot(b, flows))  # fmt: skip
+            moved = [rate - weight * loss for rate, weight in zip(moved, a, strict=True)]
+            at_ports = [effort + weight * loss for effort, weight in zip(at_ports, b, strict=True)]
+        return moved, at_ports
+
+
+def _loss(viscous: float, squared: float, coulomb: float, corner: float, flow: float) -> float:
+    """Return phi(f) of a dissipator."""
+    dry = coulomb * flow / math.hypot(flow, corner) if coulomb else 0.0
+    return flow * (viscous + squared * abs(flow)) + dry
+
+
+def _dot(one: Sequence[float], other: Sequence[float]) -> float:
+    return sum(a * b for a, b in zip(one, other, strict=True))

@@ -1,1 +1,0 @@
-"""The continuous environment rendered to the same user and plant: the ideal for comparison."""

@@ -1,0 +1,743 @@
+"""The arena: every passivity algorithm on scenes that are hard for it, at several rates and delays.
+
+Which cases an arena has, and the figures of one: an algorithm on a scene at a rate and a delay, without a bus.
+
+What is measured on one rig under every algorithm: K-B plot, impedance, time of a step; and the M-width of the rig.
+
+A wall counts as passive where the display is, device included: after no hold has more energy come out than went in and
+than what damping and friction of the device dissipate at least. Colgate's condition asks the same of every hand; here
+one hand moves in and out of the wall. So an algorithm may pass above Colgate's line, and none may fail below it.
+
+One row an algorithm: its figures over all cases, its rank in each, and who gives out energy where.
+
+Finished cases of an arena on disk, one a line: an arena that was stopped goes on where it was.
+
+The store of a sweep does not fit: its columns are the figures of one scene, fixed before it begins. A case is known
+again by its scene, rate, delay, algorithm and duration, and by the code that made it: all of the package that computes,
+and the file of an own algorithm. A line that was cut off by a kill is left out.
+
+All of an arena: cases to workers, finished ones to the store as they come, then the rig, then the ranking.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
+from canhaptic.errors import InputError, ParameterError
+from canhaptic.input_file import read_regular
+from canhaptic.lab.batch import run_batch, run_scalar, scene_with, why_not_batchable
+from canhaptic.lab.figures.field_figures import (
+    asked_impedance,
+    drag,
+    energy_beyond_device,
+    energy_given_out,
+    m_width,
+    rate_hardness,
+    rendered_impedance,
+    stiffest_walls,
+)
+from canhaptic.lab.figures.figures import figures
+from canhaptic.lab.loop.axis_loop import (
+    Array,
+    LoopCase,
+    LoopRun,
+    Recorder,
+    able_under,
+    at_rate,
+    chosen_algorithms,
+    cycles_of,
+    environment_of,
+    loop_case,
+    microseconds_per_step,
+    plant_parts,
+    render,
+    require_single_axes,
+)
+from canhaptic.lab.reference import ContinuousReference, continuous_reference
+from canhaptic.lab.studies.map import theory_of
+from canhaptic.lab.studies.sweep.run_sweep import Progress, SerialExecutor
+from canhaptic.package_data import shipped
+from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.load import MAX_BYTES, load_scene, scene_from_text
+from canhaptic.scene.models import Scene
+from canhaptic.scene.torque_history import simulation_of
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+
+CaseFigures = dict[str, Any]
+"""scene, rate, delay, algorithm, status and figures; None where there is nothing to measure."""
+_MARK: Final = ".py:"
+_OF_THE_PLANT: Final = "sim_"
+"""Begins the names of scenes about the plant, which render nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class CaseGroup:
+    """The cases that share one continuous run: a scene at a rate, under every algorithm and delay.
+
+    Attributes:
+        path: Path of the scene.
+        rate: [Hz].
+        delays: 0 or 1 each.
+        algorithms: Names, and `FILE.py:Class` of one's own.
+        longest: Duration of a run at most [s].
+        allow_code: Whether the files named may run.
+    """
+
+    path: Path
+    rate: float
+    delays: tuple[int, ...]
+    algorithms: tuple[str, ...]
+    longest: float
+    allow_code: bool = False
+
+
+def scenes_named(names: Sequence[str] | None) -> list[Path]:
+    """Return scenes by their names in `configs/hard` or by file; None means all that render something.
+
+    Raises:
+        InputError: No scene has that name.
+    """
+    folder = shipped("configs") / "hard"
+    hard = {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+    if names is None:
+        return [path for name, path in hard.items() if not name.startswith(_OF_THE_PLANT)]
+    unknown = [name for name in names if name not in hard and not Path(name).is_file()]
+    if unknown:
+        raise InputError(f"--scenes: {unknown[0]!r} is no file, and none of: {', '.join(hard)}")
+    return [hard.get(name, Path(name)) for name in names]
+
+
+def label_of(algorithm: str) -> str:
+    """Return the name of an algorithm in results: of one's own the file without its folder, and the class."""
+    return Path(algorithm).name if is_own(algorithm) else algorithm
+
+
+def is_own(algorithm: str) -> bool:
+    """Whether an algorithm is one's own, named as `FILE.py:Class`."""
+    return _MARK in algorithm
+
+
+def entry_of(reference: str, path: Path, allow_code: bool) -> ComponentSpec:
+    """Return the algorithm of one's own that `FILE.py:Class` names, for a scene.
+
+    Args:
+        reference: File and class.
+        path: Path of the scene, which supplies the keys that the algorithm knows.
+        allow_code: Whether the file may run.
+
+    Raises:
+        InputError: It may not, or is no algorithm.
+    """
+    file, _, name = reference.partition(":")
+    own = Path(file).resolve()
+    text, source = read_regular(path, MAX_BYTES).decode("utf-8"), str(own.with_name(path.name))
+    algorithm = f"passivity={{algorithm: {own.name}:{name}}}"
+    return scene_from_text(text, source, [algorithm], allow_code=allow_code).axes[0].passivity
+
+
+def scene_under(path: Path, algorithm: str, *, allow_code: bool = False) -> Scene:
+    """Return a scene of one axis under an algorithm that takes from the plant what it cannot do without.
+
+    Raises:
+        InputError: The scene has groups or several axes, or own code may not run.
+        ParameterError: The algorithm refuses the scene.
+    """
+    scene = load_scene(path, allow_code=allow_code)
+    require_single_axes(scene, "arena")
+    if len(scene.axes) != 1:
+        raise InputError(f"{path}: has {len(scene.axes)} axes, expected one; make a scene of each")
+    if is_own(algorithm):
+        own = entry_of(algorithm, path, allow_code)
+        scene = replace(scene, axes=(replace(scene.axes[0], passivity=own),))
+        algorithm = own.name
+    return replace(scene, axes=(able_under(scene.axes[0], algorithm, scene).axis,))
+
+
+def with_loop(scene: Scene, rate: float, delay: int) -> Scene:
+    """Return a scene at another rate [Hz] and delay; torques act at their SYNC, as in a loop without a bus."""
+    scene = at_rate(scene, rate)
+    timing = {"torque_window": 0.0, "sync_jitter": 0.0}
+    bus = scene.bus.model_copy(update={"rpdo": "synchronous" if delay else "event"})
+    axes = tuple(replace(a, loop=a.loop.model_copy(update={"delay": bus.delay, **timing})) for a in scene.axes)
+    return replace(scene, bus=bus, axes=axes)
+
+
+def group_figures(group: CaseGroup, known: Iterable[tuple[int, str]] = ()) -> list[CaseFigures]:
+    """Return the figures of every case of a group.
+
+    Args:
+        group: The cases.
+        known: (delay, label of the algorithm) of those that are left out.
+    """
+    left = set(known)
+    asked = [(d, name) for d in group.delays for name in group.algorithms if (d, label_of(name)) not in left]
+    if not asked:
+        return []
+    plain = load_scene(group.path, allow_code=group.allow_code)
+    cycles = cycles_of(at_rate(plain, group.rate), min(group.longest, plain.run.duration or group.longest))
+    reference = _reference_of(at_rate(plain, group.rate), cycles)
+    found = []
+    for delay, name in asked:
+        case = {"scene": group.path.stem, "rate": group.rate, "delay": delay, "algorithm": label_of(name)}
+        make = partial(scene_under, group.path, name, allow_code=group.allow_code)
+        try:
+            scene = with_loop(make(), group.rate, delay)
+            found.append(case | _figures_of(scene, cycles, reference))
+        except ParameterError as error:
+            found.append(case | {"status": "refused", "remark": str(error).splitlines()[0]})
+    return found
+
+
+def _reference_of(scene: Scene, cycles: int) -> ContinuousReference | None:
+    """Return the continuous run of a scene; None where there is none."""
+    [axis] = scene.axes
+    plant, user, effects, seed = plant_parts(axis)
+    try:
+        return continuous_reference(environment_of(axis), plant, user, effects, scene.bus.sample_time_ns, cycles, seed)
+    except InputError:
+        return None
+
+
+def _figures_of(scene: Scene, cycles: int, reference: ContinuousReference | None) -> CaseFigures:
+    case = loop_case(scene.axes[0], scene)
+    run = render(case, cycles, None if reference is None else Recorder.around(reference.position))
+    return {"status": run.ended or "completed", **_of_run(run, scene, reference)}
+
+
+def _of_run(run: LoopRun, scene: Scene, reference: ContinuousReference | None) -> CaseFigures:
+    """Return the figures of a run, to four digits."""
+    environment, sample_time = environment_of(scene.axes[0]), scene.bus.sample_time
+    found = figures(environment, run, reference, sample_time)
+    stiffness = getattr(environment, "stiffness", None)
+    hardness = rate_hardness(run, environment, sample_time)
+    error, travel = part(found, "position_error", "rms"), None if reference is None else reference.travel
+    share = part(found, "stiffness_rendered", "share")
+    values: dict[str, float | None] = {
+        "energy_given_out": energy_given_out(run),
+        "energy_beyond_device": energy_beyond_device(run, scene.axes[0].loop.device_damping or 0.0, sample_time),
+        "position_error": error / travel if error is not None and travel else None,
+        "force_variation": part(found, "force_variation", "ratio"),
+        "stiffness_error": None if share is None else abs(share - 1.0),
+        "rate_hardness": hardness / stiffness if hardness is not None and stiffness else None,
+        "limit_cycle": found["limit_cycle"],
+        "drag": drag(run),
+    }
+    certificate = {"certificate": run.summary.certificate.name.lower()}
+    return certificate | {name: None if value is None else rounded(value) for name, value in values.items()}
+
+
+def part(found: Mapping[str, Any], group: str, name: str) -> float | None:
+    """Return one figure of a group; None where the group could not be measured."""
+    return None if found[group] is None else found[group][name]
+
+
+def rounded(value: float) -> float:
+    """Return a value to four digits."""
+    return float(f"{value:.4g}")
+
+
+DAMPINGS: Final = (0.0, 0.05, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)  # [N*s/m]
+_STIFFNESSES: Final = (1e2, 1e6)  # [N/m]
+FREQUENCIES: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # [Hz]
+_SPRING: Final = SpringDamperWall(stiffness=1000.0, damping=5.0)
+"""What the impedance is measured of: the hand presses on it with `_PRESS` and never leaves it."""
+_HAND: Final = UserParameters(stiffness=2000.0, damping=20.0)
+_AMPLITUDE: Final = 5e-3  # [m]
+_PRESS: Final = -0.05  # middle of the motion of the hand [m]
+_METRICS: Final = ("diverged", "least_covered", "stiffness_rendered.share")
+_RATES: Final = (100.0, 300.0, 1000.0, 3000.0, 8000.0)
+"""Rates of the M-width [Hz]."""
+_REPEATS: Final = 5
+Rows = list[dict[str, Any]]
+
+
+def tried_stiffnesses(per_decade: int) -> Array:
+    """Return the stiffnesses of the K-B plot, rising by equal factors, both ends included, shape (n,) [N/m]."""
+    least, most = _STIFFNESSES
+    return np.geomspace(least, most, 1 + round(per_decade * np.log10(most / least)))
+
+
+def borders(rig: Path, algorithm: str, delay: int, per_decade: int, *, allow_code: bool = False) -> Rows:
+    """Return the K-B plot of an algorithm: over the damping the stiffest passive wall, and the stiffest near one.
+
+    Args:
+        rig: Scene of one axis with a wall.
+        algorithm: Name, or `FILE.py:Class`.
+        delay: Whole holds, 0 or 1.
+        per_decade: Stiffnesses in a decade.
+        allow_code: Whether the file may run.
+    """
+    stiffnesses = tried_stiffnesses(per_decade)
+    try:
+        scene = _at_delay(scene_under(rig, algorithm, allow_code=allow_code), delay)
+    except ParameterError:
+        return []
+    shape = len(stiffnesses), len(DAMPINGS)
+    walls = {
+        "environment.stiffness": np.repeat(stiffnesses, len(DAMPINGS)),
+        "environment.damping": np.tile(DAMPINGS, len(stiffnesses)),
+    }
+    found = {name: values.reshape(shape) for name, values in _tried(scene, walls).items()}
+    kept = (found["diverged"] == 0.0) & (found["least_covered"] >= -PASSIVE_TOLERANCE)
+    border = stiffest_walls(stiffnesses, kept, found["stiffness_rendered.share"])
+    passive, near, is_open = (values.tolist() for values in border)
+    return [
+        {"algorithm": label_of(algorithm), "delay": delay, "damping": damping, "passive": rounded(passive[i]),
+         "near": rounded(near[i]), "open": is_open[i]}
+        for i, damping in enumerate(DAMPINGS)
+    ]  # fmt: skip
+
+
+def _tried(scene: Scene, walls: Mapping[str, Array]) -> Mapping[str, Array]:
+    """Return the figures of walls, compiled where the algorithm has a kernel."""
+    cycles = cycles_of(scene, None)
+    if not why_not_batchable(scene):
+        return run_batch(scene, walls, cycles, metrics=_METRICS)
+    rows = [dict(zip(walls, values, strict=True)) for values in zip(*(w.tolist() for w in walls.values()), strict=True)]
+    found = [run_scalar(scene_with(scene, row), cycles, _METRICS) for row in rows]
+    return {name: np.array([one[name] for one in found]) for name in _METRICS}
+
+
+def _at_delay(scene: Scene, delay: int) -> Scene:
+    return with_loop(scene, scene.bus.rate, delay)
+
+
+def theory(rig: Path, delay: int) -> dict[str, Rows]:
+    """Return the lines of theory in the K-B plot by name, each a list of damping and stiffness.
+
+    They are those of the plain wall, and the largest stiffness that a certificate of `guarded` holds; see
+    `lab.studies.map`.
+    """
+    plain, ours = (_at_delay(scene_under(rig, name), delay) for name in ("unprotected", "guarded"))
+    device = simulation_of(plain.axes[0]).plant.damping
+    fine = [*np.linspace(0.0, device, 21).tolist(), *(damping for damping in DAMPINGS if damping > device)]
+    found = {d: theory_of(scene_with(plain, {"environment.damping": d})) for d in fine}
+    certified = theory_of(ours).certificate
+    return {
+        "Colgate, plain wall": _points({d: one.colgate for d, one in found.items()}),
+        "eigenvalues, plain wall": _points({d: one.eigenvalues for d, one in found.items()}),
+        "largest certificate of guarded": _points(dict.fromkeys(DAMPINGS, certified)),
+    }
+
+
+def _points(line: Mapping[float, float | None]) -> Rows:
+    return [{"damping": rounded(d), "stiffness": rounded(k)} for d, k in line.items() if k]
+
+
+def impedances(rig: Path, algorithm: str, delay: int, *, allow_code: bool = False) -> Rows:
+    """Return the impedance that an algorithm renders over the one asked for, at each of `FREQUENCIES`.
+
+    The environment is a spring with a damper, always in contact: size of the ratio, and its angle [rad].
+    """
+    try:
+        scene = _at_delay(scene_under(rig, algorithm, allow_code=allow_code), delay)
+    except ParameterError:
+        return []
+    found = []
+    for frequency in FREQUENCIES:
+        run, period = _shaken(scene, frequency), scene.bus.sample_time
+        asked = asked_impedance(_SPRING.stiffness, _SPRING.damping, frequency)
+        ratio = complex(np.nan) if run.ended else rendered_impedance(run, period, frequency) / asked
+        size, angle = (rounded(float(part)) if np.isfinite(part) else None for part in (abs(ratio), np.angle(ratio)))
+        case = {"algorithm": label_of(algorithm), "delay": delay, "frequency": frequency}
+        found.append({**case, "size": size, "angle": angle})
+    return found
+
+
+def _shaken(scene: Scene, frequency: float) -> LoopRun:
+    [axis] = scene.axes
+    motion = SinusoidMotion(amplitude=_AMPLITUDE, frequency=frequency, offset=_PRESS)
+    user = _HAND.model_copy(update={"motion": motion})
+    simulation = replace(simulation_of(axis), user=user)
+    environment = ComponentSpec("spring_damper_wall", _SPRING)
+    case = loop_case(replace(axis, environment=environment, simulation=simulation), scene)
+    return render(case, cycles_of(scene, 2.0))
+
+
+def times_of_steps(rig: Path, algorithms: Sequence[str], *, allow_code: bool = False) -> dict[str, float]:
+    """Return the time of a step [us] of each algorithm on the rig, interleaved; of this machine at this moment."""
+    cases: dict[str, tuple[LoopCase, LoopRun]] = {}
+    for name in algorithms:
+        try:
+            scene = scene_under(rig, name, allow_code=allow_code)
+        except ParameterError:
+            continue
+        case = loop_case(scene.axes[0], scene)
+        cases[label_of(name)] = case, render(case, cycles_of(scene, None))
+    return {name: rounded(time) for name, time in microseconds_per_step(cases, _REPEATS).items()}
+
+
+def mass_widths(rig: Path) -> Rows:
+    """Return the M-width of the rig at several rates and delays: no algorithm of one torque axis renders a mass."""
+    plant = simulation_of(scene_under(rig, "unprotected").axes[0]).plant
+    found = []
+    for rate in _RATES:
+        for delay in (0, 1):
+            width = m_width(plant.mass, plant.damping, 1.0 / rate, delay)
+            found.append({"rate": rate, "delay": delay, "least": rounded(width.least), "most": rounded(width.most)})
+    return found
+
+
+AT_DAMPING: Final = 10.0
+"""Whose borders are rows of a result [N*s/m]."""
+Standing = dict[str, Any]
+"""algorithm, cases, and one value a column of `COLUMNS`; None where there is nothing to measure."""
+
+
+class Column(NamedTuple):
+    """One figure of the table."""
+
+    what: str
+    unit: str
+    value: Callable[[Sequence[CaseFigures]], float | None]
+    is_ranked: bool = True  # whether less is better
+
+
+def _count(cases: Iterable[CaseFigures], figure: str) -> float:
+    return float(sum(case[figure] > PASSIVE_TOLERANCE for case in cases))
+
+
+def _combined(
+    figure: str, by: Callable[[Sequence[float]], Any] = np.median
+) -> Callable[[Sequence[CaseFigures]], float | None]:
+    """Return the function from cases to one number: a figure of those that were completed, combined."""
+
+    def of(cases: Sequence[CaseFigures]) -> float | None:
+        values = [case[figure] for case in cases if case["status"] == "completed" and case[figure] is not None]
+        return rounded(float(by(values))) if values else None
+
+    return of
+
+
+def _most_given_out(cases: Sequence[CaseFigures]) -> float:
+    return max((case["energy_given_out"] for case in cases if case["status"] == "completed"), default=0.0)
+
+
+COLUMNS: Final[dict[str, Column]] = {
+    "given_out": Column("cases that gave out more than 1 uJ", "1", lambda c: _count(c, "energy_given_out")),
+    "beyond_device": Column(
+        "cases that gave out more than 1 uJ beyond what the device takes", "1",
+        lambda c: _count(c, "energy_beyond_device"),
+    ),
+    "most_given_out": Column("most energy given out, completed runs", "J", _most_given_out),
+    "diverged": Column("runs that diverged", "1", lambda c: float(sum(case["status"] == "diverged" for case in c))),
+    "position_error": Column("position error rms over travel, median", "1", _combined("position_error")),
+    "force_variation": Column("force variation over the continuous one, median", "1", _combined("force_variation")),
+    "stiffness_error": Column("stiffness rendered less 1, median size", "1", _combined("stiffness_error")),
+    "limit_cycle": Column("limit cycle, mean", "m", _combined("limit_cycle", np.mean)),
+    "rate_hardness": Column("rate-hardness over stiffness, median", "1", _combined("rate_hardness"), is_ranked=False),
+    "drag": Column("drag in free motion, mean", "N", _combined("drag", np.mean)),
+}  # fmt: skip
+"""Key -> figure; in each that is ranked less is better."""
+
+
+def standings(algorithms: Sequence[str], cases: Sequence[CaseFigures]) -> list[Standing]:
+    """Return one row an algorithm.
+
+    Args:
+        algorithms: In the order of the rows.
+        cases: Figures of the cases of all algorithms.
+    """
+    rows = []
+    for name in algorithms:
+        built = [case for case in cases if case["algorithm"] == name and case["status"] != "refused"]
+        row: Standing = {"algorithm": name, "cases": len(built)}
+        rows.append(row | {key: column.value(built) if built else None for key, column in COLUMNS.items()})
+    return rows
+
+
+def ranks(rows: Sequence[Standing]) -> dict[str, dict[str, int]]:
+    """Return the rank of each algorithm in each ranked figure: one more than how many are better."""
+    found: dict[str, dict[str, int]] = {row["algorithm"]: {} for row in rows}
+    for key, column in COLUMNS.items():
+        known = {row["algorithm"]: row[key] for row in rows if row[key] is not None}
+        if column.is_ranked:
+            for name, value in known.items():
+                found[name][key] = 1 + sum(other < value for other in known.values())
+    return found
+
+
+def given_out(algorithms: Sequence[str], cases: Sequence[CaseFigures]) -> dict[str, dict[str, dict[str, float]]]:
+    """Return who gives out energy where: algorithm -> scene -> number of cases beyond the device, and the most [J]."""
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for name in algorithms:
+        of_scene: dict[str, list[float]] = {}
+        for case in cases:
+            if case["algorithm"] == name and case["status"] != "refused":
+                of_scene.setdefault(case["scene"], []).append(case["energy_beyond_device"])
+        found[name] = {
+            scene: {"cases": float(sum(e > PASSIVE_TOLERANCE for e in energies)), "most": max(energies)}
+            for scene, energies in of_scene.items()
+        }
+    return found
+
+
+def result_rows(found: Mapping[str, Any]) -> list[tuple[str, float, str]]:
+    """Return an arena as (name, value, unit), for a file of results."""
+    rows = [
+        (f"{row['algorithm']}: {column.what}", row[key], column.unit)
+        for key, column in COLUMNS.items()
+        for row in found["standings"]
+        if row[key] is not None
+    ]
+    for name, places in found["ranks"].items():
+        rows += [(f"rank of {name}: {COLUMNS[key].what}", float(rank), "1") for key, rank in places.items()]
+    for border in (border for border in found.get("borders", ()) if border["damping"] == AT_DAMPING):
+        late = ", one sample late" if border["delay"] else ""
+        where = f"wall of {border['damping']:g} N*s/m{late}"
+        rows += [
+            (f"{border['algorithm']}: stiffest {word} {where}", border[key], "N/m")
+            for key, word in (("passive", "passive"), ("near", "passive and near"))
+        ]
+    rows += [(f"{name}: time of a step", time, "us") for name, time in found.get("time_of_step", {}).items()]
+    return rows
+
+
+_LARGEST: Final = 100_000_000  # [B], of the store, and of the files that a case is made of
+_COMPUTES: Final = ("control", "kernels", "scene", "sim", "study")
+"""Folders of the package whose code decides what a case gives."""
+
+
+class ArenaStore:
+    """The file of finished cases.
+
+    Args:
+        path: Path of the file; created with its folder if need be.
+        force: Whether to begin anew.
+
+    Raises:
+        InputError: It cannot be read or made.
+    """
+
+    def __init__(self, path: Path, *, force: bool = False) -> None:
+        self._path = path
+        self._known: dict[str, CaseFigures] = {}
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if force:
+                path.unlink(missing_ok=True)
+            text = read_regular(path, _LARGEST).decode("utf-8") if path.exists() else ""
+            if text and not text.endswith("\n"):
+                self._write("\n")  # what follows is not to be added to a line that a kill cut off
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"{path}: cannot be used as the store of an arena ({error}); name another") from error
+        for line in text.splitlines():
+            self._take(line)
+
+    def _take(self, line: str) -> None:
+        try:
+            kept = json.loads(line)
+            self._known[kept["key"]] = kept["case"]
+        except (ValueError, KeyError, TypeError):
+            return  # cut off by a kill: the case runs again
+
+    def finished(self, group: CaseGroup) -> list[CaseFigures]:
+        """Return what is known of the cases of a group."""
+        keys = (_key(group, delay, name) for delay in group.delays for name in group.algorithms)
+        return [self._known[key] for key in keys if key in self._known]
+
+    def add(self, group: CaseGroup, found: Iterable[CaseFigures]) -> None:
+        """Keep the figures of cases of a group, all of them on disk once this returns.
+
+        Raises:
+            InputError: The file cannot be written.
+        """
+        lines, references = "", {label_of(name): name for name in group.algorithms}
+        for case in found:
+            key = _key(group, case["delay"], references[case["algorithm"]])
+            self._known[key] = case
+            lines += json.dumps({"key": key, "case": case}) + "\n"
+        try:
+            self._write(lines)
+        except OSError as error:
+            raise InputError(f"{self._path}: cannot be written ({error}); make room, or name another --out") from error
+
+    def _write(self, lines: str) -> None:
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(lines)
+            file.flush()
+            os.fsync(file.fileno())
+
+
+def _key(group: CaseGroup, delay: int, algorithm: str) -> str:
+    own = _hash_of(Path(algorithm.rpartition(":")[0])) if is_own(algorithm) else ""
+    parts: list[Any] = [_hash_of(group.path), group.rate, delay, algorithm, own, group.longest, code_hash()]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
+
+
+def _hash_of(path: Path) -> str:
+    return hashlib.sha256(read_regular(path, _LARGEST)).hexdigest()
+
+
+@cache
+def code_hash() -> str:
+    """Return the hash of the code that computes."""
+    package, digest = Path(__file__).resolve().parents[2], hashlib.sha256()
+    for path in sorted(path for folder in _COMPUTES for path in (package / folder).rglob("*.py")):
+        digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+RATES: Final = (100.0, 300.0, 1000.0, 3000.0, 8000.0)  # [Hz]
+DELAYS: Final = (0, 1)
+LONGEST: Final = 2.0  # [s] of one run
+PER_DECADE: Final = 12
+"""Stiffnesses in a decade of the K-B plot."""
+_FEW: Final = 4
+"""Groups under way at once."""
+_LOOK: Final = 0.2  # [s] between two looks at a request to stop
+
+
+@dataclass(frozen=True, slots=True)
+class ArenaPlan:
+    """Scenes, rates, delays and algorithms of an arena.
+
+    Attributes:
+        scenes: Files, of one simulated axis each.
+        algorithms: Names, and `FILE.py:Class` of one's own.
+        rates: [Hz].
+        delays: Whole holds, 0 or 1.
+        longest: Duration of a run at most [s].
+        rig: Scene of the K-B plot.
+        per_decade: Stiffnesses in a decade of the K-B plot; 0: nothing is measured on the rig.
+        allow_code: Whether the files named may run.
+    """
+
+    scenes: tuple[Path, ...]
+    algorithms: tuple[str, ...] = tuple(ALGORITHMS)
+    rates: tuple[float, ...] = RATES
+    delays: tuple[int, ...] = DELAYS
+    longest: float = LONGEST
+    rig: Path = shipped("configs") / "arena_rig.yaml"
+    per_decade: int = PER_DECADE
+    allow_code: bool = False
+
+    def groups(self) -> list[CaseGroup]:
+        """Return the cases, those that share a continuous run together."""
+        return [
+            CaseGroup(path, rate, self.delays, self.algorithms, self.longest, self.allow_code)
+            for path in self.scenes
+            for rate in self.rates
+        ]
+
+    def names(self) -> list[str]:
+        """Return the names of the algorithms in results, each once."""
+        return list(dict.fromkeys(map(label_of, self.algorithms)))
+
+    def check(self) -> None:
+        """Look at every scene and algorithm before anything runs.
+
+        Raises:
+            InputError: One cannot be used.
+        """
+        if not (self.scenes and self.algorithms and self.rates and self.delays):
+            raise InputError("arena: got no scene, algorithm, rate or delay; leave the option out to take all")
+        if not set(self.delays) <= {0, 1}:
+            raise InputError(f"arena: got the delays {self.delays}, expected 0 (event) or 1 (synchronous)")
+        if len(self.names()) < len(self.algorithms) or len({path.stem for path in self.scenes}) < len(self.scenes):
+            raise InputError("arena: two scenes or two algorithms have one name; give each file another name")
+        chosen_algorithms([name for name in self.algorithms if not is_own(name)] or None)
+        for path in self.scenes:
+            scene_under(path, "unprotected", allow_code=self.allow_code)
+        for name in self.algorithms:
+            if is_own(name):
+                entry_of(name, self.scenes[0], self.allow_code)
+
+
+def run_arena(
+    plan: ArenaPlan,
+    store: ArenaStore,
+    executor: Executor | None = None,
+    progress: Callable[[Progress], None] = lambda _: None,
+    stop_requested: Callable[[], bool] = lambda: False,
+) -> dict[str, Any] | None:
+    """Return everything that was found as plain values; None where it was stopped, what is finished is then kept.
+
+    Args:
+        plan: What is run.
+        store: Store of finished cases.
+        executor: Where groups of cases run; None: in this thread.
+        progress: Called with how many are finished.
+        stop_requested: Asked now and then.
+
+    Raises:
+        InputError: A scene, an algorithm or the store cannot be used.
+    """
+    plan.check()
+    groups = plan.groups()
+    if not _run_cases(groups, store, executor, progress, stop_requested):
+        return None
+    cases = [case for group in groups for case in store.finished(group)]
+    found: dict[str, Any] = {
+        "canhaptic": version("canhaptic"),
+        "code": code_hash(),
+        "scenes": [path.stem for path in plan.scenes],
+        "algorithms": plan.names(),
+        "rates": list(plan.rates),
+        "delays": list(plan.delays),
+        "longest": plan.longest,
+        "standings": (rows := standings(plan.names(), cases)),
+        "ranks": ranks(rows),
+        "given_out": given_out(plan.names(), cases),
+        "cases": cases,
+    }
+    return found | (_of_rig(plan, stop_requested) if plan.per_decade else {})
+
+
+def _run_cases(
+    groups: Sequence[CaseGroup],
+    store: ArenaStore,
+    executor: Executor | None,
+    progress: Callable[[Progress], None],
+    stop_requested: Callable[[], bool],
+) -> bool:
+    """Run what is not in the store; return whether all is."""
+    total = sum(len(group.delays) * len(group.algorithms) for group in groups)
+    done = begun = sum(len(store.finished(group)) for group in groups)
+    progress(Progress(done, total, begun))
+    under_way: dict[Future[list[CaseFigures]], CaseGroup] = {}
+    waiting, at_once = list(groups), 1 if executor is None else _FEW
+    executor = executor or SerialExecutor()
+    while (waiting or under_way) and not stop_requested():
+        while waiting and len(under_way) < at_once:
+            group = waiting.pop(0)
+            known = [(case["delay"], case["algorithm"]) for case in store.finished(group)]
+            under_way[executor.submit(group_figures, group, known)] = group
+        ready, _ = wait(under_way, timeout=_LOOK, return_when=FIRST_COMPLETED)
+        for future in ready:
+            found = future.result()
+            store.add(under_way.pop(future), found)
+            done += len(found)
+            progress(Progress(done, total, begun))
+    for future in under_way:
+        future.cancel()
+    return not (waiting or under_way)
+
+
+def _of_rig(plan: ArenaPlan, stop_requested: Callable[[], bool]) -> dict[str, Any]:
+    """Return what is measured on the rig; what a request to stop leaves out is missing."""
+    found: dict[str, list[dict[str, Any]]] = {"borders": [], "impedance": []}
+    for name in plan.algorithms:
+        for delay in plan.delays:
+            if not stop_requested():
+                found["borders"] += borders(plan.rig, name, delay, plan.per_decade, allow_code=plan.allow_code)
+                found["impedance"] += impedances(plan.rig, name, delay, allow_code=plan.allow_code)
+    return {
+        "rig": plan.rig.stem,
+        **found,
+        "theory": {str(delay): theory(plan.rig, delay) for delay in plan.delays},
+        "time_of_step": times_of_steps(plan.rig, plan.algorithms, allow_code=plan.allow_code),
+        "m_width": mass_widths(plan.rig),
+    }

@@ -1,1 +1,0 @@
-"""Every algorithm on one scene."""

@@ -1,0 +1,781 @@
+"""Maps of a sweep: how stiff a wall may be over rate, damping and every other varied key, and what is left of it.
+
+The figures of a sweep by the values of its keys: a grid as arrays with one dimension per key, samples as lists.
+
+What theory permits of a wall on a device, in closed form.
+
+Colgate and Schenkel, "Passivity of a class of sampled-data systems", Journal of Robotic Systems 14, 1997: with the
+damping b of the device a sampled wall H(z) is passive for every user if and only if, at every frequency,
+
+    b > T / (2 - 2 cos wT) * Re{(1 - e^-jwT) H(e^jwT)}
+
+For a spring k without delay that is b > k T / 2. Abbott and Okamura (IEEE Trans. Robotics 21, 2005) add the encoder:
+the Coulomb friction of the device must cover half a count of the spring, k < 2 f_c / count: for a wall without a damper
+and without delay, on a device that has such friction; nothing is said of any other.
+
+Z-width: the largest stiffness that passes at every value of the other keys, and the largest that is also near.
+
+One panel of a map as plain values, with what a picture and a page of it have in common.
+
+The first row of a map: the stiffest wall that is passive and rendered near, all algorithms in one panel with theory.
+
+Passive is meant of the display, what the device dissipates counted, and of the hand of the scene, at its worst over
+every key that is not drawn.
+
+Which panels a map has: chosen by what was varied and asked for, filled from the figures of a sweep.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
+from canhaptic.errors import InputError, ParameterError
+from canhaptic.lab.batch import scene_with, spectral_radius
+from canhaptic.lab.figures.field_figures import NEAR
+from canhaptic.lab.loop.axis_loop import Array, display_under, viscous_friction, with_algorithm
+from canhaptic.lab.loop.display_loop import is_display
+from canhaptic.lab.studies.sweep.chunk import BATCHED, COMPLETED, RADIUS, batch_key
+from canhaptic.lab.studies.sweep.sweep_table import SweepTable
+from canhaptic.lab.studies.sweep.vary import CONTROLLER
+from canhaptic.scene.hints import quantisation_bound, stability_hints
+from canhaptic.scene.load import scene_from_text
+from canhaptic.scene.models import Scene
+from canhaptic.units import Parameters
+from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
+
+Mask = NDArray[np.bool_]
+
+
+class MapField:
+    """One axis of a sweep under one algorithm.
+
+    Args:
+        table: The file.
+        axis: Name of the axis.
+        controller: Name of the algorithm; "" for that of the scene where none was varied.
+        allow_code: Whether program files that the scene names may run.
+
+    Attributes:
+        keys: Numeric keys with more than one value, in the order given.
+        values: Every value of each of them, in the order of a grid; of each scene, for samples.
+        is_grid: Whether figures have one dimension per key.
+        scene: Before anything varied, of this axis alone under this algorithm.
+        algorithm: Its name.
+        is_display: Whether the axis is an admittance display.
+    """
+
+    def __init__(self, table: SweepTable, axis: str, controller: str = "", *, allow_code: bool = False) -> None:
+        self._table, self.axis = table, axis
+        self.index = table.axes.index(axis)
+        self.is_grid = not table.identity["samples"]
+        varied = table.identity["varied"]
+        names = [str(entry["key"]) for entry in varied]
+        self._rows: Any = slice(None)
+        if controller:
+            self._rows = np.array(table.values(CONTROLLER)) == controller
+        if self.is_grid:
+            self._levels = {key: _levels(table.values(key)) for key in names if key != CONTROLLER}
+        numeric = {str(entry["key"]) for entry in varied if entry["numbers"]}
+        self.keys = [key for key in names if key in numeric and self._is_varied(key)]
+        self.values = {key: self._values(key) for key in self.keys}
+        self.scene = _scene(table, axis, controller, allow_code)
+        self.algorithm = self.scene.axes[0].passivity.name
+        self.unit = self.scene.axes[0].parameters.unit
+        self.is_display = is_display(self.scene)
+
+    def figure(self, metric: str) -> Array:
+        """Return a figure, one dimension per key of `keys` and one for all others in a grid; NaN where none is."""
+        found = self._shaped(self._table.figure(self.axis, metric))
+        return np.where(self.judged(), found, np.nan)
+
+    def judged(self) -> Mask:
+        """Return which scenes were run to their end, shaped as a figure."""
+        found: Mask = self._shaped(self._table.status() == COMPLETED)
+        return found
+
+    def has(self, metric: str) -> bool:
+        """Whether the sweep asked for a figure."""
+        return metric in self._table.metrics
+
+    def label(self, key: str) -> str:
+        """Return a key with its unit, for an axis of a picture."""
+        unit = _unit_of(self.scene, key)
+        return f"{key} [{unit}]" if unit else key
+
+    def level(self, key: str, value: float) -> str:
+        """Return one value of a key in words, such as `damping 5 N*s/m`."""
+        return f"{key.rpartition('.')[2]} {value:.3g} {_unit_of(self.scene, key)}".rstrip()
+
+    def _is_varied(self, key: str) -> bool:
+        return len(self._levels[key]) > 1 if self.is_grid else len(_levels(self._table.values(key))) > 1
+
+    def _values(self, key: str) -> Array:
+        if self.is_grid:
+            return np.array(self._levels[key])
+        found: Array = np.asarray(self._table.values(key))[self._rows]
+        return found
+
+    def _shaped(self, column: NDArray[Any]) -> Any:
+        """Return a column of this algorithm; of a grid with the numeric keys first, all others last."""
+        rows = column[self._rows]
+        if not self.is_grid:
+            return rows
+        names = list(self._levels)
+        cube = rows.reshape([len(self._levels[key]) for key in names])
+        order = [names.index(key) for key in self.keys] + [i for i, key in enumerate(names) if key not in self.keys]
+        cube = cube.transpose(order)
+        return cube.reshape(*cube.shape[: len(self.keys)], -1)
+
+
+def fields_of(table: SweepTable, axis: str | None = None, *, allow_code: bool = False) -> list[MapField]:
+    """Return one field per algorithm.
+
+    Args:
+        table: The file.
+        axis: Name of the axis; the first by default.
+        allow_code: Whether program files that the scene names may run.
+
+    Raises:
+        InputError: No such axis, nothing is finished, or nothing numeric varies.
+    """
+    name = axis or table.axes[0]
+    if name not in table.axes:
+        raise InputError(f"{table.path}: has no axis {name!r}, expected one of: {', '.join(table.axes)}")
+    if not table.done().any():
+        raise InputError(f"{table.path}: no chunk is finished yet, there is nothing to draw; let the sweep run on")
+    controllers = list(dict.fromkeys(table.values(CONTROLLER))) if CONTROLLER in table.keys else [""]
+    fields = [MapField(table, name, str(controller), allow_code=allow_code) for controller in controllers]
+    if not fields[0].keys:
+        raise InputError(f"{table.path}: no key with numbers was varied, there is no axis to draw along")
+    return fields
+
+
+def _levels(column: Any) -> list[Any]:
+    values = column.tolist() if isinstance(column, np.ndarray) else column
+    return list(dict.fromkeys(values))
+
+
+def _scene(table: SweepTable, axis: str, controller: str, allow_code: bool) -> Scene:
+    """Return the scene before anything varied, of one axis alone."""
+    overrides = json.loads(table.note("overrides"))
+    scene = scene_from_text(table.note("scene"), table.note("source"), overrides, allow_code=allow_code)
+    chosen = next(one for one in scene.axes if axis in (one.parameters.name, one.group))
+    if not controller:
+        return replace(scene, axes=(chosen,))
+    under = with_algorithm if chosen.parameters.admittance is None else display_under
+    return replace(scene, axes=(under(chosen, controller),))
+
+
+def _unit_of(scene: Scene, key: str) -> str:
+    """Return the unit that the model of a varied key gives it on the axis of a scene; "" for a pure number."""
+    [axis] = scene.axes
+    simulation = axis.simulation
+    user = simulation and simulation.user
+    section, _, name = ".".join(key.split(".")[-2:]).rpartition(".")
+    owners: dict[str, tuple[object, ...]] = {
+        "bus": (scene.bus,),
+        "environment": (axis.environment.parameters,),
+        "passivity": (axis.passivity.parameters, axis.loop),
+        "plant": (simulation and simulation.plant,),
+        "user": (user,),
+        "motion": (user and user.motion,),
+    }
+    for owner in owners.get(section, (axis.parameters,)):
+        field = type(owner).model_json_schema()["properties"].get(name) if isinstance(owner, Parameters) else None
+        for part in (field, *field.get("anyOf", ())) if field else ():
+            if "unit" in part:  # of a linear axis, and behind it of a rotary one where that differs
+                linear, _, rotary = part["unit"].partition(" or ")
+                unit = rotary or linear if axis.parameters.unit == "rad" else linear
+                return "" if unit == "1" else unit
+    return ""
+
+
+_ANGLES: Final = 4096
+_TRIED: Final = np.geomspace(1.0, 1e8, 801)
+"""Stiffnesses of which the loop's eigenvalues are taken [N/m or N*m/rad]."""
+
+
+def colgate_stiffness(damping: float, wall_damping: float, sample_time: float, delay: int) -> float:
+    """Return the largest stiffness [N/m or N*m/rad] that the condition above permits.
+
+    Args:
+        damping: b of the device [N*s/m or N*m*s/rad].
+        wall_damping: Damping of the wall, on the backward difference of the position [N*s/m or N*m*s/rad].
+        sample_time: T [s].
+        delay: Whole holds, inside H.
+    """
+    angle = np.linspace(math.pi / _ANGLES, math.pi, _ANGLES)
+    forward = 1.0 - np.exp(-1j * angle)
+    common = forward * np.exp(-1j * delay * angle) / (2.0 * (1.0 - np.cos(angle)))
+    of_spring, of_damper = sample_time * common.real, (common * forward).real
+    left = damping - wall_damping * of_damper
+    if float(left.min()) <= 0.0:
+        return 0.0
+    asked = of_spring > 0.0
+    return float((left[asked] / of_spring[asked]).min())
+
+
+class Theory(NamedTuple):
+    """Largest stiffness by each theory [N/m or N*m/rad]; None where it says nothing."""
+
+    colgate: float | None  # passive for every hand
+    abbott_okamura: float | None  # the same, of encoder and dry friction
+    eigenvalues: float | None  # the plain wall touched all the time, with the hand of the scene, is stable
+    certificate: float | None  # the largest that a certificate of the scene's own algorithm holds
+
+
+def theory_at(field: MapField, values: Mapping[str, float]) -> Theory:
+    """Return what theory says at some values of a field's keys.
+
+    Args:
+        field: Whose scene and axis are meant.
+        values: Key -> value; keys that no formula knows are left out.
+    """
+    names = {batch_key(key, field.index, field.axis): value for key, value in values.items()}
+    return theory_of(scene_with(field.scene, {name: value for name, value in names.items() if name in BATCHED}))
+
+
+def theory_of(scene: Scene) -> Theory:
+    """Return what theory says of the wall of a scene with one simulated axis, for any stiffness."""
+    [axis] = scene.axes
+    simulation, environment = axis.simulation, axis.environment.parameters
+    if simulation is None or not hasattr(environment, "stiffness"):
+        return Theory(None, None, None, None)
+    delay = scene.bus.delay
+    device = simulation.plant.damping + viscous_friction(simulation)
+    wall = float(getattr(environment, "damping", 0.0))
+    colgate = colgate_stiffness(device, wall, scene.bus.sample_time, delay)
+    friction = quantisation_bound(axis)
+    friction = friction if friction and math.isfinite(friction) else None
+    certified = [hint.limit for hint in stability_hints(axis) if hint.certificate and hint.limit is not None]
+    return Theory(
+        colgate,
+        friction if delay == 0 and wall == 0.0 else None,
+        _stable_stiffness(scene),
+        max(certified, default=None),
+    )
+
+
+def _stable_stiffness(scene: Scene) -> float | None:
+    """Return up to which stiffness the plain wall is stable by its eigenvalues; None where the loop is not linear."""
+    try:
+        radii = spectral_radius(scene, {"environment.stiffness": _TRIED})
+    except (ParameterError, NotImplementedError):
+        return None
+    count = int(np.logical_and.accumulate(radii < 1.0).sum())
+    return float(_TRIED[count - 1]) if count else 0.0
+
+
+JUDGEMENTS: Final = {
+    "stable": "stable",
+    "passive": "true sum(h_i) >= 0",
+    "margin": "margin of (4) >= 0",
+    "settled": "true sum(h_i) at the end >= 0",
+    "covered": "true sum(h_i) + what the device dissipates >= 0",
+}
+"""Name -> what passing means, in words."""
+_ENERGIES: Final = {
+    "passive": "least_interaction",
+    "margin": "margin",
+    "settled": "interaction",
+    "covered": "least_covered",
+}
+SHARE: Final = "stiffness_rendered.share"
+
+
+class _Border(NamedTuple):
+    """The largest value of a key that passes with all below it, or the largest near one of these.
+
+    Arrays have the shape of the other keys of a field.
+
+    NaN where a scene was not run; 0 where not even the least passes, or none is near; `open` where the largest passes.
+    """
+
+    value: Array
+    open: Mask
+
+
+def usual_judgement(field: MapField) -> str:
+    """Return how an algorithm is judged unless the user says otherwise.
+
+    The plain wall promises nothing of its port: with what the device dissipates it is stable or not, by the eigenvalues
+    of the loop; where that is not linear, damping and dry friction of the device must cover at any moment what the port
+    gave out, which is what Abbott and Okamura ask. The others are held to what they promise.
+    """
+    if field.algorithm == "unprotected":
+        if field.has(RADIUS) and np.isfinite(field.figure(RADIUS)).any():
+            return "stable"
+        return next((name for name in ("covered", "settled") if field.has(_ENERGIES[name])), "passive")
+    return "passive" if field.has("least_interaction") else "margin"
+
+
+def _passes(field: MapField, judgement: str) -> Mask:
+    """Return which scenes pass, shaped as a figure of the field."""
+    if judgement != "stable":
+        return np.asarray(field.figure(_ENERGIES[judgement]) >= -PASSIVE_TOLERANCE)
+    passed = field.judged()
+    if field.has("diverged"):
+        passed &= field.figure("diverged") == 0.0
+    if field.has(RADIUS) and field.algorithm == "unprotected":
+        radius = field.figure(RADIUS)
+        passed &= ~(radius >= 1.0)
+    return passed
+
+
+def passing_share(field: MapField, judgement: str) -> float:
+    """Return the share of the judged scenes that pass."""
+    judged = field.judged()
+    return float((_passes(field, judgement) & judged).sum() / max(1, judged.sum()))
+
+
+def common_judgement(field: MapField) -> str:
+    """Return how all algorithms are judged together: as displays, device included, where that is known."""
+    return next((name for name in ("covered", "passive") if field.has(_ENERGIES[name])), "margin")
+
+
+def border_of(field: MapField, key: str, kept: list[str], judgement: str, *, near: bool = False) -> _Border:
+    """Return the largest value of a key that passes, the worst over every key that is not kept.
+
+    Args:
+        field: A grid.
+        key: Whose largest value is asked, as environment.stiffness.
+        kept: Keys that the result has as dimensions, in this order.
+        judgement: A name of `JUDGEMENTS`.
+        near: Whether to return the largest of these values at which the stiffness is rendered within `NEAR`.
+    """
+    order = [field.keys.index(name) for name in (key, *kept)]
+    others = [i for i in range(len(field.keys) + 1) if i not in order]
+    passed = _passes(field, judgement).transpose(*order, *others)
+    judged = field.judged().transpose(*order, *others)
+    folded = tuple(range(1 + len(kept), passed.ndim))
+    values = np.sort(field.values[key])
+    rank = np.argsort(field.values[key])
+    good = np.asarray((passed | ~judged).all(axis=folded))[rank]
+    known = np.asarray(np.asarray(judged.any(axis=folded)).all(axis=0))
+    below = np.logical_and.accumulate(good, axis=0)
+    is_open = known & below[-1]
+    if near:
+        shares = field.figure(SHARE).transpose(*order, *others)
+        below &= np.asarray(((np.abs(shares - 1.0) <= NEAR) | ~judged).all(axis=folded))[rank]
+    column = values.reshape(-1, *(1,) * (below.ndim - 1))
+    return _Border(np.where(known, np.where(below, column, 0.0).max(axis=0), np.nan), is_open)
+
+
+_COLOURS: Final = (BLUE, GREEN, PURPLE, ORANGE, SKY, VERMILION, GREY)
+_BLACK: Final = ("ours", "abbott_okamura", "eigenvalues", "certificate")
+_FEW: Final = 8
+_LOG_SPAN: Final = 8.0
+"""Ratio of largest and least value from which an axis is logarithmic."""
+CurveStyle = Literal["measured", "ours", "colgate", "abbott_okamura", "eigenvalues", "certificate"]
+"""What a line is of."""
+
+
+@dataclass(frozen=True, slots=True)
+class PanelCurve:
+    """One line of a panel; lines of one level of a key share their number."""
+
+    label: str
+    x: Array
+    y: Array
+    style: CurveStyle
+    number: int = 0
+
+    @property
+    def colour(self) -> str:
+        """As #RRGGBB; what holds at every level is black, and so is the algorithm that is meant for a rig."""
+        return "#000000" if self.style in _BLACK else _COLOURS[self.number % len(_COLOURS)]
+
+
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """A panel of lines; both axes positive where logarithmic."""
+
+    title: str
+    x_label: str
+    y_label: str
+    lines: tuple[PanelCurve, ...]
+    x_log: bool
+    y_log: bool
+    note: str = ""
+
+    def marks(self) -> list[float]:
+        """Return the values to mark along a logarithmic x; none where they are many."""
+        return _few(np.concatenate([line.x for line in self.lines] or [np.empty(0)])) if self.x_log else []
+
+    def has_something(self) -> bool:
+        """Whether there is something to see."""
+        return True
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """A panel of coloured cells, or of dots where the scenes are no grid."""
+
+    title: str
+    x_label: str
+    y_label: str
+    x: Array  # of the columns, (nx,); of each dot, (n,)
+    y: Array  # of the rows, (ny,); of each dot, (n,)
+    values: Array  # (ny, nx), or (n,); NaN is blank
+    value_label: str
+    x_log: bool
+    y_log: bool
+    value_log: bool = False
+    limits: tuple[float, float] | None = None
+    contour: float | None = None
+    dots: bool = False
+    more_is_worse: bool = False
+
+    def marks(self) -> list[float]:
+        """Return the values to mark along a logarithmic x; none where they are many, or no columns."""
+        return _few(self.x) if self.x_log and not self.dots else []
+
+    def has_something(self) -> bool:
+        """Whether there is something to see."""
+        return bool(np.isfinite(self.values).any())
+
+    def edges(self) -> tuple[Array, Array]:
+        """Return the edges of the cells along x and y, shapes (nx + 1,) and (ny + 1,)."""
+        return _edges_of(self.x, log=self.x_log), _edges_of(self.y, log=self.y_log)
+
+
+Panel = Lines | Cells
+
+
+def _few(values: Array) -> list[float]:
+    found: list[float] = np.unique(values).tolist()
+    return found if len(found) <= _FEW else []
+
+
+def _edges_of(values: Array, *, log: bool) -> Array:
+    """Return the edges of cells around sorted values, shape (n + 1,): halfway between neighbours."""
+    scaled = np.log(values) if log else values
+    if len(values) == 1:
+        half = np.array([0.5 if log else 0.5 * max(abs(float(values[0])), 1.0)])
+        edges = np.concatenate([scaled - half, scaled + half])
+    else:
+        middle = 0.5 * (scaled[1:] + scaled[:-1])
+        edges = np.concatenate([[2.0 * scaled[0] - middle[0]], middle, [2.0 * scaled[-1] - middle[-1]]])
+    return np.asarray(np.exp(edges) if log else edges)
+
+
+def common_limits(panels: Sequence[Panel | None]) -> tuple[float, float]:
+    """Return limits of the colours that fit every panel of cells in a row."""
+    cells = [panel for panel in panels if isinstance(panel, Cells)]
+    if not cells:
+        return 0.0, 1.0
+    if cells[0].limits is not None:
+        return cells[0].limits
+    known = np.concatenate([panel.values[np.isfinite(panel.values)].ravel() for panel in cells])
+    if not len(known):
+        return (1.0, 10.0) if cells[0].value_log else (0.0, 1.0)
+    low, high = float(known.min()), float(known.max())
+    if cells[0].value_log:
+        return low, max(high, 10.0 * low)
+    return low, high if high > low else low + 1.0
+
+
+def is_log(values: Array) -> bool:
+    """Return whether an axis of these values is logarithmic."""
+    return bool(values.min() > 0.0 and values.max() / values.min() >= _LOG_SPAN)
+
+
+def positive(values: Array) -> Array:
+    """Return values for a logarithmic axis: NaN where there is no place for them."""
+    return np.where(values > 0.0, values, np.nan)
+
+
+_OURS: Final = "guarded"
+_MOST_PANELS: Final = 3
+_OF_PLAIN_WALL: Final[dict[CurveStyle, str]] = {
+    "colgate": "Colgate, plain wall",
+    "abbott_okamura": "Abbott-Okamura, plain wall",
+    "eigenvalues": "eigenvalues, plain wall",
+}
+
+
+def headline(fields: list[MapField], z: str, x: str, y: str | None) -> list[Lines]:
+    """Return one panel for each value of y, of many the least, middle and largest; none where shares are not known.
+
+    Args:
+        fields: One an algorithm, of one grid.
+        z: Key of the stiffness.
+        x: Across.
+        y: Another key; None where there is none.
+    """
+    if not all(one.has(SHARE) and common_judgement(one) != "margin" for one in fields):
+        return []
+    levels: list[float | None] = [None] if y is None else [*sorted(fields[0].values[y].tolist())]
+    if len(levels) > _MOST_PANELS:
+        levels = [levels[0], levels[len(levels) // 2], levels[-1]]
+    return [_panel(fields, z, x, {} if level is None or y is None else {y: level}) for level in levels]
+
+
+def _panel(fields: list[MapField], z: str, x: str, at: dict[str, float]) -> Lines:
+    field = fields[0]
+    order = np.argsort(field.values[x])
+    places = field.values[x][order]
+    curves: list[PanelCurve] = []
+    for number, one in enumerate(fields):
+        border = border_of(one, z, [x, *at], common_judgement(one), near=True).value[order]
+        for key, level in at.items():
+            border = border[:, int(np.flatnonzero(one.values[key] == level)[0])]
+        style: CurveStyle = "ours" if one.algorithm == _OURS else "measured"
+        curves.append(PanelCurve(one.algorithm, places, positive(border), style, number))
+    curves += _theory(fields, x, places, at)
+    where = "".join(f", {field.level(key, value)}" for key, value in at.items())
+    note = f"{JUDGEMENTS[common_judgement(field)]}; worst of all else; no line: no wall tried passes"
+    shown = tuple(curve for curve in curves if np.isfinite(curve.y).any())
+    title = f"stiffest wall that is passive and within {100.0 * NEAR:g} %{where}"
+    return Lines(title, field.label(x), field.label(z), shown, is_log(places), is_log(field.values[z]), note)
+
+
+def _theory(fields: list[MapField], x: str, places: Array, at: dict[str, float]) -> list[PanelCurve]:
+    """Return the lines of theory: of the plain wall, and what the certificates of `guarded` hold."""
+    plain = next((one for one in fields if one.algorithm == "unprotected"), fields[0])
+    found = [theory_at(plain, {**at, x: float(place)}) for place in places]
+    lines = [PanelCurve(label, places, _column(found, name), name) for name, label in _OF_PLAIN_WALL.items()]
+    ours = next((one for one in fields if one.algorithm == _OURS), None)
+    if ours is not None:
+        found = [theory_at(ours, {**at, x: float(place)}) for place in places]
+        lines.append(PanelCurve("largest certificate of guarded", places, _column(found, "certificate"), "certificate"))
+    return lines
+
+
+def _column(found: list[Theory], name: str) -> Array:
+    values = [getattr(one, name) for one in found]
+    return positive(np.array([np.nan if value is None else value for value in values]))
+
+
+_STIFFNESS: Final = "environment.stiffness"
+_MASS: Final = "environment.mass"
+_OF_DISPLAYS: Final = ("mass_felt.share", "least_interaction", "guard_acts")
+_PREFERRED: Final = ("bus.rate", "environment.damping")
+_MOST_LINES: Final = 5
+_LEAST_ENERGY: Final = 1e-6  # [J]
+_ERROR: Final = "position_error.rms"
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """Which keys and figure a map is of; None: chosen by what was varied."""
+
+    x: str | None = None
+    y: str | None = None
+    metric: str | None = None
+    judgement: str | None = None
+
+
+def panels_of(fields: list[MapField], chosen: Chosen) -> list[list[Panel | None]]:
+    """Return the panels of a map, by columns: all algorithms together on top, then one column per algorithm.
+
+    Raises:
+        InputError: A key that was not varied or a figure that was not asked for.
+    """
+    _check(fields[0], chosen)
+    if chosen.metric is not None or not fields[0].is_grid:
+        return [[_metric_panel(one, chosen, chosen.metric or "margin")] for one in fields]
+    if fields[0].is_display:
+        return [list(_display_panels(one, chosen)) for one in fields]
+    together = _together(fields, chosen)
+    columns = [_usual_panels(one, chosen, beside=bool(together)) for one in fields]
+    rows = [row for row in zip(*columns, strict=True) if any(panel.has_something() for panel in row)]
+    return _below(together, [list(column) for column in zip(*rows, strict=True)] or columns)
+
+
+def _display_panels(field: MapField, chosen: Chosen) -> list[Panel]:
+    """Return the panels of an admittance display: the mass felt, the energy given out, how often a guard acts."""
+    metrics = [metric for metric in _OF_DISPLAYS if field.has(metric)]
+    if len(field.keys) == 1:
+        return [_profile(field, field.keys[0], metric) for metric in metrics]
+    x = chosen.x or next((key for key in field.keys if key == _MASS), None)
+    return [_metric_panel(field, Chosen(x, chosen.y), metric) for metric in metrics]
+
+
+def _below(together: list[Lines], columns: list[list[Panel]]) -> list[list[Panel | None]]:
+    """Return columns with a further row on top, which may be longer or shorter than there are columns."""
+    if not together:
+        return [list(column) for column in columns]
+    blank: list[Panel | None] = [None] * len(columns[0])
+    count = max(len(together), len(columns))
+    tops = [together[i] if i < len(together) else None for i in range(count)]
+    return [[tops[i], *(columns[i] if i < len(columns) else blank)] for i in range(count)]
+
+
+def _together(fields: list[MapField], chosen: Chosen) -> list[Lines]:
+    """Return the panels of all algorithms, unless one judgement was asked for or one key varied."""
+    if chosen.judgement is not None or len(fields[0].keys) == 1:
+        return []
+    return headline(fields, *_keys(fields[0], chosen))
+
+
+def _keys(field: MapField, chosen: Chosen) -> tuple[str, str, str | None]:
+    """Return what is searched, what is across and what has one line or panel each."""
+    free = [key for key in field.keys if key != chosen.x] or field.keys
+    z = _STIFFNESS if _STIFFNESS in free else free[-1]
+    others = sorted((key for key in field.keys if key != z), key=_preference)
+    x = chosen.x or others[0]
+    return z, x, chosen.y if chosen.y not in (None, z) else next((key for key in others if key != x), None)
+
+
+def _check(field: MapField, chosen: Chosen) -> None:
+    for name in (chosen.x, chosen.y):
+        if name is not None and name not in field.keys:
+            raise InputError(f"--x, --y: {name!r} was not varied in numbers, expected of: {', '.join(field.keys)}")
+    if chosen.x is not None and chosen.x == chosen.y:
+        raise InputError(f"--x and --y: got {chosen.x} twice; give two keys")
+    if chosen.metric is not None and not field.has(chosen.metric):
+        raise InputError(f"--metric: {chosen.metric!r} is not in the file; sweep again with --metrics {chosen.metric}")
+
+
+def _usual_panels(field: MapField, chosen: Chosen, *, beside: bool) -> list[Panel]:
+    """Return the panels of one algorithm; its border only where no panel shows it with the others'."""
+    if len(field.keys) == 1:
+        profiles = ("margin", "stiffness_rendered.share", _ERROR)
+        return [_profile(field, field.keys[0], metric) for metric in profiles if field.has(metric)]
+    z, x, y = _keys(field, chosen)
+    metrics = ("margin", "stiffness_rendered.share", "damping_rendered.mean", _ERROR)
+    of_metrics = [_metric_panel(field, Chosen(x, z), metric) for metric in metrics if field.has(metric)]
+    return of_metrics if beside else [_width(field, z, x, y, chosen.judgement or usual_judgement(field)), *of_metrics]
+
+
+def _preference(key: str) -> int:
+    return _PREFERRED.index(key) if key in _PREFERRED else len(_PREFERRED)
+
+
+def _width(field: MapField, z: str, x: str, y: str | None, judgement: str) -> Panel:
+    """Return the largest z that passes over x (and y), the worst over every other key."""
+    border = border_of(field, z, [x] if y is None else [x, y], judgement)
+    order = np.argsort(field.values[x])
+    places = field.values[x][order]
+    title = f"{field.algorithm}: largest {z.rpartition('.')[2]}"
+    note = f"{JUDGEMENTS[judgement]}, worst of all else"
+    levels = [None] if y is None else sorted(field.values[y].tolist())
+    if y is not None and len(levels) > _MOST_LINES:
+        ranks = np.argsort(field.values[y])
+        cells, rows = positive(border.value[order][:, ranks].T), field.values[y][ranks]
+        return Cells(
+            f"{title}, {note}", field.label(x), field.label(y), places, rows, cells, field.label(z),
+            is_log(places), is_log(rows), value_log=True,
+        )  # fmt: skip
+    lines: list[PanelCurve] = []
+    for colour, level in enumerate(levels):
+        kept = (
+            border.value if level is None else border.value[:, int(np.flatnonzero(field.values[y or ""] == level)[0])]
+        )
+        of_level = "" if level is None or y is None else f", {field.level(y, level)}"
+        lines.append(PanelCurve(f"measured{of_level}", places, positive(kept[order]), "measured", colour))
+        if z == _STIFFNESS and field.algorithm == "unprotected":
+            lines += _panel_theory(field, x, places, {} if level is None or y is None else {y: level}, of_level, colour)
+    if border.open.any():
+        note += f"; on top: all of the range, {field.values[z].max():.3g}, passes"
+    for line in lines:
+        if line.style != "measured" and not np.isfinite(line.y).any():
+            why = ", no Coulomb friction" if line.style == "abbott_okamura" else ", the wall's damping is too large"
+            note += f"; {line.label}: 0{why}"
+    shown = tuple(line for line in lines if np.isfinite(line.y).any())
+    return Lines(title, field.label(x), field.label(z), shown, is_log(places), is_log(field.values[z]), note)
+
+
+def _panel_theory(
+    field: MapField, x: str, places: Array, at: dict[str, float], of_level: str, colour: int
+) -> list[PanelCurve]:
+    """Return the lines of theory; where a further key is worst of all, theory is taken at the scene's own value."""
+    found = [theory_at(field, {**at, x: float(place)}) for place in places]
+    lines = []
+    if all(one.colgate is not None for one in found):
+        values = np.array([one.colgate for one in found], dtype=float)
+        lines.append(PanelCurve(f"Colgate{of_level}", places, positive(values), "colgate", colour))
+    if colour == 0 and all(one.abbott_okamura is not None for one in found):
+        values = np.array([one.abbott_okamura for one in found], dtype=float)
+        lines.append(PanelCurve("Abbott-Okamura", places, positive(values), "abbott_okamura"))
+    return lines
+
+
+def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
+    if len(field.keys) == 1:
+        return _profile(field, field.keys[0], metric)
+    others = sorted(field.keys, key=_preference)
+    x = chosen.x or next(key for key in others if key != chosen.y)
+    y = chosen.y or (
+        _STIFFNESS if _STIFFNESS in others and x != _STIFFNESS else next(key for key in others if key != x)
+    )
+    values, label, kind = _shown(field, metric)
+    title = f"{field.algorithm}: {label}"
+    if field.is_grid:
+        keys = [field.keys.index(key) for key in (y, x)]
+        rest = [i for i in range(values.ndim) if i not in keys]
+        values = _worst(values.transpose(*keys, *rest), tuple(range(2, values.ndim)), kind)
+        rows, columns = (np.argsort(field.values[key]) for key in (y, x))
+        values = values[rows][:, columns]
+        title += ", worst of all else" if any(np.array(field.figure(metric).shape)[rest] > 1) else ""
+        places = field.values[x][columns], field.values[y][rows]
+    else:
+        places = field.values[x], field.values[y]
+    limits = (0.0, 1.2) if kind == "share" else None
+    return Cells(
+        title, field.label(x), field.label(y), *places, values, label, is_log(places[0]), is_log(places[1]),
+        value_log=kind in ("energy", "error"), limits=limits, contour=0.95 if kind == "share" else None,
+        dots=not field.is_grid, more_is_worse=kind in ("energy", "error"),
+    )  # fmt: skip
+
+
+def _shown(field: MapField, metric: str) -> tuple[Array, str, str]:
+    """Return a figure as it is drawn: energies below zero as what is missing, renderings as shares of the asked."""
+    values = field.figure(metric)
+    if metric in ("margin", "least_interaction", "believed_margin"):
+        words = {"margin": "missing in the margin, eq. 4", "least_interaction": "given out beyond what came in"}
+        return (
+            np.where(np.isnan(values), np.nan, np.maximum(-values, _LEAST_ENERGY)),
+            f"{words.get(metric, metric)} [J]",
+            "energy",
+        )
+    if metric == "damping_rendered.mean":
+        asked = _asked_damping(field, values)
+        with np.errstate(all="ignore"):
+            return np.where(asked > 0.0, values / asked, np.nan), "damping rendered over asked", "share"
+    if metric.endswith(".share"):
+        return values, f"{'mass felt' if metric == 'mass_felt.share' else 'stiffness rendered'} over asked", "share"
+    if metric == _ERROR:
+        return values, f"position error, rms [{field.scene.axes[0].parameters.unit}]", "error"
+    return values, metric, "plain"
+
+
+def _asked_damping(field: MapField, values: Array) -> Array:
+    key = "environment.damping"
+    if key not in field.keys:
+        return np.full(values.shape, float(getattr(field.scene.axes[0].environment.parameters, "damping", 0.0)))
+    if not field.is_grid:
+        return field.values[key]
+    shape = [1] * values.ndim
+    shape[field.keys.index(key)] = -1
+    return np.broadcast_to(field.values[key].reshape(shape), values.shape)
+
+
+def _worst(values: Array, over: tuple[int, ...], kind: str) -> Array:
+    """Return the worst: the most energy missing, the largest error, the share furthest from one, else the least."""
+    if not over:
+        return values
+    flat = values.reshape(*values.shape[:2], -1)
+    score = {"energy": flat, "error": flat, "share": np.abs(flat - 1.0), "plain": -flat}[kind]
+    unknown = np.isnan(score)
+    worst = np.where(unknown, -np.inf, score).argmax(axis=2)
+    found: Array = np.take_along_axis(flat, worst[:, :, None], axis=2)[:, :, 0]
+    return np.where(unknown.all(axis=2), np.nan, found)
+
+
+def _profile(field: MapField, key: str, metric: str) -> Panel:
+    """Return a figure along the only key that was varied."""
+    values, label, kind = _shown(field, metric)
+    order = np.argsort(field.values[key])
+    flat = _worst(values.reshape(len(order), 1, -1), (2,), kind)[:, 0] if field.is_grid else values
+    places = field.values[key][order]
+    line = PanelCurve(field.algorithm, places, flat[order], "measured")
+    log = kind in ("energy", "error")
+    return Lines(f"{field.algorithm}: {label}", field.label(key), label, (line,), is_log(places), log)

@@ -1,0 +1,649 @@
+"""Replays the drives' side of a recorded bus against the real master and controllers.
+
+Sender of each frame of a bus, from a scene: a recording need not contain it, and a sniffer cannot know it.
+
+A recorded bus, prepared for a replay: sender of each frame, start of the cycle, the operator's stop.
+
+The drives' side of a recording: returns the recorded response to each frame of the master, compared first.
+
+Time of a recording: it advances only when the master waits, and then moves to the next recorded frame.
+
+The master sends each frame when it was sent in the recording, however long it computes today and for any deadline it
+waits for. So a SYNC that was late then is as late now, and the same deadlines are skipped.
+
+A rig that joins a bus whose drives are enabled already: for recordings that lack the start.
+
+The first difference of a replay as text: both frames decoded, and the bus traffic before them.
+
+Runs the real master and controllers of a scene against a recording, and compares every frame that they send.
+"""
+
+import struct
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from itertools import islice
+from pathlib import Path
+from typing import Final, Literal, NamedTuple, TypedDict
+
+import can
+
+from canhaptic.canopen import objects as od
+from canhaptic.canopen.eds import read_dictionary
+from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
+from canhaptic.cycle import Cycle, run
+from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.pdo_map import choose_map, codec
+from canhaptic.drive.can.servo_drive import ServoDrive
+from canhaptic.drive.clock import Clock, WallClock
+from canhaptic.drive.profile.fitness import agreed_rated_torque
+from canhaptic.drive.profile.power_states import is_enabled
+from canhaptic.drive.profile.quirks import quirks_of
+from canhaptic.drive.profile.scaling import axis_scaling
+from canhaptic.drive.rig import Rig
+from canhaptic.errors import InputError, LogFormatError, RigError
+from canhaptic.logs.bus_reader import Frame, SkippedKind, read_bus_log
+from canhaptic.logs.decoder import BusDecoder
+from canhaptic.result import RunResult, run_result
+from canhaptic.scene.build import build_loss_meters, open_bus, private_channel
+from canhaptic.scene.models import Scene
+from canhaptic.scene.parts import (
+    build_axis_controllers,
+    build_axis_groups,
+    build_axis_meters,
+    build_servo_drive,
+    group_places,
+)
+from canhaptic.scene.recorded_names import Channels, describe_nodes
+
+_ENABLE_BITS: Final = int(od.Controlword.ENABLE_OPERATION)
+
+Address = tuple[int, int]
+"""Place of the bus among those of the scene, COB-ID."""
+
+
+class Roles(NamedTuple):
+    """COB-IDs of a scene by their role in a replay."""
+
+    master: frozenset[Address]  # sent by the master
+    sdo_requests: frozenset[Address]
+    heartbeat: int  # the master's
+    rpdo: Address  # of the first axis
+    controlword: struct.Struct  # in that RPDO
+    statuswords: dict[Address, struct.Struct]  # TPDO with the statusword -> where it is in it; one per axis
+
+    def asks_to_leave(self, data: bytes) -> bool:
+        """Whether an RPDO of the first axis revokes OPERATION ENABLED.
+
+        0x0F keeps it and 0x00 revokes it; decided by the majority of bits, so that one flipped bit moves no end.
+        """
+        (controlword,) = self.controlword.unpack(data) if len(data) == self.controlword.size else (_ENABLE_BITS,)
+        return (int(controlword) & _ENABLE_BITS).bit_count() < _ENABLE_BITS.bit_count() // 2
+
+    def shows_enabled(self, address: Address, data: bytes) -> bool:
+        """Return whether a TPDO with a statusword shows OPERATION ENABLED."""
+        image = self.statuswords[address]
+        return len(data) == image.size and is_enabled(int(image.unpack(data)[0]))
+
+
+def roles_of(scene: Scene) -> Roles:
+    """Return the roles of the COB-IDs of a scene.
+
+    Raises:
+        DictionaryError: A dictionary cannot be read or has no fitting PDOs.
+    """
+    places = {bus.name: place for place, bus in enumerate(scene.buses)}
+    axes = [axis.parameters for axis in scene.axes]
+    on = [places[axis.bus] for axis in scene.axes]
+    maps = [choose_map(read_dictionary(axis.eds, axis.node_id), axis) for axis in axes]
+    sdo_requests = frozenset((bus, od.SDO_REQUEST_BASE + axis.node_id) for bus, axis in zip(on, axes, strict=True))
+    rpdos = [(bus, plan.rpdo.cob_id) for bus, plan in zip(on, maps, strict=True)]
+    heartbeat = od.HEARTBEAT_BASE + scene.bus.master_id
+    on_every_bus = {(bus, cob_id) for bus in on for cob_id in (od.NMT_COB_ID, od.SYNC_FRAME_COB_ID, heartbeat)}
+    return Roles(
+        sdo_requests | frozenset(rpdos) | on_every_bus,
+        sdo_requests,
+        heartbeat,
+        rpdos[0],
+        codec(maps[0].rpdo.entries, [od.CONTROLWORD]),
+        {
+            (bus, tpdo.cob_id): codec(tpdo.entries, [od.STATUSWORD])
+            for bus, plan in zip(on, maps, strict=True)
+            for tpdo in plan.tpdos
+            if any(entry.index == od.STATUSWORD for entry in tpdo.entries)
+        },
+    )
+
+
+_SYNC: Final[Address] = (0, od.SYNC_FRAME_COB_ID)
+
+
+class Recording:
+    """The frames of one bus log, without the master's heartbeats.
+
+    Those follow the wall clock of the host. After skipped SYNCs, microseconds decide when the next one is due, and the
+    times of a log differ from those of the master by some.
+
+    Attributes:
+        path: The log.
+        frames: All other data frames, in the order of the log.
+        skipped: Frames that were left out, by kind.
+        buses: Place of each frame's bus among those of the scene.
+        heartbeat: COB-ID of the master's heartbeat.
+        is_master: Whether the master sent each frame.
+        has_boot: Whether the start of the drives is in the log.
+        first_sync: Index of the frame that is SYNC 0, on the first bus; -1 when no SYNC found every axis enabled.
+
+    Raises:
+        LogFormatError: The log cannot be read, or holds no frame of the master.
+    """
+
+    def __init__(self, path: str | Path, roles: Roles, channels: Channels) -> None:
+        self.path = Path(path)
+        self.heartbeat = roles.heartbeat
+        self.skipped = Counter[SkippedKind]()
+        self.frames = [frame for frame in read_bus_log(path, self.skipped) if frame.can_id != roles.heartbeat]
+        self.buses = [channels.place_of(frame) for frame in self.frames]
+        self._addresses = [(bus, frame.can_id) for bus, frame in zip(self.buses, self.frames, strict=True)]
+        self.is_master = [address in roles.master for address in self._addresses]
+        if not any(self.is_master):
+            raise LogFormatError(
+                f"{path}: none of its {len(self.frames)} frames is one that the master of the scene sends; "
+                "is it the log of another scene?"
+            )
+        self._roles = roles
+        self.first_sync = _first_sync(self._addresses, self.frames, roles)
+        before = self._addresses[: self.first_sync] if self.first_sync >= 0 else self._addresses
+        self.has_boot = any(address in roles.sdo_requests for address in before)
+
+    def has_sdo(self, bus: int, node_id: int, index: int) -> bool:
+        """Return whether a request or an answer of a node names subindex 0 of an object."""
+        named = struct.pack("<HB", index, 0)
+        addresses = {(bus, od.SDO_REQUEST_BASE + node_id), (bus, od.SDO_RESPONSE_BASE + node_id)}
+        pairs = zip(self._addresses, self.frames, strict=True)
+        return any(address in addresses and frame.data[1:4] == named for address, frame in pairs)
+
+    def operator_cycles(self, ramp_cycles: int) -> int | None:
+        """Number of cycles before the operator stopped the run; None without such a stop.
+
+        An operator's stop shows in the frames: the last SYNC before the drives are disabled was answered by an RPDO
+        and followed by one more. After a fault it was answered by zero torque alone.
+
+        Args:
+            ramp_cycles: Cycles in which the master takes the torque to zero.
+        """
+        syncs = commands = 0
+        for address, frame in self._since_first_sync():
+            if address == _SYNC:
+                syncs += 1
+            elif address == self._roles.rpdo:
+                if self._roles.asks_to_leave(frame.data):
+                    return max(0, syncs - ramp_cycles - 1) if syncs == commands else None
+                commands += 1
+        return None
+
+    def _since_first_sync(self) -> Iterator[tuple[Address, Frame]]:
+        if self.first_sync >= 0:
+            yield from islice(zip(self._addresses, self.frames, strict=True), self.first_sync, None)
+
+
+def _first_sync(addresses: Sequence[Address], frames: Sequence[Frame], roles: Roles) -> int:
+    """Return the index of the first SYNC that every axis answered in OPERATION ENABLED; -1 when there is none."""
+    sync, enabled = -1, set[Address]()
+    for index, (address, frame) in enumerate(zip(addresses, frames, strict=True)):
+        if address == _SYNC:
+            sync, enabled = index, set()
+        elif sync >= 0 and address in roles.statuswords:
+            if roles.shows_enabled(address, frame.data):
+                enabled.add(address)
+            if len(enabled) == len(roles.statuswords):
+                return sync
+    return -1
+
+
+NEVER: Final = 1 << 62  # [ns]
+
+
+class ReplayOverError(BaseException):
+    """Ends the run: the recording is at its end, or the master departed from it.
+
+    Not an `Exception`: no handler on the way out may treat it as a fault of drive or link and go on sending.
+    """
+
+
+class _Departure(NamedTuple):
+    """The first frame in which the master departs from the recording."""
+
+    place: int  # index of the recorded frame
+    bus: int  # that the frame was sent on
+    can_id: int  # of the frame sent instead
+    data: bytes
+
+
+class RecordedSide:
+    """Plays the frames that the master did not send (a `SimulatedPeer`), and compares its frames but its heartbeats.
+
+    Order and times are those of the recording: a frame comes once the master has sent everything that was recorded
+    before it. Recorded frames of the drives that precede a frame of the master have reached the master when it sends
+    it.
+
+    Args:
+        buses: Its connections to the buses, in the order of the scene.
+        recording: Recording to play.
+        first: Index of the first frame to play.
+
+    Attributes:
+        compared: Frames of the master found equal so far.
+        played: Frames of the drives sent so far.
+        reached: Time of the master's last frame in the recording [ns]; its computation until then took that long.
+        departure: First difference; None while there is none.
+    """
+
+    def __init__(self, buses: Sequence[can.BusABC], recording: Recording, first: int) -> None:
+        self._buses = tuple(buses)
+        self._sent: list[deque[can.Message]] = [deque() for _ in buses]  # by the master, not compared yet
+        self._places = recording.buses
+        self._frames = recording.frames
+        self._is_master = recording.is_master
+        self._left_out = recording.heartbeat
+        self._end = len(recording.frames)
+        self._next = first
+        self._is_over = False
+        self.compared = 0
+        self.played = 0
+        self.reached = 0
+        self.departure: _Departure | None = None
+
+    def _collect(self) -> None:
+        for bus, sent in zip(self._buses, self._sent, strict=True):
+            while (message := bus.recv(0.0)) is not None:
+                if message.arbitration_id != self._left_out:
+                    sent.append(message)
+
+    def process(self, now: int) -> None:
+        """Compare every frame that the master has sent, and send the frames due up to `now` [ns].
+
+        Raises:
+            ReplayOverError: The recording is at its end, or the master departed from it.
+        """
+        if self._is_over:  # the rig tries to stop its drives on the way out
+            raise ReplayOverError
+        self._collect()
+        while any(self._sent):
+            self._compare()
+        while self.next_due() <= now:
+            self._play()
+
+    def next_due(self) -> int:
+        """Return when the next frame of the drives is due [ns]; never while the master has to send first."""
+        if self._next == self._end or self._is_master[self._next]:
+            return NEVER
+        return self._frames[self._next].timestamp_ns
+
+    def next_command(self) -> int:
+        """Time of the master's next frame, if nothing comes from the drives before [ns]."""
+        if self._next == self._end or not self._is_master[self._next]:
+            return NEVER
+        return self._frames[self._next].timestamp_ns
+
+    @property
+    def unsent(self) -> int:
+        """Index of the first recorded frame of the master that it has not sent; -1 when it has sent all."""
+        return next((index for index in range(self._next, self._end) if self._is_master[index]), -1)
+
+    def _play(self) -> None:
+        frame, bus = self._frames[self._next], self._buses[self._places[self._next]]
+        self._next += 1
+        self.played += 1
+        bus.send(
+            can.Message(
+                timestamp=frame.timestamp_ns * 1e-9,
+                arbitration_id=frame.can_id,
+                is_extended_id=frame.can_id > 0x7FF,
+                data=frame.data,
+            )
+        )
+
+    def _compare(self) -> None:
+        """Compare one frame: with the next one of its bus in the recording, or of another bus if there is none."""
+        while self._next < self._end and not self._is_master[self._next]:
+            self._play()
+        if self._next == self._end:
+            raise self._over()
+        frame, place = self._frames[self._next], self._places[self._next]
+        bus = place if self._sent[place] else next(n for n, sent in enumerate(self._sent) if sent)
+        message = self._sent[bus].popleft()
+        if bus != place or message.arbitration_id != frame.can_id or message.data != frame.data:
+            self.departure = _Departure(self._next, bus, message.arbitration_id, bytes(message.data))
+            raise self._over()
+        self.reached = frame.timestamp_ns
+        self._next += 1
+        self.compared += 1
+
+    def _over(self) -> ReplayOverError:
+        self._is_over = True
+        return ReplayOverError()
+
+
+class RecordedClock:
+    """A `Clock` that a recording drives.
+
+    Args:
+        side: The drive's side of the recording.
+        start: The time at the beginning [ns].
+        pace: A clock to keep pace with; None to go as fast as the machine allows.
+    """
+
+    def __init__(self, side: RecordedSide, start: int, pace: Clock | None = None) -> None:
+        self._side = side
+        self._now = start
+        self._pace = pace
+        self._lead: int | None = None  # of the pace over the recording, from the first wait on
+
+    def now(self) -> int:
+        """Return the time of the recording [ns]."""
+        return self._now
+
+    def wait_until(self, deadline: int) -> None:
+        """Run the recorded side until `deadline` [ns]."""
+        while self._now < deadline:
+            self._side.process(self._now)
+            self._move(min(deadline, max(self._now + 1, self._side.next_due())))
+
+    def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
+        """Next frame of the drives; None when the master's turn comes before, or at `deadline` [ns]."""
+        side = self._side
+        while True:
+            side.process(self._now)
+            self._move(side.reached)
+            if (message := bus.recv(0.0)) is not None:
+                return message
+            due, command = side.next_due(), side.next_command()
+            if due == NEVER:
+                self._move(command if command != NEVER else deadline)
+                return None
+            self._move(due)  # recorded before the master's next frame, so it comes before it, however late it was
+
+    def _move(self, now: int) -> None:
+        if now > self._now:
+            if self._pace is not None:
+                if self._lead is None:
+                    self._lead = self._pace.now() - self._now
+                self._pace.wait_until(now + self._lead)
+            self._now = now
+
+
+class JoinedRig(Rig):
+    """A rig whose `start` sends only SYNC 0. Never for real drives: nothing about them is confirmed."""
+
+    def start(self) -> None:
+        """Send SYNC 0 and take its TPDOs."""
+        self._reset()
+        for drive in self.drives:
+            _suppose_enabled(drive)
+        exchange = self._exchange
+        exchange.begin()
+        exchange.sync()
+        self.sync_index = 0
+        self._is_running = True
+        self._first_samples = [drive.sample(0) for drive in self.drives]
+        for drive in self.drives:
+            drive.watch_statusword()
+
+
+def _suppose_enabled(drive: ServoDrive) -> None:
+    """Set the values that a start would have found."""
+    drive.reset()
+    drive.answers = True
+    drive.nmt_state = int(od.NmtState.OPERATIONAL)
+    drive.controlword = int(od.Controlword.ENABLE_OPERATION)
+    variable = drive.dictionary.get_variable(od.RATED_TORQUE, 0)
+    stated = None if drive.axis.rated_torque or variable is None else variable.default
+    rated_torque = agreed_rated_torque(drive.axis, stated, quirks_of(drive.axis.quirks).rated_torque_resolution)
+    drive.scaling = axis_scaling(drive.axis, rated_torque)
+
+
+_SHOWN_BEFORE: Final = 6  # frames
+_CYCLES_BACK: Final = 2
+_LONGEST_SILENCE: Final = 1.5  # sample times within a recording without gaps
+
+
+class _FramePlace(TypedDict):
+    number: int  # line of a text, or frame of a binary log
+    time: float  # since the beginning of the log [s]
+
+
+class FrameWords(TypedDict):
+    """A frame, decoded."""
+
+    channel: str
+    id: int
+    data: str
+    kind: str
+    node: str
+    text: str
+
+
+class FrameBefore(_FramePlace, FrameWords):
+    """One of the last frames that were still equal."""
+
+    direction: str
+
+
+class FirstDifference(_FramePlace):
+    """The first frame in which master and recording differ."""
+
+    recorded: FrameWords
+    sent: FrameWords | None  # None: the master sent nothing any more
+    gap: float | None  # silence of a recording that lacks frames [s]
+    before: list[FrameBefore]
+
+
+def describe(recording: Recording, side: RecordedSide, scene: Scene) -> FirstDifference | None:
+    """Return the first difference; None when the master sent all that was recorded."""
+    departure = side.departure
+    index = side.unsent if departure is None else departure.place
+    if index < 0:
+        return None
+    frames = recording.frames
+    nodes = describe_nodes(scene)
+    decoders = [BusDecoder([node for node in nodes if node.bus == place]) for place in range(len(scene.buses))]
+    before: list[FrameBefore] = []
+    for number, (frame, bus) in enumerate(zip(frames[:index], recording.buses, strict=False)):
+        words = _words(frame, decoders[bus])  # of all of them: the maps are learnt from the start
+        if number >= index - _SHOWN_BEFORE:
+            direction = "T" if recording.is_master[number] else "R"
+            before.append({**_place(recording, frame), "direction": direction, **words})
+    recorded, bus = frames[index], recording.buses[index]
+    sent = None
+    if departure is not None:
+        channel = recorded.channel if departure.bus == bus else scene.buses[departure.bus].name
+        other = recorded._replace(can_id=departure.can_id, data=departure.data, channel=channel)
+        sent = _words(other, decoders[departure.bus])
+    return {
+        **_place(recording, recorded),
+        "recorded": _words(recorded, decoders[bus]),
+        "sent": sent,
+        "gap": _gap(recording, index, scene.bus.sample_time),
+        "before": before,
+    }
+
+
+def _gap(recording: Recording, index: int, sample_time: float) -> float | None:
+    """Return the longest silence of the recording in the two cycles before a frame [s]; None for an ordinary one.
+
+    A difference after such a silence means that frames are missing from the recording: SYNCs that the master itself
+    skipped are skipped again in the replay.
+    """
+    if recording.first_sync < 0:
+        return None
+    frames, syncs, silence = recording.frames, 0, 0.0
+    for place in range(index, recording.first_sync, -1):
+        silence = max(silence, (frames[place].timestamp_ns - frames[place - 1].timestamp_ns) * 1e-9)
+        syncs += frames[place].can_id == SYNC_FRAME_COB_ID
+        if syncs == _CYCLES_BACK:
+            break
+    return silence if silence > _LONGEST_SILENCE * sample_time else None
+
+
+def _place(recording: Recording, frame: Frame) -> _FramePlace:
+    return {"number": frame.number, "time": (frame.timestamp_ns - recording.frames[0].timestamp_ns) * 1e-9}
+
+
+def _words(frame: Frame, decoder: BusDecoder) -> FrameWords:
+    kind, node, text = decoder.decode(frame.can_id, frame.data)
+    data = frame.data.hex().upper()
+    return {"channel": frame.channel, "id": frame.can_id, "data": data, "kind": kind, "node": node, "text": text}
+
+
+_BUS: Final[dict[str, object]] = {"interface": "virtual", "channel": None, "options": {}}
+
+
+class ReplayedFrames(TypedDict):
+    """Numbers of frames."""
+
+    recorded: int
+    played: int
+    compared: int
+
+
+class ReplayResult(TypedDict):
+    """Result of a replay; times in [s]."""
+
+    status: Literal["identical", "different"]
+    recording: str
+    start: Literal["boot", "sync"]
+    skipped: dict[SkippedKind, int]  # frames left out
+    reads_left_out: list[str]  # `axis: object` that the start reads or writes today and the recorded master did not
+    frames: ReplayedFrames
+    cycles: int
+    duration: float
+    elapsed: float
+    speed: float
+    ended: str
+    difference: FirstDifference | None
+    account: RunResult
+
+
+def replay_bus_log(
+    bus_log: str | Path, scene: Scene, *, realtime: bool = False, from_sync: bool = False, dry_run: bool = False
+) -> ReplayResult:
+    """Replay a recording and report whether the master sends the same frames today.
+
+    Boot, SDO answers, TPDOs, heartbeats and EMCYs come from the recording, on python-can's virtual bus; rig,
+    controllers and accounts are those of the scene. A recording without the start of the drives is replayed from the
+    first SYNC that found every axis enabled, with the maps of the scene and controllers at rest.
+
+    Args:
+        bus_log: candump text, BLF, TRC or ASC.
+        scene: Scene of the run; its bus is replaced by a virtual one and nothing is simulated.
+        realtime: Keeps the pace of the recording instead of going as fast as the machine allows.
+        from_sync: Leaves the start out even if it was recorded.
+        dry_run: Whether the recorded run was a dry run.
+
+    Raises:
+        InputError: The recording cannot be read, does not fit the scene, has no SYNC to begin with, or no whole cycle.
+    """
+    recording = Recording(bus_log, roles_of(scene), Channels(scene))
+    joins = from_sync or not recording.has_boot
+    if joins and recording.first_sync < 0:
+        raise InputError(
+            f"{bus_log}: the log has no bring-up and no SYNC that every axis of {scene.source} "
+            "answered in OPERATION ENABLED; replay needs one of them"
+        )
+    with ExitStack() as stack:
+        return _Replay(recording, scene, joins, realtime, dry_run, stack).run()
+
+
+class _Replay:
+    """One replay, built."""
+
+    def __init__(
+        self, recording: Recording, scene: Scene, joins: bool, realtime: bool, dry_run: bool, stack: ExitStack
+    ) -> None:
+        self._recording = recording
+        self._scene = scene
+        self._joins = joins
+        first = recording.first_sync if joins else 0
+        self._start = recording.frames[first].timestamp_ns
+        far_buses: list[can.BusABC] = []
+        near_buses: list[can.BusABC] = []
+        for _ in scene.buses:
+            channel = private_channel()
+            for buses in (far_buses, near_buses):
+                buses.append(open_bus(scene.bus.model_copy(update=_BUS), channel))
+                stack.callback(buses[-1].shutdown)
+        self._left_out: list[str] = []
+        self._wall = WallClock()
+        self._side = RecordedSide(far_buses, recording, first)
+        clock = RecordedClock(self._side, self._start, self._wall if realtime else None)
+        rig = self._rig([Link(bus, clock) for bus in near_buses], dry_run)
+        groups, known = build_axis_groups(scene), build_axis_meters(scene)
+        meters = build_loss_meters(scene)
+        self._cycle = Cycle(rig, build_axis_controllers(scene), groups=groups, axis_meters=known, loss_meters=meters)
+
+    def _rig(self, links: list[Link], dry_run: bool) -> Rig:
+        scene = self._scene
+        by_name = {bus.name: (link, bus.parameters) for bus, link in zip(scene.buses, links, strict=True)}
+        drives = [build_servo_drive(axis, *by_name[axis.bus], dry_run=dry_run) for axis in scene.axes]
+        self._follow_older_master(drives)
+        return (JoinedRig if self._joins else Rig)(links, drives, scene.bus, group_places(scene))
+
+    def _follow_older_master(self, drives: list[ServoDrive]) -> None:
+        """Leave out of the start what no recorded drive answers: older masters left 0x1006 and offsets alone."""
+        if self._joins:
+            return
+        places = {bus.name: place for place, bus in enumerate(self._scene.buses)}
+        for axis, drive in zip(self._scene.axes, drives, strict=True):
+            where = places[axis.bus], drive.axis.node_id
+            listed = {od.COMMUNICATION_CYCLE_PERIOD} & drive.dictionary.keys()
+            drive.left_out = frozenset(
+                index for index in (*listed, *drive.axis.offsets) if not self._recording.has_sdo(*where, index)
+            )
+            self._left_out += [f"{drive.axis.name}: 0x{index:04X}" for index in sorted(drive.left_out)]
+
+    def run(self) -> ReplayResult:
+        """Run to the end of the recording or to the first difference."""
+        bus = self._scene.bus
+        ramp_cycles = max(1, round(bus.stop_ramp * 1e9) // bus.sample_time_ns)
+        begin, ended = self._wall.now(), "at the end of the recording"
+        try:
+            run(self._cycle, self._recording.operator_cycles(ramp_cycles))
+            ended = "stopped by the operator, as recorded"
+        except ReplayOverError:
+            pass
+        except RigError as error:
+            ended = f"{type(error).__name__}: {error}"
+        if self._cycle.cycles == 0 and self._side.departure is None and self._side.unsent < 0:
+            raise InputError(
+                f"{self._recording.path}: holds no whole cycle (SYNC, TPDOs, RPDOs), so that nothing was compared that "
+                "a controller computed; record for longer, or from an earlier time"
+            )
+        return self._result(ended, (self._wall.now() - begin) * 1e-9)
+
+    def _result(self, ended: str, elapsed: float) -> ReplayResult:
+        recording, side, scene = self._recording, self._side, self._scene
+        difference = describe(recording, side, scene)
+        duration = (recording.frames[-1].timestamp_ns - self._start) * 1e-9
+        return {
+            "status": "identical" if difference is None else "different",
+            "recording": str(recording.path),
+            "start": "sync" if self._joins else "boot",
+            "skipped": dict(recording.skipped),
+            "reads_left_out": self._left_out,
+            "frames": {"recorded": len(recording.frames), "played": side.played, "compared": side.compared},
+            "cycles": self._cycle.cycles,
+            "duration": duration,
+            "elapsed": elapsed,
+            "speed": duration / elapsed if elapsed else 0.0,
+            "ended": "at the first difference" if side.departure is not None else ended,
+            "difference": difference,
+            "account": run_result(
+                self._cycle,
+                [(axis.parameters.name, axis.parameters.unit) for axis in scene.axes],
+                status="replayed",
+                config_hash=scene.config_hash(),
+                sample_time=scene.bus.sample_time,
+                method="",
+            ),
+        }

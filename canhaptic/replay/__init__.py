@@ -1,1 +1,0 @@
-"""Replays the drive's side of a recorded bus against the real master and controllers."""

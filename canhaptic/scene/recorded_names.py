@@ -1,0 +1,63 @@
+"""Names for recorded frames: the bus of a scene that a frame was on, and the nodes that send them.
+
+Mapping of recorded frames to the buses of a scene: by the second word of a line, or a binary log's bus number.
+
+Names of the nodes on the bus of a scene, to label recorded frames.
+"""
+
+from canhaptic.canopen.eds import read_dictionary
+from canhaptic.drive.profile.quirks import quirks_of
+from canhaptic.errors import LogFormatError
+from canhaptic.logs.bus_reader import Frame
+from canhaptic.logs.decoder import NodeDescription
+from canhaptic.scene.models import Scene
+
+
+class Channels:
+    """Buses of a scene by their names in a bus log.
+
+    A frame belongs to the bus whose name or channel (`can0`) its line has, or to the bus with that number, counted from
+    0. Where the scene has one bus every frame belongs to it.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._source = scene.source
+        self._is_one = not scene.further_buses
+        self._places: dict[str, int] = {}
+        for place, (name, parameters) in enumerate(scene.buses):
+            for word in (name, str(parameters.channel), str(place)):
+                self._places.setdefault(word, place)
+
+    def place_of(self, frame: Frame) -> int:
+        """Return the place of the frame's bus among those of the scene.
+
+        Raises:
+            LogFormatError: The log names a bus that the scene has not.
+        """
+        if self._is_one:
+            return 0
+        place = self._places.get(frame.channel)
+        if place is None:
+            raise LogFormatError(
+                f"frame {frame.number} is on bus {frame.channel!r}, which is no name, channel or number of a bus of "
+                f"{self._source} ({', '.join(self._places)})"
+            )
+        return place
+
+
+def describe_nodes(scene: Scene) -> list[NodeDescription]:
+    """Name, dictionary, units and bus of every axis."""
+    places = {bus.name: place for place, bus in enumerate(scene.buses)}
+    return [
+        NodeDescription(
+            axis.node_id,
+            axis.name,
+            read_dictionary(axis.eds, axis.node_id),
+            axis.counts_per_unit,
+            axis.unit,
+            axis.rated_torque and axis.rated_torque * quirks_of(axis.quirks).torque_scale,
+            axis.direction,
+            places[name],
+        )
+        for axis, name in ((axis.parameters, axis.bus) for axis in scene.axes)
+    ]
