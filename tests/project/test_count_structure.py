@@ -5,7 +5,7 @@ from typing import Final
 
 import pytest
 
-from tools.count_structure import count, crossing_names, long_functions, main, modules_of
+from tools.count_structure import count, crossing_names, files_by_folder, long_functions, main, modules_of
 
 FILES = {
     "canhaptic/__init__.py": '"""Doc."""\n',
@@ -152,3 +152,18 @@ def test_the_quick_count_of_any_is_that_of_the_syntax_tree_where_no_text_names_i
 @pytest.mark.slow
 def test_no_function_has_more_than_40_lines_without_its_docstring() -> None:
     assert long_functions(modules_of(ROOT, "canhaptic")) == []
+
+
+_MOST_FILES: Final = 15  # of a folder, without its `__init__.py`
+_MORE: Final = {
+    "cli": 19,  # a subcommand is a file
+    "sim/plant/effects": 18,  # an effect is a file
+    "logs": 17,
+    "sim/plant": 17,
+    "scene": 24,  # what a plain run does not need is apart
+}
+
+
+def test_a_folder_has_about_15_files() -> None:
+    found = files_by_folder(ROOT / "canhaptic")
+    assert {folder: number for folder, number in found.items() if number > _MORE.get(folder, _MOST_FILES)} == {}
