@@ -160,6 +160,7 @@ _MORE: Final = {
     "sim/plant/effects": 18,  # an effect is a file
     "logs": 17,
     "sim/plant": 17,
+    ".": 16,  # the route, and what several rooms share
     "scene": 24,  # what a plain run does not need is apart
 }
 
