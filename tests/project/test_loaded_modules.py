@@ -15,7 +15,7 @@ CODE_OF_A_REAL_AXIS: Final = 11_150
 KINDS: Final[dict[str, tuple[str, ...]]] = {
     "simulation": (
         *("sim.drive", "sim.bus", "sim.plant.plant", "sim.plant.user", "control.energy_audit"),
-        *("scene.simulated_defaults", "scene.method", "scene.plant_price", "scene.torque_history"),
+        *("scene.simulated_defaults", "scene.method", "scene.torque_history"),
     ),
     "effect": ("sim.plant.effects.",),
     "approximate effect": ("sim.plant.splitting",),
@@ -24,14 +24,14 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
     "kinematics": ("control.mechanisms.",),
     "mechanism": ("sim.plant.mechanism.",),
     "display": (
-        *("control.admittance.", "drive.can.display_", "drive.profile.display_", "drive.profile.force_channel"),
-        *("scene.display_", "sim.drive.profile.display_", "sim.plant.velocity_drive", "sim.plant.force_sensor"),
+        *("control.admittance.", "drive.can.display_", "drive.profile.display_"),
+        *("scene.display_", "sim.drive.profile.display_", "sim.plant.velocity_drive"),
     ),
     "force node": ("canopen.force_node", "sim.drive.can.sensor_node"),
     "impedance algorithm": ("control.passivity.guarded", "control.certificates.torque_bound"),
     "own code": ("scene.own_code",),
     "log": ("logs.bus_", "logs.columns", "logs.energy_", "logs.ring", "logs.writer", "scene.log_writers"),
-    "fault of the bus": ("sim.bus.faulty_bus", "sim.bus.bus_effects"),
+    "fault of the bus": ("sim.bus.faulty_bus",),
     "drive profile": ("scene.profiles",),
     "fault of the scene": ("scene.explain", "scene.first_contact"),
     "override": ("scene.overrides",),

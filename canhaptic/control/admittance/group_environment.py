@@ -18,16 +18,17 @@ for the way that the commands under way and the drives still go, taken at the sp
 from collections.abc import Sequence
 from itertools import pairwise
 from math import inf, sqrt
-from typing import Annotated, ClassVar, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple, Self
 
 from pydantic import model_validator
 
 from canhaptic.control.admittance.display_environment import DisplayEnvironment
-from canhaptic.control.mechanisms.kinematics import Kinematics
-from canhaptic.control.port_hamiltonian.gauss import solve_linear
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer
 from canhaptic.units import Coordinates, Parameters, quantity
+
+if TYPE_CHECKING:
+    from canhaptic.control.mechanisms.kinematics import Kinematics
 
 
 class DisplayMass(DisplayEnvironment):
@@ -224,13 +225,16 @@ class TaskEnvironment:
         ParameterError: The mechanism has more or fewer task coordinates than axes.
     """
 
-    def __init__(self, environment: GroupMass, kinematics: Kinematics, time_ahead: float) -> None:
+    def __init__(self, environment: GroupMass, kinematics: "Kinematics", time_ahead: float) -> None:
         if kinematics.axes != kinematics.dimensions:
             raise ParameterError(
                 f"kinematics: got {kinematics.axes} motor axes and {kinematics.dimensions} task coordinates, expected "
                 "as many: only then does every speed in task space have one of the motors"
             )
+        from canhaptic.control.port_hamiltonian.gauss import solve_linear  # a display without mechanism needs none
+
         self._environment, self._kinematics, self._ahead = environment, kinematics, time_ahead
+        self._solve = solve_linear
         self._jacobian: _Rows = ()
         self.damping = environment.damping
 
@@ -256,11 +260,11 @@ class TaskEnvironment:
         transposed = [list(column) for column in zip(*jacobian, strict=True)]
         pushed = list(forces)
         before = _times(jacobian, speeds)
-        if not solve_linear(transposed, pushed):
+        if not self._solve(transposed, pushed):
             return [0.0] * len(speeds)
         wish = self._environment.speeds_after(before, pushed, list(pose.position), time)
         wish = self._within_walls(wish, before, pose.position, time)
-        return wish if solve_linear([list(row) for row in jacobian], wish) else [0.0] * len(speeds)
+        return wish if self._solve([list(row) for row in jacobian], wish) else [0.0] * len(speeds)
 
     def _within_walls(self, wish: _Vector, before: _Vector, place: Sequence[float], time: float) -> _Vector:
         walls, found = self._environment, []
