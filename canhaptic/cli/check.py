@@ -24,7 +24,7 @@ from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.profile.fitness import Finding, Verdict
 from canhaptic.host.realtime import GRANTED, Realtime
 from canhaptic.scene.build import require_buildable
-from canhaptic.scene.first_contact import advice, can_be_tried, slowest_felt
+from canhaptic.scene.first_contact import advice, slowest_felt
 from canhaptic.scene.hints import Hint, display_hints, group_hints, stability_hints
 from canhaptic.scene.models import TO_SET, AxisScene, Guess, Scene, guesses_left, refuses_guesses
 from canhaptic.view.energy_table import make_console
@@ -126,7 +126,8 @@ def execute(arguments: argparse.Namespace) -> int:
         require_buildable(scene)
     hints = [hint for axis in scene.axes for hint in stability_hints(axis)] + group_hints(scene)
     hints += display_hints(scene)
-    felt = {axis.parameters.name: slowest_felt(axis) for axis in scene.axes if can_be_tried(axis)}
+    tried = ((axis.parameters.name, slowest_felt(axis)) for axis in scene.axes)
+    felt = {name: speed for name, speed in tried if speed is not None}
     found = _CheckFindings(scene, budgets, findings, hints, felt)
     if arguments.json:
         write_json(_as_json(found))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.commission.session import OpenLoop, Session, StepVerdict, reversals
-from canhaptic.scene.first_contact import ALLOWANCES, can_be_tried, rendered_share, with_declared
+from canhaptic.scene.first_contact import ALLOWANCES, share_of_wall
 from canhaptic.scene.models import AxisScene
 
 _Array = NDArray[np.float64]
@@ -227,23 +227,6 @@ SURE: Final = 2.0
 """Standard deviations beyond which a value counts as impossible."""
 _KEPT: Final = 0.9
 """Part of the wall that the uncertainty of a measurement must leave."""
-_SPEEDS: Final = (1.0, 0.5, 0.25, 0.125)  # of the fastest
-
-
-def share_of_wall(axis: AxisScene, fastest: float, declared: Mapping[str, float]) -> float:
-    """Share of the wall that is rendered during approach, the mean over several speeds.
-
-    1 where the axis has no wall: a group or a display, or another environment.
-
-    Args:
-        axis: Axis with its environment and algorithm.
-        fastest: Speed of the handle [m/s or rad/s].
-        declared: Values of `passivity` in place of those of the axis, SI.
-    """
-    if not can_be_tried(axis) or axis.passivity.own is not None:
-        return 1.0
-    trial = with_declared(axis, declared)
-    return sum(rendered_share(trial, part * fastest) for part in _SPEEDS) / len(_SPEEDS)
 
 
 def is_dear(axis: AxisScene, fastest: float, best: Mapping[str, float], ends: Mapping[str, float]) -> bool:

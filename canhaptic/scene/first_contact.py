@@ -28,6 +28,8 @@ _PHASE: Final = 0.37
 """Place of the positions between two counts."""
 _SPEEDS: Final = tuple(3.0**-power for power in range(9))
 """Speeds that are tried, as parts of the largest of the axis."""
+_PARTS: Final = (1.0, 0.5, 0.25, 0.125)
+"""Parts of the largest speed of a handle at which the share of a wall is judged."""
 _STEPS: Final = 6
 """Bisections of a speed or of a value."""
 _TO_BLAME: Final = ("current_lag", "torque_window", "hand_force", "device_friction_bound", "device_damping_bound")
@@ -57,8 +59,13 @@ def can_be_tried(axis: AxisScene) -> bool:
     return _inward(_environment(axis)) is not None
 
 
-def slowest_felt(axis: AxisScene) -> float:
-    """Return the approach speed from which the wall is felt [m/s or rad/s]; infinite where there is no wall."""
+def slowest_felt(axis: AxisScene) -> float | None:
+    """Return the approach speed from which the wall is felt [m/s or rad/s]; infinite where there is no wall.
+
+    None for an axis whose contact cannot be computed.
+    """
+    if not can_be_tried(axis):
+        return None
     speeds = [part * axis.parameters.largest_speed for part in _SPEEDS]
     felt = [is_felt(axis, speed) for speed in speeds]
     if not any(felt):
@@ -130,13 +137,29 @@ def enough_allowance(axis: AxisScene, speed: float) -> float | None:
 
 def advice(axis: AxisScene) -> str:
     """Declaration that keeps a wall from being felt, and a value that helps."""
-    slowest, unit = slowest_felt(axis), f"{axis.parameters.unit}/s"
+    slowest, unit = slowest_felt(axis) or inf, f"{axis.parameters.unit}/s"
     begins = "no approach" if slowest == inf else f"an approach slower than {slowest:.3g} {unit}"
     aim = 0.01 * axis.parameters.largest_speed if slowest == inf else slowest / 3.0
     ways = [remedy.text for remedy in remedies(axis, aim)[:1]]
     if (allowance := enough_allowance(axis, aim)) is not None:
         ways.append(f"energy_allowance: {allowance:g} J starts it")
     return f"{begins} {'starts' if slowest == inf else 'does not start'} this wall; {'; '.join(ways) or 'see check'}"
+
+
+def share_of_wall(axis: AxisScene, fastest: float, declared: Mapping[str, float]) -> float:
+    """Share of the wall that is rendered during approach, the mean over several speeds.
+
+    1 where the axis has no wall: a group or a display, or another environment.
+
+    Args:
+        axis: Axis with its environment and algorithm.
+        fastest: Largest speed of the handle [m/s or rad/s].
+        declared: Values of `passivity` in place of those of the axis, SI.
+    """
+    if not can_be_tried(axis) or axis.passivity.own is not None:
+        return 1.0
+    trial = with_declared(axis, declared)
+    return sum(rendered_share(trial, part * fastest) for part in _PARTS) / len(_PARTS)
 
 
 def _environment(axis: AxisScene) -> Environment:

@@ -13,10 +13,10 @@ from canhaptic.commission.mass_and_friction import (
     estimate_lateness,
     is_dear,
     needed_allowance,
-    share_of_wall,
     time_the_torque,
 )
 from canhaptic.commission.session import CommissioningLimits, Session, StepVerdict, reversals
+from canhaptic.scene.first_contact import share_of_wall
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.effects.current_loop import CurrentLoop

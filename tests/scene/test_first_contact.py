@@ -23,20 +23,26 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 LATE = ["environment.stiffness=1000", "passivity.current_lag=2 ms"]
 
 
+def felt_from(axis: AxisScene) -> float:
+    speed = slowest_felt(axis)
+    assert speed is not None
+    return speed
+
+
 def axis(*changes: str, name: str = "demo.yaml") -> AxisScene:
     return load_scene(CONFIGS / name, changes).axes[0]
 
 
 def test_a_wall_for_a_hand_that_does_not_pull_is_felt_from_the_start_and_one_for_a_strong_hand_from_a_speed() -> None:
     weak, strong = axis(), axis("passivity.hand_force=20")
-    assert slowest_felt(weak) < 2e-3
-    assert 0.05 < slowest_felt(strong) < 0.5
-    assert is_felt(strong, 1.01 * slowest_felt(strong))
-    assert not is_felt(strong, 0.9 * slowest_felt(strong))
+    assert felt_from(weak) < 2e-3
+    assert 0.05 < felt_from(strong) < 0.5
+    assert is_felt(strong, 1.01 * felt_from(strong))
+    assert not is_felt(strong, 0.9 * felt_from(strong))
 
 
 def test_the_speed_is_that_from_which_a_run_feels_the_wall() -> None:
-    slowest = slowest_felt(axis("passivity.hand_force=20"))
+    slowest = felt_from(axis("passivity.hand_force=20"))
     for factor, word in ((0.5, "nothing rendered"), (2.0, "yes")):
         motion = f"{{type: sinusoid, amplitude: 20 mm, offset: -40 mm, frequency: {factor * slowest / 0.109}}}"
         result = canhaptic.simulate(
@@ -49,7 +55,7 @@ def test_the_speed_is_that_from_which_a_run_feels_the_wall() -> None:
 
 def test_no_wall_names_the_declaration_that_keeps_it_away_and_a_value_that_does_not() -> None:
     late = axis(*LATE)
-    assert slowest_felt(late) == inf
+    assert felt_from(late) == inf
     first = remedies(late, 0.1)[0]
     assert (first.key, first.value) == ("current_lag", 2e-3)
     assert 0.0 < first.enough < 1e-3
@@ -88,5 +94,6 @@ def test_what_has_no_outside_or_is_of_a_group_is_not_tried() -> None:
     assert not can_be_tried(axis(name="five_bar_sphere.yaml"))
     assert not can_be_tried(axis(name="admittance/wall.yaml"))
     assert not can_be_tried(axis("environment={type: free_space}"))
+    assert slowest_felt(axis("environment={type: free_space}")) is None
     assert rendered_share(axis("environment={type: free_space}"), 0.1) == 0.0
     assert can_be_tried(axis("environment={type: detents, peak: 5 N, pitch: 4 mm}"))
