@@ -23,12 +23,9 @@ from canhaptic.control.verdict import (
     PortResult,
     RenderedShares,
     Verdict,
-    account_verdict,
+    add_verdicts,
     claim_nothing,
     contradict,
-    handle_verdict,
-    headline,
-    plant_verdict,
 )
 from canhaptic.cycle import Cycle
 from canhaptic.meters import AxisPort, GroupPort, Promise, RunMeters, promise_of
@@ -261,16 +258,8 @@ def with_groups(
     """
     found = {name: account.copy() for name, account in accounts.items()}
     for name, account in found.items():
-        account["passive"] = account_verdict(account)
-        at_handle = handle_verdict(account)
-        if at_handle is not None:
-            account["passive_at_handle"] = at_handle
-        if truth is not None and name in truth:
-            allowance = account.get("energy_allowance", 0.0)
-            account["plant_passive"] = plant_verdict(truth[name]["least_interaction"], allowance)
-            if at_handle is not None:
-                account["plant_passive_at_handle"] = plant_verdict(truth[name]["least_at_handle"], allowance)
-        account["verdict"] = headline(account)
+        known = None if truth is None else truth.get(name)
+        add_verdicts(account, known and (known["least_interaction"], known["least_at_handle"]))
     for group, axes in groups.items():
         found[group] = {"unit": found[group]["unit"], "axes": list(axes), **found[group]}
         for name in axes:

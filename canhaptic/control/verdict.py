@@ -247,6 +247,24 @@ def plant_verdict(least: float, allowance: float) -> Verdict:
     return "yes" if least >= -(allowance + PASSIVE_TOLERANCE) else "no"
 
 
+def add_verdicts(account: PortResult, plant: tuple[float, float] | None = None) -> None:
+    """Add the verdicts of an account, and the word that is shown.
+
+    Args:
+        account: Account of a port without verdicts; changed.
+        plant: Least sums at the motor and at the handle by the energy of a simulated plant [J]; None: unknown.
+    """
+    account["passive"], at_handle = account_verdict(account), handle_verdict(account)
+    if at_handle is not None:
+        account["passive_at_handle"] = at_handle
+    if plant is not None:
+        allowance = account.get("energy_allowance", 0.0)
+        account["plant_passive"] = plant_verdict(plant[0], allowance)
+        if at_handle is not None:
+            account["plant_passive_at_handle"] = plant_verdict(plant[1], allowance)
+    account["verdict"] = headline(account)
+
+
 def headline(account: PortResult) -> Headline:
     """Headline word of a port, from its verdicts and contacts.
 

@@ -14,7 +14,7 @@ from rich.table import Table as TerminalTable
 from rich.text import Text
 
 from canhaptic.axis_units import damping_unit, effort_unit
-from canhaptic.control.verdict import PASSIVE_TOLERANCE, Headline, PortResult, Verdict, account_verdict, handle_verdict
+from canhaptic.control.verdict import PASSIVE_TOLERANCE, Headline, PortResult, Verdict
 from canhaptic.result import TruthResult
 from canhaptic.view.si import si
 from canhaptic.view.table import Cell, Styled, Table, in_lines
@@ -239,11 +239,11 @@ def _uncommanded(port: PortResult) -> str:
 
 
 def _passive(port: PortResult) -> Styled:
-    return _VERDICTS[account_verdict(port)]
+    return _VERDICTS[port["passive"]]
 
 
 def _at_handle(port: PortResult) -> str | Styled:
-    verdict = handle_verdict(port)
+    verdict = port.get("passive_at_handle")
     return _NOTHING if verdict is None else _VERDICTS[verdict]
 
 
