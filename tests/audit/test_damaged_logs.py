@@ -24,7 +24,7 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.repair import repair
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.view.scope_page import LiveLog
+from canhaptic.view.live_log import LiveLog
 from tests.view import typed
 
 DEMO = Path(__file__).parents[2] / "configs" / "demo.yaml"
