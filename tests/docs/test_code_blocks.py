@@ -124,4 +124,7 @@ def redirected(words: list[str]) -> tuple[list[str], str]:
 
 
 def is_real(word: str) -> bool:
-    return word.endswith(".yaml") and Path(word).is_file() and "interface: virtual" not in Path(word).read_text()
+    """Whether a word is the scene of real hardware, or one that its commissioning was to write."""
+    if not word.endswith(".yaml"):
+        return False
+    return not Path(word).is_file() or "interface: virtual" not in Path(word).read_text()
