@@ -131,10 +131,10 @@ def _draw_energies(panels: Any, taken: Record) -> None:
     """Sums of interaction and dissipated energy, and what eq. 4 asks to be positive: the first less the second."""
     energy, margin = panels
     exchanged, dissipated = np.cumsum(taken.h_i), np.cumsum(taken.h_r)
-    energy.plot(taken.time, 1e3 * exchanged, color=BLUE, linewidth=1.4, label="exchanged, sum of $H_I$")
+    energy.plot(taken.time, 1e3 * exchanged, color=BLUE, linewidth=1.4, label="exchanged, sum of h_i")
     energy.plot(
         taken.time, 1e3 * dissipated, color=VERMILION, linewidth=1.4, linestyle=(0, (4, 1.5)),
-        label="dissipated, sum of $H_R$",
+        label="dissipated, sum of h_r",
     )  # fmt: skip
     energy.set_ylabel("energy [mJ]" if _is_left(energy) else "")
     margin.axhline(0.0, color=PALE, linewidth=0.8)
