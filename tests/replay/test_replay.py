@@ -328,7 +328,7 @@ def test_a_recording_without_a_whole_cycle_is_not_identical_but_refused(
 def test_a_gap_in_a_recording_is_named_as_such(shift: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Frames lost by the recorder, from any place in a cycle on, while the hand is in the wall."""
     lines = lines_of("paper_fig8_100hz")
-    begin = len(lines) // 2 + shift
+    begin = len(lines) // 2 - 20 + shift  # the contact begins behind
     plan = RECORDINGS["paper_fig8_100hz"]
     path = tmp_path / "gap.log"
     path.write_text("".join(lines[:begin] + lines[begin + 90 :]))
