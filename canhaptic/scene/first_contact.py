@@ -13,11 +13,10 @@ from typing import Any, Final, NamedTuple, cast
 from canhaptic.axis_units import effort_unit
 from canhaptic.control.environments.environment import Environment
 from canhaptic.errors import ParameterError
+from canhaptic.scene.hints import LEAN
 from canhaptic.scene.models import AxisScene
 from canhaptic.scene.parts import build_axis_controller
 
-PUSH: Final = 0.25
-"""Effort up to which a contact is judged, as a part of the torque limit."""
 FELT: Final = 0.5
 """Part of the wall that is rendered in a contact that is felt."""
 _OUTSIDE: Final = 30
@@ -190,5 +189,5 @@ def _contact(axis: AxisScene, speed: float) -> Iterator[tuple[float, float]]:
         if environment.contact(position):
             effort = environment.effort(environment.true_state(position, 0.0, 0.0))
             yield effort, torque
-            if abs(effort) >= PUSH * limit:
+            if abs(effort) >= LEAN * limit:
                 return
