@@ -3,7 +3,7 @@
 import re
 
 from canhaptic.drive.profile.quirks import _QUIRKS
-from canhaptic.scene.profiles import _profile_names
+from canhaptic.scene.profiles import _PROFILES, _profile_names
 from tests.docs.documents import ROOT
 
 PAGE = (ROOT / "docs" / "drives.md").read_text(encoding="utf-8")
@@ -22,3 +22,17 @@ def test_every_profile_is_listed() -> None:
 
 def test_every_quirk_is_listed() -> None:
     assert names_below("Quirks") == set(_QUIRKS)
+
+
+SOURCES = r"\s# (manual|dictionary|capture|assumption): \S"
+
+
+def test_each_value_of_a_profile_says_where_it_is_from() -> None:
+    values = [
+        line
+        for path in _PROFILES.glob("*.yaml")
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if line and not line.startswith("#")
+    ]
+    assert len(values) > 15
+    assert [line for line in values if not re.search(SOURCES, line)] == []
