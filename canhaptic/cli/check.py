@@ -26,6 +26,7 @@ from canhaptic.host.realtime import GRANTED, Realtime
 from canhaptic.scene.build import require_buildable
 from canhaptic.scene.first_contact import advice, slowest_felt
 from canhaptic.scene.hints import Hint, display_hints, group_hints, stability_hints
+from canhaptic.scene.method import dear_holds
 from canhaptic.scene.models import TO_SET, AxisScene, Guess, Scene, guesses_left, refuses_guesses
 from canhaptic.view.energy_table import make_console
 from canhaptic.view.table import Cell, Styled, Table
@@ -128,7 +129,9 @@ def execute(arguments: argparse.Namespace) -> int:
     hints += display_hints(scene)
     tried = ((axis.parameters.name, slowest_felt(axis)) for axis in scene.axes)
     felt = {name: speed for name, speed in tried if speed is not None}
-    found = _CheckFindings(scene, budgets, findings, hints, felt)
+    found = _CheckFindings(
+        scene, budgets, findings, hints, felt, dear_holds(scene) if scene.simulated and not scene.unread else []
+    )
     if arguments.json:
         write_json(_as_json(found))
     else:
@@ -144,6 +147,7 @@ class _CheckFindings(NamedTuple):
     findings: dict[str, list[Finding]]
     hints: list[Hint]
     felt: dict[str, float]  # axis -> approach speed from which its wall is felt [m/s or rad/s], infinite: from none
+    dear: list[str]  # simulated plants whose sample time may take long
 
     def wall(self) -> str:
         """Advice for the wall that is felt least in an approach; "" where none can be tried."""
@@ -183,13 +187,14 @@ class _CheckFindings(NamedTuple):
 
 
 def _as_json(found: _CheckFindings) -> dict[str, Any]:
-    scene, budgets, findings, hints, felt = found
+    scene, budgets, findings, hints, felt, _ = found
     buses = {name: _budget_as_json(budget) for name, budget in budgets.items()}
     return {
         "status": "ok",
         "ready": not found.refused,
         "verdict": found.verdict(),
         "wall": found.wall(),
+        "dear": found.dear,
         "felt_from": felt,  # infinite: null
         "config_hash": None if scene.unread else scene.config_hash(),  # it holds the defaults of own code
         "unread": list(scene.unread),
@@ -217,7 +222,7 @@ def _budget_as_json(budget: BusBudget) -> dict[str, Any]:
 
 
 def _print(console: Console, found: _CheckFindings, *, resolved: bool) -> None:
-    scene, budgets, findings, hints, felt = found
+    scene, budgets, findings, hints, felt, _ = found
     if inf in felt.values():
         console.print(f"[bold red]{escape(found.wall())}[/]", soft_wrap=True)
     colour = "red" if found.refused else "yellow" if found.exceeded else "green"
@@ -226,6 +231,8 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool) -> None:
     name = "configuration" if scene.unread else f"configuration {scene.config_hash()[:12]}"
     line = f"{name} on {where} at {1.0 / scene.bus.sample_time:g} Hz"
     console.print(line + ("" if resolved else "; every value: --resolved"), markup=False, soft_wrap=True)
+    for text in found.dear:
+        console.print(f"[yellow]{escape(text)}[/]", soft_wrap=True)
     if guesses := guesses_left(scene):
         console.print("real drives do not run on guesses:")
         console.print(_guess_table(guesses))

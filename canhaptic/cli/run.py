@@ -41,6 +41,8 @@ def execute(arguments: argparse.Namespace) -> int:
             _preflight(scene)
         stop = stack.enter_context(StopSignal())
         experiment = build(scene, arguments.pace, energy_log, bus_log, no_torque=arguments.no_torque)
+        for text in _dear_holds(scene):
+            write_note(f"  {text}")
         stack.callback(experiment.close, "interrupted")  # by then closed already, unless a second signal came
         result, error = _run(experiment, arguments.duration or scene.run.duration, stop)
         if error is None and arguments.png is not None and energy_log is not None:
@@ -53,6 +55,15 @@ def execute(arguments: argparse.Namespace) -> int:
     if error is not None:
         return error.exit_status
     return stop.exit_status or (_NOT_PASSIVE if arguments.strict and _fails(result) else 0)
+
+
+def _dear_holds(scene: Scene) -> list[str]:
+    """Return what to say of simulated plants before they cost their time; real drives load nothing of it."""
+    if not scene.simulated:
+        return []
+    from canhaptic.scene.method import dear_holds
+
+    return dear_holds(scene)
 
 
 def _preflight(scene: Scene) -> None:

@@ -37,6 +37,33 @@ _SUSPECT: Final = 1e3
 """Times the bracket of events: a difference of halved steps above it is no matter of brackets."""
 
 
+LONG_SWING: Final = 1_200.0
+"""Phase of a swing in one sample time from which a run is announced as dear [rad]: some 5000 products, 20 ms."""
+_PER_RADIAN: Final = 4.0  # products
+_PER_PRODUCT: Final = 5e-6  # [s], interpreted
+
+
+def dear_holds(scene: Scene) -> list[str]:
+    """Return one line for each simulated plant that a swing may make dear; none where holds cost what they should.
+
+    Events in a hold are looked for at every swing of a fast mode, so cost is known before a run: the hint says what the
+    plant may take in one sample time while that mode swings. A mode at rest costs nothing.
+    """
+    lines = []
+    for axis in scene.axes:
+        if axis.simulation is None or axis.simulated_drive is not None:
+            continue
+        phase, mode = build_plant(axis.simulation, scene.bus.sample_time_ns).fastest_swing()
+        if phase > LONG_SWING:
+            products = _PER_RADIAN * phase
+            lines.append(
+                f"{axis.parameters.name}: DEAR while it swings: {phase:.2g} rad in one sample time ({mode}), up to "
+                f"{products:.1g} products and about {products * _PER_PRODUCT:.1g} s each; give it damping or more "
+                "mass, or less stiffness"
+            )
+    return lines
+
+
 class ErrorEstimate(NamedTuple):
     """Error of the position at any SYNC, the largest over the periods in which it was found."""
 

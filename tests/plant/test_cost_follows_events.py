@@ -70,3 +70,31 @@ def test_what_swings_too_fast_to_follow_is_refused_with_a_remedy():
         run(plant, [1.0])
     assert "give it damping, more mass or less stiffness" in str(caught.value)
     assert "upper_stop touching" in str(caught.value)
+
+
+def test_the_phase_of_the_fastest_swing_is_that_of_the_closed_form():
+    plant = make_plant(STOP, user=None, mass=1e-6, damping=0.2)
+    phase, mode = plant.fastest_swing()
+    pace = math.sqrt(STIFFNESS / 1e-6 - (0.2 / 2e-6) ** 2)  # and its damping lasts for 10 us of a sample time of 1 ms
+    assert phase == pytest.approx(pace * 2e-6 / 0.2, rel=1e-9)
+    assert mode == "upper_stop touching"
+    assert make_plant().fastest_swing()[0] == 0.0  # no guard looks at the hand's swing
+    assert make_plant({"type": "shaft_compliance", "stiffness": 1e9, "load_mass": 1e-9}).fastest_swing()[0] == 0.0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_hold_takes_more_products_than_its_fastest_swing_announces(seed):
+    """Contacts of any mass and stiffness, met at speed: five products a radian, and a hundred for each event."""
+    chance = np.random.default_rng(seed)
+    mass, period = 10.0 ** chance.uniform(-9.0, 0.0), int(10.0 ** chance.uniform(4.4, 6.5))
+    stiffness = mass * (10.0 ** chance.uniform(0.0, 2.5) / (period * 1e-9)) ** 2
+    stop = {"type": "hard_stop", "position": PLACE, "stiffness": min(stiffness, 1e10)}
+    speed = 0.5 * PLACE / (period * 1e-9)
+    plant = make_plant(stop, user=None, mass=mass, damping=0.0, period=period, initial_velocity=min(speed, 1e3))
+    phase, push = plant.fastest_swing()[0], 2.0 * mass * speed / (period * 1e-9)
+    plant.begin(0)
+    for hold in range(1, 9):
+        before, events = plant.products, plant.events
+        plant.advance_to(hold * period, push)
+        assert plant.products - before <= 100 * (1 + plant.events - events) + 5.0 * phase
+    assert plant.events > 0

@@ -8,7 +8,7 @@ import pytest
 from canhaptic.cli.main import main
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.method import method_line
+from canhaptic.scene.method import dear_holds, method_line
 from canhaptic.scene.parts import build_plant
 from tests.scene.scene_text import faults, scene_file
 
@@ -106,6 +106,20 @@ def test_the_method_line_tells_events_and_products(tmp_path: Path) -> None:
         line = method_line(scene, experiment.plants, 20)
         assert f"exact between SYNCs, {plant.events} event" in line
         assert "products per period; torque acts" in line
+
+
+def test_a_run_and_a_check_announce_a_swing_that_makes_holds_dear(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+    path = str(scene_file(tmp_path))
+    stop = "simulation.effects=[{type: hard_stop, position: 0.2, stiffness: 1e9 N/m}]"
+    swinging = ["simulation.plant={mass: 1e-6 kg}", "simulation.user.damping=0.01", stop]
+    [line] = dear_holds(load_scene(path, swinging))
+    assert "DEAR while it swings: 6.3e+03 rad in one sample time (upper_stop touching), up to 3e+04 products" in line
+    given = [word for item in swinging for word in ("--set", item)]
+    assert main(["run", path, "--duration", "0.01", *given]) == 0
+    assert line in capfd.readouterr().err
+    assert main(["check", path, *given]) == 0
+    assert line in capfd.readouterr().out
+    assert dear_holds(load_scene(path, [*swinging[:1], stop])) == []  # the hand's damping stops it
 
 
 def test_a_scene_cannot_ask_for_compiled_plants(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from canhaptic.sim.plant.assembly import (
     PlantModel,
     Rows,
     collect,
+    fastest_swing,
     initial_state,
 )
 from canhaptic.sim.plant.effects import Effect
@@ -265,6 +266,10 @@ class Plant:
     def products(self) -> int:
         """Steps of the core tried since the start: the price, independent of the machine it runs on."""
         return self._machine.products
+
+    def fastest_swing(self) -> tuple[float, str]:
+        """Return the phase [rad] of the fastest swing in one sample time, and its mode; see `assembly`."""
+        return fastest_swing(self.scene)
 
     @property
     def first_mode(self) -> Mode:
