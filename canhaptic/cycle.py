@@ -136,7 +136,7 @@ class Cycle:
             balances: list[EnergyBalance] = []  # displacement -> energy balance [J]
             for axis in self._axes:
                 controller, (_, position, torque, _, fresh) = self.controllers[axis], samples[axis]
-                balances.append(controller.step(position, torque) if fresh else controller.hold())
+                balances.append(controller.step(position, torque) if fresh else controller.sample_lost())
         else:
             balances = self._grouped.step(samples)  # the same, where axes render together
         torques = []
@@ -168,9 +168,9 @@ class Cycle:
 
     def _lost(self, meter: EnergyLossMeter) -> str:
         """Port that gave out too much energy, and how much; "" where that is uncertain."""
-        unsure = sum(map(self._likely_doubt, meter.axes))
+        uncertainty = sum(map(self._likely_doubt, meter.axes))
         supplied = sum(g.supplied + g.balance.supplied for g in self.groups if g.name == meter.name)
-        if meter.energy + supplied + unsure >= meter.floor:
+        if meter.energy + supplied + uncertainty >= meter.floor:
             return ""
         limit = f"limit {meter.limit:.3g} J beyond the {meter.allowance:.3g} J declared"
         return f"{meter.name}: sum of interaction {meter.energy + supplied:.3g} J, {limit}"

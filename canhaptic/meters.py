@@ -239,7 +239,7 @@ class GroupPort:
     def _resolution(self) -> float:
         controller = self._group.controller
         left = controller.energy_resolution if isinstance(controller, _StatesResolution) else 0.0
-        left += self._group.unsure + sum([meter.resolution for meter in self._meters])
+        left += self._group.uncertainty + sum([meter.resolution for meter in self._meters])
         return left + sum([drive.read_back_bound for drive in self.drives])
 
     def measured(self) -> Measured:

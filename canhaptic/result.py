@@ -159,7 +159,7 @@ def _accounts(
             "unit": ports[group.axes[0]][1],
             **port_account(known[place], group.ledger, promise_of(group.controller), sample_time),
             "supplied": group.supplied,
-            "unsure": group.unsure,
+            "unsure": group.uncertainty,
             "limits": dict(group.limits),
         }
     for (name, _), drive in zip(ports, drives, strict=True) if cycle.rig.dry_run else ():

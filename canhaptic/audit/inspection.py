@@ -306,14 +306,14 @@ def _truth(log: EnergyLog, name: str, rows: slice) -> TruthResult:
     axes = log.groups.get(name, (name,))
     by_motors = sum(_taken_in(log, axis, rows) for axis in axes)
     h_i = np.sum([log.ports[axis].read("h_i", rows.start, rows.stop) for axis in axes], axis=0)
-    believed = _running(h_i) if rows.start else _running(h_i) - h_i[0]
+    accounted = _running(h_i) if rows.start else _running(h_i) - h_i[0]
     booked = log.ports[axes[0]].read("branch", rows.start, rows.stop) != Branch.HELD
     dissipated = log.truth[name].read("dissipated", rows.start, rows.stop)
     return {
         "interaction": float(interaction[-1]),
         "least_interaction": min(0.0, float(interaction.min())),
         "least_at_handle": min(0.0, float((interaction + dissipated - dissipated[0]).min())),
-        "believed_error": float(np.abs((believed - by_motors)[booked]).max(initial=0.0)),
+        "believed_error": float(np.abs((accounted - by_motors)[booked]).max(initial=0.0)),
     }
 
 

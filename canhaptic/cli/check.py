@@ -233,9 +233,9 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool) -> None:
     console.print(line + ("" if resolved else "; every value: --resolved"), markup=False, soft_wrap=True)
     for text in found.dear:
         console.print(f"[yellow]{escape(text)}[/]", soft_wrap=True)
-    if guesses := guesses_left(scene):
+    if unset_values := guesses_left(scene):
         console.print("real drives do not run on guesses:")
-        console.print(_guess_table(guesses))
+        console.print(_guess_table(unset_values))
     if resolved:
         values = _without_empty(scene.resolved())
         console.print(yaml.safe_dump(values, sort_keys=False, allow_unicode=True), markup=False)
@@ -252,8 +252,8 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool) -> None:
         console.print(_realtime_table(answers))
 
 
-def _guess_table(guesses: list[Guess]) -> Table:
-    rows: list[list[Cell]] = [[guess.line, guess.key, guess.value, guess.note] for guess in guesses]
+def _guess_table(unset_values: list[Guess]) -> Table:
+    rows: list[list[Cell]] = [[guess.line, guess.key, guess.value, guess.note] for guess in unset_values]
     return Table("to set", ("line", "key", "guess", "what belongs there"), rows)
 
 

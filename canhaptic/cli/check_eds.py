@@ -10,7 +10,7 @@ from rich.console import Console
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.cli.output import write_json
 from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan
-from canhaptic.drive.profile.display_parameters import Mode
+from canhaptic.drive.profile.admittance_parameters import Mode
 from canhaptic.drive.profile.fitness import Verdict
 from canhaptic.drive.survey import MOST_AXES, Suitability, Survey, display_of, survey, unconfigured_axis
 from canhaptic.errors import InputError

@@ -11,8 +11,8 @@ from typing import Final
 from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.options import check_place, scene_of
 from canhaptic.cli.output import failure, note_file, write_failure, write_file, write_json, write_note
-from canhaptic.commission.display_tests import REQUIRED as OF_DISPLAYS
-from canhaptic.commission.display_tests import commission_displays
+from canhaptic.commission.admittance_tests import REQUIRED as OF_DISPLAYS
+from canhaptic.commission.admittance_tests import commission_displays
 from canhaptic.commission.sequence import REQUIRED as OF_TORQUES
 from canhaptic.commission.sequence import commission
 from canhaptic.commission.session import CommissioningLimits, Dialogue, Report, Session, Unattended

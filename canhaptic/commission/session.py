@@ -19,7 +19,7 @@ import numpy as np
 from canhaptic.axis_units import effort_unit
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.cycle import Cycle, run
-from canhaptic.drive.can.display_drive import DisplayDrive
+from canhaptic.drive.can.admittance_drive import AdmittanceDrive
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import ControlError, InputError
@@ -263,7 +263,7 @@ class OpenLoop:
         self._next = 0
         self._last = AT_REST
 
-    def hold(self) -> EnergyBalance:
+    def sample_lost(self) -> EnergyBalance:
         """End the torques: a measurement with a gap is useless."""
         self.tripped, self.has_gap = self.tripped or "a TPDO was lost", True
         self._last = self._last._replace(torque=0.0, h_i=0.0, h_m=0.0, deficit=0.0, branch=Branch.HELD.value)
@@ -390,7 +390,7 @@ class Session:
         try:
             with build(scene) as self._experiment:
                 for drive in self.drives:
-                    if isinstance(drive, DisplayDrive):
+                    if isinstance(drive, AdmittanceDrive):
                         drive.checks_rest = False  # the offset is to be measured
                 yield
         finally:

@@ -188,8 +188,8 @@ class AxisMeter:
             self._speed = moved / holds
 
     def _begin(self, position: float, torque: float) -> None:
-        blur = self.accuracy.position
-        self._lazy = position - blur, position + blur
+        position_uncertainty = self.accuracy.position
+        self._lazy = position - position_uncertainty, position + position_uncertainty
         self._compare(position, torque)
 
     def _compare(self, position: float, torque: float) -> None:

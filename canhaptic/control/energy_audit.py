@@ -52,12 +52,12 @@ class EnergyAudit:
         for place, group in self._groups:
             true = -sum([truths[axis].energy.motor for axis in group.axes])
             dissipated = sum([truths[axis].energy.dissipated for axis in group.axes])
-            believed = sum([ledgers[axis].interaction for axis in group.axes])
+            accounted = sum([ledgers[axis].interaction for axis in group.axes])
             supplied, booked = group.supplied + group.balance.supplied, balances[group.axes[0]].branch != _HELD
-            self._take(place, true, dissipated, believed, booked, supplied)
+            self._take(place, true, dissipated, accounted, booked, supplied)
 
     def _take(
-        self, place: int, true: float, dissipated: float, believed: float, booked: bool, supplied: float = 0.0
+        self, place: int, true: float, dissipated: float, accounted: float, booked: bool, supplied: float = 0.0
     ) -> None:
         came_in = true + supplied
         self.interaction[place], self.dissipated[place] = came_in, dissipated
@@ -65,6 +65,6 @@ class EnergyAudit:
             self.least[place] = came_in
             if came_in + dissipated < self.least_at_handle[place]:
                 self.least_at_handle[place] = came_in + dissipated
-        error, most = believed - true, self.believed_error[place]
+        error, most = accounted - true, self.believed_error[place]
         if booked and (error > most or error < -most):
             self.believed_error[place] = abs(error)

@@ -415,8 +415,8 @@ class Rig:
 
 def _bring_up(drive: ServoDrive) -> CanBringUp:
     if drive.axis.admittance is not None:
-        from canhaptic.drive.can.display_drive import DisplayBringUp, DisplayDrive
+        from canhaptic.drive.can.admittance_drive import AdmittanceBringUp, AdmittanceDrive
 
-        if isinstance(drive, DisplayDrive):
-            return DisplayBringUp(drive)
+        if isinstance(drive, AdmittanceDrive):
+            return AdmittanceBringUp(drive)
     return CanBringUp(drive)

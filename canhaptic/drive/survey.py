@@ -21,7 +21,7 @@ from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.drive.can.dictionary_check import check_dictionary
 from canhaptic.drive.can.pdo_map import AxisMap, PdoCapability, choose_map, pdo_capabilities
-from canhaptic.drive.profile.display_parameters import DisplayParameters, ForceParameters, Mode
+from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceParameters, Mode
 from canhaptic.drive.profile.fitness import (
     Finding,
     ObjectUse,
@@ -63,7 +63,7 @@ def _analog_input(dictionary: ObjectDictionary) -> str | None:
     return None
 
 
-def display_of(dictionary: ObjectDictionary, mode: Mode, force_object: str | None = None) -> DisplayParameters:
+def display_of(dictionary: ObjectDictionary, mode: Mode, force_object: str | None = None) -> AdmittanceParameters:
     """Admittance display with a dictionary; its force has scale 1, and its figures are placeholders.
 
     Args:
@@ -78,10 +78,10 @@ def display_of(dictionary: ObjectDictionary, mode: Mode, force_object: str | Non
     place = force_object or _analog_input(dictionary)
     node = ForceNode(node_id=_SENSOR_NODE) if place is None else None
     force = ForceParameters(object=place, node=node, per_count=1.0, range=1e6, slew=1.0, error=0.0)
-    return DisplayParameters(mode=mode, handle_acceleration=1.0, force=force)
+    return AdmittanceParameters(mode=mode, handle_acceleration=1.0, force=force)
 
 
-def force_finding(dictionary: ObjectDictionary, display: DisplayParameters) -> Finding:
+def force_finding(dictionary: ObjectDictionary, display: AdmittanceParameters) -> Finding:
     """Finding of the dictionary about the force of a display."""
     place = display.force.place
     if place is None:

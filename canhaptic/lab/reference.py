@@ -42,12 +42,12 @@ from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMediu
 from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.control.mechanisms.kinematics import Kinematics, Limit
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
-from canhaptic.control.multi_axis.group_motion import World, world_of
+from canhaptic.control.multi_axis.group_motion import GroupModel, world_of
 from canhaptic.control.port_hamiltonian.network import extension, gradient
 from canhaptic.control.port_hamiltonian.shapes.geometry import moved_by
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.kernels import Buffer, list_of_zeros, zeros
-from canhaptic.lab.judge.reference_group import AxesModel, GroupModel, mechanism_model
+from canhaptic.lab.judge.reference_group import AxesModel, ReferenceGroup, mechanism_model
 from canhaptic.lab.judge.reference_group import State as GroupState
 from canhaptic.lab.judge.reference_model import POSITION, VELOCITY, Floats, Model, Modes, State, Transition
 from canhaptic.lab.judge.solvers import states_at
@@ -510,7 +510,7 @@ class ContinuousGroup(NamedTuple):
     apart: float  # largest distance of the positions from those of a coarser tolerance [m or rad]
 
 
-def group_model(scene: Scene) -> GroupModel:
+def group_model(scene: Scene) -> ReferenceGroup:
     """Equations of the plant of a scene's one group; the motors in the order of the group's axes.
 
     Raises:
@@ -562,7 +562,7 @@ class _Coupled:
         (group,) = scene.groups
         loops = tuple(scene.axis(name).loop for name in group.axes)
         environment = cast(NetworkEnvironment, group.network.parameters)
-        self._world: World = world_of(environment, cast(Kinematics, group.kinematics.parameters), loops)
+        self._world: GroupModel = world_of(environment, cast(Kinematics, group.kinematics.parameters), loops)
         self.model, self.axes = group_model(scene), len(group.axes)
         geometry, tables = self._world.geometry, self._world.tables
         ports, dimensions = geometry.ports, geometry.dimensions

@@ -218,7 +218,7 @@ def _check_parts(
 def _check_display(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: Diagnostics) -> None:
     if axis.parameters.admittance is None and (axis.simulation is None or axis.simulation.admittance is None):
         return
-    from canhaptic.scene.display_checks import check_display
+    from canhaptic.scene.admittance_checks import check_display
 
     check_display(axis, entry, scene, faults)
 

@@ -11,8 +11,8 @@ from typing import Final, NamedTuple
 
 from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.admittance.declared_hand import damping_border, declared_hand_settings, lightest
-from canhaptic.control.admittance.port import DisplayProperties, port_settings
-from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters, loop_settings
+from canhaptic.control.admittance.port import AdmittanceProperties, port_settings
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, loop_settings
 from canhaptic.control.certificates.scalar_bounds import (
     DisplacementResponse,
     displacement_response,
@@ -319,7 +319,7 @@ def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
     group = next((group for group in scene.groups if group.name == axis.group), None)
     chosen = (axis.passivity, axis.environment) if group is None else (group.passivity, group.network)
     known, rendered = (part.parameters for part in chosen)
-    if isinstance(known, GuardedDisplayParameters):
+    if isinstance(known, GuardedAdmittanceParameters):
         asked = getattr(rendered, "inertia", getattr(rendered, "mass", None))
         if group is not None and group.kinematics.name != "identity":
             asked = None  # in task space, which is not that of the axis
@@ -328,7 +328,7 @@ def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
     return hints
 
 
-def _of_guard(axis: AxisScene, known: GuardedDisplayParameters, speed_unit: str, asked: float | None) -> list[Hint]:
+def _of_guard(axis: AxisScene, known: GuardedAdmittanceParameters, speed_unit: str, asked: float | None) -> list[Hint]:
     properties, name = display_properties(axis), axis.parameters.name
     axis_unit = axis.parameters.unit
     unit, effort = "kg" if axis_unit == "m" else "kg*m^2", effort_unit(axis_unit)
@@ -368,7 +368,7 @@ def _of_guard(axis: AxisScene, known: GuardedDisplayParameters, speed_unit: str,
     return hints
 
 
-def _of_faults(axis: AxisScene, known: GuardedDisplayParameters, scene: Scene) -> list[Hint]:
+def _of_faults(axis: AxisScene, known: GuardedAdmittanceParameters, scene: Scene) -> list[Hint]:
     """Energy given out by a stalled master and by a frozen sensor, until each is detected."""
     properties, name = display_properties(axis), axis.parameters.name
     display, speed = axis.parameters.admittance, properties.speed_limit
@@ -387,7 +387,7 @@ def _of_faults(axis: AxisScene, known: GuardedDisplayParameters, scene: Scene) -
     ]
 
 
-def _of_offset(axis: AxisScene, known: GuardedDisplayParameters, properties: DisplayProperties) -> Hint:
+def _of_offset(axis: AxisScene, known: GuardedAdmittanceParameters, properties: AdmittanceProperties) -> Hint:
     """Largest energy given out for a sensor offset of one newton: the work of a constant force."""
     low, high = (getattr(axis.parameters.admittance, key, None) for key in ("position_low", "position_high"))
     room = None if low is None or high is None else high - low

@@ -548,9 +548,9 @@ def require_no_guesses(scene: Scene) -> None:
             f"{scene.source}: passivity of {', '.join(scene.guessed_timing)}: sync_jitter{torque}: not all are "
             "declared, and the drives are real; measure them (canhaptic commission) and put them there"
         )
-    guesses = guesses_left(scene)
-    if guesses and refuses_guesses(scene):
-        listed = ", ".join(f"{guess.line} ({guess.key})" for guess in guesses)
+    unset_values = guesses_left(scene)
+    if unset_values and refuses_guesses(scene):
+        listed = ", ".join(f"{guess.line} ({guess.key})" for guess in unset_values)
         raise InputError(
             f"{scene.source}: lines {listed}: marked {TO_SET}, and the drives are real; put the values of your rig "
             "there and take the marks away"

@@ -27,7 +27,7 @@ from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, Mechan
 from canhaptic.units import Parameters
 
 if TYPE_CHECKING:
-    from canhaptic.control.admittance.port import DisplayProperties
+    from canhaptic.control.admittance.port import AdmittanceProperties
     from canhaptic.control.friction_watch import FrictionDeclared
     from canhaptic.control.mechanisms.kinematics import Kinematics
     from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupController, NetworkEnvironment
@@ -189,7 +189,7 @@ def build_axis_controller(axis: AxisScene) -> Controller:
     return build_controller(environment, axis.passivity.name, axis.passivity.parameters, loop_as_known(axis))
 
 
-def display_properties(axis: AxisScene) -> "DisplayProperties":
+def display_properties(axis: AxisScene) -> "AdmittanceProperties":
     """Declared properties of an admittance display.
 
     Raises:
@@ -201,12 +201,12 @@ def display_properties(axis: AxisScene) -> "DisplayProperties":
     if "speed_limit" not in given.model_fields_set or display.acceleration_limit is None:
         missing = "admittance.acceleration_limit" if display.acceleration_limit is None else "speed_limit"
         raise ParameterError(f"{given.name}: {missing}: missing; an admittance display needs it, add it")
-    from canhaptic.control.admittance.port import DisplayProperties
+    from canhaptic.control.admittance.port import AdmittanceProperties
 
     force, time = display.force, axis.loop.sample_time
     counts = given.counts_per_unit
     quantum = 1.0 / (counts * time) if display.mode == "position" else 1.0 / (display.velocity_counts or counts)
-    return DisplayProperties(
+    return AdmittanceProperties(
         sample_time=time, jitter=axis.loop.sync_jitter or 0.0,
         delay=axis.loop.delay, sampling=force.sampling, latency=force.latency, filter=force.filter,
         force_slew=force.slew, handle_acceleration=display.handle_acceleration, force_error=force.error,
@@ -324,9 +324,9 @@ def build_servo_drive(axis: AxisScene, link: Link, bus: BusParameters, *, dry_ru
         require_torque_axis(axis)
     if axis.parameters.admittance is None:
         return ServoDrive(link, axis.parameters, dictionary, bus, dry_run=dry_run)
-    from canhaptic.drive.can.display_drive import DisplayDrive
+    from canhaptic.drive.can.admittance_drive import AdmittanceDrive
 
-    return DisplayDrive(link, axis.parameters, dictionary, bus)
+    return AdmittanceDrive(link, axis.parameters, dictionary, bus)
 
 
 def require_torque_axis(axis: AxisScene) -> None:

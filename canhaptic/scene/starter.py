@@ -29,7 +29,7 @@ from canopen import ObjectDictionary
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import is_writable
 from canhaptic.drive.can.bus_budget import round_rate
-from canhaptic.drive.profile.display_parameters import DisplayParameters
+from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
 from canhaptic.drive.profile.fitness import (
     ObjectUse,
     listed,
@@ -211,7 +211,7 @@ _BETWEEN: Final = Template("""\
 """)
 
 
-def display_axis(display: DisplayParameters, counts: float, limit: float, unlimited: str, steepest: float) -> str:
+def display_axis(display: AdmittanceParameters, counts: float, limit: float, unlimited: str, steepest: float) -> str:
     """Return the keys of an axis that make it an admittance display.
 
     Args:
@@ -242,7 +242,7 @@ def display_axis(display: DisplayParameters, counts: float, limit: float, unlimi
     )
 
 
-def display_rendered(display: DisplayParameters, limit: float, sample_time: float, *, simulate: bool) -> str:
+def display_rendered(display: AdmittanceParameters, limit: float, sample_time: float, *, simulate: bool) -> str:
     """Return environment and passivity for a torque limit [N*m] and a sample time [s]."""
     mass, gain = _INERTIA * limit, _gain(limit)
     is_position = display.mode == "position"
@@ -261,7 +261,7 @@ def display_rendered(display: DisplayParameters, limit: float, sample_time: floa
     )
 
 
-def display_simulation(display: DisplayParameters, objects: str, rated: float, limit: float) -> str:
+def display_simulation(display: AdmittanceParameters, objects: str, rated: float, limit: float) -> str:
     """Return the simulated rig; `objects` are lines of `simulation.drive`."""
     mass, gain = _INERTIA * limit, _gain(limit)
     between = _BETWEEN.substitute(

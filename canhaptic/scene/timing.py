@@ -111,7 +111,7 @@ def _with_guesses(scene: Scene) -> Scene:
 
     Axes whose dry friction has no bound are named with them: nothing can be guessed of it.
     """
-    guesses = {axis.parameters.name: undeclared(axis.loop) for axis in scene.axes}
+    unset_values = {axis.parameters.name: undeclared(axis.loop) for axis in scene.axes}
     windows = {bus.name: GUESSES["torque_window"] + _window(scene, bus) for bus in scene.buses}
     if any(axis.bus not in windows for axis in scene.axes):  # noted where buses are checked
         return scene
@@ -123,7 +123,7 @@ def _with_guesses(scene: Scene) -> Scene:
     guessed = tuple(
         axis.parameters.name
         for axis in axes
-        if not _rests_on(scene, axis).isdisjoint(guesses[axis.parameters.name])
+        if not _rests_on(scene, axis).isdisjoint(unset_values[axis.parameters.name])
         or (axis.loop.device_friction_bound is None and rests_on_hand_force(scene, axis))
     )
     return replace(scene, axes=tuple(axes), guessed_timing=guessed)

@@ -194,11 +194,11 @@ def test_what_a_mover_supplies_is_in_the_account_and_never_in_the_truth_of_the_m
         assert judge is not None
         assert group.supplied > 1e-3  # the wall pushes hand and stage
         assert judge.interaction[2] < -1e-4
-        believed = group.ledger.interaction
-        assert believed == pytest.approx(
+        accounted = group.ledger.interaction
+        assert accounted == pytest.approx(
             sum(each.interaction for each in experiment.cycle.ledgers) + group.supplied, abs=1e-12
         )
-        assert believed >= -1e-6
+        assert accounted >= -1e-6
         supplied = np.cumsum(log.ports["stage"]["h_i"] - log.ports["x"]["h_i"] - log.ports["y"]["h_i"])
         assert (supplied - log.truth["stage"]["motor"]).min() >= -1e-6
         assert identity(log.ports["stage"]).max() <= 1e-12

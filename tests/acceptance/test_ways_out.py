@@ -36,8 +36,8 @@ class Failing:
         self.steps += 1
         return self.outcome(balance) if self.steps == CYCLE else balance
 
-    def hold(self) -> EnergyBalance:
-        return self.inner.hold()
+    def sample_lost(self) -> EnergyBalance:
+        return self.inner.sample_lost()
 
 
 def with_torque(torque: float) -> Outcome:

@@ -29,7 +29,7 @@ class WithHold:
         self._last = self._inner.step(position, torque_applied)
         return self._last
 
-    def hold(self) -> EnergyBalance:
+    def sample_lost(self) -> EnergyBalance:
         return self._last
 
 
@@ -39,7 +39,7 @@ def record(path: Path) -> None:
     torque = 0.0
     for k in range(1000):
         sample = Sample(k, 0.02 * math.cos(0.01 * k), torque, 0x1237, k % 50 != 7)
-        balance = controller.step(sample.position, torque) if sample.fresh else controller.hold()
+        balance = controller.step(sample.position, torque) if sample.fresh else controller.sample_lost()
         writer.append(k, [sample], [balance], CycleTiming(0, 0, 0, 0))
         torque = balance.torque
     writer.close()

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from canhaptic.cli.main import main
-from canhaptic.commission.display_tests import _loop
+from canhaptic.commission.admittance_tests import _loop
 from canhaptic.commission.session import CommissioningLimits, Session, Unattended
 from canhaptic.scene.load import load_scene
 

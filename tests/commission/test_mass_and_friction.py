@@ -88,7 +88,7 @@ def test_torque_goes_when_the_axis_goes_too_fast() -> None:
 def test_a_lost_tpdo_ends_the_torque() -> None:
     law = OpenLoop([1.0] * 5)
     law.step(0.0, 0.0)
-    assert law.hold().torque == 0.0
+    assert law.sample_lost().torque == 0.0
     assert law.step(0.0, 1.0).torque == 0.0
 
 

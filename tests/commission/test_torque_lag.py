@@ -98,12 +98,12 @@ def test_a_torque_that_acts_before_its_sync_fails_and_bounds_nothing(monkeypatch
 def test_a_test_that_leaves_too_much_open_is_repeated_longer(monkeypatch: pytest.MonkeyPatch) -> None:
     lengths: list[int] = []
 
-    def unsure(positions: np.ndarray, *_: object) -> tuple[float, float]:
+    def uncertainty(positions: np.ndarray, *_: object) -> tuple[float, float]:
         lengths.append(len(positions))
         return (-387e-6, 660e-6) if len(lengths) < 3 else (-100e-6, 60e-6)
 
     monkeypatch.setattr(mass_and_friction, "_DOUBLETS", (4, 8, 16, 32))
-    monkeypatch.setattr(mass_and_friction, "estimate_lateness", unsure)
+    monkeypatch.setattr(mass_and_friction, "estimate_lateness", uncertainty)
     session, said = timed()
     assert len(lengths) == 3
     assert lengths[0] * 1.8 < lengths[1] < lengths[2] / 1.8

@@ -203,7 +203,7 @@ def run(
             tpdo, rpdo = rng.random() >= loss.share, rng.random() >= loss.share
         lost_in_a_row = 0 if tpdo and rpdo else lost_in_a_row + 1
         seen = round(start / count) * count if count else start
-        balance = controller.step(seen, held) if tpdo else controller.hold()
+        balance = controller.step(seen, held) if tpdo else controller.sample_lost()
         if tpdo:
             energies.book(balance)
         command = round(balance.torque / quantum) * quantum if quantum else balance.torque

@@ -40,7 +40,9 @@ def case_of(seed: int, losses: tuple[int, ...] = (0, 1, 3)) -> Case:
     )  # fmt: skip
     way = [draw.choice([0.0, draw.uniform(-1.0, 3.0), draw.uniform(0.0, 3.0)]) for _ in range(delay)]
     before = draw.choice([0.0, draw.uniform(-2.0, 3.0)])
-    bound = TorqueBound(displacement=draw.uniform(-6e-5, 6e-5), torque=before, blur=draw.choice([0.0, 1e-6]))
+    bound = TorqueBound(
+        displacement=draw.uniform(-6e-5, 6e-5), torque=before, position_uncertainty=draw.choice([0.0, 1e-6])
+    )
     bound.out, bound.turning = draw.choice([1.0, -1.0, 0.0]), draw.choice([0, 0, 1])
     bound.highest, bound.lowest = before + draw.choice([0.0, 0.8]), before - draw.choice([0.0, 0.8])
     bound.most, bound.least = 0.5 * (bound.highest + before), 0.5 * (bound.lowest + before)
@@ -134,7 +136,7 @@ def start(case: Case, sign: float) -> Motion:
     counted = sign * bound.torque
     if known.late > 0.0:
         counted = bound.most if sign > 0.0 else -bound.least
-    moved = sign * bound.displacement + bound.blur if hand_of(case, sign) < math.inf else math.inf
+    moved = sign * bound.displacement + bound.position_uncertainty if hand_of(case, sign) < math.inf else math.inf
     return Motion(moved, max(0.0, counted), max(0.0, ends[0]), max(0.0, ends[1]))
 
 

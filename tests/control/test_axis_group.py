@@ -27,7 +27,7 @@ class Group:
         account = AT_REST._replace(h_i=sum(parts), h_s=sum(parts), branch=Branch.EXACT.value, certificate=2)
         return GroupBalance(tuple(10.0 * p for p in positions), account, parts, limit=self.limit)
 
-    def hold(self) -> GroupBalance:
+    def sample_lost(self) -> GroupBalance:
         self.held += 1
         return GroupBalance((7.0, 8.0), AT_REST._replace(branch=Branch.HELD.value), (0.0, 0.0))
 
@@ -39,7 +39,7 @@ class Alone:
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
         return AT_REST._replace(torque=-position, h_i=torque_applied)
 
-    def hold(self) -> EnergyBalance:
+    def sample_lost(self) -> EnergyBalance:
         return AT_REST._replace(torque=99.0)
 
 

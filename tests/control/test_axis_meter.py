@@ -43,15 +43,15 @@ def test_what_is_left_open_is_the_sum_of_what_position_torque_and_lateness_leave
             place += draw.choice([0.0, draw.uniform(-1e-4, 1e-4), draw.uniform(-3e-6, 3e-6)])
             torque = draw.choice([0.0, torque, draw.uniform(-3.0, 3.0)])
             meter.take(place, torque, at, touches=True)
-            holds, moved, blur = max(0.5, lasted), abs(place - last), 2.0 * known.position
-            dissipated += (known.device_damping or 0.0) * max(0.0, moved - blur) ** 2 / (holds * T)
+            holds, moved, position_uncertainty = max(0.5, lasted), abs(place - last), 2.0 * known.position
+            dissipated += (known.device_damping or 0.0) * max(0.0, moved - position_uncertainty) ** 2 / (holds * T)
             mean = moved / holds
             if torque or before:
                 changes += abs(torque - before)
-                fastest = known.late_speed or 2.0 * (max(mean, speed) + blur) / T
+                fastest = known.late_speed or 2.0 * (max(mean, speed) + position_uncertainty) / T
                 uneven += abs(torque - before) * known.late * fastest
-                uneven += max(0.0, abs(torque) - known.torque_limit) * (moved + blur)
-                uneven += (known.torque_share * abs(torque) + known.torque_offset) * (moved + blur)
+                uneven += max(0.0, abs(torque) - known.torque_limit) * (moved + position_uncertainty)
+                uneven += (known.torque_share * abs(torque) + known.torque_offset) * (moved + position_uncertainty)
                 most = max(most, known.position * (changes + abs(torque)) + uneven)
             speed = mean
             assert close(meter.resolution, most), seed

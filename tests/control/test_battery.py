@@ -135,7 +135,7 @@ def test_a_lost_position_repeats_the_torque_and_books_it_with_the_next(environme
         balance = made.step(position, held)
         held = balance.torque
         if k % 7 == 3:
-            repeated = made.hold()
+            repeated = made.sample_lost()
             assert (repeated.torque, repeated.h_s, repeated.h_dis) == (held, balance.h_s, balance.h_dis)
             assert repeated.h_i == repeated.h_r == repeated.gen == repeated.leak == repeated.deficit == 0.0
             assert repeated.branch == Branch.HELD
@@ -149,7 +149,7 @@ def test_a_lost_position_repeats_the_torque_and_books_it_with_the_next(environme
 @every_algorithm
 def test_before_the_first_position_there_is_nothing_to_repeat(environment, algorithm):
     made = controller(algorithm, EXAMPLES[environment][0])
-    assert made.hold()._replace(branch=0) == AT_REST
+    assert made.sample_lost()._replace(branch=0) == AT_REST
 
 
 @pytest.mark.parametrize("algorithm", [name for name in algorithms() if name != "guarded"])
@@ -162,6 +162,6 @@ def test_a_reversal_hidden_by_a_lost_position_is_booked_at_its_worst(environment
     for position in (0.006, 0.0, -0.006):
         made.step(position, 0.0)
     torques = [made.step(-0.008, 0.0).torque, made.step(-0.010, 0.0).torque]
-    made.hold()
+    made.sample_lost()
     booked = made.step(-0.010, torques[1]).h_i
     assert booked <= -abs(torques[1] - torques[0]) * 0.002 + 1e-12

@@ -36,7 +36,7 @@ T, MASS, PULL = 1e-3, 0.25, 5.0
 
 def least_sum(gap: Gap, hold: int, farthest_one: float) -> float:
     """The least displacement in all holds if one goes so far: before and after it each falls back as far as it can."""
-    first = gap.start - gap.blur
+    first = gap.start - gap.position_uncertainty
     falls = gap.step + gap.lost * max(0.0, first)
     total = sum(first - k * falls for k in range(1, hold))
     for later in range(gap.holds - hold + 1):
@@ -59,7 +59,7 @@ def test_the_farthest_hold_of_a_gap_leaves_no_less_than_was_moved_in_all(lost: f
             found = farthest(gap, 1.0, hold, along=False)
             assert least_sum(gap, hold, found) == pytest.approx(gap.moved + gap.error, abs=1e-15), seed
             assert farthest(mirrored, -1.0, hold, along=False) == found
-            first = gap.start + gap.blur
+            first = gap.start + gap.position_uncertainty
             reach = first + hold * (gap.step + lost * max(0.0, -first))
             assert farthest(gap, 1.0, hold, along=True) == pytest.approx(reach, abs=1e-18)
             assert farthest(mirrored, -1.0, hold, along=True) == pytest.approx(reach, abs=1e-18)
@@ -204,7 +204,7 @@ def test_over_lost_samples_no_effort_inside_a_torque_is_known() -> None:
     torque = 0.0
     for place in (1e-4, -1e-4, -2e-4):
         torque = one.step(place, torque).torque
-    one.hold()
+    one.sample_lost()
     balance = one.step(-4e-4, torque)
     assert torque > 0.5
     assert (balance.h_pas, balance.h_r) == (0.0, 0.0)

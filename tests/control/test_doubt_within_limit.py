@@ -30,7 +30,7 @@ def test_no_more_is_in_doubt_than_the_limited_torque_can_have_given(algorithm: s
     for position in (-MOVED, -2.0 * MOVED, -MOVED):
         controller.step(position, LIMIT)
     for _ in range(LOST):
-        controller.hold()
+        controller.sample_lost()
     balance = controller.step(-2.0 * MOVED, LIMIT)
     booked = LIMIT * MOVED  # -torque times displacement
     assert booked >= balance.h_i >= booked + least_possible(LOST)
@@ -46,7 +46,7 @@ def test_no_more_is_in_doubt_in_a_group_than_limited_torques_can_have_given(algo
     for position in (-MOVED, -2.0 * MOVED, -MOVED):
         controller.step((position, 0.5), applied)
     for _ in range(LOST):
-        controller.hold()
+        controller.sample_lost()
     balance = controller.step((-2.0 * MOVED, 0.5), applied)
     booked = LIMIT * MOVED
     assert booked >= balance.account.h_i >= booked + 2.0 * least_possible(LOST)

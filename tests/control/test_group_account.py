@@ -75,7 +75,7 @@ def group_of(seed: int, **given: Any) -> Group:
     memory, ended = account_memory(limits), no_group_holds(2, DELAY)
     for i in range(2):
         memory.displacement[i], memory.torques[i] = draw.uniform(-2e-5, 2e-5), draw.uniform(-3.0, 3.0)
-        memory.blur[i] = draw.choice([0.0, 3e-7])
+        memory.position_uncertainty[i] = draw.choice([0.0, 3e-7])
         memory.before.highest[i] = memory.torques[i] + draw.choice([0.0, 5.0])
         memory.before.lowest[i] = memory.torques[i] - draw.choice([0.0, 5.0])
         ended.displacement[i], ended.applied[i] = draw.uniform(-4e-5, 4e-5), draw.uniform(-3.0, 3.0)
@@ -109,9 +109,9 @@ def test_a_hold_of_a_group_counts_what_each_device_dissipated_and_each_encoder_l
         assert end_group_hold(group.settings, group.account, memory, ended) == 0.0
         assert close(group.account.dissipated, before + earned)
         assert close(group.account.changes, counted)
-        assert close(group.account.unsure, counted + open_ends)
+        assert close(group.account.uncertainty, counted + open_ends)
         assert (memory.displacement, memory.torques) == (ended.displacement, ended.applied)
-        assert memory.blur == [0.0, 0.0]
+        assert memory.position_uncertainty == [0.0, 0.0]
         seen.add((damps, coarse))
     assert len(seen) == 4
 
@@ -123,30 +123,30 @@ def test_lost_samples_of_a_group_are_in_doubt_by_each_axis_for_itself(missed: in
         group = group_of(seed)
         axes, memory, ended, holds = group.settings.axes, group.memory, group.ended, missed + 1
         norm = math.sqrt(sum((axes.before[i] + axes.during[i]) * largest(group, missed, i) ** 2 for i in range(2)))
-        doubt, unsure, changes, earned, blurs = 0.0, 0.0, group.account.changes, group.account.dissipated, []
+        doubt, uncertainty, changes, earned, blurs = 0.0, 0.0, group.account.changes, group.account.dissipated, []
         for i in range(2):
             loop, moved = group.loops[i], ended.displacement[i]
             most, count = largest(group, missed, i), loop.encoder_count
             step = math.sqrt(axes.before[i] + axes.during[i]) * (norm + axes.hand) if group.pull else 0.0
-            start, growth = abs(memory.displacement[i]) + memory.blur[i] + count, axes.timing.growth
+            start, growth = abs(memory.displacement[i]) + memory.position_uncertainty[i] + count, axes.timing.growth
             excursion = abs(moved) + count + holds * (start * growth + holds * step)
             uneven = (growth - 1.0) * excursion
-            error, blur = count + holds * uneven, memory.blur[i] + count + uneven
-            gap = Gap(holds, moved, memory.displacement[i], error, blur, step, axes.lost[i])
+            error, position_uncertainty = count + holds * uneven, memory.position_uncertainty[i] + count + uneven
+            gap = Gap(holds, moved, memory.displacement[i], error, position_uncertainty, step, axes.lost[i])
             doubt += doubt_of_axis(axes, memory, ended, gap, missed, i)
             lost = axes.lost[i] * holds * excursion + uneven
             blurs.append(0.5 * missed * step + lost if group.pull else 0.0)
             changes += holds * count * most
-            unsure += 0.5 * count * abs(ended.applied[i])
+            uncertainty += 0.5 * count * abs(ended.applied[i])
             earned += axes.damping[i] * max(0.0, abs(moved) - count) ** 2 / holds
             assert largest_of(memory, ended, missed, i) == most
         found, further = end_group_gap(group.settings, group.account, memory, ended, missed)
         assert close(found, doubt)
         assert further == 0.0
         assert close(group.account.changes, changes)
-        assert close(group.account.unsure, changes + unsure)
+        assert close(group.account.uncertainty, changes + uncertainty)
         assert close(group.account.dissipated, earned)
-        assert all(close(one, other) for one, other in zip(memory.blur, blurs, strict=True))
+        assert all(close(one, other) for one, other in zip(memory.position_uncertainty, blurs, strict=True))
         assert memory.displacement == [moved / holds for moved in ended.displacement]
         assert memory.torques == ended.applied
         seen.add((bool(group.pull), axes.path > 0.0))
@@ -231,9 +231,9 @@ def test_of_a_command_without_torque_nothing_is_left() -> None:
     assert (commands.dampers[0][0], commands.ports[0][0], commands.power[0]) == (0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize(("kept_back", "left"), [(0.0, 1.5), (0.2, 1.7), (0.9, 2.0)])
-def test_what_encoders_leave_open_is_covered_by_what_was_kept_back(kept_back: float, left: float) -> None:
-    account = GroupAccount(h_s=2.5, h_dis=1.0, unsure=0.5, kept_back=kept_back)
+@pytest.mark.parametrize(("unrecovered", "left"), [(0.0, 1.5), (0.2, 1.7), (0.9, 2.0)])
+def test_what_encoders_leave_open_is_covered_by_what_was_kept_back(unrecovered: float, left: float) -> None:
+    account = GroupAccount(h_s=2.5, h_dis=1.0, uncertainty=0.5, unrecovered=unrecovered)
     assert certain_energy(account, 0.5) == pytest.approx(left)
 
 
@@ -291,11 +291,11 @@ def test_a_mover_takes_of_the_torque_that_gives_it_most_in_each_hold_and_of_a_ne
     for _ in range(40):
         for row in memory.sent:
             row[:] = [draw.uniform(-3.0, 3.0), draw.uniform(-3.0, 3.0)]
-        coming = [[draw.uniform(-1e-4, 1e-4), draw.uniform(-1e-4, 1e-4)] for _ in range(3)]
+        mover_motion = [[draw.uniform(-1e-4, 1e-4), draw.uniform(-1e-4, 1e-4)] for _ in range(3)]
         asked, old, new = [draw.uniform(-6.0, 6.0), draw.uniform(-6.0, 6.0)], 0.0, 0.0
         for number, places in enumerate(((0, 1), (1,), ())):
             for i in range(2):
-                held = max(0.0, *(-memory.sent[place][i] * coming[number][i] for place in places), 0.0)
+                held = max(0.0, *(-memory.sent[place][i] * mover_motion[number][i] for place in places), 0.0)
                 old += held
-                new += max(0.0, -asked[i] * coming[number][i] - held) if number >= 1 else 0.0
-        assert taken_at_most(limits, memory, coming, asked) == pytest.approx((old, new))
+                new += max(0.0, -asked[i] * mover_motion[number][i] - held) if number >= 1 else 0.0
+        assert taken_at_most(limits, memory, mover_motion, asked) == pytest.approx((old, new))

@@ -34,7 +34,7 @@ from canhaptic.control.multi_axis.group_certificates import (
 )
 from canhaptic.control.multi_axis.group_kernel import no_group_holds
 from canhaptic.control.multi_axis.group_rendering import (
-    UnderWay,
+    QueuedTorques,
     extraction_of,
     free_energy,
     needed_under_way,
@@ -53,7 +53,7 @@ class Case(NamedTuple):
 
     settings: AccountSettings
     memory: AccountMemory
-    under_way: UnderWay
+    under_way: QueuedTorques
     asked: list[float]
     draw: random.Random
 
@@ -78,10 +78,10 @@ def case_of(seed: int, losses: int = 0, *, by_hand: bool = True, lag: float = 8e
         torque = memory.torques[i] = draw.uniform(-3.0, 3.0)
         memory.displacement[i] = draw.uniform(-2e-4, 2e-5)
         memory.before.highest[i], memory.before.lowest[i] = torque + draw.random(), torque - draw.random()
-        for row in memory.coming:
+        for row in memory.mover_motion:
             row[i] = draw.uniform(-1e-4, 1e-4)
     rows = [[draw.uniform(-3.0, 3.0) for _ in range(axes)] for _ in range(DELAY + 1)]
-    under_way = UnderWay(rows, draw.choice([-2, -1, 0]), DELAY)
+    under_way = QueuedTorques(rows, draw.choice([-2, -1, 0]), DELAY)
     asked = [draw.uniform(-3.0, 3.0) for _ in range(axes)]
     return Case(AccountSettings(known, limits, moves=True), memory, under_way, asked, draw)
 
@@ -97,19 +97,19 @@ def acting(case: Case) -> list[list[list[float]]]:
 def test_damping_and_the_way_of_the_hand_pay_for_all_that_may_act_and_for_what_a_mover_takes(losses: int) -> None:
     for seed in range(60):
         case = case_of(seed, losses, by_hand=False)
-        axes, coming, energy = case.settings.axes, case.memory.coming, case.draw.uniform(-1e-3, 2e-2)
+        axes, mover_motion, energy = case.settings.axes, case.memory.mover_motion, case.draw.uniform(-1e-3, 2e-2)
         account, both = GroupAccount(dissipated=case.draw.uniform(0.0, 3e-3)), range(2)
         damped, paths = older_needs(axes, case.memory)
         square, way, new_square, new_way, moved, more = damped, paths, 0.0, 0.0, 0.0, 0.0
         for index, rows in enumerate(acting(case)):
             if losses:
                 held = [max((abs(row[i]) for row in rows), default=0.0) for i in both]
-                taken = [max(0.0, *(-row[i] * coming[index][i] for row in rows), 0.0) for i in both]
-                asked = [max(0.0, -case.asked[i] * coming[index][i] - taken[i]) for i in both]
+                taken = [max(0.0, *(-row[i] * mover_motion[index][i] for row in rows), 0.0) for i in both]
+                asked = [max(0.0, -case.asked[i] * mover_motion[index][i] - taken[i]) for i in both]
             else:
                 held = [abs(f) for f in (rows[0] if rows else [0.0, 0.0])]
-                taken = [max(0.0, taken_by_mover(rows[0], coming[index]) if rows else 0.0)]
-                asked = [max(0.0, taken_by_mover(case.asked, coming[index]))]
+                taken = [max(0.0, taken_by_mover(rows[0], mover_motion[index]) if rows else 0.0)]
+                asked = [max(0.0, taken_by_mover(case.asked, mover_motion[index]))]
             moved += sum(taken)
             way += axes.path * sum(held)
             square += sum(f * f / q for f, q in zip(held, axes.squares, strict=True)) if axes.by_damping else 0.0
@@ -131,13 +131,13 @@ def extraction(case: Case, torques: list[float], count: int) -> float:
     """What torques that act after some of those under way may take out, with all that came late and the mover."""
     axes, memory = case.settings.axes, case.memory
     older = Acting([*memory.before.highest], [*memory.before.lowest])
-    along = along_last(axes, torques, memory.displacement, memory.blur)
+    along = along_last(axes, torques, memory.displacement, memory.position_uncertainty)
     base = base_of(
         axes, torques, memory.displacement, along, memory.torques, case.under_way.torques, case.under_way.first, count,
         older,
     )  # fmt: skip
     late = response_to_late(axes, torques, older.highest, older.lowest, torques, axes.during)
-    return base + gain_of(axes, torques) + late + taken_by_mover(torques, memory.coming[count])
+    return base + gain_of(axes, torques) + late + taken_by_mover(torques, memory.mover_motion[count])
 
 
 def test_a_group_with_late_torques_needs_what_each_hold_takes_at_its_worst_and_what_is_late_besides() -> None:
@@ -170,8 +170,8 @@ def test_the_share_by_hand_force_is_the_largest_whose_parabola_is_within_the_ene
         if left < late.constant:
             continue
         older = Acting([*memory.before.highest], [*memory.before.lowest])
-        along = along_last(axes, asked, memory.displacement, memory.blur)
-        base = taken_by_mover(asked, memory.coming[DELAY]) + base_of(
+        along = along_last(axes, asked, memory.displacement, memory.position_uncertainty)
+        base = taken_by_mover(asked, memory.mover_motion[DELAY]) + base_of(
             axes, asked, memory.displacement, along, memory.torques, way.torques, way.first, DELAY, older
         )
         best = []
@@ -192,9 +192,9 @@ def test_the_share_by_hand_force_is_the_largest_whose_parabola_is_within_the_ene
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_energy_that_a_torque_brings_in_pays_for_none_the_other_way(sign: float) -> None:
     case = case_of(3, lag=0.0, axes=1)
-    memory, sent = case.memory, UnderWay([[0.5], [0.5], [0.0]], 0, DELAY)
+    memory, sent = case.memory, QueuedTorques([[0.5], [0.5], [0.0]], 0, DELAY)
     memory.displacement[0], memory.torques[0] = -1e-4, 0.0
-    memory.coming[:] = [[0.0] for _ in memory.coming]
+    memory.mover_motion[:] = [[0.0] for _ in memory.mover_motion]
     taken = [extraction_of(case.settings, memory, sent, hold) for hold in range(DELAY)]
     assert max(taken) < 0.0
     for energy in (0.0, 0.5 * sum(taken)):  # in debt half of what comes in pays for it
@@ -262,7 +262,7 @@ def test_lost_samples_with_late_torques_leave_more_in_doubt() -> None:
         found = []
         for is_ideal in (False, True):
             memory.before.highest[:], memory.before.lowest[:] = older
-            memory.displacement[:], memory.torques[:], memory.blur[:] = kept
+            memory.displacement[:], memory.torques[:], memory.position_uncertainty[:] = kept
             known = axes._replace(timing=axes.timing._replace(is_ideal=is_ideal))
             settings = AccountSettings(known, case.settings.apart, moves=False)
             found.append(end_group_gap(settings, GroupAccount(), memory, ended, missed))
@@ -297,11 +297,11 @@ def test_the_base_of_a_group_of_one_is_the_displacement_of_one_axis(lag: float, 
         draw = random.Random(seed)
         held = [draw.uniform(-3.0, 3.0) for _ in range(DELAY + 1)]
         highest, lowest = held[0] + draw.random(), held[0] - draw.random()
-        start, blur = draw.uniform(-2e-4, 2e-5), 0.0 if damping else 3e-6
-        along = along_last(axes, [1.0], [start], [blur])
+        start, position_uncertainty = draw.uniform(-2e-4, 2e-5), 0.0 if damping else 3e-6
+        along = along_last(axes, [1.0], [start], [position_uncertainty])
         rows, now = [[torque] for torque in (*held[1:], 0.0)], Acting([highest], [lowest])
         base = base_of(axes, [1.0], [start], along, held[:1], rows, 0, DELAY, now)
-        moved, older = start + blur + 1e-6, highest
+        moved, older = start + position_uncertainty + 1e-6, highest
         for torque, following in zip(held, [*held[1:], None], strict=True):
             counted = max(0.0, torque) + response.late * max(0.0, older - torque)
             older = torque + timing.left * max(0.0, older - torque)
@@ -332,7 +332,7 @@ def test_where_axes_act_apart_nothing_before_the_new_torque_depends_on_its_share
     loop = LoopProperties(sample_time=T, delay=2, moving_mass=0.25, device_damping_bound=0.0, torque_window=late)
     apart = AxesApart(axes_of((loop,), 1.0, None), 2, 1)
     apart.take((1e-3,), (0.0,), (2.0,), [(1.0,), (-1.0,)])
-    write_cells(apart.axes, apart.limits, apart.memory, apart.coming, [5.0], [0.0])
+    write_cells(apart.axes, apart.limits, apart.memory, apart.mover_motion, [5.0], [0.0])
     memory, before = apart.memory, apart.memory.ends[1]
     assert before > 0
     assert not any(memory.linear[:before])

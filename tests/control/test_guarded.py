@@ -264,4 +264,4 @@ def test_every_change_of_torque_leaves_half_an_encoder_count_unsure() -> None:
     torques = (1.0, -2.0, 0.5)
     for torque in torques:
         end_hold(declared, bound, memory, 0.0, torque)
-    assert bound.unsure == pytest.approx(0.5 * count * (1.0 + 3.0 + 2.5 + abs(torques[-1])), rel=1e-14)
+    assert bound.uncertainty == pytest.approx(0.5 * count * (1.0 + 3.0 + 2.5 + abs(torques[-1])), rel=1e-14)

@@ -18,14 +18,14 @@ def test_what_a_medium_relaxes_is_dissipated_and_no_more_than_is_stored(stored: 
     """At `share` 0.5 the medium holds more than the account has for it, so that nothing is lost by its relaxation."""
     medium = ViscoelasticMedium(stiffness=500.0, relaxation_time=0.01, damping=0.0)
     settings = settings_of(medium, GuardedParameters(hand_force=1.0), LOOP)
-    state = GuardedState(h_s=stored, kept_back=0.25)
+    state = GuardedState(h_s=stored, unrecovered=0.25)
     before = medium.stored_energy(2e-3)
     relaxed, left, lost = relax(medium, settings, state, 2e-3, share * before, 2)
     assert relaxed == pytest.approx(medium.relaxed(2e-3, 2.0 * T))
     assert left == medium.stored_energy(relaxed)
     assert left < 0.9 * before
     assert lost == (0.0 if share < 1.0 else min(stored, before - left))
-    assert (state.h_s, state.kept_back) == (stored - lost, 0.25 + lost)
+    assert (state.h_s, state.unrecovered) == (stored - lost, 0.25 + lost)
 
 
 def begun() -> tuple[GuardedSettings, GuardedState, Memory]:
@@ -45,18 +45,18 @@ def test_of_a_hold_that_lasted_longer_the_mean_motion_goes_on_and_the_next_one_i
     assert displacement == pytest.approx(0.003)
     assert state.bound.displacement == pytest.approx(0.003 / lasted)
     assert lasted == 1.0 or state.motion.step == pytest.approx(0.003 / lasted)
-    assert (state.bound.blur > 0.0) is (lasted > 1.0)
+    assert (state.bound.position_uncertainty > 0.0) is (lasted > 1.0)
     assert state.axis.lasted == 1.0
 
 
 def test_behind_lost_samples_the_newest_torque_acts_and_the_difference_from_the_older_one_is_in_doubt() -> None:
     settings, state, memory = begun()
     state.axis.missed = 1
-    displacement, damper, modulated, unsure = end(settings, state, memory, 0.014, 2.0)
+    displacement, damper, modulated, uncertainty = end(settings, state, memory, 0.014, 2.0)
     assert (displacement, damper, modulated) == (pytest.approx(0.004), 0.0, 0.0)
     assert state.bound.displacement == state.motion.step == pytest.approx(0.002)
-    assert unsure == pytest.approx(state.bound.resolution / 2.0)
-    assert unsure > 1.5 * 0.004
+    assert uncertainty == pytest.approx(state.bound.resolution / 2.0)
+    assert uncertainty > 1.5 * 0.004
     assert (state.axis.oldest, state.axis.missed, state.bound.first) == (1, 0, 0)
     assert memory.axis.commands.torques[0] == 2.0
 

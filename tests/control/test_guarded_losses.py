@@ -56,7 +56,7 @@ def dragged(delay: int, losses: int, seed: int) -> tuple[float, float]:
     position, held, energy, least, strongest, rest = 0.0, 0.0, CREDIT, 0.0, 0.0, 0
     pending, back, press = [0.0] * delay, 0.0, rng.random()
     for cycle in range(300):
-        balance = controller.hold() if back else controller.step(position, held)
+        balance = controller.sample_lost() if back else controller.step(position, held)
         pending.append(balance.torque)
         held = pending.pop(0)
         rest -= 1
@@ -108,11 +108,11 @@ def test_a_sync_that_was_skipped_behind_a_lost_sample_counts_as_another_lost_one
         )
         for position in (0.0, 1e-3, 3e-3):
             held = controller.step(position, 0.0).torque
-        controller.hold()
+        controller.sample_lost()
         if is_skipped:
             controller.lasted(2.0)
         else:
-            controller.hold()
+            controller.sample_lost()
         balances = [controller.step(6e-3, held), controller.step(7e-3, held)]
         states.append((balances, controller._state.bound, controller._state.axis))
     assert states[0] == states[1]

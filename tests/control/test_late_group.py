@@ -21,7 +21,7 @@ from canhaptic.control.multi_axis.group_account import (
 )
 from canhaptic.control.multi_axis.group_certificates import AxisLimits, axes_of, pass_range, response_to_late
 from canhaptic.control.multi_axis.group_kernel import no_group_holds
-from canhaptic.control.multi_axis.group_rendering import UnderWay, free_energy, shares
+from canhaptic.control.multi_axis.group_rendering import QueuedTorques, free_energy, shares
 from canhaptic.control.multi_axis.per_axis_certificates import per_axis_limits
 from canhaptic.control.passivity.controller import LoopProperties
 
@@ -58,7 +58,7 @@ def group_of(seed: int) -> Group:
     for i in range(2):
         torque = draw.uniform(-3.0, 3.0)
         memory.displacement[i], memory.torques[i] = draw.uniform(-2e-5, 2e-5), torque
-        memory.blur[i] = draw.choice([0.0, 3e-7])
+        memory.position_uncertainty[i] = draw.choice([0.0, 3e-7])
         memory.before.highest[i], memory.before.lowest[i] = (
             torque + draw.uniform(0.0, 2.0),
             torque - draw.uniform(0.0, 2.0),
@@ -126,7 +126,7 @@ def test_an_older_torque_moves_the_group_along_a_torque_by_half_the_sum_of_both_
 def reach(group: Group, i: int, sign: float, hold: int, norm: float) -> float:
     """X of (2)."""
     axes, memory, s = group.axes, group.memory, group.axes.timing.share[i]
-    moved = sign * memory.displacement[i] + axes.counts[i] + memory.blur[i]
+    moved = sign * memory.displacement[i] + axes.counts[i] + memory.position_uncertainty[i]
     if moved < 0.0:
         moved *= (1.0 - axes.lost[i]) ** (hold - 1) / axes.timing.growth
     step = axes.timing.roots[i] * norm
@@ -197,7 +197,7 @@ def test_a_hold_with_late_torques_is_in_doubt_by_what_they_differ_by_over_how_fa
             s, torque = timing.share[i], memory.torques[i]
             apart = abs(held[i] - torque) + timing.left[i] * max(high[i] - torque, torque - low[i])
             path = abs(moved[i]) + axes.counts[i]
-            start = abs(memory.displacement[i]) + memory.blur[i] + axes.counts[i]
+            start = abs(memory.displacement[i]) + memory.position_uncertainty[i] + axes.counts[i]
             step = timing.swing[i] * (0.5 + s) * timing.roots[i] * push
             by_hand += apart * s * (max(start, timing.swing[i] * path) + step if axes.by_hand else axes.path)
             damped += apart * s * (path + apart / (4.0 * axes.damping[i])) if axes.by_damping else 0.0
@@ -262,7 +262,7 @@ def test_where_axes_act_apart_damping_and_speed_pay_for_all_that_may_act_and_its
         memory.before.highest[:], memory.before.lowest[:] = group.memory.before
         settings, energy = AccountSettings(axes, apart, moves=False), draw.uniform(0.0, 2e-2)
         damped, paths = older_needs(axes, memory)
-        found = shares(settings, account, memory, UnderWay(group.under_way, 0, 1), group.asked, energy)
+        found = shares(settings, account, memory, QueuedTorques(group.under_way, 0, 1), group.asked, energy)
         sent = [[memory.torques[i], group.under_way[0][i]] for i in range(2)]
         strongest = [max(map(abs, row)) for row in sent]
         for i in range(2):  # any of both acts in the next two holds, the new one in the two after the first
@@ -299,7 +299,7 @@ def test_free_and_share_are_what_torques_under_way_leave_of_damping_and_of_the_w
         ]
         squares = sum(sum(f * f for f in row) / q for row, q in zip(held, axes.squares, strict=True) if q) + damped
         ways = axes.path * sum(map(sum, held)) + paths
-        under_way = UnderWay(group.under_way, 0, 1)
+        under_way = QueuedTorques(group.under_way, 0, 1)
         left_damped, left_way = energy + account.dissipated - squares, energy - ways
         free = max(left_damped if axes.by_damping else 0.0, left_way if axes.path else 0.0, 0.0)
         assert free_energy(settings, account, memory, under_way, energy) == pytest.approx(free), seed

@@ -92,9 +92,9 @@ def test_10_under_saturation_the_torque_read_back_keeps_the_account_exact(algori
     run = sampled(USER_S, made, 1e-3, 3.0, torque_limit=limit)
     assert np.abs(run.torque).max() == limit
     true = -np.cumsum(run.torque[1:] * np.diff(run.position))
-    believed = np.cumsum([balance.h_i for balance in run.balances[1:]])
+    accounted = np.cumsum([balance.h_i for balance in run.balances[1:]])
     commanded = -np.cumsum([b.torque for b in run.balances[:-1]] * np.diff(run.position))
-    assert np.abs(believed - true).max() <= 1e-14
+    assert np.abs(accounted - true).max() <= 1e-14
     assert np.abs(commanded - true).max() > 0.01
 
 
@@ -120,10 +120,10 @@ def test_12_believed_and_true_energy_differ_by_no_more_than_the_bound_of_the_enc
     made = paper(SpringDamperWall(stiffness=1000.0, damping=5.0), 1e-3, delay)
     run = sampled(USER_S, made, 1e-3, 3.0, delay, count=count)
     true = -np.cumsum(run.torque[1:] * np.diff(run.position))
-    believed = np.cumsum([balance.h_i for balance in run.balances[1:]])
+    accounted = np.cumsum([balance.h_i for balance in run.balances[1:]])
     variation = np.cumsum(np.abs(np.diff(run.torque)))
     bound = 0.5 * count * (variation + np.abs(run.torque[1:]))
-    error = np.abs(believed - true)
+    error = np.abs(accounted - true)
     assert np.all(error <= bound * (1.0 + 1e-9) + 1e-15)
     assert error.max() > 0.02 * bound[error.argmax()]
 
@@ -133,7 +133,7 @@ def test_13_after_a_lost_position_the_velocity_is_that_of_both_holds(algorithm):
     made = build_controller(ViscousMedium(damping=6.0), algorithm, None, LoopProperties(sample_time=1e-3))
     made.step(0.0, 0.0)
     before = made.step(0.001, 0.0)
-    made.hold()
+    made.sample_lost()
     assert before.torque == pytest.approx(-6.0)
     assert made.step(0.003, before.torque).torque == pytest.approx(-6.0)
 

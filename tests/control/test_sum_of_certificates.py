@@ -85,7 +85,9 @@ def test_by_the_hand_force_alone_the_largest_torque_is_that_of_the_sum(sign):
         draw = random.Random(seed)
         known = declared(hand_force=draw.choice([0.0, 5.0]), delay=draw.choice([0, 1, 3]))
         known = replace(known, response=replace(known.response, push=draw.choice([7.0, math.inf])))
-        bound = TorqueBound(displacement=draw.uniform(-2e-4, 2e-4), torque=draw.uniform(-3.0, 3.0), blur=1e-6)
+        bound = TorqueBound(
+            displacement=draw.uniform(-2e-4, 2e-4), torque=draw.uniform(-3.0, 3.0), position_uncertainty=1e-6
+        )
         bound.out, bound.turning = draw.choice([1.0, -1.0]), draw.choice([0, 0, 1])
         memory = bound_memory(known, [draw.uniform(-1.0, 1.0) for _ in range(4)], list_of_zeros)
         energy = draw.uniform(-1e-4, 2e-3)

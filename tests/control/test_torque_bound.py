@@ -45,7 +45,9 @@ def declared_of(draw: random.Random, **given: float) -> Declared:
 
 def bound_of(draw: random.Random) -> TorqueBound:
     torque = draw.uniform(-3.0, 3.0)
-    bound = TorqueBound(displacement=draw.uniform(-1e-5, 1e-5), torque=torque, blur=draw.choice([0.0, 3e-7]))
+    bound = TorqueBound(
+        displacement=draw.uniform(-1e-5, 1e-5), torque=torque, position_uncertainty=draw.choice([0.0, 3e-7])
+    )
     bound.highest, bound.lowest = torque + draw.choice([0.0, 0.9]), torque - draw.choice([0.0, 0.7])
     bound.most, bound.least = torque + draw.uniform(0.0, 0.5), torque - draw.uniform(0.0, 0.5)
     bound.out, bound.turning = draw.choice([1.0, -1.0, 0.0]), draw.choice([0, 0, 2])
@@ -81,7 +83,7 @@ def test_a_hold_is_kept_with_what_the_device_dissipated_and_what_the_encoder_lea
         known = declared_of(draw, late=0.0)
         half = 0.5 * known.encoder_count
         bound, memory = TorqueBound(), bound_memory(known, [0.0], list_of_zeros)
-        bound.turning, bound.blur = 2, 1.0
+        bound.turning, bound.position_uncertainty = 2, 1.0
         holds = [(draw.uniform(-4e-6, 4e-6), draw.uniform(-3.0, 3.0)) for _ in range(draw.choice([3, WINDOW + 5]))]
         dissipated = changes = before = 0.0
         lazy = TorqueBound()
@@ -93,10 +95,10 @@ def test_a_hold_is_kept_with_what_the_device_dissipated_and_what_the_encoder_lea
             changes, before = changes + half * abs(torque - before), torque
         assert close(bound.dissipated, dissipated)
         assert close(bound.certain, dissipated)
-        assert (bound.displacement, bound.torque, bound.blur, bound.turning) == (*holds[-1], 0.0, 0)
+        assert (bound.displacement, bound.torque, bound.position_uncertainty, bound.turning) == (*holds[-1], 0.0, 0)
         if half:
             assert close(bound.changes, changes)
-            assert close(bound.unsure, changes + half * abs(before))
+            assert close(bound.uncertainty, changes + half * abs(before))
             assert bound.kept == min(len(holds), WINDOW)
             assert math.isnan(bound.upward)
             assert math.isnan(bound.downward)
@@ -184,7 +186,10 @@ def test_a_late_torque_leaves_in_doubt_what_it_differs_by_over_how_far_it_is_car
             out = -1.0 if before.out < 0.0 else 1.0
             strongest = max(0.0, out * torque, before.highest if out > 0.0 else -before.lowest)
             counted = max(0.0, before.most if out > 0.0 else -before.least)
-            up = r.share * max(0.0, out * before.displacement + count + before.blur) + r.tail_before * counted
+            up = (
+                r.share * max(0.0, out * before.displacement + count + before.position_uncertainty)
+                + r.tail_before * counted
+            )
             up += r.tail_during * strongest + r.tail_hand * r.hand
             down = r.share * max(0.0, count - out * moved) + r.tail_before * strongest + r.tail_hand * r.hand
             down *= r.swing
@@ -214,7 +219,7 @@ def test_a_longer_hold_counts_by_its_last_sample_time_give_or_take_what_forces_g
         step = (r.before + r.during) * torque + (r.push if r.push < math.inf else r.hand)
         excursion = abs(before.displacement) + known.encoder_count + lasted**2 * step
         assert close(bound.displacement, before.displacement / lasted)
-        assert close(bound.blur, 0.5 * (lasted - 1.0) * step + (r.growth - r.retained) * excursion)
+        assert close(bound.position_uncertainty, 0.5 * (lasted - 1.0) * step + (r.growth - r.retained) * excursion)
         assert bound.kept == 0
         path = max(0.0, abs(before.displacement) - known.encoder_count)
         taken = known.damping / known.sample_time * path**2 * (1.0 - 1.0 / lasted)  # (D/n)^2 n in place of D^2
@@ -254,11 +259,13 @@ def test_lost_samples_leave_in_doubt_the_difference_of_torques_over_the_farthest
         doubt = for_all
         if known.by_hand_force:
             step = (r.before + r.during) * largest + (r.push if r.push < math.inf else r.hand)
-            begin, grown = abs(before.displacement) + before.blur + count, r.growth**holds
+            begin, grown = abs(before.displacement) + before.position_uncertainty + count, r.growth**holds
             excursion = abs(moved) + count + grown * holds * (begin + holds * step)
             doubt = uncertain * apart * excursion
-            blur = 0.5 * (holds - 1) * step + (1.0 - r.retained) * holds * excursion + (grown - 1.0) * excursion
-            assert close(bound.blur, blur), seed
+            position_uncertainty = (
+                0.5 * (holds - 1) * step + (1.0 - r.retained) * holds * excursion + (grown - 1.0) * excursion
+            )
+            assert close(bound.position_uncertainty, position_uncertainty), seed
         elif known.hand_speed:
             doubt = uncertain * apart * known.hand_speed * known.sample_time
         ways.add((known.by_hand_force, bool(known.hand_speed), bool(b), bool(known.losses), known.late > 0.0))
@@ -267,7 +274,7 @@ def test_lost_samples_leave_in_doubt_the_difference_of_torques_over_the_farthest
         assert close(bound.dissipated, before.dissipated + earned), seed
         assert close(bound.certain, before.certain + earned + (doubt - for_all if b else 0.0)), seed
         assert close(bound.changes, before.changes + holds * count * largest), seed
-        assert close(bound.unsure, before.changes + holds * count * largest + 0.5 * count * abs(torque)), seed
+        assert close(bound.uncertainty, before.changes + holds * count * largest + 0.5 * count * abs(torque)), seed
         assert (bound.displacement, bound.torque) == (moved / holds, torque)
         assert bound.kept == 0
         assert math.isnan(bound.upward)

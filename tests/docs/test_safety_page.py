@@ -28,14 +28,14 @@ def stalled_run(max_consecutive_losses: int) -> tuple[float, float, int]:
 
 
 def test_holds_longer_than_certified_give_energy_out_and_the_account_says_so() -> None:
-    believed, true, skipped = stalled_run(max_consecutive_losses=0)
+    accounted, true, skipped = stalled_run(max_consecutive_losses=0)
     assert skipped > 200
     assert true < -1e-3
-    assert abs(believed - true) < 1e-4
+    assert abs(accounted - true) < 1e-4
 
 
 def test_lost_frames_help_against_stalls() -> None:
-    believed, true, skipped = stalled_run(max_consecutive_losses=16)
+    accounted, true, skipped = stalled_run(max_consecutive_losses=16)
     assert skipped > 200
     assert 0.2 * stalled_run(max_consecutive_losses=0)[1] < true
-    assert abs(believed - true) < 1e-4
+    assert abs(accounted - true) < 1e-4

@@ -9,11 +9,11 @@ import pytest
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.canopen.force_node import ForceNode
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
-from canhaptic.drive.can.display_drive import DisplayDrive
+from canhaptic.drive.can.admittance_drive import AdmittanceDrive
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
-from canhaptic.drive.profile.display_parameters import DisplayParameters, ForceParameters
+from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceParameters
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import RigError, StartError
 from tests.drive.drive_bench import REPOSITORY, axis, private_channel
@@ -27,7 +27,7 @@ CYCLES = 200
 def display(kind: str) -> AxisParameters:
     source = {"node": ForceNode(node_id=0x21)} if kind == "sensor" else {"object": "0x2205.1"}
     force = ForceParameters(per_count=0.01, range=300.0, slew=5e3, error=0.5, **source)
-    parameters = DisplayParameters(mode="position", acceleration_limit=50.0, handle_acceleration=80.0, force=force)
+    parameters = AdmittanceParameters(mode="position", acceleration_limit=50.0, handle_acceleration=80.0, force=force)
     return axis(
         NODE,
         name="handle",
@@ -50,7 +50,7 @@ class OddBench:
             drive = ServoDrive(link, one, read_dictionary(one.eds, NODE), parameters)
         else:
             one = display(kind)
-            drive = DisplayDrive(link, one, read_dictionary(one.eds, NODE), parameters)
+            drive = AdmittanceDrive(link, one, read_dictionary(one.eds, NODE), parameters)
         self.rig = Rig(link, [drive], parameters)
 
     def record(self, _time: int, can_id: int, data: bytes | bytearray, is_rx: bool) -> None:

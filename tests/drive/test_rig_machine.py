@@ -193,9 +193,11 @@ class RigUnderStress(RuleBasedStateMachine):
             assert self.trouble <= self.most_cycles, "the rig runs on"
         self._check_rate()
         if self.rig.records[-1].samples[0].fresh:
-            believed, true = self.cycle.ledgers[0].interaction, self.work_before - self.mass.work
-            unsure = self.cycle.meters.of_axes[0].measured().energy_resolution  # a lost position hides a torque's end
-            assert believed <= true + unsure + ROUNDING, "more was booked than came in"
+            accounted, true = self.cycle.ledgers[0].interaction, self.work_before - self.mass.work
+            uncertainty = (
+                self.cycle.meters.of_axes[0].measured().energy_resolution
+            )  # a lost position hides a torque's end
+            assert accounted <= true + uncertainty + ROUNDING, "more was booked than came in"
             # after a lost sample the booked energy is a worst case and may fall below what came in; the true one not
             assert true >= -ROUNDING, "more was given out than came in"
 

@@ -73,8 +73,8 @@ def test_every_axis_has_its_own_account_by_one_sync_index(axes: int, buses: int,
         assert {sample.sync_index for sample in rig.records[-1].samples} == {rig.sync_index}
         assert cycle.judge is not None
         variations = _torque_variations(experiment)
-        for believed, error, variation in zip(cycle.ledgers, cycle.judge.believed_error, variations, strict=True):
-            assert believed.interaction > 0.0
+        for accounted, error, variation in zip(cycle.ledgers, cycle.judge.believed_error, variations, strict=True):
+            assert accounted.interaction > 0.0
             assert error <= 0.5 * COUNT * variation + 1e-12  # what the encoder can hide
         energies = [ledger.interaction for ledger in cycle.ledgers]
         assert len({round(energy, 6) for energy in energies}) == axes, "accounts of two axes are the same"

@@ -50,8 +50,8 @@ class Watched:
         self.last = torque_applied
         return self.inner.step(position, torque_applied)
 
-    def hold(self) -> EnergyBalance:
-        return self.inner.hold()
+    def sample_lost(self) -> EnergyBalance:
+        return self.inner.sample_lost()
 
 
 class Outcome(NamedTuple):
@@ -74,9 +74,9 @@ def disturbed(*overrides: str, cycles: int = 1500) -> Outcome:
         [inner] = cycle.controllers
         watched = Watched(inner)
         cycle.controllers = (watched,)  # type: ignore[assignment]
-        believed = Overbelief(experiment)
+        accounted = Overbelief(experiment)
         try:
-            run(cycle, cycles, progress=believed.look)
+            run(cycle, cycles, progress=accounted.look)
         except RigError as raised:
             error = raised
         heard = []
@@ -94,7 +94,7 @@ def disturbed(*overrides: str, cycles: int = 1500) -> Outcome:
             cycle.cycles,
             experiment.rig.link_statistics(),
             Counter(experiment.faulty_bus.counts),
-            believed.most,
+            accounted.most,
             0.5 * COUNT * (watched.variation + abs(watched.last)) + 1e-12,
             judge.least[0],
             cycle.ledgers[0].summary().energy_in,

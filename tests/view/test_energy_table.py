@@ -117,7 +117,7 @@ def test_a_port_that_gave_energy_away_is_marked() -> None:
 
 
 @pytest.mark.parametrize(
-    ("least", "unsure", "verdict"),
+    ("least", "uncertainty", "verdict"),
     [
         (0.0, 0.0, "yes"),
         (-0.9e-6, 0.0, "yes"),  # below the tolerance, which is for rounding and encoder
@@ -126,9 +126,9 @@ def test_a_port_that_gave_energy_away_is_marked() -> None:
         (-1e-3, 0.99e-3, "NO"),
     ],
 )
-def test_a_port_is_passive_in_doubt_or_not(least: float, unsure: float, verdict: str) -> None:
+def test_a_port_is_passive_in_doubt_or_not(least: float, uncertainty: float, verdict: str) -> None:
     content = result(["handle"])
-    content["ports"]["handle"] |= {"least_interaction": least, "unsure": unsure, "certificate": "none"}
+    content["ports"]["handle"] |= {"least_interaction": least, "unsure": uncertainty, "certificate": "none"}
     assert row_of(content, "passive at the motor (eq. 3)") == verdict
 
 

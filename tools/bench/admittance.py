@@ -18,9 +18,9 @@ from scipy.linalg import expm
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.control.admittance.declared_hand import damping_border
-from canhaptic.control.admittance.group_environment import DisplayMass
-from canhaptic.control.admittance.port import DisplayProperties
-from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
+from canhaptic.control.admittance.group_environment import AdmittanceMass
+from canhaptic.control.admittance.port import AdmittanceProperties
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
@@ -57,11 +57,11 @@ _HEAVY = 6.5  # above M + c tau at the lowest rate, where none of the others is 
 def _display(rate: int, asked: float, algorithm: str, seed: int, *, damping: float = 5.0) -> Display:
     """Returns the rig of the figures: 2 kg, a loop of 50 Hz, the force as a mean, and one of many hands."""
     random = Random(seed)
-    properties = DisplayProperties(
+    properties = AdmittanceProperties(
         sample_time=1.0 / rate, delay=1, sampling="mean", force_slew=5e3, handle_acceleration=20.0, encoder_count=1e-6,
         speed_limit=2.0, acceleration_limit=500.0,
     )  # fmt: skip
-    guarded = GuardedDisplayParameters(drive_mass=_MASS, loop_gain=_GAIN, energy_allowance=1e-3, spread=0.1)
+    guarded = GuardedAdmittanceParameters(drive_mass=_MASS, loop_gain=_GAIN, energy_allowance=1e-3, spread=0.1)
     grip = GripParameters(
         mass=random.choice([0.05, 0.3, 1.0, 3.0]),
         stiffness=random.choice([2e3, 1e4, 3e4]),
@@ -75,7 +75,7 @@ def _display(rate: int, asked: float, algorithm: str, seed: int, *, damping: flo
     return Display(
         PlantParameters(mass=_MASS, damping=0.0),
         AdmittanceSimulation(loop=loop, grip=grip, sensor=SimulatedForceSensor(sampling="mean")), hand,
-        DisplayMass(mass=asked, damping=damping), properties, algorithm, guarded if algorithm == "guarded" else None,
+        AdmittanceMass(mass=asked, damping=damping), properties, algorithm, guarded if algorithm == "guarded" else None,
     )  # fmt: skip
 
 

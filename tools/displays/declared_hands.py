@@ -86,8 +86,8 @@ def spring_energies(
     queue = [np.zeros(hands) for _ in range(rig.delay)]
     for hold in range(holds):
         force = stiffness * (far - position)
-        wish = rendered + rig.time * force / rig.virtual_mass
-        sign = np.where(wish >= 0.0, 1.0, -1.0)
+        request = rendered + rig.time * force / rig.virtual_mass
+        sign = np.where(request >= 0.0, 1.0, -1.0)
         along = sign * force
         under_way = sign * sum(queue, np.zeros(hands))
         base = np.zeros(hands)
@@ -98,7 +98,7 @@ def spring_energies(
         inside = along * along + 2.0 * rig.stiffest * np.maximum(energy, 0.0)
         way = (along + np.sqrt(inside)) / rig.stiffest
         most = np.maximum((way - base) / rig.time, 0.0)
-        command = sign * np.minimum(np.abs(wish), most)
+        command = sign * np.minimum(np.abs(request), most)
         rendered = command
         moved += int((np.abs(command) > _STILL).sum())
         queue.append(command)
@@ -168,10 +168,10 @@ def mass_energies(
     for hold in range(holds):
         side = sides[hold]
         force = stiffness * (far - position) - damping * speed - mass * rise
-        wish = speed + time * force / rig.virtual_mass
+        request = speed + time * force / rig.virtual_mass
         tried = speed + parts
         fits = _fits(rig, energy, force, speed, tried, rise, brakes=brakes)
-        off = np.where(fits, np.abs(tried - wish), np.inf)
+        off = np.where(fits, np.abs(tried - request), np.inf)
         best = off.argmin(axis=0)
         none = ~np.isfinite(off).any(axis=0)
         towards_rest = speed * (1.0 - 1.0 / np.maximum(np.ceil(np.abs(speed) / change - 1e-9), 1.0))

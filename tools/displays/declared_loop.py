@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from canhaptic.control.admittance import build_display_controller
-from canhaptic.control.admittance.group_environment import DisplayMass
-from canhaptic.control.admittance.port import DisplayProperties
-from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
+from canhaptic.control.admittance.group_environment import AdmittanceMass
+from canhaptic.control.admittance.port import AdmittanceProperties
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.balance import Certificate
 from canhaptic.errors import ForceContradictedError
 
@@ -176,18 +176,18 @@ def _follow(half: _Hold, state: Array, energy: float, found: DeclaredOutcome) ->
 
 
 def _controller(rig: DeclaredRig) -> Any:
-    properties = DisplayProperties(
+    properties = AdmittanceProperties(
         sample_time=rig.time, delay=rig.delay, sampling="point" if rig.sampling == "point" else "mean",
         latency=rig.latency, force_slew=rig.slew, handle_acceleration=rig.acceleration, speed_limit=2.0,
         acceleration_limit=500.0,
     )  # fmt: skip
-    parameters = GuardedDisplayParameters(
+    parameters = GuardedAdmittanceParameters(
         drive_mass=rig.moved * rig.above, loop_gain=rig.gain * rig.above, spread=rig.spread,
         energy_allowance=rig.allowance, hand_stiffness=rig.stiffness * rig.share, hand_speed=rig.speed * rig.share,
         hand_mass=rig.mass * rig.share, hand_damping=rig.damping * rig.share, drive_friction=0.0,
     )  # fmt: skip
     return build_display_controller(
-        DisplayMass(mass=rig.virtual_mass, damping=rig.virtual_damping), "guarded", parameters, properties
+        AdmittanceMass(mass=rig.virtual_mass, damping=rig.virtual_damping), "guarded", parameters, properties
     )
 
 

@@ -8,8 +8,8 @@ from random import Random
 from typing import Any
 
 from canhaptic.control.admittance import build_display_controller
-from canhaptic.control.admittance.display_environment import DisplayEnvironment
-from canhaptic.control.admittance.port import DisplayProperties
+from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
+from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.balance import Branch, Certificate
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import PlantParameters
@@ -33,8 +33,8 @@ class Display:
     plant: PlantParameters
     simulation: AdmittanceSimulation
     user: UserParameters | None
-    environment: DisplayEnvironment
-    properties: DisplayProperties
+    environment: AdmittanceEnvironment
+    properties: AdmittanceProperties
     algorithm: str
     parameters: Parameters | None = None
     effects: tuple[Effect, ...] = ()
@@ -115,7 +115,7 @@ def run(display: Display, cycles: int, *, keeps: bool = False) -> Outcome:
             counts = round(shown / _IMPULSE) * _IMPULSE
             shown = (counts - heard[1]) / ((k - heard[0]) * properties.sample_time) if k else 0.0
             heard = k, counts
-        balance = controller.hold() if lost else controller.step(position, -shown)
+        balance = controller.sample_lost() if lost else controller.step(position, -shown)
         queue.append(balance.torque)
         _take(found, plant, balance, properties)
         if properties.latency == 0 and balance.branch != _HELD:
@@ -146,7 +146,7 @@ def watch(found: Outcome, plant: AdmittancePlant, before: _Motion, time: float) 
     return force, velocity, position
 
 
-def _take(found: Outcome, plant: AdmittancePlant, balance: Any, properties: DisplayProperties) -> None:
+def _take(found: Outcome, plant: AdmittancePlant, balance: Any, properties: AdmittanceProperties) -> None:
     found.last = true = -plant.energy().motor
     found.believed += balance.h_i
     found.least = min(found.least, true)

@@ -6,7 +6,7 @@ from typing import Any
 
 from canhaptic.control.admittance import build_display_group
 from canhaptic.control.admittance.group_environment import GroupMass, PathMass
-from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.balance import Certificate
 from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.mechanisms.planar_2r import Planar2R
@@ -20,12 +20,12 @@ _PARTS = 4
 
 
 @dataclass(frozen=True)
-class DisplayGroup:
+class AdmittanceGroup:
     """The axes, each with a rig and a hand of its own, and what they render together."""
 
     axes: tuple[Display, ...]
     environment: GroupMass
-    parameters: GuardedDisplayParameters
+    parameters: GuardedAdmittanceParameters
     kinematics: Kinematics | None = None  # None: the axes are the coordinates of what is rendered
 
 
@@ -48,11 +48,11 @@ _NO_HAND = {
 }  # fmt: skip
 
 
-def random_group(seed: int) -> DisplayGroup:
+def random_group(seed: int) -> AdmittanceGroup:
     """Returns two displays that differ in rig, sensor and hand, with one account."""
     random, first = Random(seed), random_display(2 * seed, "guarded")
     known = first.parameters
-    assert isinstance(known, GuardedDisplayParameters)
+    assert isinstance(known, GuardedAdmittanceParameters)
     second = random_display(2 * seed + 1, "guarded")
     plant = first.plant.model_copy(update={"mass": first.plant.mass * random.uniform(0.7, 1.0)})
     shared = {key: getattr(first.properties, key) for key in ("sample_time", "delay", "latency")}
@@ -73,10 +73,10 @@ def random_group(seed: int) -> DisplayGroup:
     first, other = (
         replace(axis, properties=axis.properties.model_copy(update={"jitter": 0.0})) for axis in (first, other)
     )
-    return DisplayGroup((first, other), environment, known.model_copy(update=_NO_HAND))
+    return AdmittanceGroup((first, other), environment, known.model_copy(update=_NO_HAND))
 
 
-def on_an_arm(group: DisplayGroup) -> DisplayGroup:
+def on_an_arm(group: AdmittanceGroup) -> AdmittanceGroup:
     """Returns a group whose axes are the joints of an arm of two links [rad], around a pose that is not singular."""
     random = Random(group.axes[0].seed)
     arm = Planar2R(first=random.uniform(0.2, 0.5), second=random.uniform(0.2, 0.5))
@@ -103,7 +103,7 @@ def _with_means(display: Display) -> Display:
     )  # fmt: skip
 
 
-def run_group(group: DisplayGroup, cycles: int) -> GroupOutcome:
+def run_group(group: AdmittanceGroup, cycles: int) -> GroupOutcome:
     """Returns what so many SYNCs came to."""
     axes, random = group.axes, Random(group.axes[0].seed)
     properties, period = [axis.properties for axis in axes], round(axes[0].properties.sample_time * 1e9)
@@ -132,7 +132,7 @@ def run_group(group: DisplayGroup, cycles: int) -> GroupOutcome:
             for plant, c in zip(plants, counts, strict=True)
         ]
         lost = k > 3 and random.random() < axes[0].samples_lost
-        balance = controller.hold() if lost else controller.step(positions, shown)
+        balance = controller.sample_lost() if lost else controller.step(positions, shown)
         queue.append(list(balance.torques))
         energies = [-plant.energy().motor for plant in plants]
         found.least, found.given_by_one = min(found.least, sum(energies)), min(found.given_by_one, *energies)
@@ -145,7 +145,7 @@ def run_group(group: DisplayGroup, cycles: int) -> GroupOutcome:
     return found
 
 
-def with_true_group_bounds(group: DisplayGroup, cycles: int) -> tuple[DisplayGroup, GroupOutcome] | None:
+def with_true_group_bounds(group: AdmittanceGroup, cycles: int) -> tuple[AdmittanceGroup, GroupOutcome] | None:
     """Returns a group whose declared slew and acceleration hold, with its run; None where none was found."""
     for _ in range(3):
         found = run_group(group, cycles)
@@ -164,7 +164,7 @@ def with_true_group_bounds(group: DisplayGroup, cycles: int) -> tuple[DisplayGro
     return None
 
 
-def false_group_claims(group: DisplayGroup, found: GroupOutcome) -> list[str]:
+def false_group_claims(group: AdmittanceGroup, found: GroupOutcome) -> list[str]:
     """Returns what the account of a group says and the plants deny; the declarations being true."""
     claims = []
     if found.overclaimed > ROUNDING:

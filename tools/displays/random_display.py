@@ -6,11 +6,11 @@ from random import Random
 from typing import Any
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
+from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
 from canhaptic.control.admittance.cup_and_ball import CupAndBall
-from canhaptic.control.admittance.display_environment import DisplayEnvironment
-from canhaptic.control.admittance.group_environment import DisplayMass
-from canhaptic.control.admittance.port import DisplayProperties
-from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
+from canhaptic.control.admittance.group_environment import AdmittanceMass
+from canhaptic.control.admittance.port import AdmittanceProperties
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.sim.plant.effects import Effect, read_effect
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
@@ -41,14 +41,14 @@ def random_display(seed: int, algorithm: str | None = None) -> Display:
     loop = VelocityLoopParameters(gain=gain, integral_gain=integral, torque_limit=random.choice([None, 500.0]))
     losses = 0 if integral else random.choice([0, 0, 1, 2])
     jitter = random.choice([0.0, 0.0, 0.0, 0.05])
-    properties = DisplayProperties(
+    properties = AdmittanceProperties(
         sample_time=time, delay=random.choice([0, 1, 1, 2]), sampling=sensor.sampling,
         latency=sensor.latency, filter=sensor.filter, force_slew=2e4, handle_acceleration=200.0, force_error=error,
         encoder_count=random.choice([1e-7, 1e-6, 1e-5]), jitter=jitter, speed_quantum=1e-6,
         speed_limit=2.0, acceleration_limit=200.0, torque_limit=500.0,
     )  # fmt: skip
     name = algorithm or random.choice(["guarded", "guarded", "guarded", *DISPLAY_ALGORITHMS])
-    guarded = GuardedDisplayParameters(
+    guarded = GuardedAdmittanceParameters(
         drive_mass=mass * random.uniform(1.0, 1.1), loop_gain=gain * random.uniform(1.0, 1.1),
         integral_gain=integral * random.uniform(1.0, 1.1), spread=0.2,
         energy_allowance=random.choice([0.0, 1e-3, 1e-2]), max_consecutive_losses=losses,
@@ -65,7 +65,7 @@ def random_display(seed: int, algorithm: str | None = None) -> Display:
     return _with_declared_hand(display, guarded, random) if is_declared else display
 
 
-def _with_declared_hand(display: Display, guarded: GuardedDisplayParameters, random: Random) -> Display:
+def _with_declared_hand(display: Display, guarded: GuardedAdmittanceParameters, random: Random) -> Display:
     """Returns a display with a softer grip, which is declared; its far side and the friction as a run shows them.
 
     Without jitter, lost commands and another declaration of the hand.
@@ -119,7 +119,7 @@ def _has_declared_hand(display: Display) -> bool:
 
 def _is_declared_hand_true(display: Display, found: Outcome) -> bool:
     known = display.parameters
-    if not _has_declared_hand(display) or not isinstance(known, GuardedDisplayParameters):
+    if not _has_declared_hand(display) or not isinstance(known, GuardedAdmittanceParameters):
         return True
     return found.far_speed <= known.hand_speed
 
@@ -144,14 +144,14 @@ def _sensor(random: Random) -> tuple[SimulatedForceSensor, float]:
     return sensor, offset + drift * _DURATION + 3.0 * noise + 0.5 * quantum + counted
 
 
-def _environment(random: Random, algorithm: str) -> DisplayEnvironment:
+def _environment(random: Random, algorithm: str) -> AdmittanceEnvironment:
     lower_wall, damping = random.choice([-10.0, -0.03]), random.choice([0.0, 2.0, 10.0])
     if algorithm != "internal_dissipation" and random.random() < 0.2:
         return CupAndBall(
             cup=random.choice([0.2, 2.4]), ball=random.choice([0.1, 0.6, 2.0]), length=random.choice([0.05, 0.45]),
             damping=damping, lower_wall=lower_wall,
         )  # fmt: skip
-    return DisplayMass(
+    return AdmittanceMass(
         mass=random.choice([0.1, 0.5, 1.0, 2.0, 5.0]), damping=damping, stiffness=random.choice([0.0, 0.0, 200.0]),
         lower_wall=lower_wall,
     )  # fmt: skip

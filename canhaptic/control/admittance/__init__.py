@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from canhaptic.registry import load, load_algorithm
 
 if TYPE_CHECKING:
-    from canhaptic.control.admittance.port import DisplayProperties
+    from canhaptic.control.admittance.port import AdmittanceProperties
     from canhaptic.control.mechanisms.kinematics import Kinematics
     from canhaptic.control.multi_axis.group_controller import GroupController
     from canhaptic.control.passivity.controller import Controller
@@ -19,18 +19,18 @@ _HERE: Final = "canhaptic.control.admittance"
 _RIVALS: Final = "canhaptic.lab.rivals"
 
 DISPLAY_ENVIRONMENTS: Final[dict[str, str]] = {
-    "virtual_mass": f"{_HERE}.group_environment:DisplayMass",
+    "virtual_mass": f"{_HERE}.group_environment:AdmittanceMass",
     "cup_and_ball": f"{_HERE}.cup_and_ball:CupAndBall",
 }
 """Name in a scene -> "module:Class"; the class is the parameter model and the environment in one."""
 
 DISPLAY_ALGORITHMS: Final[dict[str, str]] = {
-    "unprotected": f"{_HERE}.unprotected_display:UnprotectedDisplay",
-    "internal_dissipation": f"{_HERE}.dissipating_display:DissipatingDisplay",
-    "passivity_observer": f"{_HERE}.observed_display:ObservedDisplay",
-    "energy_tank": f"{_RIVALS}.tank_display:TankDisplay",
-    "ultimately_passive": f"{_RIVALS}.ultimately_passive_display:UltimatelyPassiveDisplay",
-    "guarded": f"{_HERE}.guarded_display:GuardedDisplay",
+    "unprotected": f"{_HERE}.unprotected_admittance:UnprotectedAdmittance",
+    "internal_dissipation": f"{_HERE}.dissipating_admittance:DissipatingAdmittance",
+    "passivity_observer": f"{_HERE}.observed_admittance:ObservedAdmittance",
+    "energy_tank": f"{_RIVALS}.tank_admittance:TankAdmittance",
+    "ultimately_passive": f"{_RIVALS}.ultimately_passive_admittance:UltimatelyPassiveAdmittance",
+    "guarded": f"{_HERE}.guarded_admittance:GuardedAdmittance",
 }
 """Name in a scene -> "module:Class". Every class has `parameters_type` and takes (environment, parameters, loop)."""
 
@@ -42,16 +42,16 @@ DISPLAY_NETWORKS: Final[dict[str, str]] = {
 """The same for environments of several displays."""
 
 DISPLAY_GROUP_ALGORITHMS: Final[dict[str, str]] = {
-    "unprotected": f"{_HERE}.sampled_group:UnprotectedDisplayGroup",
-    "passivity_observer": f"{_HERE}.sampled_group:ObservedDisplayGroup",
-    "energy_tank": f"{_RIVALS}.tank_display:TankDisplayGroup",
-    "guarded": f"{_HERE}.display_group:GuardedDisplayGroup",
+    "unprotected": f"{_HERE}.sampled_group:UnprotectedAdmittanceGroup",
+    "passivity_observer": f"{_HERE}.sampled_group:ObservedAdmittanceGroup",
+    "energy_tank": f"{_RIVALS}.tank_admittance:TankAdmittanceGroup",
+    "guarded": f"{_HERE}.admittance_group:GuardedAdmittanceGroup",
 }
 """The same for algorithms of several displays; every class takes (environment, parameters, properties of each)."""
 
 
 def build_display_controller(
-    environment: Any, algorithm_name: str, parameters: "Parameters | None", properties: "DisplayProperties"
+    environment: Any, algorithm_name: str, parameters: "Parameters | None", properties: "AdmittanceProperties"
 ) -> "Controller":
     """Return the controller of one admittance display, at rest.
 
@@ -73,7 +73,7 @@ def build_display_group(
     environment: Any,
     algorithm_name: str,
     parameters: "Parameters",
-    properties: "Sequence[DisplayProperties]",
+    properties: "Sequence[AdmittanceProperties]",
     kinematics: "Kinematics | None" = None,
 ) -> "GroupController":
     """Return the controller of several admittance displays with one account, at rest.
@@ -89,13 +89,13 @@ def build_display_group(
         ParameterError: Unknown name, or parts that do not fit together.
     """
     from canhaptic.control.admittance.group_environment import TaskEnvironment
-    from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
+    from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
     from canhaptic.control.mechanisms.kinematics import Identity
 
     algorithm = load(DISPLAY_GROUP_ALGORITHMS, algorithm_name, "algorithm of several admittance displays")
     if kinematics is not None and not isinstance(kinematics, Identity):
         lag = 0.0
-        if isinstance(parameters, GuardedDisplayParameters):
+        if isinstance(parameters, GuardedAdmittanceParameters):
             lag = parameters.drive_mass / (parameters.loop_gain * (1.0 - parameters.spread))
         ahead = (properties[0].delay + properties[0].latency) * properties[0].sample_time + lag
         environment = TaskEnvironment(environment, kinematics, ahead)

@@ -12,14 +12,14 @@ they are usually cited, not read in the source.
 from math import cos, sin
 from typing import Annotated, ClassVar, Final
 
-from canhaptic.control.admittance.display_environment import DisplayEnvironment
+from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
 from canhaptic.kernels import Buffer
 from canhaptic.units import quantity
 
 _GRAVITY: Final = 9.80665  # standard gravity [m/s^2]
 
 
-class CupAndBall(DisplayEnvironment):
+class CupAndBall(AdmittanceEnvironment):
     """A cup with a ball, on an axis in metres."""
 
     states: ClassVar[int] = 3  # angle of the ball [rad], its rate [rad/s], its push on the cup in the last hold [N*s]

@@ -61,9 +61,9 @@ from dataclasses import dataclass
 from math import cos, exp, inf, log1p, sin, sqrt
 from typing import Final, NamedTuple
 
-from canhaptic.control.admittance.display_environment import DisplayMotion
+from canhaptic.control.admittance.admittance_environment import AdmittanceMotion
 from canhaptic.control.admittance.port import PortSettings
-from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters, VelocityLoopSettings, largest_square
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, VelocityLoopSettings, largest_square
 from canhaptic.kernels import Buffer, MakeBuffer
 
 
@@ -82,7 +82,7 @@ def held_back(settings: HandForceSettings, loop: VelocityLoopSettings, speed: fl
 
 
 def lost_to_hand(
-    settings: HandForceSettings, loop: VelocityLoopSettings, commands: Buffer, motion: DisplayMotion
+    settings: HandForceSettings, loop: VelocityLoopSettings, commands: Buffer, motion: AdmittanceMotion
 ) -> float:
     """Return the largest loss of E - G in the hold that ended [J]."""
     square = largest_square(commands, motion, loop.delay, loop.delay + loop.losses)
@@ -90,7 +90,7 @@ def lost_to_hand(
 
 
 def fastest_for_hand(
-    settings: HandForceSettings, loop: VelocityLoopSettings, commands: Buffer, motion: DisplayMotion, budget: float
+    settings: HandForceSettings, loop: VelocityLoopSettings, commands: Buffer, motion: AdmittanceMotion, budget: float
 ) -> float:
     """Return the largest speed that may be commanded now [m/s or rad/s].
 
@@ -112,7 +112,7 @@ def fastest_for_hand(
 
 
 def used_by_hand(
-    settings: HandForceSettings, loop: VelocityLoopSettings, commands: Buffer, motion: DisplayMotion
+    settings: HandForceSettings, loop: VelocityLoopSettings, commands: Buffer, motion: AdmittanceMotion
 ) -> float:
     """Return the largest loss of E - G by the commands that may still act, the newest included [J]."""
     total = 0.0
@@ -142,7 +142,7 @@ class DeclaredHandSettings:
     lag: float  # l [s]
     decay: float  # part of the difference to the command that remains after a hold
     moved: float  # least mass of the drive [kg or kg*m^2]
-    unsure: float  # largest of abs(c - M / l) [N*s/m or N*m*s/rad]
+    uncertainty: float  # largest of abs(c - M / l) [N*s/m or N*m*s/rad]
 
 
 @dataclass(slots=True)
@@ -174,7 +174,7 @@ class HeardForce(NamedTuple):
 
 
 def declared_hand_settings(
-    known: GuardedDisplayParameters, loop: VelocityLoopSettings, latency: int
+    known: GuardedAdmittanceParameters, loop: VelocityLoopSettings, latency: int
 ) -> DeclaredHandSettings:
     """Constants of a run."""
     lag = loop.mass / loop.gain
@@ -252,7 +252,7 @@ def _gained(
     added = max(0.0, abs(heard.moved - way) - port.count)
     top = max(abs(begin), abs(end))
     doubt += port.error * abs(way) + (settings.friction + 0.25 * settings.viscous * top) * top * time
-    doubt += settings.unsure * settings.unsure / (2.0 * loop.gain_least) * _square(settings, lead)
+    doubt += settings.uncertainty * settings.uncertainty / (2.0 * loop.gain_least) * _square(settings, lead)
     return mean * way + 0.5 * loop.gain_least * added * added / time - doubt
 
 
@@ -271,15 +271,15 @@ def _forces(
     """
     time = loop.sample_time
     along, late = sign * heard.force - error, 0.0
-    unsure = port.count / time
+    uncertainty = port.count / time
     if port.is_mean:
         late = max(0.0, 0.5 * sign * heard.moved + port.acceleration * time * time / 12.0)
         late = settings.stiffness * (late + 0.5 * settings.speed * time)
     else:
-        unsure += 0.5 * port.acceleration * time
-    lead = sign * (heard.command - heard.moved / time) - unsure
+        uncertainty += 0.5 * port.acceleration * time
+    lead = sign * (heard.command - heard.moved / time) - uncertainty
     push = along + (loop.gain_least if lead > 0.0 else loop.gain) * lead - settings.friction
-    push -= settings.viscous * (abs(heard.moved) / time + unsure)
+    push -= settings.viscous * (abs(heard.moved) / time + uncertainty)
     push /= loop.mass if push > 0.0 else settings.moved
     alone = min(late, 0.5 * port.slew * time) if settings.mass == 0.0 else late
     return along - alone, along - late + settings.mass * push
@@ -321,10 +321,10 @@ def loss(
         bent = command - lead * settings.decay
         top = max(top, abs(bent))
     square = _square(settings, 1.0) * square + 0.5 * lag * bent * bent
-    way, stiffness, share = forth + back, settings.stiffness, settings.unsure
-    unsure = stiffness * stiffness * way * late + settings.damping * settings.damping * top * way
+    way, stiffness, share = forth + back, settings.stiffness, settings.uncertainty
+    uncertainty = stiffness * stiffness * way * late + settings.damping * settings.damping * top * way
     fixed = stiffness * settings.speed * late + (2.0 * settings.damping * settings.speed + settings.friction) * way
-    fixed += 0.25 * settings.viscous * top * way + _OF_WAY * unsure / loop.gain_least
+    fixed += 0.25 * settings.viscous * top * way + _OF_WAY * uncertainty / loop.gain_least
     yielding = settings.damping * (top - hand.slowest), settings.damping * (top + hand.fastest)
     push = 0.5 * stiffness * forth - hand.up + max(0.0, yielding[0])
     pull = 0.5 * stiffness * back - hand.down + max(0.0, yielding[1])
@@ -348,8 +348,8 @@ def fastest_for_declared(
     loop: VelocityLoopSettings,
     hand: DeclaredHand,
     commands: Buffer,
-    motion: DisplayMotion,
-    wish: float,
+    motion: AdmittanceMotion,
+    request: float,
     allowance: float,
 ) -> float:
     """Largest speed towards the requested one that may be commanded now, without its sign [m/s or rad/s].
@@ -362,9 +362,9 @@ def fastest_for_declared(
     fits, low = 0.0, loss(settings, loop, hand, commands, newest, 0.0, settings.holds)
     if low > budget:
         return 0.0
-    fails, high = wish, loss(settings, loop, hand, commands, newest, wish, settings.holds)
+    fails, high = request, loss(settings, loop, hand, commands, newest, request, settings.holds)
     if high <= budget:
-        return abs(wish)
+        return abs(request)
     for _ in range(_STEPS):
         fits += (fails - fits) * (budget - low) / (high - low)
         low = loss(settings, loop, hand, commands, newest, fits, settings.holds)
@@ -382,7 +382,7 @@ def used_by_declared(
     loop: VelocityLoopSettings,
     hand: DeclaredHand,
     commands: Buffer,
-    motion: DisplayMotion,
+    motion: AdmittanceMotion,
 ) -> float:
     """Largest energy that the commands still able to act can take, the newest included [J]; inf if unknown."""
     if hand.waiting > 0 or hand.up == -inf:

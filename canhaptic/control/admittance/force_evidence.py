@@ -31,9 +31,9 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from canhaptic.control.admittance.display_environment import DisplayMotion, sent
+from canhaptic.control.admittance.admittance_environment import AdmittanceMotion, sent
 from canhaptic.control.admittance.port import BookedHold, PortSettings
-from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters, VelocityLoopSettings, reserve
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, VelocityLoopSettings, reserve
 from canhaptic.kernels import Buffer, MakeBuffer, list_of_zeros
 
 
@@ -169,7 +169,7 @@ class MovedHold(NamedTuple):
 
     moved: float  # [m or rad]
     command: float  # that acted [m/s or rad/s]
-    unsure: float  # largest difference of the command that acted, where RPDOs were lost [m/s or rad/s]
+    uncertainty: float  # largest difference of the command that acted, where RPDOs were lost [m/s or rad/s]
     lead: float  # at its end: commanded less actual displacement [m or rad]
 
 
@@ -234,7 +234,7 @@ class MomentumCheck:
         loop: Declared velocity loop of the drive.
     """
 
-    def __init__(self, parameters: GuardedDisplayParameters, port: PortSettings, loop: VelocityLoopSettings) -> None:
+    def __init__(self, parameters: GuardedAdmittanceParameters, port: PortSettings, loop: VelocityLoopSettings) -> None:
         self._port, self._loop, self._spread = port, loop, parameters.spread
         self._friction, self._damping = parameters.drive_friction or 0.0, parameters.drive_damping
         self._holds = max(_FEWEST, round(_HALF / port.sample_time))
@@ -274,7 +274,7 @@ class MomentumCheck:
         memory.holds += 1
         rise = (memory.holds - 0.5) / self._holds
         mean, doubt = self._mean_force(force, memory.force)
-        loose = doubt + self._loop.gain * hold.unsure + self._damping * abs(velocity)
+        loose = doubt + self._loop.gain * hold.uncertainty + self._damping * abs(velocity)
         slip, lead = velocity - hold.command, 0.5 * (memory.lead + hold.lead)
         half.force += mean
         half.rising_force += rise * mean
@@ -343,7 +343,7 @@ class MomentumCheck:
 
 
 def moved_hold(
-    loop: VelocityLoopSettings, motion: DisplayMotion, commands: Buffer, moved: float, lead: float
+    loop: VelocityLoopSettings, motion: AdmittanceMotion, commands: Buffer, moved: float, lead: float
 ) -> MovedHold:
     """The hold that ended; call it once the command of this SYNC is sent.
 
@@ -355,14 +355,14 @@ def moved_hold(
         lead: Lead at its end [m or rad].
     """
     age = loop.delay + 1
-    acted, unsure = sent(motion, commands, age), 0.0
+    acted, uncertainty = sent(motion, commands, age), 0.0
     for older in range(age + 1, age + loop.losses + 1):
-        unsure = max(unsure, abs(sent(motion, commands, older) - acted))
-    return MovedHold(moved, acted, unsure, lead)
+        uncertainty = max(uncertainty, abs(sent(motion, commands, older) - acted))
+    return MovedHold(moved, acted, uncertainty, lead)
 
 
 def momentum_check(
-    parameters: GuardedDisplayParameters, port: PortSettings, loop: VelocityLoopSettings
+    parameters: GuardedAdmittanceParameters, port: PortSettings, loop: VelocityLoopSettings
 ) -> MomentumCheck | None:
     """Return the comparison where `drive_friction` is declared and the integral of the drive is known."""
     if parameters.drive_friction is None or (loop.integral > 0.0 and port.jitter > 0.0):

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple, Self
 
 from pydantic import model_validator
 
-from canhaptic.control.admittance.display_environment import DisplayEnvironment
+from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer
 from canhaptic.units import Coordinates, Parameters, quantity
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from canhaptic.control.mechanisms.kinematics import Kinematics
 
 
-class DisplayMass(DisplayEnvironment):
+class AdmittanceMass(AdmittanceEnvironment):
     """A mass that the hand moves."""
 
     mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
@@ -104,9 +104,9 @@ class GroupMass(Parameters):
                     f"{name}: got {len(walls)} walls, expected one for each of the {axes} axes, or none"
                 )
 
-    def of_axis(self, axis: int) -> DisplayMass:
+    def of_axis(self, axis: int) -> AdmittanceMass:
         """Return what moves on one axis, with its walls."""
-        return DisplayMass(
+        return AdmittanceMass(
             mass=self.mass, damping=self.damping,
             **({"lower_wall": self.lower[axis]} if self.lower else {}),
             **({"upper_wall": self.upper[axis]} if self.upper else {}),
@@ -246,9 +246,9 @@ class TaskEnvironment:
             )
         self._environment.require(self._kinematics.dimensions)
 
-    def of_axis(self, _axis: int) -> DisplayMass:
+    def of_axis(self, _axis: int) -> AdmittanceMass:
         """Return what moves on one motor axis: walls are in task space, not here."""
-        return DisplayMass(mass=self._environment.mass, damping=self._environment.damping)
+        return AdmittanceMass(mass=self._environment.mass, damping=self._environment.damping)
 
     def speeds_after(self, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
         """Return the speeds of the motors after another hold [m/s or rad/s]; see `GroupMass.speeds_after`."""
@@ -262,13 +262,13 @@ class TaskEnvironment:
         before = _times(jacobian, speeds)
         if not self._solve(transposed, pushed):
             return [0.0] * len(speeds)
-        wish = self._environment.speeds_after(before, pushed, list(pose.position), time)
-        wish = self._within_walls(wish, before, pose.position, time)
-        return wish if self._solve([list(row) for row in jacobian], wish) else [0.0] * len(speeds)
+        request = self._environment.speeds_after(before, pushed, list(pose.position), time)
+        request = self._within_walls(request, before, pose.position, time)
+        return request if self._solve([list(row) for row in jacobian], request) else [0.0] * len(speeds)
 
-    def _within_walls(self, wish: _Vector, before: _Vector, place: Sequence[float], time: float) -> _Vector:
+    def _within_walls(self, request: _Vector, before: _Vector, place: Sequence[float], time: float) -> _Vector:
         walls, found = self._environment, []
-        for k, speed in enumerate(wish):
+        for k, speed in enumerate(request):
             ahead = place[k] + self._ahead * before[k]
             high = (walls.upper[k] - ahead) / (time + self._ahead) if walls.upper else speed
             low = (walls.lower[k] - ahead) / (time + self._ahead) if walls.lower else speed

@@ -27,7 +27,7 @@ from canhaptic.kernels import Buffer, MakeBuffer, new
 from canhaptic.units import Parameters, quantity
 
 
-class DisplayProperties(Parameters):
+class AdmittanceProperties(Parameters):
     """The loop around a controller that takes forces and commands velocities."""
 
     sample_time: Annotated[float, quantity("s", ge=1e-6, le=1.0)]
@@ -112,7 +112,7 @@ class BookedHold(NamedTuple):
     most: float  # energy that came in, at most [J]
 
 
-def port_settings(properties: DisplayProperties) -> PortSettings:
+def port_settings(properties: AdmittanceProperties) -> PortSettings:
     """Constants of a run."""
     lag = 1.0 / (2.0 * pi * properties.filter) if properties.filter else 0.0
     return PortSettings(

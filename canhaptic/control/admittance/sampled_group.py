@@ -9,20 +9,20 @@ from collections.abc import Sequence
 from math import isfinite, sqrt
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
-from canhaptic.control.admittance.display_environment import (
-    DisplayMemory,
-    DisplayMotion,
-    DisplayMotionSettings,
+from canhaptic.control.admittance.admittance_environment import (
+    AdmittanceMemory,
+    AdmittanceMotion,
+    AdmittanceMotionSettings,
     display_memory,
     limited,
     motion_settings,
     send,
     whole,
 )
-from canhaptic.control.admittance.group_environment import DisplayMass
+from canhaptic.control.admittance.group_environment import AdmittanceMass
 from canhaptic.control.admittance.port import (
+    AdmittanceProperties,
     BookedHold,
-    DisplayProperties,
     Port,
     PortSettings,
     begin_port,
@@ -47,7 +47,7 @@ class GroupMotion(Protocol):
     def require(self, axes: int) -> None:
         """Make sure that it fits a number of axes; raise ParameterError."""
 
-    def of_axis(self, axis: int, /) -> DisplayMass:
+    def of_axis(self, axis: int, /) -> AdmittanceMass:
         """Return what moves on one axis, with its walls."""
 
     def speeds_after(self, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
@@ -60,7 +60,7 @@ class GroupMotion(Protocol):
         """Return what its damper takes in a time [J]."""
 
 
-def require_alike(properties: Sequence[DisplayProperties]) -> None:
+def require_alike(properties: Sequence[AdmittanceProperties]) -> None:
     """Make sure that the axes of a group share their clock.
 
     Raises:
@@ -88,10 +88,10 @@ class GroupAxis:
     """Settings and state of one axis of any group of displays."""
 
     port_settings: PortSettings
-    motion_settings: DisplayMotionSettings
+    motion_settings: AdmittanceMotionSettings
     port: Port
-    motion: DisplayMotion
-    memory: DisplayMemory
+    motion: AdmittanceMotion
+    memory: AdmittanceMemory
 
     def begin(self, position: float, force: float) -> None:
         """Take the first sample."""
@@ -105,7 +105,7 @@ class GroupAxis:
 _Axis = TypeVar("_Axis", bound=GroupAxis)
 
 
-class DisplayGroup(ABC, Generic[_Axis]):
+class AdmittanceGroup(ABC, Generic[_Axis]):
     """Common part of every `GroupController` of displays; `_answer` is the algorithm's own.
 
     Attributes:
@@ -127,7 +127,7 @@ class DisplayGroup(ABC, Generic[_Axis]):
         """Forget everything; see `GroupController`."""
 
     @abstractmethod
-    def hold(self) -> GroupBalance:
+    def sample_lost(self) -> GroupBalance:
         """Answer a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
 
     def lasted(self, periods: float) -> None:
@@ -160,21 +160,21 @@ class DisplayGroup(ABC, Generic[_Axis]):
 class _SampledAxis(GroupAxis):
     """State of one axis."""
 
-    def __init__(self, environment: GroupMotion, place: int, properties: DisplayProperties) -> None:
+    def __init__(self, environment: GroupMotion, place: int, properties: AdmittanceProperties) -> None:
         self.port_settings = port_settings(properties)
         self.motion_settings = motion_settings(environment.of_axis(place), properties)
-        self.port, self.motion = Port(), DisplayMotion()
+        self.port, self.motion = Port(), AdmittanceMotion()
         self.memory = display_memory(self.port_settings, self.motion_settings, properties.delay + 1, list_of_zeros)
 
-    def send(self, wish: float, position: float, velocity: float) -> float:
+    def send(self, request: float, position: float, velocity: float) -> float:
         """Send the nearest command that the limits of the axis allow; return it [m/s or rad/s]."""
         commands = self.memory.commands
-        wish = limited(self.motion_settings, self.motion, commands, wish, position, velocity)
-        send(self.motion, commands, whole(self.motion_settings, wish))
+        request = limited(self.motion_settings, self.motion, commands, request, position, velocity)
+        send(self.motion, commands, whole(self.motion_settings, request))
         return self.motion.speed
 
 
-class UnprotectedDisplayGroup(DisplayGroup[_SampledAxis]):
+class UnprotectedAdmittanceGroup(AdmittanceGroup[_SampledAxis]):
     """A mass on several axes as it is; a `GroupController`.
 
     Args:
@@ -193,7 +193,7 @@ class UnprotectedDisplayGroup(DisplayGroup[_SampledAxis]):
     parameters_type: ClassVar[type[Parameters]] = NothingToChoose
     is_certified: ClassVar[bool] = False
 
-    def __init__(self, environment: GroupMotion, parameters: Any, properties: Sequence[DisplayProperties]) -> None:
+    def __init__(self, environment: GroupMotion, parameters: Any, properties: Sequence[AdmittanceProperties]) -> None:
         require_alike(properties)
         environment.require(len(properties))
         self.axes = len(properties)
@@ -211,7 +211,7 @@ class UnprotectedDisplayGroup(DisplayGroup[_SampledAxis]):
         """Initial energy of the algorithm's own [J]."""
         return 0.0
 
-    def hold(self) -> GroupBalance:
+    def sample_lost(self) -> GroupBalance:
         """Answer a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
         speeds = (0.0,) * self.axes
         if self._started:
@@ -230,11 +230,11 @@ class UnprotectedDisplayGroup(DisplayGroup[_SampledAxis]):
         before = [axis.motion.speed - slip for axis, slip in zip(self._each, self._slips, strict=True)]
         h_pas = sum(force * slip for force, slip in zip(forces, self._slips, strict=True)) * holds[0].elapsed
         self._observe(sum(force * axis.motion.speed for force, axis in zip(forces, self._each, strict=True)) * time)
-        wish = self._environment.speeds_after(before, forces, list(positions), time)
-        wish, slips = self._protected(wish, forces)
+        request = self._environment.speeds_after(before, forces, list(positions), time)
+        request, slips = self._protected(request, forces)
         self._slips = []
         for place, (axis, hold) in enumerate(zip(self._each, holds, strict=True)):
-            asked = wish[place] + slips[place]
+            asked = request[place] + slips[place]
             sent = axis.send(asked, positions[place], hold.moved / hold.elapsed)
             self._slips.append(slips[place] if abs(sent - asked) < abs(slips[place]) else 0.0)
         return self._closed(holds, h_pas, before)
@@ -242,9 +242,9 @@ class UnprotectedDisplayGroup(DisplayGroup[_SampledAxis]):
     def _observe(self, energy: float) -> None:
         """Add the energy that came in by force and command in the hold that ended [J]."""
 
-    def _protected(self, wish: _Vector, forces: _Vector) -> tuple[_Vector, _Vector]:
+    def _protected(self, request: _Vector, forces: _Vector) -> tuple[_Vector, _Vector]:
         """Speeds of the mass, and additional speeds that dissipate [m/s or rad/s]."""
-        return wish, [0.0] * self.axes
+        return request, [0.0] * self.axes
 
     def _closed(self, holds: list[BookedHold], h_pas: float, before: _Vector) -> GroupBalance:
         """Return the commands with the account of the hold."""
@@ -263,15 +263,15 @@ class UnprotectedDisplayGroup(DisplayGroup[_SampledAxis]):
         return GroupBalance(commands, account, tuple(hold.energy for hold in holds))
 
 
-class ObservedDisplayGroup(UnprotectedDisplayGroup):
+class ObservedAdmittanceGroup(UnprotectedAdmittanceGroup):
     """The same with a slip along the force whenever the observed energy falls below zero; see `observed_display`."""
 
     def _observe(self, energy: float) -> None:
         self._energy += energy
 
-    def _protected(self, wish: _Vector, forces: _Vector) -> tuple[_Vector, _Vector]:
+    def _protected(self, request: _Vector, forces: _Vector) -> tuple[_Vector, _Vector]:
         square = sum(force * force for force in forces)
         if self._energy >= 0.0 or square == 0.0:
-            return wish, [0.0] * self.axes
+            return request, [0.0] * self.axes
         part = -self._energy / (square * self._time)
-        return wish, [part * force for force in forces]
+        return request, [part * force for force in forces]

@@ -9,18 +9,18 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Generic, NamedTuple, TypeAlias
 
-from canhaptic.control.admittance.display_environment import (
-    DisplayEnvironment,
-    DisplayMemory,
-    DisplayMotion,
-    DisplayMotionSettings,
+from canhaptic.control.admittance.admittance_environment import (
+    AdmittanceEnvironment,
+    AdmittanceMemory,
+    AdmittanceMotion,
+    AdmittanceMotionSettings,
     display_memory,
     limited,
     motion_settings,
     send,
     whole,
 )
-from canhaptic.control.admittance.port import DisplayProperties, Port, PortSettings, begin_port, book, port_settings
+from canhaptic.control.admittance.port import AdmittanceProperties, Port, PortSettings, begin_port, book, port_settings
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.environments.environment import plain
 from canhaptic.kernels import GivenT, Kernel, MakeBuffer, Run, new
@@ -35,27 +35,27 @@ class NothingToChoose(Parameters):
 
 
 @dataclass(frozen=True, slots=True)
-class DisplaySettings(Generic[GivenT]):
+class AdmittanceSettings(Generic[GivenT]):
     """What is fixed for a run of an algorithm without a certificate."""
 
     given: GivenT  # parameters of the algorithm; a kernel reads their numbers alone
     port: PortSettings
-    motion: DisplayMotionSettings
+    motion: AdmittanceMotionSettings
 
 
 @dataclass(slots=True)
-class DisplayState:
+class AdmittanceState:
     """State kept from SYNC to SYNC."""
 
     axis: Port = field(default_factory=Port)
-    motion: DisplayMotion = field(default_factory=DisplayMotion)
+    motion: AdmittanceMotion = field(default_factory=AdmittanceMotion)
     h_s: float = 0.0  # [J]
     energy: float = 0.0  # of the algorithm's own: observed, in the tank, or still to be dissipated [J]
     created: float = 0.0  # created by sampling in the last hold; below 0 it was lost [J]
     slip: float = 0.0  # speed in the last command that dissipates [m/s or rad/s]
 
 
-DisplayRun: TypeAlias = Run[DisplaySettings[GivenT], DisplayState, DisplayMemory]
+AdmittanceRun: TypeAlias = Run[AdmittanceSettings[GivenT], AdmittanceState, AdmittanceMemory]
 """Settings, state and memory of an algorithm with given parameters."""
 
 
@@ -66,31 +66,31 @@ class SampledHold(NamedTuple):
     elapsed: float  # [s]
     velocity: float  # [m/s or rad/s]
     before: float  # the last command [m/s or rad/s]
-    wish: float  # speed of the mass after another hold [m/s or rad/s]
+    request: float  # speed of the mass after another hold [m/s or rad/s]
     force: float  # of the hand at its end [N or N*m]
 
 
-class DisplayReply(NamedTuple):
+class AdmittanceReply(NamedTuple):
     """Command of an algorithm after a hold."""
 
-    wish: float  # speed of the mass [m/s or rad/s]
+    request: float  # speed of the mass [m/s or rad/s]
     slip: float  # speed in addition, that dissipates [m/s or rad/s]
     h_pas: float  # energy of the hold that the slip of the last command took in [J]
 
 
 def settings_of(
-    environment: DisplayEnvironment, parameters: Parameters, properties: DisplayProperties
-) -> DisplaySettings[Any]:
+    environment: AdmittanceEnvironment, parameters: Parameters, properties: AdmittanceProperties
+) -> AdmittanceSettings[Any]:
     """Constants of a run."""
-    return DisplaySettings(plain(parameters), port_settings(properties), motion_settings(environment, properties))
+    return AdmittanceSettings(plain(parameters), port_settings(properties), motion_settings(environment, properties))
 
 
-def memory_of(settings: DisplaySettings[Any], make_buffer: MakeBuffer) -> DisplayMemory:
+def memory_of(settings: AdmittanceSettings[Any], make_buffer: MakeBuffer) -> AdmittanceMemory:
     """Return the buffers of one axis."""
     return display_memory(settings.port, settings.motion, settings.motion.delay + 1, make_buffer)
 
 
-def respond(environment: DisplayEnvironment, run: DisplayRun[Any], hold: SampledHold) -> DisplayReply:
+def respond(environment: AdmittanceEnvironment, run: AdmittanceRun[Any], hold: SampledHold) -> AdmittanceReply:
     """Placeholder of an algorithm: the command after a hold."""
     raise NotImplementedError
 
@@ -101,7 +101,7 @@ def first_energy(environment: Any, given: Any, position: float) -> float:
 
 
 def step(
-    environment: DisplayEnvironment, run: DisplayRun[Any], position: float, torque_applied: float
+    environment: AdmittanceEnvironment, run: AdmittanceRun[Any], position: float, torque_applied: float
 ) -> EnergyBalance:
     """Book the hold that ended and moves the mass on; see `Controller.step`."""
     settings, state, memory = run.settings, run.state, run.memory
@@ -112,21 +112,21 @@ def step(
         return AT_REST
     booked = book(settings.port, state.axis, memory.positions, position, force)
     before = state.motion.speed - state.slip
-    wish = environment.speed_after(memory.inner, before, force, position, settings.motion.sample_time)
-    hold = new(SampledHold, (booked.energy, booked.elapsed, booked.moved / booked.elapsed, before, wish, force))
+    request = environment.speed_after(memory.inner, before, force, position, settings.motion.sample_time)
+    hold = new(SampledHold, (booked.energy, booked.elapsed, booked.moved / booked.elapsed, before, request, force))
     return command(environment, run, hold, respond(environment, run, hold))
 
 
 def command(
-    environment: DisplayEnvironment, run: DisplayRun[Any], hold: SampledHold, reply: DisplayReply
+    environment: AdmittanceEnvironment, run: AdmittanceRun[Any], hold: SampledHold, reply: AdmittanceReply
 ) -> EnergyBalance:
     """Send a speed and close the account of the hold."""
     settings, state, memory = run.settings, run.state, run.memory
-    wish, slip, h_pas = reply
+    request, slip, h_pas = reply
     motion, commands, position = state.motion, memory.commands, state.axis.position
-    speed = limited(settings.motion, motion, commands, wish + slip, position, hold.velocity)
+    speed = limited(settings.motion, motion, commands, request + slip, position, hold.velocity)
     send(motion, commands, whole(settings.motion, speed))
-    state.slip = slip if abs(speed - wish - slip) < abs(slip) else 0.0
+    state.slip = slip if abs(speed - request - slip) < abs(slip) else 0.0
     own = motion.speed - state.slip
     environment.go_along(memory.inner, hold.before, own, settings.motion.sample_time)
     h_s = environment.stored(memory.inner, own, position)
@@ -142,10 +142,10 @@ def command(
 
 
 def display_kernel(
-    respond_as: Callable[[Any, Any, SampledHold], DisplayReply],
+    respond_as: Callable[[Any, Any, SampledHold], AdmittanceReply],
     first_energy_as: Callable[[Any, Any, float], float] = first_energy,
-    settings: Callable[..., DisplaySettings[Any]] = settings_of,
+    settings: Callable[..., AdmittanceSettings[Any]] = settings_of,
 ) -> Kernel:
     """Return the kernel of an algorithm with these functions in the place of `respond` and `first_energy`."""
     made = filled(step, respond=respond_as, first_energy=first_energy_as)
-    return Kernel(settings, DisplayState, memory_of, made)
+    return Kernel(settings, AdmittanceState, memory_of, made)

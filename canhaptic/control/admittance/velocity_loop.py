@@ -28,8 +28,8 @@ from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Annotated
 
-from canhaptic.control.admittance.display_environment import DisplayMotion, sent
-from canhaptic.control.admittance.port import DisplayProperties
+from canhaptic.control.admittance.admittance_environment import AdmittanceMotion, sent
+from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer
 from canhaptic.units import Parameters, quantity
@@ -90,7 +90,9 @@ def may_limit(settings: VelocityLoopSettings, loop: LoopState, command: float, m
     return torque >= settings.torque_limit
 
 
-def gained(settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: DisplayMotion, moved: float) -> float:
+def gained(
+    settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: AdmittanceMotion, moved: float
+) -> float:
     """Least change of W over the hold that ended, from encoder and commands [J].
 
     Args:
@@ -108,7 +110,7 @@ def gained(settings: VelocityLoopSettings, lead: float, commands: Buffer, motion
     return least
 
 
-def lost_unseen(settings: VelocityLoopSettings, commands: Buffer, motion: DisplayMotion) -> float:
+def lost_unseen(settings: VelocityLoopSettings, commands: Buffer, motion: AdmittanceMotion) -> float:
     """Largest loss of W in a hold without a sample; without an integral [J]."""
     square = largest_square(commands, motion, settings.delay, settings.delay + settings.losses)
     return 0.25 * settings.gain * settings.sample_time * square
@@ -159,7 +161,7 @@ def _turned(settings: VelocityLoopSettings, lead: float, way: float) -> float:
 
 
 def sequence_loss(
-    settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: DisplayMotion, holds: int, oldest: int
+    settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: AdmittanceMotion, holds: int, oldest: int
 ) -> float:
     """Largest loss of W over consecutive commands, the first of which has the age `oldest` [J]."""
     time, way, squares, shifts = settings.sample_time, 0.0, 0.0, 0.0
@@ -181,7 +183,7 @@ def fastest(
     settings: VelocityLoopSettings,
     lead: float,
     commands: Buffer,
-    motion: DisplayMotion,
+    motion: AdmittanceMotion,
     budget: float,
     sign: float,
 ) -> float:
@@ -219,7 +221,7 @@ def fastest(
 
 
 def _fastest_by_damping(
-    settings: VelocityLoopSettings, commands: Buffer, motion: DisplayMotion, budget: float
+    settings: VelocityLoopSettings, commands: Buffer, motion: AdmittanceMotion, budget: float
 ) -> float:
     """The same without an integral: c T / 4 times the squares of all commands that may act.
 
@@ -248,7 +250,7 @@ def _fastest_by_damping(
     return best
 
 
-def _within(commands: Buffer, motion: DisplayMotion, speed: float, own: int, losses: int) -> float:
+def _within(commands: Buffer, motion: AdmittanceMotion, speed: float, own: int, losses: int) -> float:
     """The speed if it is the largest command in exactly this number of its holds, else 0."""
     square = speed * speed
     if own > 1 or losses > 0:
@@ -263,7 +265,7 @@ def _within(commands: Buffer, motion: DisplayMotion, speed: float, own: int, los
     return speed
 
 
-def largest_square(commands: Buffer, motion: DisplayMotion, newest: int, oldest: int) -> float:
+def largest_square(commands: Buffer, motion: AdmittanceMotion, newest: int, oldest: int) -> float:
     """Return the largest square of the commands of some ages [m^2/s^2 or rad^2/s^2]."""
     largest = 0.0
     for age in range(newest, oldest + 1):
@@ -272,7 +274,7 @@ def largest_square(commands: Buffer, motion: DisplayMotion, newest: int, oldest:
     return largest
 
 
-def loss_under_way(settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: DisplayMotion) -> float:
+def loss_under_way(settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: AdmittanceMotion) -> float:
     """Return the largest loss of W by the commands that may still act, the newest included, at any SYNC [J]."""
     total = largest = 0.0
     if settings.integral > 0.0:
@@ -294,16 +296,16 @@ def loss_under_way(settings: VelocityLoopSettings, lead: float, commands: Buffer
 
 
 def loss_of_skip(
-    settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: DisplayMotion, skipped: int
+    settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: AdmittanceMotion, skipped: int
 ) -> float:
     """Largest loss of W by all commands under way where SYNCs are skipped and the oldest acts longer [J]."""
     holds = [settings.delay] * skipped + [*range(settings.delay, -1, -1)]
     acting = [sent(motion, commands, age) for age in holds]
     longer = replace(settings, delay=settings.delay + skipped)
-    return loss_under_way(longer, lead, acting, DisplayMotion(newest=len(acting) - 1))
+    return loss_under_way(longer, lead, acting, AdmittanceMotion(newest=len(acting) - 1))
 
 
-class GuardedDisplayParameters(Parameters):
+class GuardedAdmittanceParameters(Parameters):
     """Parameters of an admittance display on which its certificate rests."""
 
     drive_mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
@@ -338,7 +340,7 @@ class GuardedDisplayParameters(Parameters):
     """OVER-estimate of the damping of the grip; with hand_stiffness."""
 
 
-def loop_settings(parameters: GuardedDisplayParameters, properties: DisplayProperties) -> VelocityLoopSettings:
+def loop_settings(parameters: GuardedAdmittanceParameters, properties: AdmittanceProperties) -> VelocityLoopSettings:
     """Declared velocity loop; a hold counts with its longest duration, where it costs most and proves least.
 
     Raises:
@@ -364,7 +366,7 @@ def loop_settings(parameters: GuardedDisplayParameters, properties: DisplayPrope
     )  # fmt: skip
 
 
-def _require_what_a_hand_needs(parameters: GuardedDisplayParameters, properties: DisplayProperties) -> None:
+def _require_what_a_hand_needs(parameters: GuardedAdmittanceParameters, properties: AdmittanceProperties) -> None:
     """Refuse an incomplete declaration of a hand as spring, damper and mass, and values that contradict one."""
     if not parameters.hand_stiffness:
         for key in ("hand_speed", "hand_mass", "hand_damping"):

@@ -133,7 +133,7 @@ def taken_along(
         if declared.encoder_count > 0.0:
             displacement = outward(declared, bound, memory, sign)
         else:
-            displacement = sign * bound.displacement + bound.blur
+            displacement = sign * bound.displacement + bound.position_uncertainty
     total = 0.0
     for place in range(first, first + declared.delay):
         along = sign * torques[place]
@@ -670,7 +670,7 @@ def by_hand_force(declared: Declared, bound: TorqueBound, memory: BoundMemory, s
     if declared.encoder_count > 0.0:
         displacement = outward(declared, bound, memory, sign)
     else:
-        displacement = sign * bound.displacement + bound.blur
+        displacement = sign * bound.displacement + bound.position_uncertainty
     if declared.delay:
         opposed = False
         for place in range(bound.first, bound.first + declared.delay):

@@ -303,9 +303,9 @@ def start_speed(response: DisplacementResponse, sample_time: float, delay: int, 
     which the hand can have gained F_h T (j - 1) / 2m; at high rates the best j gives sqrt(2 count F_h / m) in all,
     at every rate. A slower start needs a credit or certain device damping.
     """
-    unsure = min(count / holds + 0.5 * (holds - 1) * response.hand for holds in range(1, WINDOW + 1))
+    uncertainty = min(count / holds + 0.5 * (holds - 1) * response.hand for holds in range(1, WINDOW + 1))
     kept = sample_time * response.retained ** (1 + delay)
-    return ((1 + delay) * response.hand + unsure) / kept if kept > 0.0 else math.inf
+    return ((1 + delay) * response.hand + uncertainty) / kept if kept > 0.0 else math.inf
 
 
 _FIRST: Final = 1e-3  # [N or N*m]

@@ -33,9 +33,9 @@ class TorqueBound:
 
     displacement: float = 0.0  # [m or rad]
     torque: float = 0.0  # [N or N*m]
-    blur: float = 0.0  # uncertainty of the displacement beyond a count [m or rad]
+    position_uncertainty: float = 0.0  # uncertainty of the displacement beyond a count [m or rad]
     changes: float = 0.0  # uncertain energy due to the encoder, up to the last change of torque [J]
-    unsure: float = 0.0  # largest shortfall of the energy that came in so far [J]: encoder counts and lost samples
+    uncertainty: float = 0.0  # largest shortfall of the energy that came in so far [J]: encoder counts and lost samples
     dissipated: float = 0.0  # by the device for certain, and not forgotten [J]
     certain: float = 0.0  # the same, less the further uncertainty for an arbitrary hand [J]
     slack: float = 0.0  # of the shortest motion within the encoder's resolution, behind them [m or rad]
@@ -119,7 +119,7 @@ def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displa
     if count:
         half = 0.5 * count
         bound.changes = changes = bound.changes + half * abs(torque - bound.torque)
-        bound.unsure = changes + half * abs(torque)
+        bound.uncertainty = changes + half * abs(torque)
         newest = bound.newest + 1
         if newest == WINDOW:
             newest = 0
@@ -132,7 +132,7 @@ def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displa
         if bound.kept < WINDOW:
             bound.kept += 1
         bound.upward = bound.downward = nan
-    bound.blur = 0.0
+    bound.position_uncertainty = 0.0
     bound.displacement, bound.torque = displacement, torque
     if bound.turning:
         bound.turning -= 1
@@ -178,8 +178,8 @@ def shorten(declared: Declared, bound: TorqueBound, lasted: float) -> None:
     step = (response.before + response.during) * torque + hand
     excursion = abs(bound.displacement) + declared.encoder_count + lasted * lasted * step
     bound.displacement /= lasted
-    bound.blur = 0.5 * (lasted - 1.0) * step
-    bound.blur += (1.0 - response.retained + (response.growth - 1.0)) * excursion
+    bound.position_uncertainty = 0.5 * (lasted - 1.0) * step
+    bound.position_uncertainty += (1.0 - response.retained + (response.growth - 1.0)) * excursion
     bound.kept = 0
     if declared.damping > 0.0:  # the mean speed is known, and its square is no more than the mean of the squares
         certain = abs(bound.displacement) * lasted - declared.encoder_count
@@ -259,7 +259,7 @@ def reach_of_late(
     """
     response, count = declared.response, declared.encoder_count
     acting = max(0.0, sign * torque, bound.highest if sign > 0.0 else -bound.lowest)
-    start = sign * bound.displacement + count + bound.blur
+    start = sign * bound.displacement + count + bound.position_uncertainty
     up = tail_reach(start, acted(declared, bound, sign), acting, response, response.hand)
     back = count - sign * displacement
     down = response.tail_before * acting + response.tail_hand * response.hand
@@ -316,7 +316,7 @@ def end_gap(
         bound.certain += doubt - damped
     bound.resolution += 2.0 * doubt
     bound.changes += holds * count * largest
-    bound.unsure = bound.changes + 0.5 * count * abs(torque)
+    bound.uncertainty = bound.changes + 0.5 * count * abs(torque)
     bound.displacement, bound.torque = displacement / holds, torque
     return doubt
 
@@ -324,17 +324,17 @@ def end_gap(
 def excursion_unseen(declared: Declared, bound: TorqueBound, displacement: float, holds: int, largest: float) -> float:
     """Largest excursion of the axis by the hand within several holds [m or rad]; see `end_gap`.
 
-    The uncertainty of the last displacement is then in `bound.blur`.
+    The uncertainty of the last displacement is then in `bound.position_uncertainty`.
     """
     response, further = declared.response, 1.0
     hand = response.push if response.push < inf else response.hand
     step = (response.before + response.during) * largest + hand
     for _ in range(holds):
         further *= response.growth
-    start = abs(bound.displacement) + bound.blur + declared.encoder_count
+    start = abs(bound.displacement) + bound.position_uncertainty + declared.encoder_count
     excursion = abs(displacement) + declared.encoder_count + further * (holds * (start + holds * step))
-    bound.blur = 0.5 * (holds - 1) * step + (1.0 - response.retained) * holds * excursion
-    bound.blur += (further - 1.0) * excursion
+    bound.position_uncertainty = 0.5 * (holds - 1) * step + (1.0 - response.retained) * holds * excursion
+    bound.position_uncertainty += (further - 1.0) * excursion
     return excursion
 
 
@@ -360,7 +360,7 @@ def outward(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: f
     can have raised the last one above the mean only so far; the smallest of these bounds counts.
     """
     if bound.kept < 2:  # of an ideal encoder none is kept
-        return sign * bound.displacement + declared.encoder_count + bound.blur
+        return sign * bound.displacement + declared.encoder_count + bound.position_uncertainty
     known = bound.upward if sign > 0.0 else bound.downward
     if isnan(known):
         known = outward_by_windows(declared, bound, memory, sign)

@@ -77,7 +77,7 @@ class Gap(NamedTuple):
     moved: float  # in all of them [m or rad]
     start: float  # in the hold before [m or rad]
     error: float  # uncertainty of `moved` [m or rad]
-    blur: float  # uncertainty of `start` [m or rad]
+    position_uncertainty: float  # uncertainty of `start` [m or rad]
     step: float  # how far a hold may go beyond the hold before [m or rad]
     lost: float  # largest share of a motion that friction takes from the next hold
 
@@ -91,13 +91,13 @@ def farthest(gap: Gap, sign: float, hold: int, along: bool) -> float:
         hold: Index of the hold, 1 for the first; the last is never asked for.
         along: Whether a torque along the sign acts in it; else one against it acts in the last.
     """
-    holds, moved, start, error, blur, step, lost = gap
+    holds, moved, start, error, position_uncertainty, step, lost = gap
     start, moved = sign * start, sign * moved
-    first = start + blur
+    first = start + position_uncertainty
     if along:
         return first + hold * (step + lost * (-first if first < 0.0 else 0.0))
     later = holds - hold
-    least = start - blur
+    least = start - position_uncertainty
     pairs = hold * (hold - 1) + later * (later + 1)
     total = moved + error - (hold - 1) * least + 0.5 * pairs * step
     total += 0.5 * hold * (hold - 1) * lost * (least if least > 0.0 else 0.0)
@@ -132,10 +132,10 @@ class AccountMemory(NamedTuple):
 
     displacement: Buffer  # of the hold that ended [rad or m]
     torques: Buffer  # held in it [N*m or N]
-    blur: Buffer  # uncertainty of its displacement beyond a count [rad or m]
+    position_uncertainty: Buffer  # uncertainty of its displacement beyond a count [rad or m]
     before: Acting  # at the SYNC at which it began, where torques come late
     now: Acting  # buffer for the range at a later SYNC
-    coming: Matrix  # motion of a mover in future holds as one of the motors, (holds, axes) [rad or m]
+    mover_motion: Matrix  # motion of a mover in future holds as one of the motors, (holds, axes) [rad or m]
     passing: Buffer  # buffer for the motion in one hold
     nothing: Buffer  # zeros
     sized: Buffer  # buffer for a part of torques
@@ -194,7 +194,7 @@ def reach_of(axes: AxisLimits, memory: AccountMemory, i: int, sign: float, hold:
     """Return X of an axis in a hold from now, the next being 1 [rad or m]; see (2)."""
     timing = axes.timing
     share, step, before = timing.share[i], timing.roots[i] * norm, hold - 1
-    start = sign * memory.displacement[i] + axes.counts[i] + memory.blur[i]
+    start = sign * memory.displacement[i] + axes.counts[i] + memory.position_uncertainty[i]
     if start < 0.0:
         start /= timing.growth
         for _ in range(before):
@@ -346,7 +346,7 @@ def doubt_of_late_group(axes: AxisLimits, memory: AccountMemory, moved: Buffer, 
         apart = abs(held[i] - memory.torques[i]) + timing.left[i] * max(0.0, older)
         count, path = axes.counts[i], abs(moved[i]) + axes.counts[i]
         if axes.by_hand:
-            start = abs(memory.displacement[i]) + memory.blur[i] + count
+            start = abs(memory.displacement[i]) + memory.position_uncertainty[i] + count
             further = timing.swing[i] * (0.5 + share) * timing.roots[i] * push
             total += apart * share * (max(start, timing.swing[i] * path) + further)
         elif axes.path > 0.0:
@@ -409,8 +409,8 @@ class GroupAccount:
     h_dis: float = 0.0  # surplus still to be dissipated [J]
     dissipated: float = 0.0  # by the devices for certain, and not forgotten [J]
     changes: float = 0.0  # uncertain energy due to encoders, up to the last change of torque [J]
-    unsure: float = 0.0  # largest shortfall of the energy that came in so far [J]: encoder counts and lost samples
-    kept_back: float = 0.0  # dissipated or leaked, and not paid [J]
+    uncertainty: float = 0.0  # largest shortfall of the energy that came in so far [J]: encoder counts and lost samples
+    unrecovered: float = 0.0  # dissipated or leaked, and not paid [J]
 
 
 class AccountSettings(NamedTuple):
@@ -433,7 +433,7 @@ def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: Acc
         doubt, damped = doubt_of_late_group(axes, memory, ended.displacement, ended.applied)
         if axes.by_damping:  # a promise to every hand rests on no hand
             account.dissipated += doubt - damped
-    unsure = 0.0
+    uncertainty = 0.0
     for i in range(len(ended.applied)):
         torque, count = ended.applied[i], axes.counts[i]
         if axes.by_damping or axes.coarse:
@@ -441,9 +441,9 @@ def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: Acc
             if certain > 0.0:
                 account.dissipated += axes.damping[i] * certain * certain
             account.changes += 0.5 * count * abs(torque - memory.torques[i])
-            unsure += 0.5 * count * abs(torque)
-        memory.displacement[i], memory.torques[i], memory.blur[i] = ended.displacement[i], torque, 0.0
-    account.unsure = account.changes + unsure
+            uncertainty += 0.5 * count * abs(torque)
+        memory.displacement[i], memory.torques[i], memory.position_uncertainty[i] = ended.displacement[i], torque, 0.0
+    account.uncertainty = account.changes + uncertainty
     return doubt
 
 
@@ -463,28 +463,30 @@ def end_group_gap(
         largest = largest_of(memory, ended, missed, i)
         push += (axes.before[i] + axes.during[i]) * largest * largest
     push = sqrt(push) + axes.hand
-    doubt = unsure = further = 0.0
+    doubt = uncertainty = further = 0.0
     for i in range(len(ended.applied)):
         moved, count, last = ended.displacement[i], axes.counts[i], ended.applied[i]
         largest = largest_of(memory, ended, missed, i)
         step = sqrt(axes.before[i] + axes.during[i]) * push if axes.by_hand else 0.0
-        start, blur = memory.displacement[i], memory.blur[i] + count
-        excursion = abs(moved) + count + holds * ((abs(start) + blur) * growth + holds * step)
+        start, position_uncertainty = memory.displacement[i], memory.position_uncertainty[i] + count
+        excursion = abs(moved) + count + holds * ((abs(start) + position_uncertainty) * growth + holds * step)
         uneven = (growth - 1.0) * excursion
-        gap = Gap(holds, moved, start, count + holds * uneven, blur + uneven, step, axes.lost[i])
+        gap = Gap(holds, moved, start, count + holds * uneven, position_uncertainty + uneven, step, axes.lost[i])
         doubt += doubt_of_axis(axes, memory, ended, gap, missed, i)
         if not axes.timing.is_ideal:
             late = doubt_of_late_gap(axes, memory, ended, missed, i, excursion + step)
             doubt, further = doubt + late, further + late
-        memory.blur[i] = 0.5 * missed * step + axes.lost[i] * holds * excursion + uneven if axes.by_hand else 0.0
+        memory.position_uncertainty[i] = (
+            0.5 * missed * step + axes.lost[i] * holds * excursion + uneven if axes.by_hand else 0.0
+        )
         account.changes += holds * count * largest
         certain = abs(moved) - count
         if certain > 0.0:
             account.dissipated += axes.damping[i] * certain * certain / holds
-        unsure += 0.5 * count * abs(last)
+        uncertainty += 0.5 * count * abs(last)
     for i in range(len(ended.applied)):
         memory.displacement[i], memory.torques[i] = ended.displacement[i] / holds, ended.applied[i]
-    account.unsure = account.changes + unsure
+    account.uncertainty = account.changes + uncertainty
     return doubt, further
 
 
@@ -549,7 +551,7 @@ def certain_energy(account: GroupAccount, credit: float) -> float:
     What was dissipated or leaked is not available again, but it covers the uncertainty of the encoders.
     """
     energy = account.h_s - account.h_dis + credit
-    lacking = account.unsure - account.kept_back
+    lacking = account.uncertainty - account.unrecovered
     return energy - lacking if lacking > 0.0 else energy
 
 

@@ -205,12 +205,12 @@ def _hand_term(axes: AxisLimits, torques: Buffer) -> float:
     return axes.hand * math.sqrt(total)
 
 
-def along_last(axes: AxisLimits, torques: Buffer, displacement: Buffer, blur: Buffer) -> float:
+def along_last(axes: AxisLimits, torques: Buffer, displacement: Buffer, position_uncertainty: Buffer) -> float:
     """Largest W . D_0 [J], after friction, of a displacement known up to encoder counts and its uncertainty."""
     total = 0.0
     for i in range(len(axes.counts)):
         along = torques[i] * displacement[i]
-        total += along + abs(torques[i]) * (axes.counts[i] + blur[i])
+        total += along + abs(torques[i]) * (axes.counts[i] + position_uncertainty[i])
     return total
 
 

@@ -24,7 +24,7 @@ class GroupBalance(NamedTuple):
     """One step of a group: the torques to apply next, and the account of the hold that ended. Energies in [J].
 
     `account` keeps the identity of `canhaptic.control.balance` for the whole group. Its `h_i` is
-    sum(interactions) + supplied - unsure; its `torque` is the Euclidean norm of `torques`, for plots only; its
+    sum(interactions) + supplied - uncertainty; its `torque` is the Euclidean norm of `torques`, for plots only; its
     `state` is the first state of the network.
     """
 
@@ -32,7 +32,7 @@ class GroupBalance(NamedTuple):
     account: EnergyBalance  # of the whole group
     interactions: tuple[float, ...]  # h_i of each motor axis
     supplied: float = 0.0  # energy that came in at ports that no motor drives, as by the mover of a moving wall
-    unsure: float = 0.0  # uncertainty due to lost samples, subtracted from h_i
+    uncertainty: float = 0.0  # uncertainty due to lost samples, subtracted from h_i
     limit: int = 0  # `kinematics.Limit`: reason for zero torques
 
 
@@ -67,7 +67,7 @@ class GroupController(Protocol):
             ControlError: A position or torque is not finite, or the computed torque is not.
         """
 
-    def hold(self) -> GroupBalance:
+    def sample_lost(self) -> GroupBalance:
         """Return the balance of a SYNC at which the sample of any axis was lost: the last commands, of displays zeros.
 
         Nothing is booked; the next `step` books one displacement of all axes over several holds at its worst.
@@ -112,7 +112,7 @@ class AxisGroup:
         limits: Number of holds in each `Limit`, without NONE.
         supplied: Energy that came in other than by motors, as by the mover of a wall [J]; part of the ledger's
             interaction.
-        unsure: Uncertainty due to lost samples, subtracted from the ledger's interaction [J].
+        uncertainty: Uncertainty due to lost samples, subtracted from the ledger's interaction [J].
     """
 
     def __init__(self, name: str, axes: Sequence[int], controller: GroupController) -> None:
@@ -122,7 +122,7 @@ class AxisGroup:
         self.ledger = Ledger()
         self.balance: GroupBalance = group_at_rest(len(self.axes))
         self.limits = {limit.name.lower(): 0 for limit in Limit if limit is not Limit.NONE}
-        self.supplied = self.unsure = 0.0
+        self.supplied = self.uncertainty = 0.0
         self._limit = Limit.NONE.value
 
     def step(self, samples: Sequence[Sample]) -> GroupBalance:
@@ -135,7 +135,7 @@ class AxisGroup:
         for axis in self.axes:
             sample = samples[axis]
             if not sample.fresh:
-                self.balance = self.controller.hold()
+                self.balance = self.controller.sample_lost()
                 return self.balance
             positions.append(sample.position)
             torques.append(sample.torque_applied)
@@ -154,7 +154,7 @@ class AxisGroup:
         """
         self.ledger.add(self.balance.account, sync_index, deadline)
         self.supplied += self.balance.supplied
-        self.unsure += self.balance.unsure
+        self.uncertainty += self.balance.uncertainty
         limit, before = self.balance.limit, self._limit
         self._limit = limit
         if not limit:
@@ -217,7 +217,7 @@ class GroupedControllers:
         for axis, controller in self._singles:
             sample = samples[axis]
             balances[axis] = (
-                controller.step(sample.position, sample.torque_applied) if sample.fresh else controller.hold()
+                controller.step(sample.position, sample.torque_applied) if sample.fresh else controller.sample_lost()
             )
         for group in self.groups:
             balance = group.step(samples)

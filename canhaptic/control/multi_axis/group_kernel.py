@@ -16,10 +16,10 @@ from canhaptic.control.damping import damping_cap
 from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis.group_controller import GroupBalance, NetworkEnvironment, group_at_rest
 from canhaptic.control.multi_axis.group_motion import (
+    GroupModel,
     GroupMotion,
     MotionMemory,
     MotionSettings,
-    World,
     motion_memory,
     motion_settings,
     world_of,
@@ -201,7 +201,7 @@ class GroupHold(NamedTuple):
 
     account: EnergyBalance
     supplied: float
-    unsure: float
+    uncertainty: float
     further: float  # largest excess of the energy beyond the subtracted uncertainty [J]
     limit: int
     place: int  # of the torques that it sent, in the rings of the commands
@@ -216,7 +216,7 @@ class GroupKernel(NamedTuple):
     step: Callable[..., GroupHold]  # (world, settings, state, memory, samples lost before, positions, torques applied)
 
 
-def group_loop(world: World, loops: tuple[LoopProperties, ...]) -> GroupLoop:
+def group_loop(world: GroupModel, loops: tuple[LoopProperties, ...]) -> GroupLoop:
     """Constants of a run."""
     sample_time, delay = loops[0].sample_time, loops[0].delay
     caps = [min(_NO_CAP, damping_cap(delay, loop.moving_mass, sample_time)) for loop in loops]
@@ -226,7 +226,7 @@ def group_loop(world: World, loops: tuple[LoopProperties, ...]) -> GroupLoop:
     return GroupLoop(delay, caps, min(caps), max(caps), largest, rises, powers, motion_settings(world, loops))
 
 
-def group_memory(world: World, loop: GroupLoop, ports: int) -> GroupMemory:
+def group_memory(world: GroupModel, loop: GroupLoop, ports: int) -> GroupMemory:
     """Return the buffers of a group at rest; `ports` of the commands are kept."""
     axes = len(loop.caps)
     return GroupMemory(
@@ -246,7 +246,7 @@ class GroupRun(NamedTuple):
 _HELD = Branch.HELD.value
 
 
-def interpreted_run(kernel: GroupKernel, world: World, settings: Any) -> Callable[[], GroupRun]:
+def interpreted_run(kernel: GroupKernel, world: GroupModel, settings: Any) -> Callable[[], GroupRun]:
     """Return the function that begins an interpreted run."""
     fixed = with_quick_fields(world), with_quick_fields(settings)
 
@@ -303,7 +303,7 @@ class SteppedGroup:
         """
         self._missed += (round(periods) - 1) * self._started
 
-    def hold(self) -> GroupBalance:
+    def sample_lost(self) -> GroupBalance:
         """Repeat the last commands at a SYNC without a sample; see `GroupController`."""
         self._missed += self._started
         torques, last = self._last.torques, self._last.account
@@ -328,7 +328,7 @@ class SteppedGroup:
                 f"expected {self.axes} finite numbers each; torque is zero and the controller was reset; check "
                 "the encoders"
             )
-        account, supplied, unsure, further, limit, place = self._step(self._missed, positions, torques_applied)
+        account, supplied, uncertainty, further, limit, place = self._step(self._missed, positions, torques_applied)
         torques = tuple(self._torques[place])
         if not isfinite(sum(torques)):
             self.reset()
@@ -338,5 +338,5 @@ class SteppedGroup:
             )
         self.energy_resolution += further
         self._started, self._missed, self._newest = True, 0, place
-        self._last = GroupBalance(torques, account, tuple(self._interactions), supplied, unsure, limit)
+        self._last = GroupBalance(torques, account, tuple(self._interactions), supplied, uncertainty, limit)
         return self._last

@@ -29,7 +29,7 @@ _LONGEST_WINDOW: Final = 0.02
 """Longest window of the velocity from a coarse encoder [s]."""
 
 
-class World(NamedTuple):
+class GroupModel(NamedTuple):
     """Network of a group, and its kinematics."""
 
     mechanism: KinematicsKernel
@@ -86,7 +86,7 @@ class MotionMemory(NamedTuple):
     network: NetworkMemory
 
 
-class Ahead(NamedTuple):
+class MotionAhead(NamedTuple):
     """Predicted motor positions in the hold in which the next torques act, shapes (axes,)."""
 
     lead: float  # holds until then
@@ -104,7 +104,7 @@ class RequestedEfforts(NamedTuple):
     velocity: Buffer  # of the motor axes, inside the contact [rad/s or m/s]
 
 
-def world_of(environment: NetworkEnvironment, kinematics: Kinematics, loops: tuple[LoopProperties, ...]) -> World:
+def world_of(environment: NetworkEnvironment, kinematics: Kinematics, loops: tuple[LoopProperties, ...]) -> GroupModel:
     """Fits environment, mechanism and loops together.
 
     Raises:
@@ -118,23 +118,23 @@ def world_of(environment: NetworkEnvironment, kinematics: Kinematics, loops: tup
             f"{geometry.dimensions} dimensions and the mechanism {kinematics.dimensions}; expected equal numbers"
         )
     tables = network.tables._replace(structure=[list(row) for row in network.tables.structure])
-    return World(mechanism_of(kinematics), geometry, mover, tables, network.functions)
+    return GroupModel(mechanism_of(kinematics), geometry, mover, tables, network.functions)
 
 
-def why_not_world(world: World) -> str:
+def why_not_world(world: GroupModel) -> str:
     """Reason why a part of a world cannot be compiled, or ""."""
     parts = (world.mechanism, world.geometry, world.functions)
     names = [type(part).__name__ for part in parts if not hasattr(part, "_fields") or hasattr(part, "kinematics")]
     return f"got {', '.join(names)}, which is Python code of its own" if names else ""
 
 
-def motion_settings(world: World, loops: tuple[LoopProperties, ...]) -> MotionSettings:
+def motion_settings(world: GroupModel, loops: tuple[LoopProperties, ...]) -> MotionSettings:
     """Constants of a run."""
     counts = [loop.encoder_count for loop in loops]
     return MotionSettings(loops[0].sample_time, counts, any(counts), world.mover.half != 0.0)
 
 
-def motion_memory(world: World, settings: MotionSettings) -> MotionMemory:
+def motion_memory(world: GroupModel, settings: MotionSettings) -> MotionMemory:
     """Buffers for the motion of a group."""
     geometry, axes = world.geometry, len(settings.counts)
     ports, dimensions = geometry.ports, geometry.dimensions
@@ -148,7 +148,7 @@ def motion_memory(world: World, settings: MotionSettings) -> MotionMemory:
 
 
 def begin_motion(
-    world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer
+    world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer
 ) -> None:
     """Take the first positions, of a state at rest."""
     motion.elapsed = settings.sample_time
@@ -162,7 +162,7 @@ def begin_motion(
 
 
 def follow(
-    world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer,
+    world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer,
     displacement: Buffer, holds: int,
 ) -> None:  # fmt: skip
     """Take positions and the motion since the last ones, and let the network follow them."""
@@ -187,7 +187,7 @@ def follow(
 
 
 def move(
-    world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer,
+    world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer,
     displacement: Buffer, holds: int,
 ) -> None:  # fmt: skip
     """Take positions and the motion since the last ones, over one hold or several; the network stays.
@@ -222,7 +222,7 @@ def settle_motion(motion: GroupMotion) -> None:
 
 
 def locate(
-    world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer
+    world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer
 ) -> None:
     """Compute pose and coordinates, less the mover's motion."""
     motion.limit = world.mechanism.locate(positions, memory.place, memory.jacobian)
@@ -262,7 +262,7 @@ def measure_velocity(
         memory.velocity[i] = velocity
 
 
-def mover_motion(world: World, settings: MotionSettings, first: int, last: int) -> float:
+def mover_motion(world: GroupModel, settings: MotionSettings, first: int, last: int) -> float:
     """Return the mover's motion from one sample to another [m or rad]."""
     if not settings.moves:
         return 0.0
@@ -271,7 +271,7 @@ def mover_motion(world: World, settings: MotionSettings, first: int, last: int) 
 
 
 def write_carried(
-    world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, after: int, into: Buffer
+    world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, after: int, into: Buffer
 ) -> None:
     """Write the least motion of the motors that moves the ports as the mover does in one hold, at this pose.
 
@@ -297,8 +297,8 @@ def write_carried(
 
 
 def write_efforts(
-    world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, ahead: Ahead,
-    wish: RequestedEfforts,
+    world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, ahead: MotionAhead,
+    request: RequestedEfforts,
 ) -> float:  # fmt: skip
     """Write the efforts that the network requests of the motors, its springs at the predicted positions.
 
@@ -312,15 +312,15 @@ def write_efforts(
     else:
         write_port_motion(settings, motion, memory, ports)
     dampers(tables, network, ports, time, network.state, memory.damper_at_ports)
-    write_springs(world, motion, memory, ahead.lead, ahead.way, wish)
-    to_motors(memory, memory.damper_at_ports, wish.damper)
-    for i in range(len(wish.velocity)):
-        wish.velocity[i] = ahead.step[i] / time if ahead.is_predicted else motion.entered * memory.velocity[i]
+    write_springs(world, motion, memory, ahead.lead, ahead.way, request)
+    to_motors(memory, memory.damper_at_ports, request.damper)
+    for i in range(len(request.velocity)):
+        request.velocity[i] = ahead.step[i] / time if ahead.is_predicted else motion.entered * memory.velocity[i]
     return internal_motion(tables, network.room) / (holds * time)
 
 
 def write_springs(
-    world: World, motion: GroupMotion, memory: MotionMemory, lead: float, way: Buffer, wish: RequestedEfforts
+    world: GroupModel, motion: GroupMotion, memory: MotionMemory, lead: float, way: Buffer, request: RequestedEfforts
 ) -> None:
     """Write the efforts of the springs now, and their change until the motors are at the predicted positions.
 
@@ -330,15 +330,15 @@ def write_springs(
         memory: Buffers of the motion.
         lead: Time of the prediction [holds].
         way: Motion of the motors in that time, (axes,) [rad or m].
-        wish: Receives the efforts.
+        request: Receives the efforts.
     """
     to_ports(memory, way, lead * motion.moved / motion.holds, memory.way)
     springs(
         world.tables, world.functions, memory.network, lead, motion.holds, memory.way, memory.spring_at_ports,
         memory.lead_at_ports,
     )  # fmt: skip
-    to_motors(memory, memory.spring_at_ports, wish.spring)
-    to_motors(memory, memory.lead_at_ports, wish.lead)
+    to_motors(memory, memory.spring_at_ports, request.spring)
+    to_motors(memory, memory.lead_at_ports, request.lead)
 
 
 def to_ports(memory: MotionMemory, moved: Buffer, carried: float, into: Buffer) -> None:

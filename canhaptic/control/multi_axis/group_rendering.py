@@ -49,7 +49,13 @@ from canhaptic.control.multi_axis.group_kernel import (
     send_nothing,
     take_applied,
 )
-from canhaptic.control.multi_axis.group_motion import Ahead, RequestedEfforts, World, write_efforts, write_springs
+from canhaptic.control.multi_axis.group_motion import (
+    GroupModel,
+    MotionAhead,
+    RequestedEfforts,
+    write_efforts,
+    write_springs,
+)
 from canhaptic.control.multi_axis.per_axis_certificates import (
     inward_first,
     needed_by_hand,
@@ -110,7 +116,7 @@ class GuardedGroupMemory(NamedTuple):
     way: Buffer  # of the motors until the next torques act, (axes,) [rad or m]
     steady: Buffer  # the same by the last motion alone
     step: Buffer  # motion in a hold then
-    wish: RequestedEfforts
+    request: RequestedEfforts
     damper: Buffer  # efforts to be sent, (axes,) [N*m or N]
     modulated: Buffer
     torques: Buffer  # requested
@@ -119,7 +125,9 @@ class GuardedGroupMemory(NamedTuple):
     scaled: Buffer
 
 
-def settings_of(world: World, parameters: GuardedParameters, loops: tuple[LoopProperties, ...]) -> GuardedGroupSettings:
+def settings_of(
+    world: GroupModel, parameters: GuardedParameters, loops: tuple[LoopProperties, ...]
+) -> GuardedGroupSettings:
     """Constants of a run.
 
     Raises:
@@ -193,7 +201,7 @@ def _require_certificates(axes: AxisLimits, loops: tuple[LoopProperties, ...]) -
         )
 
 
-def memory_of(world: World, settings: GuardedGroupSettings) -> GuardedGroupMemory:
+def memory_of(world: GroupModel, settings: GuardedGroupSettings) -> GuardedGroupMemory:
     """Return the buffers of a group at rest."""
     axes, one, limits = len(settings.quanta), list_of_zeros, settings.account.apart
     return GuardedGroupMemory(
@@ -204,7 +212,7 @@ def memory_of(world: World, settings: GuardedGroupSettings) -> GuardedGroupMemor
     )  # fmt: skip
 
 
-class UnderWay(NamedTuple):
+class QueuedTorques(NamedTuple):
     """Torques that act before the next command."""
 
     torques: Matrix  # a ring, (delay + 1, axes) [N*m or N]
@@ -213,35 +221,35 @@ class UnderWay(NamedTuple):
 
 
 def worst_case(
-    settings: AccountSettings, memory: AccountMemory, torques: Buffer, under_way: UnderWay, count: int
+    settings: AccountSettings, memory: AccountMemory, torques: Buffer, under_way: QueuedTorques, count: int
 ) -> float:
     """Return the base of torques that act after some of those under way [J]; see `base_of`."""
     axes, sent, first = settings.axes, under_way.torques, under_way.first
-    along = along_last(axes, torques, memory.displacement, memory.blur)
+    along = along_last(axes, torques, memory.displacement, memory.position_uncertainty)
     if not axes.timing.is_ideal:
         copy_range(axes, memory, False)
     return base_of(axes, torques, memory.displacement, along, memory.torques, sent, first, count, memory.now)
 
 
-def extraction_of(settings: AccountSettings, memory: AccountMemory, under_way: UnderWay, hold: int) -> float:
+def extraction_of(settings: AccountSettings, memory: AccountMemory, under_way: QueuedTorques, hold: int) -> float:
     """Return the most energy [J] that the torques of one of the holds under way may take out in it."""
     axes, torques = settings.axes, under_way.torques[under_way.first + hold]
     taken = worst_case(settings, memory, torques, under_way, hold) + gain_of(axes, torques)
     if not axes.timing.is_ideal:
         taken += response_to_late(axes, torques, memory.now.highest, memory.now.lowest, torques, axes.during)
-    return taken + taken_by_mover(torques, memory.coming[hold]) if settings.moves else taken
+    return taken + taken_by_mover(torques, memory.mover_motion[hold]) if settings.moves else taken
 
 
-def moved_at_most(settings: AccountSettings, memory: AccountMemory, under_way: UnderWay) -> float:
+def moved_at_most(settings: AccountSettings, memory: AccountMemory, under_way: QueuedTorques) -> float:
     """Energy that a mover takes [J] in the holds of torques under way, where that is positive."""
     total = 0.0
     if settings.moves:
         for hold in range(under_way.holds):
-            total += max(0.0, taken_by_mover(under_way.torques[under_way.first + hold], memory.coming[hold]))
+            total += max(0.0, taken_by_mover(under_way.torques[under_way.first + hold], memory.mover_motion[hold]))
     return total
 
 
-def needed_under_way(settings: AccountSettings, memory: AccountMemory, under_way: UnderWay) -> float:
+def needed_under_way(settings: AccountSettings, memory: AccountMemory, under_way: QueuedTorques) -> float:
     """Return the most energy [J] that the torques under way may give out to a hand within its force."""
     worst = given = 0.0
     for hold in range(under_way.holds):
@@ -255,14 +263,14 @@ def needed_under_way(settings: AccountSettings, memory: AccountMemory, under_way
 
 
 def late_of(
-    settings: AccountSettings, memory: AccountMemory, under_way: UnderWay, torques: Buffer, size: float
+    settings: AccountSettings, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer, size: float
 ) -> LateShare:
     """Energy that older torques give out besides those held, by the share of a part of new ones."""
     return share_of_late(settings.axes, memory, under_way.torques, under_way.first, under_way.holds, torques, size)
 
 
 def free_energy(
-    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: UnderWay, energy: float
+    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: QueuedTorques, energy: float
 ) -> float:
     """Part of `energy` [J] that the certificates of the torques under way do not need."""
     axes = settings.axes
@@ -286,7 +294,7 @@ def free_energy(
 
 
 def shares(
-    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: UnderWay, torques: Buffer,
+    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer,
     energy: float,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Share of the torques that each certificate admits: hand force, device damping, hand speed; may be > 1.
@@ -304,7 +312,7 @@ def shares(
         return shares_if_apart(settings, account, memory, under_way, torques, energy)
     by_force = by_damping = by_speed = moved = 0.0
     if settings.moves:
-        moved = taken_by_mover(torques, memory.coming[under_way.holds])
+        moved = taken_by_mover(torques, memory.mover_motion[under_way.holds])
     if axes.by_hand:
         by_force = by_hand_force(settings, memory, under_way, torques, energy, moved)
     if axes.by_damping or axes.path > 0.0:
@@ -324,7 +332,12 @@ def shares(
 
 
 def by_hand_force(
-    settings: AccountSettings, memory: AccountMemory, under_way: UnderWay, torques: Buffer, energy: float, moved: float
+    settings: AccountSettings,
+    memory: AccountMemory,
+    under_way: QueuedTorques,
+    torques: Buffer,
+    energy: float,
+    moved: float,
 ) -> float:
     """Return the share by hand force; up to 1 where torques come late, see `group_account`.
 
@@ -362,7 +375,7 @@ def share_beyond(energy: float, base: float, gain: float, late: LateShare, size:
 
 
 def share_in_debt(
-    axes: AxisLimits, memory: AccountMemory, under_way: UnderWay, torques: Buffer, base: float, gain: float
+    axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer, base: float, gain: float
 ) -> float:
     """Return the share of torques that takes energy in for certain, where older ones may give out more than there is.
 
@@ -388,25 +401,25 @@ def size_of(values: Buffer) -> float:
     return total
 
 
-def take_all_sent(settings: AccountSettings, memory: AccountMemory, under_way: UnderWay) -> None:
+def take_all_sent(settings: AccountSettings, memory: AccountMemory, under_way: QueuedTorques) -> None:
     """Take the hold that ended and the torques that may still act, for per-axis certificates."""
     copy_range(settings.axes, memory, True)
     take_sent(
-        settings.axes, settings.apart, memory.apart, memory.displacement, memory.blur, memory.torques,
+        settings.axes, settings.apart, memory.apart, memory.displacement, memory.position_uncertainty, memory.torques,
         under_way.torques, under_way.first, memory.now,
     )  # fmt: skip
 
 
 def free_if_apart(
-    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: UnderWay, energy: float
+    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: QueuedTorques, energy: float
 ) -> float:
     """`free_energy` for per-axis certificates."""
     axes, limits, apart, free = settings.axes, settings.apart, memory.apart, 0.0
     take_all_sent(settings, memory, under_way)
     older_damped, older_paths = older_needs(axes, memory)
-    moved = taken_at_most(limits, apart, memory.coming, apart.nothing)[0] if settings.moves else 0.0
+    moved = taken_at_most(limits, apart, memory.mover_motion, apart.nothing)[0] if settings.moves else 0.0
     if axes.by_hand:
-        free = max(free, energy - needed_by_hand(axes, limits, apart, memory.coming))
+        free = max(free, energy - needed_by_hand(axes, limits, apart, memory.mover_motion))
     if axes.path > 0.0:
         write_needs(limits, apart, apart.nothing, squared=False)
         free = max(free, energy - moved - axes.path * size_of(apart.old) - older_paths)
@@ -417,7 +430,7 @@ def free_if_apart(
 
 
 def shares_if_apart(
-    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: UnderWay, torques: Buffer,
+    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer,
     energy: float,
 ) -> tuple[float, float, float]:  # fmt: skip
     """`shares` for per-axis certificates; none is above 1 by hand force."""
@@ -426,9 +439,9 @@ def shares_if_apart(
     older_damped, older_paths = older_needs(axes, memory)
     by_force = by_damping = by_speed = moved = more = 0.0
     if settings.moves:
-        moved, more = taken_at_most(limits, apart, memory.coming, torques)
+        moved, more = taken_at_most(limits, apart, memory.mover_motion, torques)
     if axes.by_hand:
-        by_force = share_by_hand(axes, limits, apart, memory.coming, torques, energy)
+        by_force = share_by_hand(axes, limits, apart, memory.mover_motion, torques, energy)
     if axes.by_damping:
         write_needs(limits, apart, torques, squared=True)
         budget = energy + account.dissipated - moved - more
@@ -457,14 +470,14 @@ class Rendering(NamedTuple):
 
 
 def render(
-    world: World,
+    world: GroupModel,
     settings: GuardedGroupSettings,
     state: GuardedGroupState,
     memory: GuardedGroupMemory,
-    under_way: UnderWay,
+    under_way: QueuedTorques,
 ) -> Rendering:
     """Send the torques for the next free hold."""
-    group, commands, wish = state.group, memory.group.commands, memory.wish
+    group, commands, request = state.group, memory.group.commands, memory.request
     place = group.oldest
     if not group.motion.engaged:
         group.oldest = send_nothing(commands, place)
@@ -476,7 +489,7 @@ def render(
     rendered = write_dampers(settings, state, memory, damper_share)
     damper, modulated, torques = memory.damper, memory.modulated, memory.torques
     for i in range(len(torques)):
-        torques[i] = -(share * wish.spring[i] + lead_share * wish.lead[i] + damper[i] + modulated[i])
+        torques[i] = -(share * request.spring[i] + lead_share * request.lead[i] + damper[i] + modulated[i])
     most = within_limits(settings, state, memory)
     factor, certificate = certify(settings, state, memory, under_way, energy, most, covered)
     sent, splits = memory.sent, settings.account.apart.is_apart and settings.account.axes.by_hand and factor < 1.0
@@ -491,17 +504,17 @@ def render(
 
 
 def write_wish(
-    world: World,
+    world: GroupModel,
     settings: GuardedGroupSettings,
     state: GuardedGroupState,
     memory: GuardedGroupMemory,
-    under_way: UnderWay,
+    under_way: QueuedTorques,
 ) -> float:
     """Write the requested efforts at the predicted motor positions; return as `write_efforts`.
 
     What moves inside a network is not predicted: it goes on as in the last hold, and the motors with it.
     """
-    loop, motion, followed, wish = settings.loop.motion, state.group.motion, memory.group.motion, memory.wish
+    loop, motion, followed, request = settings.loop.motion, state.group.motion, memory.group.motion, memory.request
     way, steady = memory.way, memory.steady
     for i in range(len(way)):
         for hold in range(under_way.holds):
@@ -510,20 +523,20 @@ def write_wish(
         steady[i] = settings.lead * travel
         way[i], memory.step[i] = predicted(settings.prediction[i], memory.predicted[i], memory.column, 0, travel)
     moves = internal_motion(world.tables, followed.network.room) != 0.0
-    ahead = new(Ahead, (settings.lead, steady if moves else way, memory.step, state.was_engaged and not moves))
-    speed = write_efforts(world, loop, motion, followed, ahead, wish)
+    ahead = new(MotionAhead, (settings.lead, steady if moves else way, memory.step, state.was_engaged and not moves))
+    speed = write_efforts(world, loop, motion, followed, ahead, request)
     if moves:
         for i in range(len(way)):
             way[i] = steady[i]
     elif state.account.h_s < motion.energy:  # going in, more may be taken in where the account is short
         further = least = 0.0
         for i in range(len(way)):
-            further += wish.spring[i] * steady[i]
-            least += wish.spring[i] * way[i]
+            further += request.spring[i] * steady[i]
+            least += request.spring[i] * way[i]
         if further > 0.0 and further > least:
             for i in range(len(way)):
                 way[i] = steady[i]
-            write_springs(world, motion, followed, settings.lead, way, wish)
+            write_springs(world, motion, followed, settings.lead, way, request)
     return speed
 
 
@@ -543,8 +556,8 @@ def split(
     account, commands, together, found = settings.account, memory.group.commands, memory.sent, memory.scaled
     for i in range(len(found)):
         memory.asked[i] = most * memory.torques[i]
-    apart, coming = memory.account.apart, memory.account.coming
-    inward_first(account.axes, account.apart, apart, coming, memory.asked, settings.quanta, energy, found)
+    apart, mover_motion = memory.account.apart, memory.account.mover_motion
+    inward_first(account.axes, account.apart, apart, mover_motion, memory.asked, settings.quanta, energy, found)
     more = 0.0
     for i in range(len(found)):
         more += (found[i] - together[i]) * memory.asked[i] * account.apart.responses[i]
@@ -575,7 +588,7 @@ def certify(
     settings: GuardedGroupSettings,
     state: GuardedGroupState,
     memory: GuardedGroupMemory,
-    under_way: UnderWay,
+    under_way: QueuedTorques,
     energy: float,
     most: float,
     covered: bool,
@@ -616,7 +629,7 @@ def put_on_grid(
     settings: GuardedGroupSettings,
     state: GuardedGroupState,
     memory: GuardedGroupMemory,
-    under_way: UnderWay,
+    under_way: QueuedTorques,
     energy: float,
     factor: float,
 ) -> float:
@@ -646,12 +659,12 @@ def write_dampers(
     settings: GuardedGroupSettings, state: GuardedGroupState, memory: GuardedGroupMemory, share: float
 ) -> float:
     """Write the efforts of the damper and of the modulated one (eq. 19); return the damping rendered."""
-    wish, damper, modulated, h_dis = memory.wish, memory.damper, memory.modulated, state.account.h_dis
+    request, damper, modulated, h_dis = memory.request, memory.damper, memory.modulated, state.account.h_dis
     square = along = extra = 0.0
     for i in range(len(damper)):
-        damper[i] = share * wish.damper[i]
-        square += wish.velocity[i] * wish.velocity[i]
-        along += damper[i] * wish.velocity[i]
+        damper[i] = share * request.damper[i]
+        square += request.velocity[i] * request.velocity[i]
+        along += damper[i] * request.velocity[i]
     rendered = along / square if square != 0.0 else 0.0
     if settings.alpha > 0.0 and h_dis > 0.0 and square != 0.0:
         sample_time = settings.loop.motion.sample_time
@@ -659,7 +672,7 @@ def write_dampers(
             settings.alpha, h_dis, rendered, settings.loop.least_cap, sqrt(square) * sample_time, sample_time
         )
     for i in range(len(modulated)):
-        modulated[i] = extra * wish.velocity[i]
+        modulated[i] = extra * request.velocity[i]
     return rendered + extra
 
 
@@ -671,12 +684,12 @@ def shares_of_wish(
     energy: float,
 ) -> tuple[float, float, float, bool]:
     """Shares of spring, lead and damper to render, and whether the account covers all of them."""
-    wish, caps = memory.wish, settings.loop.caps
-    size, lead_size = capped_norm(wish.spring, caps), capped_norm(wish.lead, caps)
-    damper_size = capped_norm(wish.damper, caps)
+    request, caps = memory.request, settings.loop.caps
+    size, lead_size = capped_norm(request.spring, caps), capped_norm(request.lead, caps)
+    damper_size = capped_norm(request.damper, caps)
     speed = 0.0
     for i in range(len(caps)):
-        speed += caps[i] * wish.velocity[i] * wish.velocity[i]
+        speed += caps[i] * request.velocity[i] * request.velocity[i]
     speed = sqrt(speed)
     if internal_speed != 0.0:
         speed += sqrt(settings.loop.most_cap) * internal_speed
@@ -687,8 +700,8 @@ def shares_of_wish(
         share = sqrt(permitted)
         inward = opposed = 0.0
         for i in range(len(caps)):
-            inward += wish.spring[i] * wish.velocity[i]
-            opposed += wish.lead[i] * wish.spring[i] / caps[i]
+            inward += request.spring[i] * request.velocity[i]
+            opposed += request.lead[i] * request.spring[i] / caps[i]
         if inward > 0.0:
             catch_up = min(size - share * size, inward / size, room)
             share += catch_up / size
@@ -697,7 +710,7 @@ def shares_of_wish(
             lead_share = share * size / lead_size
     if damper_share * damper_size > room:
         damper_share, covered = room / damper_size, False
-    lead, led = capped_norm(wish.lead, settings.calm), 0.0
+    lead, led = capped_norm(request.lead, settings.calm), 0.0
     for i in range(len(caps)):
         led += settings.calm[i] * memory.way[i] * memory.way[i]
     led = sqrt(led)
@@ -710,25 +723,25 @@ def permitted_square(
     settings: GuardedGroupSettings, state: GuardedGroupState, memory: GuardedGroupMemory, size: float, energy: float
 ) -> float:
     """Return the square of the share of the springs that the account covers; may be above 1."""
-    wish, account = memory.wish, state.account
+    request, account = memory.request, state.account
     if size == 0.0:
         return 1.0
     permitted = 0.0
     if settings.account.axes.by_hand:
-        calm = capped_norm(wish.spring, settings.calm)
+        calm = capped_norm(request.spring, settings.calm)
         permitted = quotient(2.0 * energy, calm * calm)
     if settings.account.axes.by_damping:
         total = needed = 0.0
         for i in range(len(settings.damped)):
-            spring, stiffness = wish.spring[i], settings.damped[i]
-            whole = spring + wish.lead[i] + wish.damper[i]
+            spring, stiffness = request.spring[i], settings.damped[i]
+            whole = spring + request.lead[i] + request.damper[i]
             total += 0.5 * (whole * whole) / stiffness
             needed += 0.5 * spring * spring / stiffness
         keep(account, energy, state.group.motion.energy + total)
         permitted = max(permitted, quotient(energy + account.dissipated, needed))
     if settings.path > 0.0 and energy > 0.0:
         travelled = 0.0
-        for spring in wish.spring:
+        for spring in request.spring:
             travelled += abs(spring)
         ratio = quotient(energy, settings.path * travelled)
         permitted = max(permitted, ratio * ratio)

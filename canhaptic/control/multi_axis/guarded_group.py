@@ -13,12 +13,12 @@ from canhaptic.control.multi_axis.group_account import doubt_of_mover, end_group
 from canhaptic.control.multi_axis.group_certificates import taken_by_mover
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
 from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel, SteppedGroup, end_holds, norm
-from canhaptic.control.multi_axis.group_motion import World, begin_motion, follow, write_carried
+from canhaptic.control.multi_axis.group_motion import GroupModel, begin_motion, follow, write_carried
 from canhaptic.control.multi_axis.group_rendering import (
     GuardedGroupMemory,
     GuardedGroupSettings,
     GuardedGroupState,
-    UnderWay,
+    QueuedTorques,
     free_energy,
     memory_of,
     render,
@@ -35,7 +35,7 @@ _DEPLETED, _EXIT = Branch.DEPLETED.value, Branch.EXIT.value
 
 
 def step(
-    world: World,
+    world: GroupModel,
     settings: GuardedGroupSettings,
     state: GuardedGroupState,
     memory: GuardedGroupMemory,
@@ -51,15 +51,15 @@ def step(
     group.oldest = end_holds(commands, ended, settings.loop.largest, group.oldest, missed, positions, torques_applied)
     follow(world, settings.loop.motion, motion, memory.group.motion, positions, ended.displacement, missed + 1)
     observe_all(settings, memory, missed)
-    supplied, unsure, further = end(world, settings, state, memory, missed)
+    supplied, uncertainty, further = end(world, settings, state, memory, missed)
     h_i = h_pas = lost = 0.0
     for i in range(len(ended.interactions)):
         h_i += ended.interactions[i]
         if missed == 0:  # of several holds the dampers' share of the motion is not known
             h_pas += commands.modulated[group.oldest][i] * ended.displacement[i]
             lost += commands.dampers[group.oldest][i] * ended.displacement[i]
-    h_i = h_i + supplied - unsure
-    under_way = new(UnderWay, (commands.torques, group.oldest - settings.loop.delay, settings.loop.delay))
+    h_i = h_i + supplied - uncertainty
+    under_way = new(QueuedTorques, (commands.torques, group.oldest - settings.loop.delay, settings.loop.delay))
     h_r, deficit, leak, paid = book(settings, state, memory, under_way, h_i, h_pas, lost + motion.internal)
     rendered, certificate = render(world, settings, state, memory, under_way)
     account, branch = state.account, branch_of(state, h_i, leak, deficit)
@@ -68,11 +68,11 @@ def step(
         norm(commands.torques[group.oldest - 1]), h_i, h_pas, h_i - h_pas, h_r, account.h_s, account.h_dis, 0.0,
         deficit, leak, paid, branch, rendered, certificate, memory.group.motion.network.state[0],
     ))  # fmt: skip
-    return new(GroupHold, (balance, supplied, unsure, further, motion.limit, group.oldest - 1))
+    return new(GroupHold, (balance, supplied, uncertainty, further, motion.limit, group.oldest - 1))
 
 
 def begin(
-    world: World,
+    world: GroupModel,
     settings: GuardedGroupSettings,
     state: GuardedGroupState,
     memory: GuardedGroupMemory,
@@ -86,7 +86,7 @@ def begin(
     begin_motion(world, loop, group.motion, motion, positions)
     if loop.moves:
         for hold in range(settings.account.apart.holds):
-            write_carried(world, loop, group.motion, motion, hold, memory.account.coming[hold])
+            write_carried(world, loop, group.motion, motion, hold, memory.account.mover_motion[hold])
 
 
 def observe_all(settings: GuardedGroupSettings, memory: GuardedGroupMemory, missed: int) -> None:
@@ -100,7 +100,7 @@ def observe_all(settings: GuardedGroupSettings, memory: GuardedGroupMemory, miss
 
 
 def end(
-    world: World,
+    world: GroupModel,
     settings: GuardedGroupSettings,
     state: GuardedGroupState,
     memory: GuardedGroupMemory,
@@ -122,10 +122,10 @@ def end(
             if hold < missed:
                 moved += doubt_of_mover(account, ended, hold)
         for hold in range(limits.holds):
-            later, into = hold + missed + 1, account.coming[hold]
+            later, into = hold + missed + 1, account.mover_motion[hold]
             if later < limits.holds:
                 for i in range(len(into)):
-                    into[i] = account.coming[later][i]
+                    into[i] = account.mover_motion[later][i]
             else:
                 write_carried(world, settings.loop.motion, state.group.motion, memory.group.motion, hold, into)
     if missed == 0:
@@ -137,7 +137,7 @@ def end(
 
 
 def write_passed(
-    world: World,
+    world: GroupModel,
     settings: GuardedGroupSettings,
     state: GuardedGroupState,
     memory: GuardedGroupMemory,
@@ -148,7 +148,7 @@ def write_passed(
     motion, account = memory.group.motion, memory.account
     if hold < settings.account.apart.holds:
         for i in range(len(account.passing)):
-            account.passing[i] = account.coming[hold][i]
+            account.passing[i] = account.mover_motion[hold][i]
     else:
         write_carried(world, settings.loop.motion, state.group.motion, motion, hold - holds, account.passing)
 
@@ -157,7 +157,7 @@ def book(
     settings: GuardedGroupSettings,
     state: GuardedGroupState,
     memory: GuardedGroupMemory,
-    under_way: UnderWay,
+    under_way: QueuedTorques,
     h_i: float,
     h_pas: float,
     lost: float,
@@ -180,7 +180,7 @@ def book(
         free = free_energy(settings.account, account, memory.account, under_way, h_s - surplus + settings.credit)
         slack = min(free, h_s)
     account.h_s, account.h_dis, h_r, deficit, leak, paid = settle(h_s, surplus, lost, ceiling, slack)
-    account.kept_back += h_r + leak - paid
+    account.unrecovered += h_r + leak - paid
     return h_r, deficit, leak, paid
 
 

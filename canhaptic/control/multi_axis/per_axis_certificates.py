@@ -187,7 +187,7 @@ _ROUNDING: Final = 1e-12
 
 
 def take_sent(
-    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, displacement: Buffer, blur: Buffer,
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, displacement: Buffer, position_uncertainty: Buffer,
     torques: Buffer, under_way: Matrix, first: int, older: Acting,
 ) -> None:  # fmt: skip
     """Take the hold that ended and the torques that may still act.
@@ -197,7 +197,7 @@ def take_sent(
         limits: Per-axis limits of the group.
         memory: Buffers of the certificates; written.
         displacement: Displacement in the hold that ended, (axes,) [rad or m].
-        blur: Uncertainty of each displacement (axes,).
+        position_uncertainty: Uncertainty of each displacement (axes,).
         torques: Torques held in it, (axes,) [N*m or N].
         under_way: Torques sent, a ring (delay + 1, axes).
         first: Place of the torques that act next; below 0 it wraps.
@@ -205,7 +205,7 @@ def take_sent(
     """
     for i in range(len(torques)):
         memory.sent[0][i], memory.largest[i] = torques[i], abs(torques[i])
-        slack, moved = axes.counts[i] + blur[i], displacement[i]
+        slack, moved = axes.counts[i] + position_uncertainty[i], displacement[i]
         memory.starts[i][0], memory.starts[i][1] = slack + moved, slack - moved
         for side in range(2):
             start = memory.starts[i][side]
@@ -252,7 +252,7 @@ def end_of(limits: PerAxisLimits, hold: int) -> int:
 
 
 def write_cells(
-    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torques: Buffer, fixed: Buffer
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torques: Buffer, fixed: Buffer
 ) -> None:
     """Write the energy that each axis may give out in each hold, as parabolas of which the largest counts.
 
@@ -260,7 +260,7 @@ def write_cells(
         axes: Properties of the motor axes.
         limits: Per-axis limits of the group.
         memory: Buffers of the certificates; written.
-        coming: Motion of a mover in future holds, (holds, axes) [m or rad].
+        mover_motion: Motion of a mover in future holds, (holds, axes) [m or rad].
         torques: W, (axes,), of which the share l is to be found.
         fixed: Torques sent at every l, on axes without W, (axes,).
     """
@@ -273,15 +273,15 @@ def write_cells(
     norm, more, place = sqrt(total) + axes.hand, sqrt(added), 0
     for i in range(len(torques)):
         if limits.is_late:
-            place = write_courses(limits, memory, coming, torques[i], fixed[i], norm, more, i, place)
+            place = write_courses(limits, memory, mover_motion, torques[i], fixed[i], norm, more, i, place)
         else:
-            place = write_options(axes, limits, memory, coming, torques[i], fixed[i], norm, more, i, place)
+            place = write_options(axes, limits, memory, mover_motion, torques[i], fixed[i], norm, more, i, place)
     if limits.is_late:
         write_late_cells(axes, limits, memory, torques, fixed, norm, more, place)
 
 
 def write_options(
-    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torque: float, fixed: float,
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torque: float, fixed: float,
     norm: float, more: float, axis: int, place: int,
 ) -> int:  # fmt: skip
     """Write the energy of an axis for each torque that may be held in each hold; return the next index."""
@@ -289,7 +289,7 @@ def write_options(
     along, against = memory.starts[axis][0], memory.starts[axis][1]
     for index in range(limits.holds):
         along, against = along * kept if along < 0.0 else along, against * kept if against < 0.0 else against
-        mine, reach, moved = index - limits.delay, (index + 1) * (root * norm), coming[index][axis]
+        mine, reach, moved = index - limits.delay, (index + 1) * (root * norm), mover_motion[index][axis]
         slope = root * more * (mine + limits.first) if mine >= 0 else 0.0
         for option in range(first_of(limits, index + 1), end_of(limits, index + 1)):
             held = memory.sent[option][axis]
@@ -308,13 +308,13 @@ def write_options(
 
 
 def write_courses(
-    limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torque: float, fixed: float, norm: float, more: float,
-    axis: int, place: int,
+    limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torque: float, fixed: float, norm: float,
+    more: float, axis: int, place: int,
 ) -> int:  # fmt: skip
     """Write the energy of an axis for any course between 0 and the torques of each hold; return the next index."""
     root = limits.roots[axis]
     for index in range(limits.holds):
-        mine, sign, moved = index - limits.delay, 1.0, coming[index][axis]
+        mine, sign, moved = index - limits.delay, 1.0, mover_motion[index][axis]
         rise = root * more if mine >= 0 else 0.0
         slope = rise * (mine + limits.first)
         for side in range(2):
@@ -367,9 +367,9 @@ def given_at_most(limits: PerAxisLimits, memory: PerAxisMemory, share: float) ->
     return fixed, linear, square
 
 
-def needed_by_hand(axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix) -> float:
+def needed_by_hand(axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix) -> float:
     """Return the most energy [J] that the torques under way may give out to a hand within its declared force."""
-    write_cells(axes, limits, memory, coming, memory.nothing, memory.nothing)
+    write_cells(axes, limits, memory, mover_motion, memory.nothing, memory.nothing)
     return given_at_most(limits, memory, 0.0)[0]
 
 
@@ -389,7 +389,7 @@ def largest_share(limits: PerAxisLimits, memory: PerAxisMemory, budget: float) -
 
 
 def share_by_hand(
-    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torques: Buffer, budget: float
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torques: Buffer, budget: float
 ) -> float:
     """Return the largest share l <= 1 of new torques within a budget [J]; 0 where none is.
 
@@ -397,17 +397,17 @@ def share_by_hand(
         axes: Properties of the motor axes.
         limits: Per-axis limits of the group.
         memory: Buffers of the certificates, after `take_sent`.
-        coming: Motion of a mover in future holds, (holds, axes) [m or rad].
+        mover_motion: Motion of a mover in future holds, (holds, axes) [m or rad].
         torques: W, (axes,) [N*m or N].
         budget: Energy budget [J].
     """
-    write_cells(axes, limits, memory, coming, torques, memory.nothing)
+    write_cells(axes, limits, memory, mover_motion, torques, memory.nothing)
     return largest_share(limits, memory, budget)
 
 
 def inward_first(
-    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torques: Buffer, quanta: Buffer,
-    budget: float, found: Buffer,
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torques: Buffer,
+    quanta: Buffer, budget: float, found: Buffer,
 ) -> None:  # fmt: skip
     """Write torques: as large as certified on axes that move against theirs, a common share on the others.
 
@@ -419,7 +419,7 @@ def inward_first(
         axes: Properties of the motor axes.
         limits: Per-axis limits of the group.
         memory: Buffers of the certificates, after `take_sent`.
-        coming: Motion of a mover in future holds, (holds, axes) [m or rad].
+        mover_motion: Motion of a mover in future holds, (holds, axes) [m or rad].
         torques: W, (axes,) [N*m or N].
         quanta: Torque quanta of the drives; torques are rounded towards 0, (axes,).
         budget: Energy budget [J].
@@ -430,7 +430,7 @@ def inward_first(
         memory.others[i] = found[i] = 0.0
         memory.new[i] = memory.starts[i][0 if torques[i] > 0.0 else 1] * abs(torques[i])
         memory.rest[i] = torques[i] if not memory.new[i] < 0.0 else 0.0
-    reserve = max(budget, needed_by_hand(axes, limits, memory, coming))
+    reserve = max(budget, needed_by_hand(axes, limits, memory, mover_motion))
     for _ in range(count):  # the axis that brings in most first
         axis = 0
         for i in range(1, count):
@@ -441,10 +441,10 @@ def inward_first(
         memory.new[axis] = 0.0
         for i in range(count):
             memory.alone[i] = torques[i] if i == axis else 0.0
-        write_cells(axes, limits, memory, coming, memory.alone, memory.others)
+        write_cells(axes, limits, memory, mover_motion, memory.alone, memory.others)
         found[axis] = towards_zero(largest_share(limits, memory, reserve) * torques[axis], quanta[axis])
         memory.others[axis] = found[axis]
-    write_cells(axes, limits, memory, coming, memory.rest, memory.others)
+    write_cells(axes, limits, memory, mover_motion, memory.rest, memory.others)
     share = largest_share(limits, memory, budget)
     for i in range(count):
         if memory.rest[i] != 0.0:
@@ -472,19 +472,21 @@ def write_needs(limits: PerAxisLimits, memory: PerAxisMemory, torques: Buffer, s
         memory.old[i], memory.new[i] = old, new
 
 
-def taken_at_most(limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torques: Buffer) -> tuple[float, float]:
+def taken_at_most(
+    limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torques: Buffer
+) -> tuple[float, float]:
     """Upper bound on the mover's energy from queued torques [J], and the increase from new ones.
 
     Args:
         limits: Per-axis limits of the group.
         memory: Buffers of the certificates, after `take_sent`.
-        coming: Motion of a mover in future holds, (holds, axes) [m or rad].
+        mover_motion: Motion of a mover in future holds, (holds, axes) [m or rad].
         torques: W, (axes,); zeros for those under way alone.
     """
     old = new = 0.0
     for index in range(limits.holds):
         for i in range(len(torques)):
-            moved, held = coming[index][i], 0.0
+            moved, held = mover_motion[index][i], 0.0
             for place in range(first_of(limits, index + 1), end_of(limits, index + 1)):
                 held = max(held, -memory.sent[place][i] * moved)
             old += held

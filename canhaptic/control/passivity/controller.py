@@ -65,7 +65,7 @@ class Controller(Protocol):
     def reset(self) -> None:
         """Clear the state: zero stored energy, no torque in flight, no last position."""
 
-    def hold(self) -> EnergyBalance:
+    def sample_lost(self) -> EnergyBalance:
         """Balance of a SYNC whose position was lost: the last command is repeated, and nothing booked.
 
         The next `step` then books one displacement over several holds. Where their torques differed the energy is known

@@ -83,7 +83,7 @@ class GuardedState:
     zone: int = 0  # of contact
     true: float = 0.0  # displacement of the storage in the continuous environment [m or rad]
     h_s: float = 0.0  # [J]
-    kept_back: float = 0.0  # dissipated or leaked, and not paid [J]
+    unrecovered: float = 0.0  # dissipated or leaked, and not paid [J]
     axis: Axis = field(default_factory=Axis)
     bound: TorqueBound = field(default_factory=TorqueBound)
     motion: PredictedMotion = field(default_factory=PredictedMotion)
@@ -114,7 +114,7 @@ def end(
         axis.lasted = 1.0
         return displacement, 0.0, 0.0, end_several(settings, state, memory, displacement, torque_applied)
     bound.first = oldest - declared.delay
-    unsure = end_hold(declared, bound, memory.bound, displacement, torque_applied)
+    uncertainty = end_hold(declared, bound, memory.bound, displacement, torque_applied)
     if axis.lasted > 1.0:
         shorten(declared, bound, axis.lasted)
         observe_mean(state.motion, displacement / axis.lasted)
@@ -125,9 +125,9 @@ def end(
         if count:
             update(axis.window, memory.axis.samples, count, settings.sample_time, position)
     if commands.torques[oldest] == torque_applied:
-        return displacement, commands.dampers[oldest], commands.modulated[oldest], unsure
+        return displacement, commands.dampers[oldest], commands.modulated[oldest], uncertainty
     damper, modulated = efforts_inside(commands, oldest, torque_applied)
-    return displacement, damper, modulated, unsure
+    return displacement, damper, modulated, uncertainty
 
 
 def end_several(
@@ -187,7 +187,7 @@ def book(
         state.h_s, axis.h_dis = h_s, surplus
         return 0.0, 0.0, 0.0, 0.0
     state.h_s, axis.h_dis, h_r, deficit, leak, paid = settle(h_s, surplus, damped, ceiling, slack)
-    state.kept_back += h_r + leak - paid
+    state.unrecovered += h_r + leak - paid
     return h_r, deficit, leak, paid
 
 
@@ -199,7 +199,7 @@ def relax(
     left = environment.stored_energy(relaxed)
     lost = min(state.h_s, max(0.0, ceiling - left))
     state.h_s -= lost
-    state.kept_back += lost
+    state.unrecovered += lost
     return relaxed, left, lost
 
 
@@ -241,11 +241,11 @@ def render(
         energy = certain_energy(state, energy)
     ahead = steady = settings.lead * travel
     if not environment.relaxes:
-        ahead, coming = predicted(settings.prediction, state.motion, memory.bound.under_way, bound.first, travel)
+        ahead, mover_motion = predicted(settings.prediction, state.motion, memory.bound.under_way, bound.first, travel)
         if state.h_s < ceiling and steady * true > 0.0 and steady * true > ahead * true:
             ahead = steady  # going in, more may be taken in where the account is short
         if same:
-            inside = coming
+            inside = mover_motion
     lead = environment.effort(environment.admissible(true + ahead, true)) - spring
     velocity = inside / settings.sample_time
     spring, lead, damper, covered = efforts(settings, bound, spring, lead, ahead, velocity, energy, ceiling)
@@ -306,7 +306,7 @@ def certain_energy(state: GuardedState, energy: float) -> float:
     Energy that was dissipated or leaked cannot be given out again, but it covers the uncertainty of the encoder: (4)
     holds for the energy of the account, (3) for the true one.
     """
-    lacking = state.bound.unsure - state.kept_back
+    lacking = state.bound.uncertainty - state.unrecovered
     return energy - lacking if lacking > 0.0 else energy
 
 
@@ -437,12 +437,12 @@ def step(
     if not axis.started:
         return start(environment, settings, state, memory, position)
     holds, same = axis.missed + axis.lasted, zone == zone_before
-    displacement, damper, modulated, unsure = end(settings, state, memory, position, torque_applied)
+    displacement, damper, modulated, uncertainty = end(settings, state, memory, position, torque_applied)
     true = environment.true_state(position, displacement, state.true if same else 0.0) if zone else 0.0
     if not same and zone:
         turn(settings.declared, state.bound, way_out(environment, true))
     ceiling = environment.stored_energy(true) if zone else 0.0
-    h_i, h_pas = -torque_applied * displacement - unsure, modulated * displacement  # `interaction_energy`
+    h_i, h_pas = -torque_applied * displacement - uncertainty, modulated * displacement  # `interaction_energy`
     h_r, deficit, leak, paid = book(settings, state, memory, h_i, h_pas, damper * displacement, ceiling)
     if zone:
         if environment.relaxes:
@@ -534,9 +534,9 @@ class Guarded(SteppedController):
         resolution: float = self._state.bound.resolution
         return resolution
 
-    def hold(self) -> EnergyBalance:
+    def sample_lost(self) -> EnergyBalance:
         """Repeat the last command at a SYNC without a position; see `Controller.hold`.
 
         The next `step` books the displacement over all holds with the torque read back, less the uncertainty.
         """
-        return super().hold()._replace(damping_rendered=0.0, certificate=_UNBOUNDED)
+        return super().sample_lost()._replace(damping_rendered=0.0, certificate=_UNBOUNDED)

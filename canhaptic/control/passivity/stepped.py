@@ -170,7 +170,7 @@ class SteppedController:
         self._run = with_quick_fields(Run(self._settings, self._state, self._memory))
         self._last = AT_REST
 
-    def hold(self) -> EnergyBalance:
+    def sample_lost(self) -> EnergyBalance:
         """Answer a SYNC whose position was lost; nothing is booked. See `Controller.hold`."""
         command = self._command_unseen() if self._axis.started else self._last.torque
         return self._last._replace(

@@ -299,42 +299,42 @@ class TorqueAxis(ABC):
 
     def _applied_per_mille(self, reported: int) -> int:
         """Torque of the hold that ended: read back, or assumed as commanded where nothing is read back."""
-        believed = self._acting if self._is_synchronous else self._commanded
+        accounted = self._acting if self._is_synchronous else self._commanded
         self._acting = self._commanded
         if self._shows_next:
             reported, self._reported = self._reported, reported
         if self._reads_nothing:
-            reported = believed
-            self._lowest = min(self._lowest, believed, *self._passed)
-            self._highest = max(self._highest, believed, *self._passed)
-            self._spread = max(self._highest - believed, believed - self._lowest)
+            reported = accounted
+            self._lowest = min(self._lowest, accounted, *self._passed)
+            self._highest = max(self._highest, accounted, *self._passed)
+            self._spread = max(self._highest - accounted, accounted - self._lowest)
         if self._measures:
-            self._judge_measured(reported, believed)
-            self._spread = max(abs(reported - believed), abs(reported - self._held_before))
+            self._judge_measured(reported, accounted)
+            self._spread = max(abs(reported - accounted), abs(reported - self._held_before))
             if self._spread or reported:
                 self._spread += 0.5  # 0x6077 is rounded
-        elif reported == believed or reported != self._held_before:
+        elif reported == accounted or reported != self._held_before:
             self._stale_holds, self._stale_samples = 0, self._periods
-            if reported != believed:
-                self._judge_other(reported, believed, 0.0)
-        elif self._is_reduced(reported, believed, 0.0):
+            if reported != accounted:
+                self._judge_other(reported, accounted, 0.0)
+        elif self._is_reduced(reported, accounted, 0.0):
             self._stale_samples = self._periods
         else:
             self._stale_holds += 1
             self._stale_samples += self._periods
             self.longest_hold = max(self.longest_hold, self._stale_samples)
-        self.open_time = self._leave_open(reported, believed) if self._passed else 0
+        self.open_time = self._leave_open(reported, accounted) if self._passed else 0
         self._held_before = reported
         return reported
 
-    def _leave_open(self, applied: int, believed: int) -> int:
+    def _leave_open(self, applied: int, accounted: int) -> int:
         """Record how far torques of lost holds may have been from `applied`; return for how many sample times.
 
         The candidates are the commands since, or the one before where commands were lost, cut by a limit now shown.
         """
         is_known = self._reads_demand and not self._shows_next  # in the hold that ended
-        others = (self._held_before, applied if is_known else believed, *self._passed)
-        cut = abs(applied) if applied != believed and self._is_reduced(applied, believed, 0.0) else 1 << 15
+        others = (self._held_before, applied if is_known else accounted, *self._passed)
+        cut = abs(applied) if applied != accounted and self._is_reduced(applied, accounted, 0.0) else 1 << 15
         self.open_torque = max(abs(max(-cut, min(cut, o)) - applied) for o in others) * self.scaling.torque_quantum
         self._passed.clear()
         return self._periods - is_known
@@ -345,20 +345,20 @@ class TorqueAxis(ABC):
         if not is_smaller and applied not in self._passed and self._last.sync_index >= 0:
             self.uncommanded += 1
 
-    def _judge_measured(self, measured: int, believed: int) -> None:
+    def _judge_measured(self, measured: int, accounted: int) -> None:
         """Count holds in which a measured torque stayed near an old command although another, far from it, was sent.
 
         Where the two commands are close, the comparison is inconclusive and the count stays.
         """
         tolerance = self._tolerance
-        low, high = min(believed, self._held_before, *self._passed), max(believed, self._held_before, *self._passed)
+        low, high = min(accounted, self._held_before, *self._passed), max(accounted, self._held_before, *self._passed)
         if not low - tolerance <= measured <= high + tolerance:  # between the last torque and the command it settles
-            self._judge_other(measured, believed, tolerance)
-        if abs(measured - believed) <= tolerance:
-            self._followed, self._stale_holds = believed, 0
+            self._judge_other(measured, accounted, tolerance)
+        if abs(measured - accounted) <= tolerance:
+            self._followed, self._stale_holds = accounted, 0
         elif abs(measured - self._followed) > tolerance:
             self._stale_holds = 0
-        elif abs(believed - self._followed) > 2.0 * tolerance and not self._is_reduced(measured, believed, tolerance):
+        elif abs(accounted - self._followed) > 2.0 * tolerance and not self._is_reduced(measured, accounted, tolerance):
             self._stale_holds += 1
 
     def _is_reduced(self, applied: int, commanded: int, tolerance: float) -> bool:

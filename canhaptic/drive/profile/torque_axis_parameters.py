@@ -10,9 +10,9 @@ from canhaptic.errors import ParameterError
 from canhaptic.units import Name, OnDemand, Parameters, PrintablePath, quantity
 
 if TYPE_CHECKING:
-    from canhaptic.drive.profile.display_parameters import DisplayParameters
+    from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
 else:  # an impedance display loads nothing of it
-    DisplayParameters = Any
+    AdmittanceParameters = Any
 
 _LARGEST_SPEED: Final = {"m": 10.0, "rad": 100.0}  # [m/s or rad/s]
 ReadBack = Literal["demand", "actual", "none"]
@@ -58,7 +58,8 @@ class TorqueAxisParameters(Parameters):
     demand_reported: Literal["before", "after"] = "before"
     """Whether the TPDO of a SYNC carries the torque held before that SYNC or the one that begins with it."""
     admittance: (
-        Annotated[DisplayParameters, OnDemand("canhaptic.drive.profile.display_parameters:DisplayParameters")] | None
+        Annotated[AdmittanceParameters, OnDemand("canhaptic.drive.profile.admittance_parameters:AdmittanceParameters")]
+        | None
     ) = None
     """Parameters of an admittance display, force in and velocity out. None: an impedance display."""
     vendor_id: Annotated[int, quantity("1", ge=0, le=0xFFFFFFFF)] | None = None

@@ -457,7 +457,7 @@ def root(series: Matrix, row: int, constant: float, until: float, end: float) ->
 
 
 MOVED: Final = 0
-"""What `move_plant` returns of a hold that is over; else the run stops there and may go on from its `Interruption`."""
+"""What `move_plant` returns of a hold that is over; else the run stops there and may go on from its `CycleState`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -513,7 +513,7 @@ class LoopSettings:
 
 
 @dataclass(slots=True)
-class Interruption:
+class CycleState:
     """State of an interrupted loop, apart from its plant."""
 
     cycle: int = 0
@@ -615,7 +615,7 @@ def acting(signals: Signals, temperature: float, torque: float) -> ActingTorque:
     return new(ActingTorque, (torque, temperature))
 
 
-def pass_frames(losses: Losses, place: Interruption, cycle: int) -> None:
+def pass_frames(losses: Losses, place: CycleState, cycle: int) -> None:
     """Lose or pass the frames of a SYNC."""
     if losses.to_drive:
         place.lost_to_drive = is_lost(losses, place.lost_to_drive, cycle * TICKS + 1)
@@ -645,7 +645,7 @@ def run_loop(
     loop: LoopSettings,
     meter: Meter,
     plant: LinearPlant,
-    place: Interruption,
+    place: CycleState,
     continuous: ReferenceSettings,
     reference: ReferenceState,
     reference_memory: ReferenceMemory,
@@ -694,7 +694,7 @@ def run_loop(
     return MOVED
 
 
-def advance(loop: LoopSettings, plant: LinearPlant, place: Interruption, cycle: int) -> int:
+def advance(loop: LoopSettings, plant: LinearPlant, place: CycleState, cycle: int) -> int:
     """Move the plant to a SYNC; return the result of `move_plant`."""
     if place.cycle != cycle:
         place.acting = place.held
@@ -707,7 +707,7 @@ def advance(loop: LoopSettings, plant: LinearPlant, place: Interruption, cycle: 
 
 
 def answer(
-    environment: Environment, run: AxisRun, loop: LoopSettings, meter: Meter, place: Interruption, true_position: float,
+    environment: Environment, run: AxisRun, loop: LoopSettings, meter: Meter, place: CycleState, true_position: float,
     cycle: int,
 ) -> bool:  # fmt: skip
     """Let the controller answer a SYNC; return False if its input or output is not finite."""
@@ -724,7 +724,7 @@ def answer(
     return True
 
 
-def hand_over(loop: LoopSettings, place: Interruption) -> None:
+def hand_over(loop: LoopSettings, place: CycleState) -> None:
     """Send the command to the drive for the next free hold."""
     if loop.delay and place.is_synced:
         place.held = place.waiting

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.environment import Environment, tuple_type
 from canhaptic.control.multi_axis.group_kernel import GroupKernel
-from canhaptic.control.multi_axis.group_motion import GroupMotion, World, why_not_world
+from canhaptic.control.multi_axis.group_motion import GroupModel, GroupMotion, why_not_world
 from canhaptic.errors import EventLimitError, InputError, ParameterError
 from canhaptic.kernels import Buffer, Kernel, Matrix, Run, new
 from canhaptic.kernels.compiler import compiled, fixed_tuple
@@ -41,7 +41,7 @@ from canhaptic.lab.batch.cases import (
 from canhaptic.lab.batch.closed_loop import (
     MOVED,
     TERMS,
-    Interruption,
+    CycleState,
     LinearPlants,
     Meter,
     MeterSettings,
@@ -159,7 +159,7 @@ class CompiledLoops:
         self._kernel, self._rows, self._modes, self._cycles = kernel, rows, modes, cycles
         self._settings, self._loops = records_of([row.settings for row in rows]), records_of([row.loop for row in rows])
         self._continuous = records_of(modes.settings)
-        self._rest, self._place = records_of([kernel.state()]), records_of([Interruption()])
+        self._rest, self._place = records_of([kernel.state()]), records_of([CycleState()])
         self.meters: Any = np.repeat(records_of([Meter()]), len(rows))
         self.references = np.repeat(records_of([ReferenceState()]), len(rows))
         self._kind = tuple_type(rows[0].environment)
@@ -265,7 +265,7 @@ def _memory(kernel: Kernel, settings: object) -> tuple[object, Array]:
     return kernel.memory(settings, make_buffer), whole
 
 
-def compiled_world(world: World) -> tuple[Any, Records]:
+def compiled_world(world: GroupModel) -> tuple[Any, Records]:
     """A world for compiled kernels, and its tables.
 
     Raises:
@@ -275,16 +275,16 @@ def compiled_world(world: World) -> tuple[Any, Records]:
         raise ParameterError(
             f"a compiled group: {reason}, expected mechanisms, geometries and storages that scenes can name"
         )
-    bare = World(arrays_of(world.mechanism), arrays_of(world.geometry), world.mover, 0, world.functions)  # type: ignore[arg-type]
+    bare = GroupModel(arrays_of(world.mechanism), arrays_of(world.geometry), world.mover, 0, world.functions)  # type: ignore[arg-type]
     return bare, record_of(world.tables)
 
 
 def run_records(
-    world: World, tables: Records, settings: Records, states: Records, memories: Records, rig: Records,
+    world: GroupModel, tables: Records, settings: Records, states: Records, memories: Records, rig: Records,
     motors: Any, room: Records, followed: Records, meters: Records, rows: Any, cycles: int,
 ) -> None:  # fmt: skip
     """Call `run_group` with records of shape (1,)."""
-    whole = World(world.mechanism, world.geometry, world.mover, tables[0], world.functions)
+    whole = GroupModel(world.mechanism, world.geometry, world.mover, tables[0], world.functions)
     run_group(
         whole, settings[0], states[0], memories[0], rig[0], motors[0], room[0], followed[0], meters[0], rows, cycles
     )  # fmt: skip

@@ -36,12 +36,12 @@ from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.multi_axis.group_controller import GroupBalance, GroupController, NetworkEnvironment
 from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel
 from canhaptic.control.multi_axis.group_motion import (
-    Ahead,
+    GroupModel,
     GroupMotion,
+    MotionAhead,
     MotionMemory,
     MotionSettings,
     RequestedEfforts,
-    World,
     begin_motion,
     follow,
     motion_memory,
@@ -140,7 +140,7 @@ class GroupRoom(NamedTuple):
     spring: Buffer  # asked for at the last SYNC [N or N*m]
     still: Buffer  # zeros
     asked: MotionMemory  # of the group that is followed with its true positions
-    wish: RequestedEfforts  # of its network
+    request: RequestedEfforts  # of its network
 
 
 @dataclass(slots=True)
@@ -159,14 +159,20 @@ class GroupMeter:
 
 
 def step(
-    world: World, settings: object, state: Any, memory: Any, missed: int, positions: Buffer, torques_applied: Buffer
+    world: GroupModel,
+    settings: object,
+    state: Any,
+    memory: Any,
+    missed: int,
+    positions: Buffer,
+    torques_applied: Buffer,
 ) -> GroupHold:
     """Kernel of an algorithm; the caller of `run_group` supplies it."""
     raise NotImplementedError
 
 
 def run_group(
-    world: World, settings: object, state: Any, memory: Any, rig: GroupRig, motors: Any, room: GroupRoom,
+    world: GroupModel, settings: object, state: Any, memory: Any, rig: GroupRig, motors: Any, room: GroupRoom,
     followed: GroupMotion, meter: GroupMeter, rows: Matrix, cycles: int,
 ) -> None:  # fmt: skip
     """Run a loop until its last SYNC or until it diverges; a number that is not finite counts as divergence.
@@ -272,18 +278,20 @@ def take_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, 
         figures.damping_most = max(figures.damping_most, rendered)
 
 
-def explain(world: World, rig: GroupRig, room: GroupRoom, followed: GroupMotion, meter: GroupMeter) -> None:
+def explain(world: GroupModel, rig: GroupRig, room: GroupRoom, followed: GroupMotion, meter: GroupMeter) -> None:
     """Follow the network with the true motion, and add a hold that began and ended in contact to the sums."""
-    was_engaged, wish = followed.engaged, room.wish
+    was_engaged, request = followed.engaged, room.request
     follow(world, rig.true, followed, room.asked, room.true, room.moved, 1)
     if followed.engaged:
-        write_efforts(world, rig.true, followed, room.asked, new(Ahead, (0.0, room.still, room.still, False)), wish)
+        write_efforts(
+            world, rig.true, followed, room.asked, new(MotionAhead, (0.0, room.still, room.still, False)), request
+        )
     along = square = 0.0
     for i in range(len(room.held)):
-        along += wish.damper[i] * wish.velocity[i]
-        square += wish.velocity[i] * wish.velocity[i]
-        now = wish.spring[i] if followed.engaged else 0.0
-        spring, damper = 0.5 * (room.spring[i] + now), wish.damper[i]
+        along += request.damper[i] * request.velocity[i]
+        square += request.velocity[i] * request.velocity[i]
+        now = request.spring[i] if followed.engaged else 0.0
+        spring, damper = 0.5 * (room.spring[i] + now), request.damper[i]
         room.spring[i] = now
         if was_engaged and followed.engaged:
             meter.spring_spring += spring * spring
@@ -725,7 +733,7 @@ class GroupCase(NamedTuple):
     """One group in kernel form."""
 
     kernel: GroupKernel
-    world: World
+    world: GroupModel
     settings: Any
     rig: GroupRig
     motors: LinearMotors | EventMotorsPlan | FiveBarPlan | Motors
@@ -741,8 +749,8 @@ class GroupCase(NamedTuple):
         """Return buffers of zeros."""
         axes = len(self.rig.loops)
         one = [list_of_zeros(axes) for _ in GroupRoom._fields]
-        wish = RequestedEfforts(*(list_of_zeros(axes) for _ in range(4)))
-        return GroupRoom(*one)._replace(asked=motion_memory(self.world, self.rig.true), wish=wish)  # type: ignore[arg-type]
+        request = RequestedEfforts(*(list_of_zeros(axes) for _ in range(4)))
+        return GroupRoom(*one)._replace(asked=motion_memory(self.world, self.rig.true), request=request)  # type: ignore[arg-type]
 
 
 def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:

@@ -29,7 +29,7 @@ from canhaptic.lab.batch.closed_loop import (
     BRIEF,
     MOVED,
     TERMS,
-    Interruption,
+    CycleState,
     Meter,
     ReferenceMemory,
     ReferenceState,
@@ -83,7 +83,7 @@ class InterpretedLoops:
         """
         for number, i in enumerate(some):
             row, kernel = self._rows[i], self._kernel
-            place = Interruption(temperature=row.loop.signals.winding.ambient)
+            place = CycleState(temperature=row.loop.signals.winding.ambient)
             run = Run(row.settings, kernel.state(), kernel.memory(row.settings, list_of_zeros))
             reference = reference_memory_of(self._modes, i)
             self._begin(plants, number)

@@ -39,7 +39,7 @@ from canhaptic.errors import EventLimitError, ParameterError
 from canhaptic.kernels import Buffer, Indices
 from canhaptic.kernels.records import Records, number_in, records_of
 from canhaptic.lab.batch import closed_loop
-from canhaptic.lab.batch.closed_loop import MOVED, Interruption, Signals, Winding
+from canhaptic.lab.batch.closed_loop import MOVED, CycleState, Signals, Winding
 from canhaptic.lab.batch.varied import simulation_with
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.scene.components import ComponentSpec
@@ -343,7 +343,7 @@ CALLS: Final = (
 
 Plants = closed_loop.LinearPlants | EventPlants
 """What a loop of a batch moves."""
-Interrupted = Callable[[Plants, int, closed_loop.Interruption, int], Plants | None]
+Interrupted = Callable[[Plants, int, closed_loop.CycleState, int], Plants | None]
 """(plants, number of a scene, its place, why) -> plants to go on with; None ends that scene."""
 
 
@@ -535,7 +535,7 @@ def run_event_plants(
 
 
 def _going_on(modes: EventModes, stopped: dict[int, EventLimitError]) -> Interrupted:
-    def interrupted(plants: Any, loop: int, place: Interruption, outcome: int) -> Plants | None:
+    def interrupted(plants: Any, loop: int, place: CycleState, outcome: int) -> Plants | None:
         if outcome == INCOMPLETE:
             return modes.completed(plants)
         stopped[loop] = modes.error(plants, int(number_in(place, "cycle")))

@@ -52,7 +52,7 @@ def _is_of_display(scene: Scene, name: str | None) -> bool:
 
 def _study_display(scene: Scene, arguments: argparse.Namespace) -> int:
     from canhaptic.lab.render.accuracy_picture import draw_display_accuracy, write_display_accuracy_page
-    from canhaptic.lab.studies.accuracy.display_accuracy import (
+    from canhaptic.lab.studies.accuracy.admittance_accuracy import (
         display_accuracy_markdown,
         display_accuracy_report,
         study_display,

@@ -35,7 +35,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _design_displays(scene: Scene, arguments: argparse.Namespace) -> int:
-    from canhaptic.lab.studies.design.display_design import design_displays, display_design_report, display_snippet
+    from canhaptic.lab.studies.design.admittance_design import design_displays, display_design_report, display_snippet
 
     with scene_progress("trying masses") as show:
         found = design_displays(

@@ -14,8 +14,8 @@ import numpy as np
 
 from canhaptic.control.balance import WEAKEST_LAST
 from canhaptic.control.environments.environment import Environment
+from canhaptic.lab.loop.admittance_loop import AdmittanceRun, felt, run_display
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
-from canhaptic.lab.loop.display_loop import DisplayRun, felt, run_display
 from canhaptic.lab.reference import REST, ContinuousReference
 from canhaptic.scene.models import Scene
 
@@ -298,7 +298,7 @@ def display_figures(scene: Scene, cycles: int, metrics: Sequence[str] | None = N
     return {name: found.get(name, nan) for name in (DISPLAY_METRICS if metrics is None else metrics)}
 
 
-def figures_of(run: DisplayRun, scene: Scene) -> dict[str, float]:
+def figures_of(run: AdmittanceRun, scene: Scene) -> dict[str, float]:
     """Return every figure of a run of a scene."""
     mass, damping = felt(run, scene)
     motion, asked = run.columns(), _mass_asked(scene)

@@ -43,7 +43,7 @@ from canhaptic.sim.plant.mechanism.xy_stage import XYStage
 State = Sequence[float]
 
 
-class GroupModel(SwitchedModel, Protocol):
+class ReferenceGroup(SwitchedModel, Protocol):
     """Motors and their mechanics; the torque of `rates` is one for each motor."""
 
     @property
@@ -83,20 +83,20 @@ class AxesModel:
         return max(model.evaluations for model in self._models)
 
     def positions(self, state: State) -> Floats:
-        """Return the positions of the motors; see `GroupModel`."""
+        """Return the positions of the motors; see `ReferenceGroup`."""
         return [float(state[part.start + POSITION]) for part in self._parts]
 
     def velocities(self, state: State) -> Floats:
-        """Return their velocities; see `GroupModel`."""
+        """Return their velocities; see `ReferenceGroup`."""
         return [float(state[part.start + VELOCITY]) for part in self._parts]
 
     def works(self, state: State) -> tuple[float, float]:
-        """Return the works of all motors and of the user; see `GroupModel`."""
+        """Return the works of all motors and of the user; see `ReferenceGroup`."""
         motor = sum(float(state[part.stop + MOTOR_WORK]) for part in self._parts)
         return motor, sum(float(state[part.stop + USER_WORK]) for part in self._parts)
 
     def inertia(self, positions: State) -> list[Floats]:
-        """Return the moving masses; see `GroupModel`."""
+        """Return the moving masses; see `ReferenceGroup`."""
         return _diagonal(self._masses)
 
     def rates(self, time: float, state: State, torque: State, modes: Modes) -> Floats:
@@ -154,15 +154,15 @@ class _TwoMotors:
         return []
 
     def positions(self, state: State) -> Floats:
-        """Return the positions of the motors; see `GroupModel`."""
+        """Return the positions of the motors; see `ReferenceGroup`."""
         return [float(value) for value in state[:2]]
 
     def velocities(self, state: State) -> Floats:
-        """Return their velocities; see `GroupModel`."""
+        """Return their velocities; see `ReferenceGroup`."""
         return [float(value) for value in state[2:4]]
 
     def works(self, state: State) -> tuple[float, float]:
-        """Return the works of all motors and of the user; see `GroupModel`."""
+        """Return the works of all motors and of the user; see `ReferenceGroup`."""
         return float(state[4]), float(state[5])
 
 
@@ -183,7 +183,7 @@ class StageModel(_TwoMotors):
         self.switches = bool(self._guides)
 
     def inertia(self, positions: State) -> list[Floats]:
-        """Return the moving masses; see `GroupModel`."""
+        """Return the moving masses; see `ReferenceGroup`."""
         return _diagonal(self._masses)
 
     def rates(self, time: float, state: State, torque: State, modes: Modes) -> Floats:
@@ -218,7 +218,7 @@ class FiveBarModel(_TwoMotors):
         self._linkage, self._damping, self._stop = links.linkage(), links.damping, links.elbow_stop
 
     def inertia(self, positions: State) -> list[Floats]:
-        """Return the inertia in a pose; see `GroupModel`."""
+        """Return the inertia in a pose; see `ReferenceGroup`."""
         found = inertia_in(self._linkage, self._pose(float(positions[0]), float(positions[1])))
         return [[found.a, found.b], [found.b, found.c]]
 

@@ -28,8 +28,8 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import ControlError, InputError, ParameterError
 from canhaptic.registry import load
+from canhaptic.scene.admittance_checks import refuse_displays
 from canhaptic.scene.components import ComponentSpec
-from canhaptic.scene.display_checks import refuse_displays
 from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.scene.torque_history import simulation_of

@@ -17,8 +17,8 @@ from canhaptic.axis_units import mass_unit
 from canhaptic.errors import InputError
 from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR
 from canhaptic.lab.studies.accuracy.accuracy_table import Row, accuracy_tables, advice_lines, front, heading, part_of
-from canhaptic.lab.studies.accuracy.display_accuracy import ChangeRow, DisplayStudy, display_accuracy_table
-from canhaptic.lab.studies.accuracy.display_accuracy import heading as display_heading
+from canhaptic.lab.studies.accuracy.admittance_accuracy import AdmittanceStudy, ChangeRow, display_accuracy_table
+from canhaptic.lab.studies.accuracy.admittance_accuracy import heading as display_heading
 from canhaptic.lab.studies.accuracy.plant_solvers import COMPILED, OURS
 from canhaptic.view.html_page import picture, words, write_page
 from canhaptic.view.picture_style import (
@@ -197,7 +197,7 @@ def _figures(unit: str) -> tuple[_Figure, ...]:
     )
 
 
-def _drawn(result: DisplayStudy) -> list[ChangeRow]:
+def _drawn(result: AdmittanceStudy) -> list[ChangeRow]:
     """Return the rows that have figures.
 
     Raises:
@@ -214,7 +214,7 @@ def _name(row: ChangeRow) -> str:
     return f"{row['changed']}: {row['to']}".rstrip(": ").replace("_", " ") + ended
 
 
-def draw_display_accuracy(result: DisplayStudy, path: str | Path) -> None:
+def draw_display_accuracy(result: AdmittanceStudy, path: str | Path) -> None:
     """Draw a study into a file; its suffix says how (.png, .svg, .pdf).
 
     Raises:
@@ -242,7 +242,7 @@ def draw_display_accuracy(result: DisplayStudy, path: str | Path) -> None:
         save_picture(figure, path)
 
 
-def write_display_accuracy_page(result: DisplayStudy, path: Path) -> None:
+def write_display_accuracy_page(result: AdmittanceStudy, path: Path) -> None:
     """Write a study as one self-contained page: the picture and the table.
 
     Raises:

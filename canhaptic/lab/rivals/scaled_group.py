@@ -40,7 +40,7 @@ from canhaptic.control.multi_axis.group_kernel import (
     send_nothing,
     torque_held,
 )
-from canhaptic.control.multi_axis.group_motion import World, begin_motion, move, to_motors
+from canhaptic.control.multi_axis.group_motion import GroupModel, begin_motion, move, to_motors
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import HoldAccount
 from canhaptic.control.passivity.stored_model import solve_balance
@@ -323,7 +323,7 @@ def paid_memory(tables: NetworkTables) -> PaidMemory:
     )  # fmt: skip
 
 
-def begin_state(world: World, state: ScaledGroupState, memory: ScaledGroupMemory) -> None:
+def begin_state(world: GroupModel, state: ScaledGroupState, memory: ScaledGroupMemory) -> None:
     """Take the first coordinates: strain there stores energy that no port supplied, and is released."""
     paid, motion, followed = state.paid, state.group.motion, memory.group.motion.network
     paid.h_s, paid.engaged, paid.pace, paid.blind, paid.touched = 0.0, False, 0.0, 0, False
@@ -339,7 +339,7 @@ def begin_state(world: World, state: ScaledGroupState, memory: ScaledGroupMemory
 
 
 def exchange(
-    world: World,
+    world: GroupModel,
     state: ScaledGroupState,
     memory: ScaledGroupMemory,
     delay: int,
@@ -382,7 +382,7 @@ def exchange(
 
 
 def start(
-    world: World, state: ScaledGroupState, memory: ScaledGroupMemory, delay: int, h_m: float, entered: bool
+    world: GroupModel, state: ScaledGroupState, memory: ScaledGroupMemory, delay: int, h_m: float, entered: bool
 ) -> HoldAccount:
     """First-order start (eq. 14): the state is the model's, and the energy for it is created.
 
@@ -408,7 +408,7 @@ def lay_line(memory: ScaledGroupMemory, step: Buffer) -> None:
 
 
 def balance(
-    world: World, state: ScaledGroupState, memory: ScaledGroupMemory, h_m: float, damped: float, power: float
+    world: GroupModel, state: ScaledGroupState, memory: ScaledGroupMemory, h_m: float, damped: float, power: float
 ) -> HoldAccount:
     """Solve the scalar balance and take its step; eq. 18 where there is no solution."""
     tables, functions, line, before = world.tables, world.functions, memory.paid.line, state.paid.h_s
@@ -428,7 +428,7 @@ def balance(
 
 
 def approximate(
-    world: World, state: ScaledGroupState, memory: ScaledGroupMemory, h_m: float, power: float, deepest: float
+    world: GroupModel, state: ScaledGroupState, memory: ScaledGroupMemory, h_m: float, power: float, deepest: float
 ) -> HoldAccount:
     """Dissipate the last velocity's loss, as far as available; the state relaxes to the remaining energy (eq. 18).
 
@@ -457,7 +457,7 @@ def approximate(
     return settle_state(world, state, memory, _DEPLETED if is_empty else _FALLBACK, available, h_r, pace)
 
 
-def take(world: World, state: ScaledGroupState, memory: ScaledGroupMemory, share: float, step: Buffer) -> None:
+def take(world: GroupModel, state: ScaledGroupState, memory: ScaledGroupMemory, share: float, step: Buffer) -> None:
     """Change the state by a share of a step; it does not cross to the other side of a wall that the model touches."""
     tables, found, model = world.tables, memory.group.motion.network.state, memory.paid.model
     write_model(world, state, memory)
@@ -470,7 +470,7 @@ def take(world: World, state: ScaledGroupState, memory: ScaledGroupMemory, share
 
 
 def settle_state(
-    world: World,
+    world: GroupModel,
     state: ScaledGroupState,
     memory: ScaledGroupMemory,
     branch: int,
@@ -490,7 +490,7 @@ def settle_state(
 
 
 def leave(
-    world: World,
+    world: GroupModel,
     state: ScaledGroupState,
     memory: ScaledGroupMemory,
     account: HoldAccount,
@@ -518,7 +518,7 @@ def leave(
     return new(HoldAccount, (branch, h_r, gen, deficit, leak))
 
 
-def write_model(world: World, state: ScaledGroupState, memory: ScaledGroupMemory) -> None:
+def write_model(world: GroupModel, state: ScaledGroupState, memory: ScaledGroupMemory) -> None:
     """Write the state of the model: at the ports, or a whole step further."""
     followed, model = memory.group.motion.network, memory.paid.model
     if world.tables.moving or not state.group.motion.located:
@@ -538,7 +538,7 @@ def touches(tables: NetworkTables, memory: PaidMemory) -> bool:
     return False
 
 
-def is_pushed_inward(world: World, memory: ScaledGroupMemory) -> bool:
+def is_pushed_inward(world: GroupModel, memory: ScaledGroupMemory) -> bool:
     """Return True when the step stores energy at the model's state, or when nothing opposes it there."""
     tables, efforts, step = world.tables, memory.paid.efforts, memory.group.motion.network.room.step
     gradient(tables, memory.paid.model, efforts)
@@ -552,7 +552,7 @@ def is_pushed_inward(world: World, memory: ScaledGroupMemory) -> bool:
     return along > 0.0 or (along == 0.0 and moves)
 
 
-def write_state_efforts(world: World, state: ScaledGroupState, memory: ScaledGroupMemory) -> float:
+def write_state_efforts(world: GroupModel, state: ScaledGroupState, memory: ScaledGroupMemory) -> float:
     """Write springs and dampers at the motors and their sum at the ports; return the dampers' power in a hold [J]."""
     motion, followed, tables = state.group.motion, memory.group.motion, world.tables
     holds, ports, network = motion.holds, memory.paid.ports, followed.network
@@ -591,13 +591,13 @@ class ScaledGroupSettings(NamedTuple):
 
 
 def settings_of(
-    world: World, parameters: ScaledGroupParameters, loops: tuple[LoopProperties, ...]
+    world: GroupModel, parameters: ScaledGroupParameters, loops: tuple[LoopProperties, ...]
 ) -> ScaledGroupSettings:
     """Constants of a run."""
     return ScaledGroupSettings(group_loop(world, loops), parameters.alpha)
 
 
-def memory_of(world: World, settings: ScaledGroupSettings) -> ScaledGroupMemory:
+def memory_of(world: GroupModel, settings: ScaledGroupSettings) -> ScaledGroupMemory:
     """Return the buffers of a group at rest."""
     axes, one = len(settings.loop.caps), list_of_zeros
     ports = world.geometry.ports
@@ -607,7 +607,7 @@ def memory_of(world: World, settings: ScaledGroupSettings) -> ScaledGroupMemory:
 
 
 def step(
-    world: World, settings: ScaledGroupSettings, state: ScaledGroupState, memory: ScaledGroupMemory, missed: int,
+    world: GroupModel, settings: ScaledGroupSettings, state: ScaledGroupState, memory: ScaledGroupMemory, missed: int,
     positions: Buffer, torques_applied: Buffer,
 ) -> GroupHold:  # fmt: skip
     """Account for the hold that ended; see `GroupKernel`."""
@@ -621,7 +621,7 @@ def step(
         return new(GroupHold, (AT_REST, 0.0, 0.0, 0.0, 0, 0))
     commands = memory.group.commands
     group.oldest = end_holds(commands, ended, loop.largest, group.oldest, missed, positions, torques_applied)
-    place, unsure = group.oldest, unsure_of(memory, ended, missed)
+    place, uncertainty = group.oldest, unsure_of(memory, ended, missed)
     move(world, loop.motion, motion, memory.group.motion, positions, ended.displacement, missed + 1)
     h_i = h_pas = damped = supplied = 0.0
     for i in range(len(positions)):
@@ -630,7 +630,7 @@ def step(
         damped += commands.dampers[place][i] * ended.displacement[i]
     for j in range(len(commands.ports[place])):
         supplied -= commands.ports[place][j] * motion.moved
-    h_i = h_i + supplied - unsure
+    h_i = h_i + supplied - uncertainty
     power = commands.power[place] * (missed + 1)
     account = exchange(world, state, memory, loop.delay, h_i - h_pas, damped, power)
     branch, h_r, gen, deficit, leak = account
@@ -642,7 +642,7 @@ def step(
         norm(commands.torques[place]), h_i, h_pas, h_i - h_pas, h_r, state.paid.h_s, state.h_dis, gen, deficit,
         leak, paid, branch, rendered, _NO_PROMISE, memory.group.motion.network.state[0],
     ))  # fmt: skip
-    return new(GroupHold, (balance, supplied, unsure, unsure, motion.limit, place))
+    return new(GroupHold, (balance, supplied, uncertainty, uncertainty, motion.limit, place))
 
 
 def unsure_of(memory: ScaledGroupMemory, ended: GroupHolds, missed: int) -> float:
@@ -659,7 +659,7 @@ def unsure_of(memory: ScaledGroupMemory, ended: GroupHolds, missed: int) -> floa
     return total
 
 
-def send(world: World, settings: ScaledGroupSettings, state: ScaledGroupState, memory: ScaledGroupMemory) -> float:
+def send(world: GroupModel, settings: ScaledGroupSettings, state: ScaledGroupState, memory: ScaledGroupMemory) -> float:
     """Send the torques of the state, its dampers and the modulated damper; return the damping rendered."""
     group, commands, caps = state.group, memory.group.commands, settings.loop.caps
     place, displacement, elapsed = group.oldest, memory.group.ended.displacement, group.motion.elapsed

@@ -443,7 +443,7 @@ COLUMNS: Final[dict[str, Column]] = {
 """Key -> figure; in each that is ranked less is better."""
 
 
-def standings(algorithms: Sequence[str], cases: Sequence[CaseFigures]) -> list[Standing]:
+def ranking(algorithms: Sequence[str], cases: Sequence[CaseFigures]) -> list[Standing]:
     """Return one row an algorithm.
 
     Args:
@@ -688,7 +688,7 @@ def run_arena(
         "rates": list(plan.rates),
         "delays": list(plan.delays),
         "longest": plan.longest,
-        "standings": (rows := standings(plan.names(), cases)),
+        "standings": (rows := ranking(plan.names(), cases)),
         "ranks": ranks(rows),
         "given_out": given_out(plan.names(), cases),
         "cases": cases,

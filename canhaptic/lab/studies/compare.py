@@ -257,7 +257,7 @@ def _account(
     }
 
 
-class DisplayRunCompared(TypedDict, total=False):
+class AdmittanceRunCompared(TypedDict, total=False):
     """A display under one algorithm; of one that was refused there are only status and remark."""
 
     status: str
@@ -269,10 +269,10 @@ class DisplayRunCompared(TypedDict, total=False):
 class DisplaysCompared(Heading):
     """All displays of a scene, by algorithm."""
 
-    axes: dict[str, dict[str, DisplayRunCompared]]
+    axes: dict[str, dict[str, AdmittanceRunCompared]]
 
 
-_ROWS: Final[tuple[tuple[str, Callable[[DisplayRunCompared], str]], ...]] = (
+_ROWS: Final[tuple[tuple[str, Callable[[AdmittanceRunCompared], str]], ...]] = (
     ("status", lambda of: of["status"]),
     ("energy in", lambda of: si(of["account"]["in"], "J")),
     ("energy out", lambda of: si(of["account"]["out"], "J")),
@@ -325,7 +325,7 @@ def _scene_under(scene: Scene, name: str) -> Scene:
     return replace(scene, axes=axes, groups=groups)
 
 
-def _of_axis(axis: str, found: Mapping[str, Any]) -> DisplayRunCompared:
+def _of_axis(axis: str, found: Mapping[str, Any]) -> AdmittanceRunCompared:
     if "ports" not in found:
         return {"status": found["status"], "remark": found["remark"]}
     status = f"{found['status']}: {found['remark']}" if found["remark"] else found["status"]
@@ -345,7 +345,7 @@ def display_comparison_report(result: DisplaysCompared) -> RenderableType:
     return Group(*parts)
 
 
-def _cell(cell: Callable[[DisplayRunCompared], str], of: DisplayRunCompared) -> str:
+def _cell(cell: Callable[[AdmittanceRunCompared], str], of: AdmittanceRunCompared) -> str:
     try:
         return cell(of)
     except KeyError:

@@ -38,8 +38,8 @@ from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch import scene_with, spectral_radius
 from canhaptic.lab.figures.field_figures import NEAR
+from canhaptic.lab.loop.admittance_loop import is_display
 from canhaptic.lab.loop.axis_loop import Array, display_under, viscous_friction, with_algorithm
-from canhaptic.lab.loop.display_loop import is_display
 from canhaptic.lab.studies.sweep.chunk import BATCHED, COMPLETED, RADIUS, batch_key
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.lab.studies.sweep.vary import CONTROLLER

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
 from canhaptic.axis_units import damping_unit, mass_unit, stiffness_unit
-from canhaptic.control.admittance.display_environment import DisplayEnvironment
+from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
 from canhaptic.control.admittance.group_environment import GroupMass, PathMass
-from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.passivity.unprotected import UnprotectedParameters
 from canhaptic.control.port_hamiltonian.shapes.box import Box
@@ -253,14 +253,14 @@ def _guard_of(*axes: AxisScene) -> ComponentSpec:
         if simulation.admittance is not None:
             gains.append(simulation.admittance.loop.gain)
             integrals.append(simulation.admittance.loop.integral_gain)
-    known = GuardedDisplayParameters(
+    known = GuardedAdmittanceParameters(
         drive_mass=_OVER * max(masses), loop_gain=_OVER * max(gains), integral_gain=_OVER * max(integrals),
         energy_allowance=1e-3,
     )  # fmt: skip
     return ComponentSpec(GUARDED, known)
 
 
-def _walls(environment: DisplayEnvironment, shown: tuple[float, float]) -> tuple[tuple[float, float], ...]:
+def _walls(environment: AdmittanceEnvironment, shown: tuple[float, float]) -> tuple[tuple[float, float], ...]:
     """Walls on the page [m or rad]."""
     spans = ((shown[0], environment.lower_wall), (environment.upper_wall, shown[1]))
     return tuple((low, high) for low, high in spans if low < high)

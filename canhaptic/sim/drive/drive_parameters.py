@@ -36,7 +36,7 @@ def parse_place(key: str | int) -> tuple[int, int]:
     return place
 
 
-class DisplayScaling(Parameters):
+class AdmittanceScaling(Parameters):
     """Scales of a simulated drive that serves an admittance display."""
 
     force_object: str | None = None
@@ -101,7 +101,7 @@ class SimulatedDriveParameters(Parameters):
     follow_delay: Annotated[float, quantity("s", ge=0.0, le=60.0)] = 0.0
     sdo_size_indicated: bool = True
     sync_losses_to_fault: Annotated[int, quantity("1", ge=1, le=1000)] = 3
-    display: DisplayScaling | None = None
+    display: AdmittanceScaling | None = None
 
     @field_validator("objects", "absent", "refused")
     @classmethod

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 
 from canhaptic.control.admittance.declared_hand import DeclaredHand, declared_hand_settings, go_on, lightest, loss
-from canhaptic.control.admittance.port import DisplayProperties
-from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters, loop_settings
+from canhaptic.control.admittance.port import AdmittanceProperties
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, loop_settings
 from canhaptic.errors import ParameterError
 from tools.displays.declared_loop import DeclaredOutcome, DeclaredRig, _follow, _Hold, random_rig, with_true_bounds
 from tools.displays.judge import false_claims
@@ -46,8 +46,8 @@ def test_a_mass_much_lighter_than_the_drive_is_carried() -> None:
     assert outcome.travel > 0.03
 
 
-def _known(**declared: float | None) -> tuple[GuardedDisplayParameters, DisplayProperties]:
-    properties = DisplayProperties(
+def _known(**declared: float | None) -> tuple[GuardedAdmittanceParameters, AdmittanceProperties]:
+    properties = AdmittanceProperties(
         sample_time=1e-3, delay=1, sampling="mean", force_slew=1e3, handle_acceleration=10.0, speed_limit=2.0,
         acceleration_limit=500.0,
     )  # fmt: skip
@@ -59,7 +59,7 @@ def _known(**declared: float | None) -> tuple[GuardedDisplayParameters, DisplayP
         "drive_friction": 0.0,
         **declared,
     }
-    return GuardedDisplayParameters.model_validate(given), properties
+    return GuardedAdmittanceParameters.model_validate(given), properties
 
 
 def _worst(speed: float, **declared: float) -> tuple[float, float]:

@@ -8,12 +8,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, build_display_controller
+from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
 from canhaptic.control.admittance.cup_and_ball import CupAndBall
-from canhaptic.control.admittance.display_environment import DisplayEnvironment
-from canhaptic.control.admittance.dissipating_display import next_speed
-from canhaptic.control.admittance.group_environment import DisplayMass
-from canhaptic.control.admittance.port import DisplayProperties
-from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
+from canhaptic.control.admittance.dissipating_admittance import next_speed
+from canhaptic.control.admittance.group_environment import AdmittanceMass
+from canhaptic.control.admittance.port import AdmittanceProperties
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.errors import ParameterError
 
 _GRAVITY = 9.80665
@@ -70,7 +70,7 @@ def test_the_balance_of_the_paper_holds_to_rounding() -> None:
     random, kept = np.random.default_rng(0), 0
     for _ in range(300):
         mass, damping, time = random.uniform(0.1, 5.0), random.choice([0.0, 5.0, 100.0]), random.choice([1e-3, 4e-3])
-        environment = DisplayMass(mass=mass, damping=damping)
+        environment = AdmittanceMass(mass=mass, damping=damping)
         speed, impulse, risen = random.normal(0.0, 0.5), random.normal(0.0, 0.02), random.normal(0.0, 1e-3)
         found = next_speed(environment, time, speed, impulse, risen)
         left = (
@@ -86,11 +86,11 @@ def test_the_balance_of_the_paper_holds_to_rounding() -> None:
 
 
 def test_a_start_creates_no_more_than_the_square_of_its_impulse() -> None:
-    properties = DisplayProperties(
+    properties = AdmittanceProperties(
         sample_time=1e-3, delay=1, sampling="mean", force_slew=1e-3, handle_acceleration=10.0, speed_limit=5.0,
         acceleration_limit=1e3,
     )  # fmt: skip
-    controller = build_display_controller(DisplayMass(mass=0.5), "internal_dissipation", None, properties)
+    controller = build_display_controller(AdmittanceMass(mass=0.5), "internal_dissipation", None, properties)
     controller.step(0.0, 0.0)
     for force in (3.0, -2.0, 7.0):
         controller.reset()
@@ -100,13 +100,13 @@ def test_a_start_creates_no_more_than_the_square_of_its_impulse() -> None:
         assert balance.gen == pytest.approx((force * 1e-3) ** 2 / (2.0 * 0.5), rel=1e-6)
 
 
-def _pushed(environment: DisplayEnvironment, algorithm: str, holds: int) -> tuple[Any, float]:
+def _pushed(environment: AdmittanceEnvironment, algorithm: str, holds: int) -> tuple[Any, float]:
     """Returns a controller whose drive follows at once, after holds under 6 N, and the position [m]."""
-    properties = DisplayProperties(
+    properties = AdmittanceProperties(
         sample_time=1e-3, delay=1, sampling="mean", force_slew=1e-3, handle_acceleration=50.0, speed_limit=5.0,
         acceleration_limit=20.0,
     )  # fmt: skip
-    drive = GuardedDisplayParameters(drive_mass=1.0, loop_gain=200.0, energy_allowance=1.0)
+    drive = GuardedAdmittanceParameters(drive_mass=1.0, loop_gain=200.0, energy_allowance=1.0)
     known = drive if algorithm == "guarded" else None
     controller, position, speed = build_display_controller(environment, algorithm, known, properties), 0.0, 0.0
     for _ in range(holds):
@@ -122,7 +122,7 @@ def test_the_ball_swings_on_where_samples_are_lost(algorithm: str) -> None:
     inner = getattr(controller._memory, "display", controller._memory).inner
     expected, before = [*inner], controller._state.motion.speed
     for _ in range(30):
-        speed = controller.hold().torque
+        speed = controller.sample_lost().torque
         environment.go_along(expected, before, speed, 1e-3)
         before = speed
     assert expected == [*inner]
@@ -132,14 +132,14 @@ def test_the_ball_swings_on_where_samples_are_lost(algorithm: str) -> None:
 @pytest.mark.parametrize("algorithm", [name for name in DISPLAY_ALGORITHMS if name != "guarded"])
 def test_after_a_lost_sample_the_speed_rises_from_the_zero_that_was_sent(algorithm: str) -> None:
     """0.02 m/s in a hold is the limit of the acceleration, and 30 N a hard push."""
-    controller, position = _pushed(DisplayMass(mass=0.5), algorithm, 60)
+    controller, position = _pushed(AdmittanceMass(mass=0.5), algorithm, 60)
     assert controller._state.motion.speed > 0.3
-    assert controller.hold().torque == 0.0
+    assert controller.sample_lost().torque == 0.0
     assert 0.0 < controller.step(position, -30.0).torque <= 0.02 + 1e-12
 
 
 def test_the_balance_of_the_paper_is_for_a_mass() -> None:
-    properties = DisplayProperties(
+    properties = AdmittanceProperties(
         sample_time=1e-3, force_slew=1e3, handle_acceleration=10.0, speed_limit=5.0, acceleration_limit=1e3
     )
     with pytest.raises(ParameterError, match="virtual_mass"):

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from canhaptic.control.admittance import build_display_controller
-from canhaptic.control.admittance.group_environment import DisplayMass
-from canhaptic.control.admittance.port import DisplayProperties
-from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
+from canhaptic.control.admittance.group_environment import AdmittanceMass
+from canhaptic.control.admittance.port import AdmittanceProperties
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.errors import ControlError, ParameterError
 from tests.control.admittance import attacked_drive as attack
 
@@ -42,7 +42,7 @@ class _Rig:
         return 2.0 * math.pi * self.bandwidth * self.mass
 
     def controller(self, **declared: float) -> Any:
-        properties = DisplayProperties(
+        properties = AdmittanceProperties(
             sample_time=self.time, delay=self.delay, sampling="mean", latency=self.latency, force_slew=self.slew,
             handle_acceleration=self.acceleration, encoder_count=self.count, speed_limit=3.0, acceleration_limit=1000.0,
             torque_limit=self.torque_limit, jitter=self.jitter,
@@ -51,10 +51,10 @@ class _Rig:
             "drive_mass": self.mass, "loop_gain": self.gain, "integral_gain": self.gain * self.corner,
             "largest_hand_force": self.hand_force, **declared,
         }  # fmt: skip
-        parameters = GuardedDisplayParameters(
+        parameters = GuardedAdmittanceParameters(
             spread=0.0, energy_allowance=self.allowance, max_consecutive_losses=self.losses, **known
         )
-        environment = DisplayMass(mass=self.virtual_mass, damping=self.damping)
+        environment = AdmittanceMass(mass=self.virtual_mass, damping=self.damping)
         return build_display_controller(environment, "guarded", parameters, properties)
 
     def drive(self) -> attack.AttackedDrive:
@@ -105,7 +105,7 @@ class _Loop:
         if self.rig.count:
             position = round(position / self.rig.count) * self.rig.count
         try:
-            balance = self.controller.step(position, -force) if heard else self.controller.hold()
+            balance = self.controller.step(position, -force) if heard else self.controller.sample_lost()
         except ControlError:
             assert self.fastest > self.rig.acceleration  # what is declared of the handle is not true
             self.queue.append(0.0)
@@ -267,7 +267,7 @@ def _out_and_back(rig: _Rig, holds: int) -> tuple[Any, float]:
     for _ in range(4):
         loop.sync(lambda _drive, _command: 0.0)
     for _ in range(holds - 1):
-        loop.controller.hold()
+        loop.controller.sample_lost()
     loop.sync(lambda _drive, _command: 0.0)
     return loop.controller, rig.acceleration * holds * rig.time / 4.0
 

@@ -7,8 +7,8 @@ import pytest
 
 from canhaptic.control.admittance import DISPLAY_GROUP_ALGORITHMS, build_display_group
 from canhaptic.control.admittance.group_environment import GroupMass, TaskEnvironment
-from canhaptic.control.admittance.port import DisplayProperties
-from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
+from canhaptic.control.admittance.port import AdmittanceProperties
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.balance import Certificate, residual
 from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.errors import ControlError, ParameterError
@@ -19,8 +19,8 @@ POSE = (0.3, 1.1)
 TIME = 1e-3
 
 
-def properties(**values: Any) -> DisplayProperties:
-    return DisplayProperties(
+def properties(**values: Any) -> AdmittanceProperties:
+    return AdmittanceProperties(
         sample_time=TIME, delay=1, sampling="mean", force_slew=1e3, handle_acceleration=50.0, speed_limit=10.0,
         acceleration_limit=1e4, **values,
     )  # fmt: skip
@@ -135,11 +135,11 @@ def test_the_tank_holds_back_what_it_does_not_hold() -> None:
 @pytest.mark.parametrize(("holds", "certified"), [(4, True), (8, False)])
 def test_a_torque_limit_may_be_reached_where_no_sample_shows_it(holds: int, certified: bool) -> None:
     """The handles are where they were before; at 50 m/s^2 a gap of 8 ms lets them go so fast that 40 N may act."""
-    drive = GuardedDisplayParameters(drive_mass=1.0, loop_gain=100.0, integral_gain=100.0)
+    drive = GuardedAdmittanceParameters(drive_mass=1.0, loop_gain=100.0, integral_gain=100.0)
     controller = build_display_group(GroupMass(mass=2.0), "guarded", drive, [properties(torque_limit=40.0)] * 2)
     controller.step([0.0, 0.0], [0.0, 0.0])
     for _ in range(holds):
-        controller.hold()
+        controller.sample_lost()
     assert (controller.step([0.0, 0.0], [0.0, 0.0]).account.certificate != Certificate.NONE.value) is certified
 
 
@@ -152,7 +152,7 @@ def test_a_skipped_sync_changes_no_command() -> None:
 
 def test_a_skipped_sync_costs_a_guarded_group_what_its_commands_may_cost() -> None:
     """c T / 4 times the square of the command that acts, of each axis, for as long as it acts."""
-    drive = GuardedDisplayParameters(drive_mass=1.0, loop_gain=100.0, energy_allowance=1.0)
+    drive = GuardedAdmittanceParameters(drive_mass=1.0, loop_gain=100.0, energy_allowance=1.0)
     controller: Any = build_display_group(GroupMass(mass=2.0), "guarded", drive, [properties()] * 2)
     sent = [controller.step([0.0, 0.0], [-force, 2.0 * force]).torques for force in (0.0, 3.0, 0.0, 7.0)]
     before = controller._margin.known
@@ -164,7 +164,7 @@ def test_a_skipped_sync_costs_a_guarded_group_what_its_commands_may_cost() -> No
 
 def test_a_sample_that_was_lost_commands_nothing_and_a_wrong_one_ends_it() -> None:
     controller, _ = run("unprotected", 50)
-    assert controller.hold().torques == (0.0, 0.0)
+    assert controller.sample_lost().torques == (0.0, 0.0)
     with pytest.raises(ControlError, match="expected 2 finite numbers"):
         controller.step([0.0, float("nan")], [0.0, 0.0])
     assert controller.step([0.0, 0.0], [0.0, 0.0]).torques == (0.0, 0.0)

@@ -8,27 +8,27 @@ import numpy as np
 import pytest
 
 from canhaptic.control.admittance.force_evidence import Disagreement, MomentumCheck, MovedHold, momentum_check
-from canhaptic.control.admittance.port import DisplayProperties, port_settings
-from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters, loop_settings
+from canhaptic.control.admittance.port import AdmittanceProperties, port_settings
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, loop_settings
 from canhaptic.errors import ForceContradictedError
 from tools.displays.direct import run
 from tools.displays.random_display import random_display, with_true_bounds
 
 TIME, MASS, GAIN, SPREAD = 1e-3, 2.0, 600.0, 0.1
-PROPERTIES = DisplayProperties(
+PROPERTIES = AdmittanceProperties(
     sample_time=TIME, sampling="mean", force_slew=5e3, handle_acceleration=20.0, force_error=0.05, encoder_count=1e-6,
     speed_limit=1.0, acceleration_limit=50.0, torque_limit=200.0,
 )  # fmt: skip
-DECLARED = GuardedDisplayParameters(
+DECLARED = GuardedAdmittanceParameters(
     drive_mass=MASS, loop_gain=GAIN, spread=SPREAD, drive_friction=0.5, drive_damping=3.0
 )
 
 
 def check_of(**changes: Any) -> MomentumCheck:
     declared = DECLARED.model_copy(
-        update={k: v for k, v in changes.items() if k in GuardedDisplayParameters.model_fields}
+        update={k: v for k, v in changes.items() if k in GuardedAdmittanceParameters.model_fields}
     )
-    known = PROPERTIES.model_copy(update={k: v for k, v in changes.items() if k in DisplayProperties.model_fields})
+    known = PROPERTIES.model_copy(update={k: v for k, v in changes.items() if k in AdmittanceProperties.model_fields})
     found = momentum_check(declared, port_settings(known), loop_settings(declared, known))
     assert found is not None
     return found

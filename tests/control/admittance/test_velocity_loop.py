@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from canhaptic.control.admittance.display_environment import DisplayMotion, send
+from canhaptic.control.admittance.admittance_environment import AdmittanceMotion, send
 from canhaptic.control.admittance.velocity_loop import (
     LoopState,
     VelocityLoopSettings,
@@ -43,8 +43,8 @@ def _worst(commands: list[float], gain: float, integral: float, lead: float, tim
     return float(speed @ quadratic @ speed + linear @ speed + constant)
 
 
-def _sent(commands: list[float]) -> tuple[list[float], DisplayMotion]:
-    ring, motion = [0.0] * (len(commands) + 1), DisplayMotion()
+def _sent(commands: list[float]) -> tuple[list[float], AdmittanceMotion]:
+    ring, motion = [0.0] * (len(commands) + 1), AdmittanceMotion()
     for command in commands:
         send(motion, ring, command)
     return ring, motion
@@ -139,7 +139,7 @@ def test_no_way_of_losing_commands_loses_more_than_is_counted(delay: int, losses
     for _ in range(50):
         settings = _settings(500.0, 0.0, delay=delay, losses=losses)
         sent = random.uniform(-0.3, 0.3, delay + losses + 1).tolist()
-        ring, motion = [0.0] * (delay + losses + 2), DisplayMotion()
+        ring, motion = [0.0] * (delay + losses + 2), AdmittanceMotion()
         for command in sent:
             send(motion, ring, command)
         budget = random.uniform(0.0, 0.2)

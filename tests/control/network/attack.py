@@ -239,7 +239,7 @@ def run(attack, rng, each=None):
         if attack.count:
             position = np.floor(position / attack.count) * attack.count
         lost = losses.sample(cycle)
-        balance = controller.hold() if lost else controller.step(position.tolist(), tuple(held.tolist()))
+        balance = controller.sample_lost() if lost else controller.step(position.tolist(), tuple(held.tolist()))
         if each is not None:
             each(plant, balance)
         command = np.array(balance.torques)

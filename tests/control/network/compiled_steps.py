@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel, GroupRun
-from canhaptic.control.multi_axis.group_motion import World
+from canhaptic.control.multi_axis.group_motion import GroupModel
 from canhaptic.kernels import Buffer
 from canhaptic.kernels.compiler import compiled
 from canhaptic.kernels.records import Records, record_of, records_of
@@ -15,18 +15,18 @@ from canhaptic.lab.batch.compiled_loops import compiled_world
 
 
 def step(
-    world: World, settings: Any, state: Any, memory: Any, missed: int, positions: Buffer, torques_applied: Buffer
+    world: GroupModel, settings: Any, state: Any, memory: Any, missed: int, positions: Buffer, torques_applied: Buffer
 ) -> GroupHold:
     """Placeholder of the kernel of an algorithm."""
     raise NotImplementedError
 
 
 def step_records(
-    world: World, tables: Records, settings: Records, states: Records, memories: Records, missed: int,
+    world: GroupModel, tables: Records, settings: Records, states: Records, memories: Records, missed: int,
     positions: Buffer, torques_applied: Buffer,
 ) -> GroupHold:  # fmt: skip
     """Calls the kernel with what lies in records of shape (1,), which cost less to hand over than records."""
-    whole = World(world.mechanism, world.geometry, world.mover, tables[0], world.functions)
+    whole = GroupModel(world.mechanism, world.geometry, world.mover, tables[0], world.functions)
     return step(whole, settings[0], states[0], memories[0], missed, positions, torques_applied)
 
 
@@ -41,7 +41,7 @@ def compiled_step(kernel: GroupKernel, parts: tuple[type, ...]) -> Any:
     return compiled(step_records, {step: kernel.step}, keep=True, parts=parts)
 
 
-def begin_compiled(kernel: GroupKernel, world: World, settings: Any) -> Callable[[], GroupRun]:
+def begin_compiled(kernel: GroupKernel, world: GroupModel, settings: Any) -> Callable[[], GroupRun]:
     """Returns what begins a run; compiles first, which takes up to half a minute where it is not kept on disk.
 
     Raises:

@@ -53,20 +53,22 @@ class AxesApart:
         self.axes, self.limits = axes, per_axis_limits(axes, delay, losses)
         self.memory = per_axis_memory(self.limits)
 
-    def take(self, displacement, blur, torques, under_way, coming=()):
+    def take(self, displacement, position_uncertainty, torques, under_way, mover_motion=()):
         still = [[0.0] * len(torques)] * self.limits.holds
-        self.coming = coming or still
-        take_sent(self.axes, self.limits, self.memory, displacement, blur, torques, under_way, 0, NO_OLDER)
+        self.mover_motion = mover_motion or still
+        take_sent(
+            self.axes, self.limits, self.memory, displacement, position_uncertainty, torques, under_way, 0, NO_OLDER
+        )
 
     def share_by_hand(self, torques, budget):
-        return share_by_hand(self.axes, self.limits, self.memory, self.coming, torques, budget)
+        return share_by_hand(self.axes, self.limits, self.memory, self.mover_motion, torques, budget)
 
     def needed_by_hand(self):
-        return needed_by_hand(self.axes, self.limits, self.memory, self.coming)
+        return needed_by_hand(self.axes, self.limits, self.memory, self.mover_motion)
 
     def inward_first(self, torques, budget):
         found, ideal = [0.0] * len(torques), [0.0] * len(torques)
-        inward_first(self.axes, self.limits, self.memory, self.coming, torques, ideal, budget, found)
+        inward_first(self.axes, self.limits, self.memory, self.mover_motion, torques, ideal, budget, found)
         return tuple(found)
 
 

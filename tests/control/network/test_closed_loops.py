@@ -271,19 +271,19 @@ def test_lost_samples_are_booked_at_their_worst(delay):
     rng = random.Random(5)
     controller = group(ENVIRONMENTS["spring"], delay=delay)
     plant = Table(1e-3, figure_of_eight, longest=2.5e-4)
-    pending, held, believed, over, unsure = [(0.0, 0.0)] * delay, (0.0, 0.0), 0.0, 0.0, 0.0
+    pending, held, accounted, over, uncertainty = [(0.0, 0.0)] * delay, (0.0, 0.0), 0.0, 0.0, 0.0
     for cycle in range(800):
         if cycle > 1 and rng.random() < 0.05:
-            balance = controller.hold()
+            balance = controller.sample_lost()
         else:
             balance = controller.step(plant.q.tolist(), held)
-            believed += balance.account.h_i
-            unsure += balance.unsure
-            over = max(over, believed - plant.interaction)
+            accounted += balance.account.h_i
+            uncertainty += balance.uncertainty
+            over = max(over, accounted - plant.interaction)
         pending.append(balance.torques)
         held = pending.pop(0)
         plant.advance(held)
-    assert unsure > 0.0  # an RPDO may have been lost as well
+    assert uncertainty > 0.0  # an RPDO may have been lost as well
     assert over <= 1e-9
 
 

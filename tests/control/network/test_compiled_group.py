@@ -123,7 +123,7 @@ def differences(seed, cycles=300):
     for cycle in range(cycles):
         seen = [rng.choice(ODD) if rng.random() < 0.01 else x for x in q]
         if cycle > 1 and rng.random() < 0.05:
-            found = [group.hold() for group in pair]
+            found = [group.sample_lost() for group in pair]
         else:
             found = [outcome(group, seen, held) for group in pair]
         one, other = found

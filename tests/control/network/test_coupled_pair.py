@@ -27,7 +27,7 @@ def coupled_run(duration, loss, seed, **own):
     for cycle in range(cycles):
         tpdo = cycle < 3 or (rng.random() >= loss and rng.random() >= loss)  # of either axis
         lost += not tpdo
-        balance = controller.step(plant.q.tolist(), tuple(held)) if tpdo else controller.hold()
+        balance = controller.step(plant.q.tolist(), tuple(held)) if tpdo else controller.sample_lost()
         for axis in range(2):  # a lost RPDO leaves the torque of before
             if rng.random() >= loss:
                 held[axis] = pending[axis]

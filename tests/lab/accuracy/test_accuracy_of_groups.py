@@ -6,8 +6,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from canhaptic.control.multi_axis.group_motion import GroupMotion as MotionState
 from canhaptic.control.multi_axis.group_motion import (
-    Ahead,
+    MotionAhead,
     RequestedEfforts,
     begin_motion,
     follow,
@@ -16,7 +17,6 @@ from canhaptic.control.multi_axis.group_motion import (
     world_of,
     write_efforts,
 )
-from canhaptic.control.multi_axis.group_motion import GroupMotion as MotionState
 from canhaptic.lab.batch.group_loop import GroupRecorder, motors_of, render_group
 from canhaptic.lab.judge.reference_group import mechanism_model
 from canhaptic.lab.judge.solvers import located_states
@@ -69,16 +69,16 @@ def held_finely(scene: Scene, cycles: int) -> np.ndarray:
     world = world_of(cast(Any, group.network.parameters), cast(Any, group.kinematics.parameters), tuple(ideal))
     settings = motion_settings(world, tuple(ideal))
     memory, state, motors = motion_memory(world, settings), MotionState(), motors_of(scene, axes)
-    wish, still = RequestedEfforts(*([0.0] * len(axes) for _ in range(4))), [0.0] * len(axes)
+    request, still = RequestedEfforts(*([0.0] * len(axes) for _ in range(4))), [0.0] * len(axes)
     before, rows = list(motors.positions()), [list(motors.positions())]
     begin_motion(world, settings, state, memory, before)
     for cycle in range(1, cycles):
         motors.advance_to(
-            cycle * scene.bus.sample_time_ns, tuple(-s - d for s, d in zip(wish.spring, wish.damper, strict=True))
+            cycle * scene.bus.sample_time_ns, tuple(-s - d for s, d in zip(request.spring, request.damper, strict=True))
         )
         at = list(motors.positions())
         follow(world, settings, state, memory, at, [b - a for a, b in zip(before, at, strict=True)], 1)
-        write_efforts(world, settings, state, memory, Ahead(0.0, still, still, False), wish)
+        write_efforts(world, settings, state, memory, MotionAhead(0.0, still, still, False), request)
         before = at
         rows.append(at)
     return np.array(rows)

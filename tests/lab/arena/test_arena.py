@@ -13,11 +13,11 @@ from canhaptic.lab.studies.arena import (
     CaseGroup,
     given_out,
     group_figures,
+    ranking,
     ranks,
     result_rows,
     run_arena,
     scenes_named,
-    standings,
 )
 
 SUBSET = [
@@ -155,7 +155,7 @@ def case(name: str, scene: str = "a", **figures: float) -> dict:
 def test_a_rank_is_one_more_than_how_many_are_better_and_ties_share_it() -> None:
     cases = [case("x", energy_given_out=1.0), case("y"), case("z"), case("y", "b", energy_beyond_device=2e-3)]
     cases.append({"scene": "b", "algorithm": "z", "status": "refused"})
-    rows = standings(["x", "y", "z"], cases)
+    rows = ranking(["x", "y", "z"], cases)
     places = ranks(rows)
     assert [places[name]["given_out"] for name in "xyz"] == [3, 1, 1]
     assert [places[name]["beyond_device"] for name in "xyz"] == [1, 3, 1]

@@ -5,7 +5,7 @@ import pytest
 
 from canhaptic.lab.batch import METRICS, run_batch
 from canhaptic.lab.batch.cases import losses_of, not_in_loop
-from canhaptic.lab.batch.closed_loop import Interruption, pass_frames
+from canhaptic.lab.batch.closed_loop import CycleState, pass_frames
 from canhaptic.lab.loop.over_can import render_over_can
 from canhaptic.lab.studies.sweep import sweep
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
@@ -26,7 +26,7 @@ def figures(scene, cycles=2000, engine="python", **named):
 @pytest.mark.parametrize("bus", ["drop: 0.05", "drop: 0.05, drop_burst: 4", "drop: 0.05, direction: to_master"])
 def test_frames_are_lost_as_often_as_they_are_said_to_be(bus):
     losses = losses_of(scene_of(f"simulation.bus={{{bus}}}"))
-    place, heard, sent, runs, before = Interruption(), 0, 0, 0, True
+    place, heard, sent, runs, before = CycleState(), 0, 0, 0, True
     for cycle in range(1, 20001):
         pass_frames(losses, place, cycle)
         heard, sent = heard + place.is_heard, sent + place.is_sent

@@ -9,8 +9,8 @@ import pytest
 from canhaptic.cli.main import main
 from canhaptic.cycle import run
 from canhaptic.lab.figures.figures import DISPLAY_METRICS, display_figures
+from canhaptic.lab.loop.admittance_loop import AdmittanceRun, felt, run_display
 from canhaptic.lab.loop.axis_loop import parts_of
-from canhaptic.lab.loop.display_loop import DisplayRun, felt, run_display
 from canhaptic.scene.build import build
 from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.load import load_scene
@@ -34,7 +34,7 @@ def test_the_loop_without_a_bus_agrees_with_the_run_over_can(name: str) -> None:
 
 def test_the_mass_felt_is_found_exactly_in_a_motion_that_has_it() -> None:
     scene = load_scene(MASS, ["environment.stiffness=50 N/m", "environment.lower_wall=-10 m"])
-    made, time = DisplayRun(), scene.bus.sample_time
+    made, time = AdmittanceRun(), scene.bus.sample_time
     for k in range(200):
         t = k * time  # velocity t^2, so that the central difference is exact
         made.motion += [t**3 / 3.0, t * t, 3.5 * 2.0 * t + 7.0 * t * t + 50.0 * t**3 / 3.0]

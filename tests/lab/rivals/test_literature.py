@@ -169,7 +169,7 @@ def test_over_lost_samples_a_tank_holds_what_came_in(delay):
     for _ in range(300):
         position = min(1e-3, max(-2e-3, position + rng.uniform(-2e-4, 2e-4)))
         applied = sent.popleft()
-        balance = made.hold() if rng.random() < 0.2 else made.step(position, applied)
+        balance = made.sample_lost() if rng.random() < 0.2 else made.step(position, applied)
         sent.append(balance.torque)
         known += balance.h_i
         assert made._state.brought == pytest.approx(known, abs=1e-12)

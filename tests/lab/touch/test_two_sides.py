@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from canhaptic.control.admittance.sampled_mass import NothingToChoose
-from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.cycle import run
 from canhaptic.errors import InputError
 from canhaptic.lab.touch.two_sides import two_sides
@@ -86,7 +86,7 @@ def test_an_unprotected_display_is_guarded_by_what_its_simulated_drive_says() ->
     scene = load_scene(CONFIGS / "admittance" / "wall.yaml")
     axis = replace(scene.axes[0], passivity=ComponentSpec("unprotected", NothingToChoose()))
     known = two_sides(replace(scene, axes=(axis,))).scene.axes[1].passivity.parameters
-    assert isinstance(known, GuardedDisplayParameters)
+    assert isinstance(known, GuardedAdmittanceParameters)
     assert (known.drive_mass, known.loop_gain, known.integral_gain) == pytest.approx((2.1, 659.4, 6594.0))
 
 

@@ -30,7 +30,7 @@ import numpy as np
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.extras import install_hint
 from canhaptic.lab.batch.group_loop import GroupRecorder, Motors, motors_of, render_group
-from canhaptic.lab.judge.reference_group import GroupModel
+from canhaptic.lab.judge.reference_group import ReferenceGroup
 from canhaptic.lab.judge.reference_model import MotionError, difference
 from canhaptic.lab.judge.solvers import (
     METHODS,
@@ -709,14 +709,14 @@ class _Mechanism:
 
         return Candidate("RK4", counted(substeps, "step"), 1.0 / substeps, 4, None, run, run)
 
-    def _solved(self, model: GroupModel, method: str, rtol: float) -> Motion:
+    def _solved(self, model: ReferenceGroup, method: str, rtol: float) -> Motion:
         """Return the motion by one of scipy's solvers, hold by hold; errors as for `located_states`."""
         period = self.scene.bus.sample_time_ns
         states = located_states(model, self.torques.tolist(), period, method, rtol, 1e-3 * rtol, self.stop)
         return _motion_of(model, states)
 
 
-def _motion_of(model: GroupModel, states: Sequence[Any]) -> Motion:
+def _motion_of(model: ReferenceGroup, states: Sequence[Any]) -> Motion:
     works = np.array([model.works(state) for state in states])
     positions = np.array([model.positions(state) for state in states])
     velocities = np.array([model.velocities(state) for state in states])

@@ -141,7 +141,7 @@ class _Idle:
     def reset(self) -> None:
         """Keep nothing."""
 
-    def hold(self) -> EnergyBalance:
+    def sample_lost(self) -> EnergyBalance:
         """Return rest."""
         return AT_REST
 

@@ -41,6 +41,7 @@ from canhaptic.lab.batch.engine import ChosenEngine
 from canhaptic.lab.batch.group_loop import group_case
 from canhaptic.lab.batch.scalar import group_figures, group_meter
 from canhaptic.lab.figures.figures import DISPLAY_METRICS, display_figures
+from canhaptic.lab.loop.admittance_loop import is_display
 from canhaptic.lab.loop.axis_loop import (
     PLANT_OF,
     Array,
@@ -51,7 +52,6 @@ from canhaptic.lab.loop.axis_loop import (
     display_under,
     parts_of,
 )
-from canhaptic.lab.loop.display_loop import is_display
 from canhaptic.lab.loop.over_can import known_algorithms
 from canhaptic.lab.studies.sweep.vary import CONTROLLER, Column, Points, Value, Varied, scene_seed, scene_seeds
 from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, parse_yaml

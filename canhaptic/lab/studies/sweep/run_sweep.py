@@ -32,8 +32,8 @@ from canhaptic.extras import install_hint
 from canhaptic.lab.batch import why_not_batchable
 from canhaptic.lab.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
 from canhaptic.lab.batch.group_loop import group_case
+from canhaptic.lab.loop.admittance_loop import is_display
 from canhaptic.lab.loop.axis_loop import cycles_of, parts_of, with_algorithm
-from canhaptic.lab.loop.display_loop import is_display
 from canhaptic.lab.studies.sweep.chunk import (
     FIGURES,
     RATE,

@@ -45,7 +45,7 @@ from canhaptic.sim.drive.timers import NEVER, Timers
 
 if TYPE_CHECKING:
     from canhaptic.sim.drive.can.sensor_node import SensorNode
-    from canhaptic.sim.drive.profile.display_servo import DisplayMotor
+    from canhaptic.sim.drive.profile.admittance_servo import AdmittanceMotor
 
 _COMMUNICATION_OBJECTS: Final = range(0x1000, 0x2000)
 _NOT_SERVED: Final = frozenset({(GUARD_TIME, None), (LIFE_TIME_FACTOR, None)})  # node guarding
@@ -59,9 +59,9 @@ _FAULTY: Final = frozenset((DriveState.FAULT_REACTION_ACTIVE, DriveState.FAULT))
 def _servo(store: ObjectStore, motor: Motor, parameters: SimulatedDriveParameters) -> Servo:
     if parameters.display is None:
         return Servo(store, motor, parameters)
-    from canhaptic.sim.drive.profile.display_servo import DisplayServo
+    from canhaptic.sim.drive.profile.admittance_servo import AdmittanceServo
 
-    return DisplayServo(store, cast("DisplayMotor", motor), parameters)
+    return AdmittanceServo(store, cast("AdmittanceMotor", motor), parameters)
 
 
 class SimulatedDrive:
@@ -135,9 +135,9 @@ class SimulatedDrive:
         if display is None or display.force_node is None:
             return None
         from canhaptic.sim.drive.can.sensor_node import SensorNode
-        from canhaptic.sim.drive.profile.display_servo import DisplayServo
+        from canhaptic.sim.drive.profile.admittance_servo import AdmittanceServo
 
-        if not isinstance(servo, DisplayServo):
+        if not isinstance(servo, AdmittanceServo):
             return None
         scales = display.force_per_count, display.force_offset_counts
         return SensorNode(display.force_node, *scales, servo.shown_force, self._send)

@@ -35,7 +35,7 @@ _LONGEST_BRAKING: Final = 500_000_000  # [ns] after which it ends without stands
 _WRAP: Final = 1 << 32
 
 
-class DisplayMotor(Motor, Protocol):
+class AdmittanceMotor(Motor, Protocol):
     """A motor with a velocity loop and a force sensor; its input is a velocity."""
 
     def power(self, *, on: bool) -> None:
@@ -51,16 +51,16 @@ class DisplayMotor(Motor, Protocol):
         """Add a torque to that of the loop."""
 
 
-class DisplayServo(Servo):
+class AdmittanceServo(Servo):
     """Power stage, velocity loop and force sensor of an admittance display.
 
     Raises:
         ParameterError: The parameters lack those of the display.
     """
 
-    motor: DisplayMotor
+    motor: AdmittanceMotor
 
-    def __init__(self, store: ObjectStore, motor: DisplayMotor, parameters: SimulatedDriveParameters) -> None:
+    def __init__(self, store: ObjectStore, motor: AdmittanceMotor, parameters: SimulatedDriveParameters) -> None:
         display = parameters.display
         if display is None:
             raise ParameterError("display: got none, expected scale and object of the force for a motor with a sensor")

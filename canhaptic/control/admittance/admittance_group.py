@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from math import sqrt
 from typing import ClassVar, Final
 
-from canhaptic.control.admittance.display_environment import (
-    DisplayMotion,
+from canhaptic.control.admittance.admittance_environment import (
+    AdmittanceMotion,
     display_memory,
     limited,
     motion_settings,
@@ -30,10 +30,10 @@ from canhaptic.control.admittance.force_evidence import (
     oldest,
     rise,
 )
-from canhaptic.control.admittance.port import BookedHold, DisplayProperties, Port, port_settings, reopen
-from canhaptic.control.admittance.sampled_group import DisplayGroup, GroupAxis, GroupMotion, require_alike
+from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold, Port, port_settings, reopen
+from canhaptic.control.admittance.sampled_group import AdmittanceGroup, GroupAxis, GroupMotion, require_alike
 from canhaptic.control.admittance.velocity_loop import (
-    GuardedDisplayParameters,
+    GuardedAdmittanceParameters,
     LoopState,
     gained,
     loop_settings,
@@ -58,13 +58,17 @@ class _GroupAxis(GroupAxis):
     """Settings and state of one axis of a group."""
 
     def __init__(
-        self, environment: GroupMotion, place: int, parameters: GuardedDisplayParameters, properties: DisplayProperties
+        self,
+        environment: GroupMotion,
+        place: int,
+        parameters: GuardedAdmittanceParameters,
+        properties: AdmittanceProperties,
     ) -> None:
         self.loop_settings = loop_settings(parameters, properties)
         lag = self.loop_settings.mass / self.loop_settings.gain_least
         self.port_settings = port_settings(properties)
         self.motion_settings = motion_settings(environment.of_axis(place), properties, lag)
-        self.port, self.motion, self.loop = Port(), DisplayMotion(), LoopState()
+        self.port, self.motion, self.loop = Port(), AdmittanceMotion(), LoopState()
         kept = self.loop_settings.delay + self.loop_settings.losses + 2
         self.memory = display_memory(self.port_settings, self.motion_settings, kept, list_of_zeros)
         self.leads = list_of_zeros(properties.latency + 1)
@@ -128,17 +132,17 @@ class _GroupAxis(GroupAxis):
         """Displacement commanded in the hold that ended [m or rad]."""
         return sent(self.motion, self.memory.commands, self.loop_settings.delay) * self.port_settings.sample_time
 
-    def limit(self, wish: float, position: float, velocity: float) -> float:
+    def limit(self, request: float, position: float, velocity: float) -> float:
         """Return the nearest command that the limits of the axis allow [m/s or rad/s]."""
-        wish = limited(self.motion_settings, self.motion, self.memory.commands, wish, position, velocity)
-        return whole(self.motion_settings, wish)
+        request = limited(self.motion_settings, self.motion, self.memory.commands, request, position, velocity)
+        return whole(self.motion_settings, request)
 
     def replace_newest(self, speed: float) -> None:
         """Replace the newest command."""
         self.memory.commands[self.motion.newest] = self.motion.speed = speed
 
 
-class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
+class GuardedAdmittanceGroup(AdmittanceGroup[_GroupAxis]):
     """A mass on several axes, with the certificate of their velocity loops; a `GroupController`.
 
     Args:
@@ -154,11 +158,14 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         ParameterError: Parts do not fit together, or a hand is declared.
     """
 
-    parameters_type: ClassVar[type[Parameters]] = GuardedDisplayParameters
+    parameters_type: ClassVar[type[Parameters]] = GuardedAdmittanceParameters
     is_certified: ClassVar[bool] = True
 
     def __init__(
-        self, environment: GroupMotion, parameters: GuardedDisplayParameters, properties: Sequence[DisplayProperties]
+        self,
+        environment: GroupMotion,
+        parameters: GuardedAdmittanceParameters,
+        properties: Sequence[AdmittanceProperties],
     ) -> None:
         require_alike(properties)
         for key in ("largest_hand_force", "hand_stiffness"):
@@ -186,7 +193,7 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         self._is_unsure, self._started = uneven and self._parameters.integral_gain > 0.0, False
         self._last = group_at_rest(self.axes)
 
-    def hold(self) -> GroupBalance:
+    def sample_lost(self) -> GroupBalance:
         """Answer a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
         speeds = (0.0,) * self.axes
         if self._started:
@@ -223,8 +230,8 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
         holds, h_i = self._take(positions, forces)
         before = [axis.motion.speed for axis in self._each]
         velocities = [hold.moved / hold.elapsed for hold in holds]
-        wish = self._environment.speeds_after(before, forces, list(positions), self._time)
-        limits = zip(self._each, wish, positions, velocities, strict=True)
+        request = self._environment.speeds_after(before, forces, list(positions), self._time)
+        limits = zip(self._each, request, positions, velocities, strict=True)
         certificate = self._send([axis.limit(speed, position, velocity) for axis, speed, position, velocity in limits])
         self._watch_limit()
         if self._is_unsure:
@@ -284,30 +291,30 @@ class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
             axis.fall(change)
             axis.leads[self._margin.place] = axis.loop.lead
 
-    def _send(self, wish: Sequence[float]) -> int:
+    def _send(self, request: Sequence[float]) -> int:
         """Send the largest certified part of the requested speeds; return the certificate that reduced it."""
-        for axis, speed in zip(self._each, wish, strict=True):
+        for axis, speed in zip(self._each, request, strict=True):
             send(axis.motion, axis.memory.commands, speed)
         budget, used = self._margin.known + self._allowance, sum(axis.used() for axis in self._each)
         if used <= budget:
             return Certificate.EXACT.value
         low, high, above = 0.0, 1.0, used
-        below = self._used_at(wish, 0.0)
+        below = self._used_at(request, 0.0)
         for _ in range(_CHORDS if below <= budget else 0):
             part = low + (high - low) * (budget - below) / (above - below)
-            used = self._used_at(wish, part)
+            used = self._used_at(request, part)
             if used > budget:  # by rounding
                 high, above = part, used
                 continue
             low, below = part, used
             if used >= _CLOSE * budget:
                 break
-        self._used_at(wish, low)
+        self._used_at(request, low)
         return Certificate.VELOCITY_LOOP.value
 
-    def _used_at(self, wish: Sequence[float], part: float) -> float:
+    def _used_at(self, request: Sequence[float], part: float) -> float:
         """Energy used [J] with a part of the requested speeds as the newest commands."""
-        for axis, speed in zip(self._each, wish, strict=True):
+        for axis, speed in zip(self._each, request, strict=True):
             axis.replace_newest(whole(axis.motion_settings, part * speed))
         return sum(axis.used() for axis in self._each)
 

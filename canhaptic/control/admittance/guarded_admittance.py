@@ -24,6 +24,19 @@ from math import inf
 from typing import ClassVar, NamedTuple
 
 from canhaptic.control.admittance import declared_hand
+from canhaptic.control.admittance.admittance_controller import AdmittanceController
+from canhaptic.control.admittance.admittance_environment import (
+    AdmittanceEnvironment,
+    AdmittanceMemory,
+    AdmittanceMotion,
+    AdmittanceMotionSettings,
+    display_memory,
+    limited,
+    motion_settings,
+    send,
+    sent,
+    whole,
+)
 from canhaptic.control.admittance.declared_hand import (
     DeclaredHand,
     DeclaredHandSettings,
@@ -33,19 +46,6 @@ from canhaptic.control.admittance.declared_hand import (
     held_back,
     lost_to_hand,
     used_by_hand,
-)
-from canhaptic.control.admittance.display_controller import DisplayController
-from canhaptic.control.admittance.display_environment import (
-    DisplayEnvironment,
-    DisplayMemory,
-    DisplayMotion,
-    DisplayMotionSettings,
-    display_memory,
-    limited,
-    motion_settings,
-    send,
-    sent,
-    whole,
 )
 from canhaptic.control.admittance.force_evidence import (
     ROUNDING,
@@ -62,7 +62,7 @@ from canhaptic.control.admittance.force_evidence import (
     rise,
 )
 from canhaptic.control.admittance.port import (
-    DisplayProperties,
+    AdmittanceProperties,
     Port,
     PortSettings,
     begin_port,
@@ -71,7 +71,7 @@ from canhaptic.control.admittance.port import (
     reopen,
 )
 from canhaptic.control.admittance.velocity_loop import (
-    GuardedDisplayParameters,
+    GuardedAdmittanceParameters,
     LoopState,
     VelocityLoopSettings,
     fastest,
@@ -91,11 +91,11 @@ from canhaptic.units import Parameters
 
 
 @dataclass(frozen=True, slots=True)
-class GuardedDisplaySettings:
+class GuardedAdmittanceSettings:
     """Constants of a run."""
 
     port: PortSettings
-    motion: DisplayMotionSettings
+    motion: AdmittanceMotionSettings
     loop: VelocityLoopSettings
     hand: HandForceSettings
     declared: DeclaredHandSettings
@@ -104,11 +104,11 @@ class GuardedDisplaySettings:
 
 
 @dataclass(slots=True)
-class GuardedDisplayState:
+class GuardedAdmittanceState:
     """State kept from SYNC to SYNC."""
 
     axis: Port = field(default_factory=Port)
-    motion: DisplayMotion = field(default_factory=DisplayMotion)
+    motion: AdmittanceMotion = field(default_factory=AdmittanceMotion)
     loop: LoopState = field(default_factory=LoopState)
     margin: LateMargin = field(default_factory=LateMargin)  # E - V
     hand: LateMargin = field(default_factory=LateMargin)  # E - G
@@ -117,7 +117,7 @@ class GuardedDisplayState:
     surplus: float = 0.0  # [J]
     taken: float = 0.0  # dissipated or leaked so far, and not paid [J]
     limited: int = 0  # SYNCs for which a force may belong to a hold in which the drive was at its torque limit
-    unsure: bool = False  # it may have done so where a certificate rested on that it does not
+    uncertainty: bool = False  # it may have done so where a certificate rested on that it does not
     by_encoder: float = 0.0  # E - V by encoder and commands alone, at least [J]
     by_force: float = 0.0  # E by the force, at most [J]
 
@@ -125,7 +125,7 @@ class GuardedDisplayState:
 class GuardedMemory(NamedTuple):
     """Buffers of one axis."""
 
-    display: DisplayMemory
+    display: AdmittanceMemory
     margin: MarginMemory
     hand: MarginMemory
     leads: Buffer  # a ring like those of the margins [m or rad]
@@ -133,8 +133,8 @@ class GuardedMemory(NamedTuple):
 
 
 def settings_of(
-    environment: DisplayEnvironment, parameters: GuardedDisplayParameters, properties: DisplayProperties
-) -> GuardedDisplaySettings:
+    environment: AdmittanceEnvironment, parameters: GuardedAdmittanceParameters, properties: AdmittanceProperties
+) -> GuardedAdmittanceSettings:
     """Constants of a run.
 
     Raises:
@@ -145,12 +145,12 @@ def settings_of(
     hand = HandForceSettings(parameters.largest_hand_force)
     declared = declared_hand.declared_hand_settings(parameters, loop, properties.latency)
     ends = loop.integral > 0.0 or hand.force > 0.0 or declared.stiffness > 0.0
-    return GuardedDisplaySettings(
+    return GuardedAdmittanceSettings(
         port_settings(properties), motion, loop, hand, declared, parameters.energy_allowance, ends
     )
 
 
-def memory_of(settings: GuardedDisplaySettings, make_buffer: MakeBuffer) -> GuardedMemory:
+def memory_of(settings: GuardedAdmittanceSettings, make_buffer: MakeBuffer) -> GuardedMemory:
     """Return the buffers of one axis."""
     kept, late = settings.loop.delay + settings.loop.losses + 2, settings.port.latency
     kept += late if settings.declared.stiffness > 0.0 else 0
@@ -168,8 +168,8 @@ _BY_DECLARED = Certificate.DECLARED_HAND.value
 
 
 def step(
-    environment: DisplayEnvironment,
-    run: Run[GuardedDisplaySettings, GuardedDisplayState, GuardedMemory],
+    environment: AdmittanceEnvironment,
+    run: Run[GuardedAdmittanceSettings, GuardedAdmittanceState, GuardedMemory],
     position: float,
     torque_applied: float,
 ) -> EnergyBalance:
@@ -179,18 +179,18 @@ def step(
     inner, time = memory.display.inner, settings.motion.sample_time
     if not state.axis.started:
         begin_port(state.axis, memory.display.positions, position, force)
-        state.unsure = settings.loop.integral > 0.0 and settings.port.jitter > 0.0  # its integral is then unknown
+        state.uncertainty = settings.loop.integral > 0.0 and settings.port.jitter > 0.0  # its integral is then unknown
         return AT_REST
     h_i, velocity = _take(settings, state, memory, position, force)
     before = motion.speed
-    wish = environment.speed_after(inner, before, force, position, time)
-    wish = limited(settings.motion, motion, commands, wish, position, velocity)
-    wish, certificate = _certified(settings, state, commands, wish)
-    send(motion, commands, whole(settings.motion, wish))
+    request = environment.speed_after(inner, before, force, position, time)
+    request = limited(settings.motion, motion, commands, request, position, velocity)
+    request, certificate = _certified(settings, state, commands, request)
+    send(motion, commands, whole(settings.motion, request))
     environment.go_along(inner, before, motion.speed, time)
     speed = abs(velocity) + settings.port.acceleration * time
     _watch_limit(settings, state, commands)
-    if state.unsure:
+    if state.uncertainty:
         certificate = _NONE
     h_s, h_r, deficit, leak, paid = _settle(environment, settings, state, memory, h_i, before, speed)
     branch = _DEPLETED if deficit > 0.0 else _FREE if motion.speed == 0.0 and before == 0.0 else _EXACT
@@ -201,32 +201,32 @@ def step(
 
 
 def _certified(
-    settings: GuardedDisplaySettings, state: GuardedDisplayState, commands: Buffer, wish: float
+    settings: GuardedAdmittanceSettings, state: GuardedAdmittanceState, commands: Buffer, request: float
 ) -> tuple[float, int]:
     """Nearest certified speed [m/s or rad/s], and the certificate that reduced it."""
-    sign = 1.0 if wish >= 0.0 else -1.0
+    sign = 1.0 if request >= 0.0 else -1.0
     motion, budget = state.motion, state.margin.known + settings.allowance
     most = fastest(settings.loop, state.loop.lead, commands, motion, budget, sign)
-    if abs(wish) <= most:
-        return wish, _UNBOUNDED
+    if abs(request) <= most:
+        return request, _UNBOUNDED
     certificate = _BY_LOOP
     if settings.hand.force > 0.0:
         budget = state.hand.known + settings.allowance
         by_hand = fastest_for_hand(settings.hand, settings.loop, commands, motion, budget)
-        if abs(wish) <= by_hand:
-            return wish, _BY_HAND
+        if abs(request) <= by_hand:
+            return request, _BY_HAND
         if by_hand > most:
             most, certificate = by_hand, _BY_HAND
     if settings.declared.stiffness > 0.0:
         by_declared = declared_hand.fastest_for_declared(
-            settings.declared, settings.loop, state.declared, commands, motion, wish, settings.allowance
+            settings.declared, settings.loop, state.declared, commands, motion, request, settings.allowance
         )
         if by_declared > most:
             most, certificate = by_declared, _BY_DECLARED
     return sign * most, certificate
 
 
-def _watch_limit(settings: GuardedDisplaySettings, state: GuardedDisplayState, commands: Buffer) -> None:
+def _watch_limit(settings: GuardedAdmittanceSettings, state: GuardedAdmittanceState, commands: Buffer) -> None:
     """Determine whether the torque may reach its limit under the newest command; end the certificates that this voids.
 
     The loop without an integral may certify all that is under way: a torque at its limit then ends nothing.
@@ -236,14 +236,17 @@ def _watch_limit(settings: GuardedDisplaySettings, state: GuardedDisplayState, c
         return
     state.limited = loop.delay + 1 + loop.losses + settings.port.latency
     if loop.integral > 0.0:
-        state.unsure = True
-    elif not state.unsure:
+        state.uncertainty = True
+    elif not state.uncertainty:
         under_way = loss_under_way(loop, 0.0, commands, state.motion)
-        state.unsure = under_way > state.margin.known + settings.allowance
+        state.uncertainty = under_way > state.margin.known + settings.allowance
 
 
 def miss(
-    environment: DisplayEnvironment, settings: GuardedDisplaySettings, state: GuardedDisplayState, memory: GuardedMemory
+    environment: AdmittanceEnvironment,
+    settings: GuardedAdmittanceSettings,
+    state: GuardedAdmittanceState,
+    memory: GuardedMemory,
 ) -> float:
     """Handle a SYNC without a sample; return the command [m/s or rad/s].
 
@@ -266,16 +269,16 @@ def miss(
 
 
 def skip(
-    environment: DisplayEnvironment,
-    settings: GuardedDisplaySettings,
-    state: GuardedDisplayState,
+    environment: AdmittanceEnvironment,
+    settings: GuardedAdmittanceSettings,
+    state: GuardedAdmittanceState,
     memory: GuardedMemory,
     skipped: int,
 ) -> None:
     """Account for skipped SYNCs: no command was sent, and the one under way acted longer."""
     loop, motion, commands = settings.loop, state.motion, memory.display.commands
     if loop.integral > 0.0:
-        state.unsure = state.unsure or state.axis.missed > 0
+        state.uncertainty = state.uncertainty or state.axis.missed > 0
         first, further = -loss_of_skip(loop, state.loop.lead, commands, motion, skipped), 0.0
     else:
         first = further = -lost_unseen(loop, commands, motion)
@@ -286,7 +289,7 @@ def skip(
 
 
 def _let_pass(
-    settings: GuardedDisplaySettings, state: GuardedDisplayState, memory: GuardedMemory, change: float
+    settings: GuardedAdmittanceSettings, state: GuardedAdmittanceState, memory: GuardedMemory, change: float
 ) -> None:
     """Account for a hold without a sample, in which the margin changed by at least this amount [J]."""
     acted = sent(state.motion, memory.display.commands, settings.loop.delay)
@@ -297,7 +300,11 @@ def _let_pass(
 
 
 def _take(
-    settings: GuardedDisplaySettings, state: GuardedDisplayState, memory: GuardedMemory, position: float, force: float
+    settings: GuardedAdmittanceSettings,
+    state: GuardedAdmittanceState,
+    memory: GuardedMemory,
+    position: float,
+    force: float,
 ) -> tuple[float, float]:
     """Book the hold that ended and update W; return (h_i [J], mean velocity [m/s or rad/s])."""
     port, loop, motion, commands = state.axis, state.loop, state.motion, memory.display.commands
@@ -320,7 +327,7 @@ def _take(
     state.by_force += hold.most
     free = state.h_s - state.surplus
     late = free + hold.energy
-    if state.unsure:
+    if state.uncertainty:
         return hold.energy, velocity
     if settings.declared.stiffness > 0.0:
         acted = sent(motion, commands, settings.declared.holds)
@@ -338,7 +345,9 @@ def _take(
     return proved - free, velocity
 
 
-def _fall(settings: GuardedDisplaySettings, state: GuardedDisplayState, memory: GuardedMemory, change: float) -> None:
+def _fall(
+    settings: GuardedAdmittanceSettings, state: GuardedAdmittanceState, memory: GuardedMemory, change: float
+) -> None:
     """Update the margins for the hold that ended, and record the state of this SYNC for its force."""
     fall(state.margin, memory.margin, change, state.taken)
     memory.leads[state.margin.place] = state.loop.lead
@@ -352,9 +361,9 @@ def _fall(settings: GuardedDisplaySettings, state: GuardedDisplayState, memory: 
 
 
 def _settle(
-    environment: DisplayEnvironment,
-    settings: GuardedDisplaySettings,
-    state: GuardedDisplayState,
+    environment: AdmittanceEnvironment,
+    settings: GuardedAdmittanceSettings,
+    state: GuardedAdmittanceState,
     memory: GuardedMemory,
     h_i: float,
     before: float,
@@ -391,14 +400,14 @@ def _settle(
     return h_s, h_r, deficit, leak, paid
 
 
-class GuardedDisplay(DisplayController):
+class GuardedAdmittance(AdmittanceController):
     """A virtual mass with the certificate of the drive's velocity loop."""
 
-    parameters_type: ClassVar[type[Parameters]] = GuardedDisplayParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, GuardedDisplayState, memory_of, step)
+    parameters_type: ClassVar[type[Parameters]] = GuardedAdmittanceParameters
+    kernel: ClassVar[Kernel] = Kernel(settings_of, GuardedAdmittanceState, memory_of, step)
 
     def __init__(
-        self, environment: DisplayEnvironment, parameters: GuardedDisplayParameters, loop: DisplayProperties
+        self, environment: AdmittanceEnvironment, parameters: GuardedAdmittanceParameters, loop: AdmittanceProperties
     ) -> None:
         super().__init__(environment, parameters, loop)
         self.max_consecutive_losses = parameters.max_consecutive_losses
@@ -417,7 +426,7 @@ class GuardedDisplay(DisplayController):
         if self._check is not None:
             self._compare(self._check, -torque_applied, is_first=bool(before))
         at_force = known_then(state.by_encoder, state.margin, self._memory.margin)  # more may have come in since
-        if at_force > state.by_force + ROUNDING and not state.unsure:
+        if at_force > state.by_force + ROUNDING and not state.uncertainty:
             error = ForceContradictedError(contradiction("force sensor", state.by_force, state.by_encoder))
             self.reset()
             raise error
@@ -426,7 +435,7 @@ class GuardedDisplay(DisplayController):
     def _compare(self, check: MomentumCheck, force: float, *, is_first: bool) -> None:
         """Compare force and motion; raise ForceContradictedError."""
         state, loop = self._state, self._settings.loop
-        if is_first or state.unsure:
+        if is_first or state.uncertainty:
             check.begin(state.axis.position, force, state.loop.lead)
             return
         hold = moved_hold(loop, state.motion, self._memory.display.commands, state.axis.moved, state.loop.lead)
@@ -440,10 +449,10 @@ class GuardedDisplay(DisplayController):
         if self._axis.started:
             skip(self._environment, self._settings, self._state, self._memory, round(periods) - 1)
 
-    def hold(self) -> EnergyBalance:
+    def sample_lost(self) -> EnergyBalance:
         """Answer a SYNC without a sample; see `Controller.hold`."""
-        balance = super().hold()
-        return balance._replace(certificate=_NONE) if self._state.unsure else balance
+        balance = super().sample_lost()
+        return balance._replace(certificate=_NONE) if self._state.uncertainty else balance
 
     def _command_unseen(self) -> float:
         return miss(self._environment, self._settings, self._state, self._memory)

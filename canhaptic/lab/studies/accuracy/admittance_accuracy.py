@@ -21,12 +21,12 @@ from rich.text import Text
 from canhaptic.axis_units import mass_unit
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.drive.clock import WallClock
-from canhaptic.drive.profile.display_parameters import ForceParameters
+from canhaptic.drive.profile.admittance_parameters import ForceParameters
 from canhaptic.errors import CanHapticError, InputError, ParameterError
 from canhaptic.lab.figures.figures import figures_of
+from canhaptic.lab.loop.admittance_equations import integrate, why_no_equations
+from canhaptic.lab.loop.admittance_loop import AdmittanceRun, run_display
 from canhaptic.lab.loop.axis_loop import Array, at_rate, display_group_under, display_under, parts_of
-from canhaptic.lab.loop.display_equations import integrate, why_no_equations
-from canhaptic.lab.loop.display_loop import DisplayRun, run_display
 from canhaptic.lab.studies.accuracy.accuracy_choice import holds_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.torque_history import simulation_of
@@ -35,7 +35,7 @@ from canhaptic.view.si import si
 from canhaptic.view.table import Table
 
 
-class DisplayReference(TypedDict):
+class AdmittanceReference(TypedDict):
     """The ideal display."""
 
     ended: str
@@ -68,7 +68,7 @@ class ChangeRow(TypedDict, total=False):
     us_per_cycle: float
 
 
-class DisplayStudy(TypedDict):
+class AdmittanceStudy(TypedDict):
     """The accuracy of one display, or group of displays."""
 
     scene: str
@@ -76,7 +76,7 @@ class DisplayStudy(TypedDict):
     unit: str
     rate: float  # [Hz]
     holds: int
-    reference: DisplayReference
+    reference: AdmittanceReference
     plant: list[PlantRow]
     loop: list[ChangeRow]
     status: str
@@ -85,22 +85,22 @@ class DisplayStudy(TypedDict):
 HEADS: Final = ("changed", "to", "position", "energy", "mass felt", "given out", "guard acts", "us per\ncycle")
 
 
-def display_accuracy_report(result: DisplayStudy) -> RenderableType:
+def display_accuracy_report(result: AdmittanceStudy) -> RenderableType:
     """Return the tables of a study for a terminal."""
     return Group(*(Text(f" {line}") for line in heading(result)), display_accuracy_table(result))
 
 
-def display_accuracy_markdown(result: DisplayStudy) -> str:
+def display_accuracy_markdown(result: AdmittanceStudy) -> str:
     """Return the same as Markdown."""
     return "\n".join([*(f"{line}  " for line in heading(result)), "", display_accuracy_table(result).markdown()])
 
 
-def display_accuracy_table(result: DisplayStudy) -> Table:
+def display_accuracy_table(result: AdmittanceStudy) -> Table:
     """Return one row for each change of the scene."""
     return Table("", HEADS, [_cells(row, result["unit"]) for row in result["loop"]], keys=2)
 
 
-def heading(result: DisplayStudy) -> list[str]:
+def heading(result: AdmittanceStudy) -> list[str]:
     """Return what was studied, against what, and how far the plant is from a solver."""
     unit, reference = result["unit"], result["reference"]
     lines = [
@@ -152,7 +152,7 @@ class _Variant(NamedTuple):
     steps: int  # holds of the ideal display in one of its holds
 
 
-def study_display(scene: Scene, name: str | None, duration: float | None, stop: Stop) -> DisplayStudy:
+def study_display(scene: Scene, name: str | None, duration: float | None, stop: Stop) -> AdmittanceStudy:
     """Return the study of one display, or group of displays, as plain values.
 
     Args:
@@ -172,7 +172,7 @@ def study_display(scene: Scene, name: str | None, duration: float | None, stop: 
     ideal = run_display(_ideal(alone, steps), holds * steps)
     nearly = run_display(_ideal(alone, steps // 2), holds * steps // 2)
     rows: list[ChangeRow] = []
-    found: DisplayStudy = {
+    found: AdmittanceStudy = {
         "scene": scene.source,
         "axis": name,
         "unit": alone.axes[0].parameters.unit,
@@ -205,11 +205,11 @@ def _steps(scene: Scene) -> int:
     return steps
 
 
-def _positions(run: DisplayRun) -> Array:
+def _positions(run: AdmittanceRun) -> Array:
     return run.columns()[:, :, 0]
 
 
-def _apart(run: DisplayRun, ideal: DisplayRun, steps: int) -> tuple[float, float]:
+def _apart(run: AdmittanceRun, ideal: AdmittanceRun, steps: int) -> tuple[float, float]:
     """Return the largest errors of position [m or rad] and energy [J] against the ideal display, at the same times."""
     exact, energies = _positions(ideal)[::steps], np.array(ideal.energies[::steps])
     common = min(len(exact), run.cycles)
@@ -217,7 +217,7 @@ def _apart(run: DisplayRun, ideal: DisplayRun, steps: int) -> tuple[float, float
     return float(position), float(np.abs(np.array(run.energies[:common]) - energies[:common]).max(initial=0.0))
 
 
-def _row(variant: _Variant, ideal: DisplayRun, cycles: int) -> ChangeRow:
+def _row(variant: _Variant, ideal: AdmittanceRun, cycles: int) -> ChangeRow:
     row: ChangeRow = {"changed": variant.changed, "to": variant.to}
     clock = WallClock()
     begin = clock.now()

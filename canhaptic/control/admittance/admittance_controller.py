@@ -6,14 +6,14 @@ sensor shows), and the `torque` of its balance is the velocity commanded [m/s or
 
 from typing import ClassVar
 
-from canhaptic.control.admittance.display_environment import DisplayEnvironment, send
+from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment, send
 from canhaptic.control.passivity.stepped import SteppedController, Wording
 
 
-class DisplayController(SteppedController):
+class AdmittanceController(SteppedController):
     """A kernel with the state of one axis."""
 
-    _environment: DisplayEnvironment
+    _environment: AdmittanceEnvironment
     wording: ClassVar[Wording] = Wording(
         "applied force", "velocity", "encoder, force sensor and their scaling", "mass and damping against the forces"
     )

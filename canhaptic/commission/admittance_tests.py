@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from canhaptic.commission.mass_and_friction import SURE
 from canhaptic.commission.session import OpenLoop, Session, StepVerdict, sweep
-from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.errors import InputError
 
 _REST: Final = 1.0  # [s] without a hand
@@ -188,7 +188,7 @@ def _judge_drive(session: Session, axis: int, fit: _Fit, mass_unit: str, gain_un
     group = next((one for one in session.scene.groups if one.name == session.axes[axis].group), None)
     known = (session.axes[axis] if group is None else group).passivity.parameters
     of_group = "" if group is None else f"; in the group {group.name}, the largest of its axes"
-    declared = known if isinstance(known, GuardedDisplayParameters) else None
+    declared = known if isinstance(known, GuardedAdmittanceParameters) else None
     has_friction = declared is not None and declared.drive_friction is not None
     ranged = ("loop_gain", "drive_mass") if has_friction else ("loop_gain",)
     _judge_friction(session, axis, fit.friction, declared)
@@ -210,7 +210,7 @@ def _judge_drive(session: Session, axis: int, fit: _Fit, mass_unit: str, gain_un
             session.propose(axis, f"passivity.{key}", times * value, unit, comment)
 
 
-def _judge_friction(session: Session, axis: int, found: float, declared: GuardedDisplayParameters | None) -> None:
+def _judge_friction(session: Session, axis: int, found: float, declared: GuardedAdmittanceParameters | None) -> None:
     """Report the friction of the drive; where one is declared, whether that is enough."""
     unit, item = "N" if session.axes[axis].parameters.unit == "m" else "N*m", "friction of the drive"
     value = f"{found:.3g} {unit}"

@@ -18,8 +18,8 @@ from canhaptic.drive.can.can_bring_up import CanBringUp
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.sdo import SdoChannel, download
 from canhaptic.drive.can.servo_drive import ServoDrive
+from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceChannel
 from canhaptic.drive.profile.bring_up import Confirmation
-from canhaptic.drive.profile.display_parameters import DisplayParameters, ForceChannel
 from canhaptic.drive.profile.fitness import RAMPS, largest_value
 from canhaptic.drive.profile.limiter import TorqueLimiter
 from canhaptic.drive.profile.link_policy import StopReason
@@ -41,7 +41,7 @@ _JUMP: Final = 2.0  # of the speed limit: a handle overshoots its command, and t
 _NEAR: Final = 1 << 10  # counts that a handle may move between two readings of its position
 
 
-class DisplayDrive(ServoDrive):
+class AdmittanceDrive(ServoDrive):
     """A drive that follows velocities and reports forces.
 
     Attributes:
@@ -58,7 +58,7 @@ class DisplayDrive(ServoDrive):
         display = axis.admittance
         if display is None:
             raise ParameterError(f"{axis.name}: has no `admittance`; expected an admittance display")
-        self.display: DisplayParameters = display
+        self.display: AdmittanceParameters = display
         self.force = ForceChannel(display.force, bus.sample_time)
         self.checks_rest = display.force.sampling != "impulse"  # a sum does not show the present force
         self._is_position = display.mode == "position"
@@ -227,12 +227,12 @@ _NOT_AT_REST: Final = (
 _REMEDY: Final = "set the object with the vendor's tool, or correct its limits in the dictionary"
 
 
-class DisplayBringUp(CanBringUp):
+class AdmittanceBringUp(CanBringUp):
     """Configures one drive that follows velocities."""
 
-    _drive: DisplayDrive
+    _drive: AdmittanceDrive
 
-    def __init__(self, drive: DisplayDrive) -> None:
+    def __init__(self, drive: AdmittanceDrive) -> None:
         super().__init__(drive)
         self._remedies = {
             **self._remedies,

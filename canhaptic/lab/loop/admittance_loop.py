@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.control.balance import RANKS, Certificate, EnergyBalance
-from canhaptic.drive.profile.display_parameters import ForceChannel
+from canhaptic.drive.profile.admittance_parameters import ForceChannel
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.lab.loop.axis_loop import FURTHEST, Array
 from canhaptic.scene.models import AxisScene, Scene
@@ -27,7 +27,7 @@ _CUTS: Final = (
 )  # fmt: skip
 _NONE: Final = Certificate.NONE.value
 _STILL: Final = 1e-9  # command that counts as none [m/s or rad/s]
-_COLUMNS: Final = 3  # of one axis in `DisplayRun.motion`
+_COLUMNS: Final = 3  # of one axis in `AdmittanceRun.motion`
 _FREE_MASS: Final = "virtual_mass"
 _FIRST: Final = 20  # SYNCs at the beginning that are left out of the mass felt
 _BRAKING: Final = 10e-3  # time that a drive takes to stop at a wall, at most [s]
@@ -40,7 +40,7 @@ def is_display(scene: Scene) -> bool:
 
 
 @dataclass
-class DisplayRun:
+class AdmittanceRun:
     """Result of one run; energies in [J], of all axes together."""
 
     cycles: int = 0  # SYNCs done
@@ -89,7 +89,7 @@ class _Motor(NamedTuple):
 _JUMP: Final = 2.0  # of the speed limit, as in the drive's link policy
 
 
-def run_display(scene: Scene, cycles: int) -> DisplayRun:
+def run_display(scene: Scene, cycles: int) -> AdmittanceRun:
     """Result of a run of one axis, or of one group.
 
     Args:
@@ -101,7 +101,7 @@ def run_display(scene: Scene, cycles: int) -> DisplayRun:
         ParameterError: The controller cannot be built.
     """
     motors = [_motor(axis, scene) for axis in scene.axes]
-    found = DisplayRun(axes=len(motors))
+    found = AdmittanceRun(axes=len(motors))
     controller, step = _stepped(scene)
     try:
         _walk(motors, step, scene, cycles, found)
@@ -149,7 +149,7 @@ def _stepped(scene: Scene) -> tuple[Any, _Step]:
     return controller, alone
 
 
-def _walk(motors: list[_Motor], step: _Step, scene: Scene, cycles: int, found: DisplayRun) -> None:
+def _walk(motors: list[_Motor], step: _Step, scene: Scene, cycles: int, found: AdmittanceRun) -> None:
     period = scene.bus.sample_time_ns
     under_way = deque([[0.0] * len(motors) for _ in range(scene.bus.delay)])
     held, before = [0.0] * len(motors), [0.0] * len(motors)
@@ -179,7 +179,7 @@ def _walk(motors: list[_Motor], step: _Step, scene: Scene, cycles: int, found: D
         held = under_way.popleft()
 
 
-def _take(motors: list[_Motor], commands: list[float], account: EnergyBalance, found: DisplayRun) -> None:
+def _take(motors: list[_Motor], commands: list[float], account: EnergyBalance, found: AdmittanceRun) -> None:
     true = 0.0
     for motor in motors:
         plant = motor.plant
@@ -198,7 +198,7 @@ def _take(motors: list[_Motor], commands: list[float], account: EnergyBalance, f
     found.uncertified += account.certificate == _NONE
 
 
-def felt(run: DisplayRun, scene: Scene) -> tuple[float, float]:
+def felt(run: AdmittanceRun, scene: Scene) -> tuple[float, float]:
     """Mass [kg or kg*m^2] and damping [N*s/m or N*m*s/rad] that fit true forces and velocities best.
 
     F - k (q - rest) = m v' + b v + F_0, m and b the same for all axes; away from walls and limits of the position. NaN

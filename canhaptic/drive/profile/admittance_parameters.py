@@ -86,7 +86,7 @@ class ForceParameters(Parameters):
         return int(match.group(1), 16), int(match.group(2) or "0", 16)
 
 
-class DisplayParameters(Parameters):
+class AdmittanceParameters(Parameters):
     """Makes an axis an admittance display: force in, velocity out."""
 
     mode: Mode = "velocity"
@@ -109,7 +109,7 @@ class DisplayParameters(Parameters):
     """The force sensor."""
 
     @model_validator(mode="after")
-    def _positions_are_in_order(self) -> "DisplayParameters":
+    def _positions_are_in_order(self) -> "AdmittanceParameters":
         low, high = self.position_low, self.position_high
         if low is not None and high is not None and low >= high:
             raise ValueError(f"position_low is {low}, expected less than position_high ({high})")

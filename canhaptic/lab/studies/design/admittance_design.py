@@ -14,8 +14,8 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from canhaptic.axis_units import mass_unit
-from canhaptic.control.admittance.group_environment import DisplayMass, GroupMass, PathMass
-from canhaptic.control.admittance.velocity_loop import GuardedDisplayParameters
+from canhaptic.control.admittance.group_environment import AdmittanceMass, GroupMass, PathMass
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import CheckFailedError, InputError
 from canhaptic.lab.figures.figures import display_figures
@@ -39,7 +39,7 @@ _Figures = dict[str, float]
 _Shares = TypedDict("_Shares", {"mass_felt.share": list[float]}, total=False)
 
 
-class DisplayDesign(_Shares, total=False):
+class AdmittanceDesign(_Shares, total=False):
     """The lightest mass of a display, and what it costs with the worst of all hands."""
 
     mass: float
@@ -53,18 +53,18 @@ class DisplayDesign(_Shares, total=False):
     passes: list[float]  # least and largest mass that passes
 
 
-class DisplayDesigns(TypedDict):
+class AdmittanceDesigns(TypedDict):
     """The designs of all displays of a scene."""
 
     scene: str
     margin: float
     tolerance: float
-    displays: dict[str, DisplayDesign]
+    displays: dict[str, AdmittanceDesign]
 
 
 def design_displays(
     scene: Scene, margin: float, tolerance: float, progress: Progress = lambda _tried, _most: None
-) -> DisplayDesigns:
+) -> AdmittanceDesigns:
     """Return the lightest mass for each display, and group of displays, of a scene, as plain values.
 
     Args:
@@ -96,7 +96,7 @@ class _Trial:
     def __init__(self, name: str, scene: Scene, tolerance: float) -> None:
         self.name, self._scene, self._tolerance = name, scene, tolerance
         part = scene.groups[0].network if scene.groups else scene.axes[0].environment
-        if not isinstance(part.parameters, DisplayMass | GroupMass) or isinstance(part.parameters, PathMass):
+        if not isinstance(part.parameters, AdmittanceMass | GroupMass) or isinstance(part.parameters, PathMass):
             raise InputError(f"{scene.source}: {name}: renders {part.name}, expected virtual_mass to design for")
         if any(simulation_of(axis).user is None for axis in scene.axes):
             raise InputError(f"{scene.source}: {name}: has no hand (simulation.user), expected one that moves it")
@@ -126,7 +126,7 @@ class _Trial:
         return 1e9 if np.isnan(shares).any() else max(shares)
 
 
-def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, DisplayDesign]]:
+def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, AdmittanceDesign]]:
     """Yield (masses tried so far, what is known of the lightest), from heavy to light.
 
     Raises:
@@ -135,7 +135,7 @@ def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, DisplayDesign]]
     low, high = (share * trial.never_acts for share in _RANGE)
     tried, most = 0, 0.0
     nearest: tuple[float, float, list[_Figures]] = (np.inf, low, [])
-    found: DisplayDesign = {}
+    found: AdmittanceDesign = {}
     for places in _PLACES:
         passed = 0.0
         for mass in np.geomspace(low, high, places)[::-1].tolist():
@@ -168,7 +168,7 @@ def _why(figures: list[_Figures], mass: float, trial: _Trial) -> str:
     )
 
 
-def _account(trial: _Trial, mass: float, figures: list[_Figures]) -> DisplayDesign:
+def _account(trial: _Trial, mass: float, figures: list[_Figures]) -> AdmittanceDesign:
     """Return what a mass is and costs; the worst of all hands."""
     shares = [of["mass_felt.share"] for of in figures]
     return {
@@ -197,7 +197,7 @@ def _of_axis(axis: AxisScene, scene: Scene) -> float:
     known = (scene.groups[0].passivity if scene.groups else axis.passivity).parameters
     lag = (properties.delay + 0.5 + properties.latency) * properties.sample_time
     lag += 0.5 / (np.pi * properties.filter) if properties.filter else 0.0
-    if isinstance(known, GuardedDisplayParameters):
+    if isinstance(known, GuardedAdmittanceParameters):
         return float(known.drive_mass + known.loop_gain * lag)
     gain = 0.0 if simulation.admittance is None else simulation.admittance.loop.gain
     return float(simulation.plant.mass + gain * lag)
@@ -234,13 +234,13 @@ def _rounded_up(value: float) -> float:
     return float(f"{np.ceil(value / unit * (1.0 - 1e-12)) * unit:.{_DIGITS}g}")
 
 
-def display_snippet(found: DisplayDesign) -> str:
+def display_snippet(found: AdmittanceDesign) -> str:
     """Return the mass as YAML for a scene."""
     environment = {"type": "virtual_mass", "mass": f"{found['mass']:g} {found['unit']}"}
     return str(yaml.safe_dump({"environment": environment}, sort_keys=False))
 
 
-def display_design_report(result: DisplayDesigns) -> RenderableType:
+def display_design_report(result: AdmittanceDesigns) -> RenderableType:
     """Return what a terminal shows of a design; `result` as `design_displays` returns it."""
     heading = Text(" ")
     heading.append(str(result["scene"]), style="bold")

@@ -14,13 +14,13 @@ from math import sqrt
 from typing import Any
 
 from canhaptic.control.admittance import sampled_mass
-from canhaptic.control.admittance.display_controller import DisplayController
-from canhaptic.control.admittance.group_environment import DisplayMass
-from canhaptic.control.admittance.port import DisplayProperties
+from canhaptic.control.admittance.admittance_controller import AdmittanceController
+from canhaptic.control.admittance.group_environment import AdmittanceMass
+from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.sampled_mass import (
-    DisplayReply,
-    DisplayRun,
-    DisplaySettings,
+    AdmittanceReply,
+    AdmittanceRun,
+    AdmittanceSettings,
     NothingToChoose,
     SampledHold,
     display_kernel,
@@ -30,14 +30,14 @@ from canhaptic.kernels import new
 
 
 def settings_of(
-    environment: DisplayMass, parameters: NothingToChoose, properties: DisplayProperties
-) -> DisplaySettings[Any]:
+    environment: AdmittanceMass, parameters: NothingToChoose, properties: AdmittanceProperties
+) -> AdmittanceSettings[Any]:
     """Constants of a run.
 
     Raises:
         ParameterError: What is rendered is no virtual mass, for which alone the balance is solved.
     """
-    if not isinstance(environment, DisplayMass):
+    if not isinstance(environment, AdmittanceMass):
         raise ParameterError(
             f"internal_dissipation: got {type(environment).__name__}, expected environment: virtual_mass; the balance "
             "is solved for a mass, use guarded"
@@ -45,23 +45,23 @@ def settings_of(
     return sampled_mass.settings_of(environment, parameters, properties)
 
 
-def first_energy(environment: DisplayMass, given: NothingToChoose, position: float) -> float:
+def first_energy(environment: AdmittanceMass, given: NothingToChoose, position: float) -> float:
     """Return the potential at the first position [J]."""
     return environment.potential(position)
 
 
-def respond(environment: DisplayMass, run: DisplayRun[NothingToChoose], hold: SampledHold) -> DisplayReply:
+def respond(environment: AdmittanceMass, run: AdmittanceRun[NothingToChoose], hold: SampledHold) -> AdmittanceReply:
     """Solve the balance of energy for the next speed."""
     state, time = run.state, run.settings.port.sample_time
     impulse, potential = hold.force * time, environment.potential(state.axis.position)
     risen, state.energy = potential - state.energy, potential
-    wish = next_speed(environment, time, hold.before, impulse, risen)
+    request = next_speed(environment, time, hold.before, impulse, risen)
     if hold.before == 0.0:
-        wish = (impulse + time * environment.pull(state.axis.position)) / environment.mass
-    return new(DisplayReply, (wish, 0.0, 0.0))
+        request = (impulse + time * environment.pull(state.axis.position)) / environment.mass
+    return new(AdmittanceReply, (request, 0.0, 0.0))
 
 
-def next_speed(environment: DisplayMass, time: float, speed: float, impulse: float, risen: float) -> float:
+def next_speed(environment: AdmittanceMass, time: float, speed: float, impulse: float, risen: float) -> float:
     """Return the root that keeps the sign of the speed; 0 where there is none [m/s or rad/s].
 
     Args:
@@ -80,7 +80,7 @@ def next_speed(environment: DisplayMass, time: float, speed: float, impulse: flo
     return found if found * speed > 0.0 else 0.0
 
 
-class DissipatingDisplay(DisplayController):
+class DissipatingAdmittance(AdmittanceController):
     """The paper's balance of energy with force in and velocity out."""
 
     parameters_type = NothingToChoose

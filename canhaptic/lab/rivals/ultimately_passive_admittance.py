@@ -7,9 +7,9 @@ stability of the slip against the stiffest hand declared (C K T <= 0.5).
 
 from typing import Annotated
 
-from canhaptic.control.admittance.display_controller import DisplayController
-from canhaptic.control.admittance.display_environment import DisplayEnvironment
-from canhaptic.control.admittance.sampled_mass import DisplayReply, DisplayRun, SampledHold, display_kernel
+from canhaptic.control.admittance.admittance_controller import AdmittanceController
+from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
+from canhaptic.control.admittance.sampled_mass import AdmittanceReply, AdmittanceRun, SampledHold, display_kernel
 from canhaptic.kernels import new
 from canhaptic.units import Parameters, quantity
 
@@ -17,7 +17,7 @@ _STABLE = 0.5
 """Largest C K T of a series slip against a spring, with a whole hold of delay to spare."""
 
 
-class UltimatelyPassiveDisplayParameters(Parameters):
+class UltimatelyPassiveAdmittanceParameters(Parameters):
     """Parameters of an admittance display: how fast the surplus is dissipated."""
 
     alpha: Annotated[float, quantity("m/N/s/J", "rad/N/m/s/J", ge=0.0, le=1e6)] = 1.0
@@ -27,18 +27,18 @@ class UltimatelyPassiveDisplayParameters(Parameters):
 
 
 def respond(
-    environment: DisplayEnvironment, run: DisplayRun[UltimatelyPassiveDisplayParameters], hold: SampledHold
-) -> DisplayReply:
+    environment: AdmittanceEnvironment, run: AdmittanceRun[UltimatelyPassiveAdmittanceParameters], hold: SampledHold
+) -> AdmittanceReply:
     """Dissipate part of the surplus."""
     state, given = run.state, run.settings.given
     h_pas = hold.force * state.slip * hold.elapsed
     state.energy = max(0.0, max(0.0, state.energy + state.created) - h_pas)
     most = _STABLE / (given.hand_stiffness * run.settings.port.sample_time)
-    return new(DisplayReply, (hold.wish, min(given.alpha * state.energy, most) * hold.force, h_pas))
+    return new(AdmittanceReply, (hold.request, min(given.alpha * state.energy, most) * hold.force, h_pas))
 
 
-class UltimatelyPassiveDisplay(DisplayController):
+class UltimatelyPassiveAdmittance(AdmittanceController):
     """A virtual mass whose surplus is dissipated gradually."""
 
-    parameters_type = UltimatelyPassiveDisplayParameters
+    parameters_type = UltimatelyPassiveAdmittanceParameters
     kernel = display_kernel(respond)

@@ -8,10 +8,10 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError
-from canhaptic.lab.loop.display_equations import integrate, why_no_equations
-from canhaptic.lab.loop.display_loop import run_display
+from canhaptic.lab.loop.admittance_equations import integrate, why_no_equations
+from canhaptic.lab.loop.admittance_loop import run_display
 from canhaptic.lab.render.accuracy_picture import draw_display_accuracy
-from canhaptic.lab.studies.accuracy.display_accuracy import study_display
+from canhaptic.lab.studies.accuracy.admittance_accuracy import study_display
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.torque_history import simulation_of
 

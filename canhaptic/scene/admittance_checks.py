@@ -1,7 +1,7 @@
 """Checks of admittance displays that need more than one section of a scene."""
 
 from canhaptic.drive.axis_parameters import AxisParameters
-from canhaptic.drive.profile.display_parameters import DisplayParameters
+from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
 from canhaptic.errors import InputError
 from canhaptic.scene.document import Diagnostics, MarkedMapping
 from canhaptic.scene.models import AxisScene, Scene
@@ -30,7 +30,7 @@ def check_display(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: D
             faults.add(at, f"{key}: missing; an admittance display on a real interface does not move without, add it")
 
 
-def _missing(given: AxisParameters, display: DisplayParameters) -> list[str]:
+def _missing(given: AxisParameters, display: AdmittanceParameters) -> list[str]:
     """Keys that real hardware needs and the axis lacks."""
     needed = {
         "admittance.position_low": display.position_low,

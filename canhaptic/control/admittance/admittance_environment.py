@@ -12,12 +12,12 @@ from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self
 
 from pydantic import model_validator
 
-from canhaptic.control.admittance.port import DisplayProperties, PortSettings, port_positions
+from canhaptic.control.admittance.port import AdmittanceProperties, PortSettings, port_positions
 from canhaptic.kernels import Buffer, MakeBuffer
 from canhaptic.units import Parameters, quantity
 
 
-class DisplayEnvironment(Parameters):
+class AdmittanceEnvironment(Parameters):
     """Parameters and methods of an environment on one axis."""
 
     display: ClassVar[Literal["admittance"]] = "admittance"
@@ -71,7 +71,7 @@ _BACK: Final = 0.125
 
 
 @dataclass(frozen=True, slots=True)
-class DisplayMotionSettings:
+class AdmittanceMotionSettings:
     """Limits of the commanded motion."""
 
     sample_time: float  # [s]
@@ -85,7 +85,7 @@ class DisplayMotionSettings:
     states: int  # of the environment
 
 
-class DisplayMemory(NamedTuple):
+class AdmittanceMemory(NamedTuple):
     """Buffers of one axis."""
 
     positions: Buffer  # of the SYNCs whose forces have not come [m or rad]
@@ -94,7 +94,7 @@ class DisplayMemory(NamedTuple):
 
 
 @dataclass(slots=True)
-class DisplayMotion:
+class AdmittanceMotion:
     """State of the commands."""
 
     speed: float = 0.0  # of the last command [m/s or rad/s]
@@ -102,11 +102,11 @@ class DisplayMotion:
 
 
 def motion_settings(
-    environment: DisplayEnvironment, properties: DisplayProperties, lag: float = 0.0
-) -> DisplayMotionSettings:
+    environment: AdmittanceEnvironment, properties: AdmittanceProperties, lag: float = 0.0
+) -> AdmittanceMotionSettings:
     """Constants of a run; `lag` is the drive's moving mass over its gain [s]."""
     time = properties.sample_time
-    return DisplayMotionSettings(
+    return AdmittanceMotionSettings(
         time, properties.delay, properties.speed_quantum, properties.speed_limit, properties.acceleration_limit * time,
         max(environment.lower_wall, properties.position_low), min(environment.upper_wall, properties.position_high),
         lag, environment.states,
@@ -114,29 +114,29 @@ def motion_settings(
 
 
 def display_memory(
-    port: PortSettings, motion: DisplayMotionSettings, kept: int, make_buffer: MakeBuffer
-) -> DisplayMemory:
+    port: PortSettings, motion: AdmittanceMotionSettings, kept: int, make_buffer: MakeBuffer
+) -> AdmittanceMemory:
     """Buffers of one axis that keeps this number of commands."""
-    return DisplayMemory(port_positions(port, make_buffer), make_buffer(kept), make_buffer(motion.states))
+    return AdmittanceMemory(port_positions(port, make_buffer), make_buffer(kept), make_buffer(motion.states))
 
 
-def send(motion: DisplayMotion, commands: Buffer, speed: float) -> None:
+def send(motion: AdmittanceMotion, commands: Buffer, speed: float) -> None:
     """Keep a command as the newest."""
     motion.newest = motion.newest + 1 if motion.newest + 1 < len(commands) else 0
     commands[motion.newest] = speed
     motion.speed = speed
 
 
-def sent(motion: DisplayMotion, commands: Buffer, age: int) -> float:
+def sent(motion: AdmittanceMotion, commands: Buffer, age: int) -> float:
     """Return a command [m/s or rad/s]; age 0 is the newest."""
     return commands[motion.newest - age]
 
 
 def limited(
-    settings: DisplayMotionSettings,
-    motion: DisplayMotion,
+    settings: AdmittanceMotionSettings,
+    motion: AdmittanceMotion,
     commands: Buffer,
-    wish: float,
+    request: float,
     position: float,
     velocity: float,
 ) -> float:
@@ -158,14 +158,14 @@ def limited(
         room *= _BACK
     if rest > 0.0:
         rest *= _BACK
-    wish = room if wish > room else wish
-    wish = rest if wish < rest else wish
+    request = room if request > room else request
+    request = rest if request < rest else request
     high, low = most if high > most else high, -most if low < -most else low
-    wish = low if wish < low else wish
-    return high if wish > high else wish
+    request = low if request < low else request
+    return high if request > high else request
 
 
-def whole(settings: DisplayMotionSettings, speed: float) -> float:
+def whole(settings: AdmittanceMotionSettings, speed: float) -> float:
     """Round a command towards zero to whole quanta [m/s or rad/s]."""
     quantum = settings.quantum
     if quantum == 0.0 or speed in (inf, -inf):
