@@ -6,6 +6,7 @@ Host settings for a process that must wake up on time.
 import argparse
 import os
 import platform
+from collections import Counter
 from collections.abc import Mapping
 from math import inf
 from pathlib import Path
@@ -16,18 +17,20 @@ from rich.console import Console
 from rich.markup import escape
 
 from canhaptic.canopen.eds import read_dictionary
+from canhaptic.cli.check_eds import WORDS
 from canhaptic.cli.options import scene_of
 from canhaptic.cli.output import write_json
 from canhaptic.drive.can.bus_budget import BusBudget, require_budget
 from canhaptic.drive.can.dictionary_check import check_dictionary
 from canhaptic.drive.can.pdo_map import choose_map
-from canhaptic.drive.profile.fitness import Finding, Verdict
+from canhaptic.drive.profile.fitness import Finding
+from canhaptic.drive.survey import survey
 from canhaptic.host.realtime import GRANTED, Realtime
 from canhaptic.scene.build import require_buildable
 from canhaptic.scene.first_contact import advice, slowest_felt
 from canhaptic.scene.hints import Hint, display_hints, group_hints, stability_hints
 from canhaptic.scene.method import dear_holds
-from canhaptic.scene.models import TO_SET, AxisScene, Guess, Scene, guesses_left, refuses_guesses
+from canhaptic.scene.models import AxisScene, Guess, Scene, refused_values, status_text, values_to_set
 from canhaptic.view.energy_table import make_console
 from canhaptic.view.table import Cell, Styled, Table
 
@@ -100,7 +103,6 @@ def _read(path: str) -> str:
 
 NO_WALL: Final = "NO WALL"
 _TO_BE_SET: Final = 1  # exit status: a run is refused until the marked values are set
-_COLOURS: Final = {Verdict.FIT: "green", Verdict.UNKNOWN: "yellow", Verdict.REFUSED: "red"}
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -129,9 +131,9 @@ def execute(arguments: argparse.Namespace) -> int:
     hints += display_hints(scene)
     tried = ((axis.parameters.name, slowest_felt(axis)) for axis in scene.axes)
     felt = {name: speed for name, speed in tried if speed is not None}
-    found = _CheckFindings(
-        scene, budgets, findings, hints, felt, dear_holds(scene) if scene.simulated and not scene.unread else []
-    )
+    fitness = [survey(*of).suitability.value for of in zip(dictionaries, axes, strict=True)]
+    dear = dear_holds(scene) if scene.simulated and not scene.unread else []
+    found = _CheckFindings(scene, budgets, findings, hints, felt, fitness, dear)
     if arguments.json:
         write_json(_as_json(found))
     else:
@@ -147,6 +149,7 @@ class _CheckFindings(NamedTuple):
     findings: dict[str, list[Finding]]
     hints: list[Hint]
     felt: dict[str, float]  # axis -> approach speed from which its wall is felt [m/s or rad/s], infinite: from none
+    fitness: list[str]  # of each drive, in the words of `check-eds`
     dear: list[str]  # simulated plants whose sample time may take long
 
     def wall(self) -> str:
@@ -162,7 +165,7 @@ class _CheckFindings(NamedTuple):
     @property
     def refused(self) -> bool:
         """Whether a run would be refused because values are still guesses."""
-        return bool(guesses_left(self.scene)) and refuses_guesses(self.scene)
+        return bool(refused_values(self.scene))
 
     @property
     def exceeded(self) -> list[Hint]:
@@ -171,23 +174,19 @@ class _CheckFindings(NamedTuple):
 
     def verdict(self) -> str:
         """Verdict in one line: whether the scene can run, and what to look at."""
-        marks = len(guesses_left(self.scene))
-        unknown = sum(f.verdict is Verdict.UNKNOWN for rows in self.findings.values() for f in rows)
         load = max(budget.periodic_load for budget in self.budgets.values())
         parts = [
-            f"{marks} value{'s are' if marks != 1 else ' is'} still marked {TO_SET}" if marks else "",
             "" if inf in self.felt.values() else self.wall(),
-            f"{len(self.findings)} drive{'s fit' if len(self.findings) != 1 else ' fits'} by its dictionary",
-            f"{unknown} to be read from the drive" if unknown else "",
+            *(f"{count} drive{'s' if count > 1 else ''} {word}" for word, count in Counter(self.fitness).items()),
             f"bus load {100.0 * load:.0f} %",
             f"{', '.join(self.scene.unread)} not run, so its parameters are not checked" if self.scene.unread else "",
             f"{len(self.exceeded)} limit{'s' if len(self.exceeded) != 1 else ''} exceeded" if self.exceeded else "",
         ]
-        return f"{'not ready' if self.refused else 'ready'}: {', '.join(part for part in parts if part)}"
+        return f"{status_text(self.scene)}; {', '.join(part for part in parts if part)}"
 
 
 def _as_json(found: _CheckFindings) -> dict[str, Any]:
-    scene, budgets, findings, hints, felt, _ = found
+    scene, budgets, findings, hints, felt, fitness, _ = found
     buses = {name: _budget_as_json(budget) for name, budget in budgets.items()}
     return {
         "status": "ok",
@@ -195,10 +194,11 @@ def _as_json(found: _CheckFindings) -> dict[str, Any]:
         "verdict": found.verdict(),
         "wall": found.wall(),
         "dear": found.dear,
+        "fitness": fitness,
         "felt_from": felt,  # infinite: null
         "config_hash": None if scene.unread else scene.config_hash(),  # it holds the defaults of own code
         "unread": list(scene.unread),
-        "to_set": [guess._asdict() for guess in guesses_left(scene)],
+        "to_set": [guess._asdict() for guess in values_to_set(scene)],
         "config": scene.resolved(),
         **({"buses": buses} if scene.bus_name else {"bus": buses[""]}),
         "drives": {
@@ -222,7 +222,7 @@ def _budget_as_json(budget: BusBudget) -> dict[str, Any]:
 
 
 def _print(console: Console, found: _CheckFindings, *, resolved: bool) -> None:
-    scene, budgets, findings, hints, felt, _ = found
+    scene, budgets, findings, hints, felt, _, _ = found
     if inf in felt.values():
         console.print(f"[bold red]{escape(found.wall())}[/]", soft_wrap=True)
     colour = "red" if found.refused else "yellow" if found.exceeded else "green"
@@ -233,9 +233,10 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool) -> None:
     console.print(line + ("" if resolved else "; every value: --resolved"), markup=False, soft_wrap=True)
     for text in found.dear:
         console.print(f"[yellow]{escape(text)}[/]", soft_wrap=True)
-    if unset_values := guesses_left(scene):
-        console.print("real drives do not run on guesses:")
-        console.print(_guess_table(unset_values))
+    unset = values_to_set(scene)
+    if found.refused or any(guess.line for guess in unset):
+        console.print("real drives run when all of this is set:")
+        console.print(_guess_table(unset))
     if resolved:
         values = _without_empty(scene.resolved())
         console.print(yaml.safe_dump(values, sort_keys=False, allow_unicode=True), markup=False)
@@ -252,8 +253,8 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool) -> None:
         console.print(_realtime_table(answers))
 
 
-def _guess_table(unset_values: list[Guess]) -> Table:
-    rows: list[list[Cell]] = [[guess.line, guess.key, guess.value, guess.note] for guess in unset_values]
+def _guess_table(unset: list[Guess]) -> Table:
+    rows: list[list[Cell]] = [[guess.line or "", guess.key, guess.value, guess.note] for guess in unset]
     return Table("to set", ("line", "key", "guess", "what belongs there"), rows)
 
 
@@ -284,9 +285,7 @@ def _bus_table(name: str, budget: BusBudget) -> Table:
 
 
 def _fitness_table(axis: AxisScene, findings: list[Finding]) -> Table:
-    rows: list[list[Cell]] = [
-        [row.item, Styled(row.verdict.value, _COLOURS[row.verdict]), row.text] for row in findings
-    ]
+    rows: list[list[Cell]] = [[row.item, WORDS[row.verdict], row.text] for row in findings]
     return Table(f"{axis.parameters.name}: {axis.parameters.eds}", ("object", "verdict", ""), rows)
 
 

@@ -14,16 +14,20 @@ from canhaptic.drive.profile.admittance_parameters import Mode
 from canhaptic.drive.profile.fitness import Verdict
 from canhaptic.drive.survey import MOST_AXES, Suitability, Survey, display_of, survey, unconfigured_axis
 from canhaptic.errors import InputError
+from canhaptic.scene.load import scene_from_text
+from canhaptic.scene.models import status_text
 from canhaptic.scene.profiles import profile_of_vendor, profile_values
+from canhaptic.scene.starter import starter_scene
 from canhaptic.view.energy_table import make_console
 from canhaptic.view.table import Cell, Styled, Table
 
 _COLOURS: Final = {Suitability.FIT: "green", Suitability.CONDITIONAL: "yellow", Suitability.UNFIT: "red"}
-_WORDS: Final = {
+WORDS: Final = {
     Verdict.FIT: Styled("ok", "green"),
     Verdict.UNKNOWN: Styled("condition", "yellow"),
     Verdict.REFUSED: Styled("unfit", "red"),
 }
+"""Words for the verdict on one object."""
 _UNFIT: Final = 1
 
 
@@ -31,10 +35,17 @@ def execute(arguments: argparse.Namespace) -> int:
     """Print the verdict with its reasons; return 1 when the drive cannot serve."""
     found, profile = survey_of(arguments.file, arguments.display, arguments.force_object)
     if arguments.json:
-        write_json({**_as_json(found), "profile": profile})
+        write_json({**_as_json(found), "profile": profile, "statuses": _statuses(found, profile)})
     else:
         _print(make_console(), found, profile)
     return _UNFIT if found.suitability is Suitability.UNFIT else 0
+
+
+def _statuses(found: Survey, profile: str | None) -> str:
+    """Return the statuses of the scene that `new` writes for the drive."""
+    if found.suitability is Suitability.UNFIT:
+        return f"Simulation: {Suitability.UNFIT.value}. Hardware: {Suitability.UNFIT.value}"
+    return status_text(scene_from_text(starter_scene(found, simulate=True, drive=profile), str(found.path)))
 
 
 def survey_of(path: Path, mode: Mode | None = None, force_object: str | None = None) -> tuple[Survey, str | None]:
@@ -114,6 +125,7 @@ def _print(console: Console, found: Survey, profile: str | None) -> None:
     if not found.reasons:
         console.print(_manual_table(found))
     console.print(f"[bold {_COLOURS[found.suitability]}]{found.suitability.value}[/]")
+    console.print(_statuses(found, profile), markup=False)
     for row in found.reasons or found.conditions:
         console.print(f"  {row.item}: {row.text}", markup=False, soft_wrap=False)
 
@@ -125,7 +137,7 @@ def _object_table(found: Survey) -> Table:
         if row.group != group:
             rows.append([])
         text = "see below" if row.item == "map" and row.verdict is Verdict.FIT else row.text
-        rows.append([row.group if row.group != group else "", row.item, _WORDS[row.verdict], row.stated, text])
+        rows.append([row.group if row.group != group else "", row.item, WORDS[row.verdict], row.stated, text])
         group = row.group
     return Table("what the dictionary states", ("", "object", "", "stated", "meaning"), rows)
 

@@ -35,7 +35,7 @@ def execute(arguments: argparse.Namespace) -> int:
             if energy_log is None:
                 energy_log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.h5"
         require_no_guesses(scene)
-        for text in elsewhere:
+        for text in (*elsewhere, *_unverified(scene)):
             write_note(f"  {text}")
         if any(bus.parameters.interface == "socketcan" for bus in scene.buses):
             _preflight(scene)
@@ -64,6 +64,17 @@ def _dear_holds(scene: Scene) -> list[str]:
     from canhaptic.scene.method import dear_holds
 
     return dear_holds(scene)
+
+
+def _unverified(scene: Scene) -> list[str]:
+    """Notes on axes that are sent less than their limit because its scale is not verified."""
+    sent = [(axis.parameters, axis.loop.torque_limit or 0.0) for axis in scene.axes]
+    return [
+        f"{axis.name}: torque_verified: no: at most {limit:.3g} {effort_unit(axis.unit)} are sent, a hundredth of "
+        "torque_limit; canhaptic commission verifies the scale"
+        for axis, limit in sent
+        if limit < axis.torque_limit and axis.admittance is None
+    ]
 
 
 def _preflight(scene: Scene) -> None:

@@ -131,6 +131,10 @@ DISPLAY_LOOP_KEYS: Final = ("sync_jitter",)
 _MOVES_IN_METRES: Final = ("planar_2r", "five_bar")
 """Kinematics whose task space is in metres, for linear and rotary motors."""
 
+_REQUIRED: Final = ("torque_verified", "position_reference")
+"""Keys of an axis that real drives need and no default can replace."""
+_UNVERIFIED: Final = 0.01
+"""Part of `torque_limit` that is sent while the scale of the torque is not verified."""
 UnitT = TypeVar("UnitT", bound=str | None)
 _Drive = Annotated[SimulatedDriveParameters, OnDemand("canhaptic.sim.drive.drive_parameters:SimulatedDriveParameters")]
 _Hand = Annotated[TaskHand, OnDemand("canhaptic.sim.plant.mechanism.task_hand:TaskHand")]
@@ -265,7 +269,8 @@ def _loop_of(section: object, info: Info[SceneContext]) -> object:
         derived["delay"] = bus.delay
     if axis is not None:
         derived["encoder_count"] = 1.0 / abs(axis.counts_per_unit)
-        derived["torque_limit"] = axis.torque_limit
+        is_unverified = axis.torque_verified == "no" and not info.context.simulated
+        derived["torque_limit"] = axis.torque_limit * (_UNVERIFIED if is_unverified else 1.0)
         derived["torque_rate_limit"], derived["power_limit"] = axis.torque_rate_limit, axis.power_limit
         if axis.rated_torque is not None:
             derived["torque_quantum"] = axis.rated_torque * quirks_of(axis.quirks).torque_scale / 1000.0
@@ -333,7 +338,7 @@ def _known_bus(bus: BusParameters, info: Info[SceneContext]) -> BusParameters:
     return bus
 
 
-_LATER_KEYS: Final = (("energy_loss_limit", None), ("start_timeout", 5.0))
+_LATER_KEYS: Final = (("energy_loss_limit", None), ("start_timeout", 5.0), *((key, None) for key in _REQUIRED))
 """Keys of an axis that logs of the first release do not have, with their defaults."""
 LATER_LOOP_KEYS: Final = (
     *("device_friction", "device_friction_bound", "sync_jitter", "torque_window", "current_lag"),
@@ -364,7 +369,7 @@ class Scene:
     mechanisms: tuple[MechanismScene, ...] = ()
     own_code: Mapping[str, str] = field(default_factory=dict)  # file or plug-in -> SHA-256 of what ran
     unread: tuple[str, ...] = ()  # own code that was named and left unread; nothing is built from such a scene
-    guessed_timing: tuple[str, ...] = ()  # axes of real drives of whose holds or dry friction nothing is declared
+    undeclared: tuple[str, ...] = ()  # keys of holds and dry friction that real drives need and nothing declares
 
     @property
     def accuracy_tolerance(self) -> float | None:
@@ -498,9 +503,9 @@ _MARKED: Final = re.compile(rf"^\s*(?:-\s+)?([^#\s].*?)\s#\s*{TO_SET}\b[:,]?\s*(
 
 
 class Guess(NamedTuple):
-    """One marked value."""
+    """One value that real drives need: marked, or missing."""
 
-    line: int  # of the scene file, from 1
+    line: int  # of the scene file, from 1; 0: missing
     key: str
     value: str  # as written
     note: str  # what the mark says of it; may be empty
@@ -516,18 +521,48 @@ def guesses_left(scene: Scene) -> list[Guess]:
     return found
 
 
-def refuses_guesses(scene: Scene, run: "Runner | None" = None) -> bool:
-    """Return whether a run of the scene is refused while values are marked: drives may be real.
+def values_to_set(scene: Scene) -> list[Guess]:
+    """Return what real drives still need of a scene: marked values, and those that it does not declare."""
+    missing = [f"bus.{key}" for key in _missing_of_bus(scene)]
+    marked = guesses_left(scene)
+    for axis in scene.axes:
+        given = axis.parameters
+        missing += [f"{given.name}.{key}" for key in _REQUIRED if getattr(given, key) is None]
+        if (
+            given.admittance
+            and given.torque_verified == "no"
+            and "torque_verified" not in {key for _, key, *_ in marked}
+        ):
+            missing.append(f"{given.name}.torque_verified")  # a drive that holds a velocity takes the torque it needs
+    return [*marked, *(Guess(0, key, "", "missing") for key in (*missing, *scene.undeclared))]
+
+
+def _missing_of_bus(scene: Scene) -> list[str]:
+    is_virtual = any(bus.parameters.interface == "virtual" for bus in scene.buses)
+    return ["interface", "channel"] if is_virtual else []
+
+
+def refused_values(scene: Scene, run: "Runner | None" = None) -> list[Guess]:
+    """Return the values without which a run of the scene is refused; none where no drive can be real.
 
     Args:
         scene: The scene.
         run: Runs a command and returns what it printed; the kernel is asked with it whether the buses are virtual.
     """
     if scene.simulated:
-        return False
+        return []
     from canhaptic.host.socketcan_state import all_links_are_virtual
 
-    return not all_links_are_virtual(scene, run)
+    if all_links_are_virtual(scene, run):
+        return []
+    return guesses_left(scene) if _is_simulated_elsewhere(scene) else values_to_set(scene)
+
+
+def status_text(scene: Scene) -> str:
+    """Return the two statuses of a scene: `Simulation: ready. Hardware: 8 values to set`."""
+    count = len(values_to_set(scene))
+    hardware = f"{count} value{'' if count == 1 else 's'} to set" if count else "ready"
+    return f"Simulation: {'ready' if scene.simulation else 'no section `simulation`'}. Hardware: {hardware}"
 
 
 def _is_simulated_elsewhere(scene: Scene) -> bool:
@@ -536,22 +571,17 @@ def _is_simulated_elsewhere(scene: Scene) -> bool:
 
 
 def require_no_guesses(scene: Scene) -> None:
-    """Return when no value of a scene for real drives is marked as a guess.
+    """Return when a scene for real drives declares all that they need, and none of it is marked as a guess.
 
     Raises:
-        InputError: Some are; names their lines.
+        InputError: Something is marked or missing; names it.
     """
-    if scene.guessed_timing and refuses_guesses(scene) and not _is_simulated_elsewhere(scene):
-        are_displays = all(scene.axis(name).parameters.admittance for name in scene.guessed_timing)
-        torque = "" if are_displays else ", torque_window, current_lag, device_friction_bound"
-        raise InputError(
-            f"{scene.source}: passivity of {', '.join(scene.guessed_timing)}: sync_jitter{torque}: not all are "
-            "declared, and the drives are real; measure them (canhaptic commission) and put them there"
-        )
-    unset_values = guesses_left(scene)
-    if unset_values and refuses_guesses(scene):
-        listed = ", ".join(f"{guess.line} ({guess.key})" for guess in unset_values)
-        raise InputError(
-            f"{scene.source}: lines {listed}: marked {TO_SET}, and the drives are real; put the values of your rig "
-            "there and take the marks away"
-        )
+    if not (guesses := refused_values(scene)):
+        return
+    marked = ", ".join(f"{guess.line} ({guess.key})" for guess in guesses if guess.line)
+    missing = ", ".join(guess.key for guess in guesses if not guess.line)
+    parts = (f"lines {marked}: marked {TO_SET}" if marked else "", f"missing: {missing}" if missing else "")
+    raise InputError(
+        f"{scene.source}: {status_text(scene)}: {'; '.join(filter(None, parts))}; the drives are real: put the values "
+        "of your rig there and take the marks away; canhaptic commission measures most of them"
+    )

@@ -323,7 +323,8 @@ def build_servo_drive(axis: AxisScene, link: Link, bus: BusParameters, *, dry_ru
     if dry_run:
         require_torque_axis(axis)
     if axis.parameters.admittance is None:
-        return ServoDrive(link, axis.parameters, dictionary, bus, dry_run=dry_run)
+        known = axis.parameters.model_copy(update={"torque_limit": axis.loop.torque_limit})  # less if not verified
+        return ServoDrive(link, known, dictionary, bus, dry_run=dry_run)
     from canhaptic.drive.can.admittance_drive import AdmittanceDrive
 
     return AdmittanceDrive(link, axis.parameters, dictionary, bus)

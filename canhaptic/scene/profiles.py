@@ -28,7 +28,10 @@ _PROFILES: Final = shipped("configs") / "drives"
 _PROFILE_KEY: Final = "drive"
 """Key of an axis: its drive profile."""
 _OF_THE_RIG: Final = frozenset(
-    ("name", "node_id", "eds", "unit", "counts_per_unit", "direction", "transmission", "rated_torque", "torque_limit")
+    (
+        *("name", "node_id", "eds", "unit", "counts_per_unit", "direction", "transmission", "rated_torque"),
+        *("torque_limit", "torque_verified", "position_reference"),
+    )
 )
 _PROFILE_KEYS: Final = tuple(sorted(AxisParameters.model_fields.keys() - _OF_THE_RIG))
 """Keys that a profile may have."""

@@ -313,10 +313,12 @@ axes:
   - name: axis1
     node_id: 1              # $to_set: as set in the drive
     eds: $eds_quoted
-$identity    unit: rad               # m for a linear axis; the units below then are N, N/m, ...
+$identity    unit: rad               # $to_set: m for a linear axis; the units below then are N, N/m, ...
     counts_per_unit: $counts   # $to_set: counts of 0x6064 per radian of the axis, gear included$counts_note
-    direction: 1            # -1 if the positive direction of the drive is not that of the axis
+    direction: 1            # $to_set: -1 if the positive direction of the drive is not that of the axis
+    position_reference: at_start # $to_set: absolute, index_home, at_start (0 where power came on) or sensor
 $rated$transmission    torque_limit: $limit N*m # $to_set: the largest torque that may ever reach the hand$limit_note
+    torque_verified: no     # $to_set: weight, balance or mass (canhaptic commission); no: a hundredth of the limit
 $read_back$watchdog
 $rendered$simulation""")
 
@@ -326,7 +328,7 @@ environment:
   type: spring_damper_wall
   stiffness: $stiffness N*m/rad
   damping: $damping N*m*s/rad
-  position: -0.05 rad
+  position: -0.05 rad      # $to_set: where the wall lies, from the zero of the encoder
 
 # The energy balance with a proof. It rests on what moves with the encoder at least.
 passivity:
@@ -334,7 +336,7 @@ passivity:
   moving_mass: $inertia kg*m^2   # $to_set: an under-estimate is safe, an over-estimate is not
   device_damping_bound: $most_damping N*m*s/rad # $to_set: an over-estimate is safe, an under-estimate is not
   device_friction_bound: $most_friction N*m # $to_set: the same of dry friction
-$timing  hand_force: 0 N*m         # largest torque with which the hand pulls out of the contact
+$timing  hand_force: 0 N*m         # $to_set: largest torque with which the hand pulls out of the contact
   hand_push: $push N*m       # $to_set: largest torque with which it pushes in
 """)
 
@@ -399,7 +401,7 @@ def _bus_values(found: Survey, simulate: bool) -> dict[str, str]:
 
 def _axis_values(found: Survey, drive: str | None, limit: float) -> dict[str, str]:
     dictionary, display = found.dictionary, found.axis.admittance
-    transmission = "    transmission: 1         # gear ratio, where 0x6076 is the torque of the motor\n"
+    transmission = f"    transmission: 1         # {TO_SET}: gear ratio, where 0x6076 is the torque of the motor\n"
     return {
         "identity": _identity(found, drive),
         "counts": f"{_counts(dictionary):.10g}",
@@ -407,7 +409,8 @@ def _axis_values(found: Survey, drive: str | None, limit: float) -> dict[str, st
         "rated": _rated_lines(dictionary, _stated_torque(dictionary, drive)),
         "transmission": transmission if od.RATED_TORQUE in dictionary else "",
         "limit_note": _limit_note(dictionary),
-        "read_back": _read_back_lines(found)
+        "read_back": f"    speed_limit: 20 rad/s    # {TO_SET}: a handle that is faster stops the rig\n"
+        + _read_back_lines(found)
         if display is None
         else display_axis(
             display, _counts(dictionary), limit, max_torque_unwritten(dictionary, found.axis), steepest_ramp(dictionary)

@@ -92,6 +92,8 @@ def undeclared(loop: LoopProperties) -> list[str]:
 
 def with_timing(scene: Scene) -> Scene:
     """Return the scene with the timing of its axes; a key that it declares is kept."""
+    needed = tuple(f"{axis.parameters.name}.passivity.{key}" for axis in scene.axes for key in _needed(scene, axis))
+    scene = replace(scene, undeclared=needed)
     if not scene.simulated:
         return _with_guesses(scene)
     windows = {bus.name: _window(scene, bus) for bus in scene.buses}
@@ -107,11 +109,7 @@ def with_timing(scene: Scene) -> Scene:
 
 
 def _with_guesses(scene: Scene) -> Scene:
-    """Scene with guesses where the timing of real holds is undeclared, and the names of the axes.
-
-    Axes whose dry friction has no bound are named with them: nothing can be guessed of it.
-    """
-    unset_values = {axis.parameters.name: undeclared(axis.loop) for axis in scene.axes}
+    """Scene with guesses where the timing of real holds is undeclared."""
     windows = {bus.name: GUESSES["torque_window"] + _window(scene, bus) for bus in scene.buses}
     if any(axis.bus not in windows for axis in scene.axes):  # noted where buses are checked
         return scene
@@ -120,13 +118,17 @@ def _with_guesses(scene: Scene) -> Scene:
         values = {**GUESSES, "torque_window": windows[axis.bus]}
         missing = {key: values[key] for key in undeclared(axis.loop)}
         axes.append(replace(axis, loop=axis.loop.model_copy(update=missing)))
-    guessed = tuple(
-        axis.parameters.name
-        for axis in axes
-        if not _rests_on(scene, axis).isdisjoint(unset_values[axis.parameters.name])
-        or (axis.loop.device_friction_bound is None and rests_on_hand_force(scene, axis))
-    )
-    return replace(scene, axes=tuple(axes), guessed_timing=guessed)
+    return replace(scene, axes=tuple(axes))
+
+
+def _needed(scene: Scene, axis: AxisScene) -> list[str]:
+    """Keys of `passivity` on which the promise of a real axis rests, and that are not declared.
+
+    The bound of dry friction is one: nothing can be guessed of it.
+    """
+    is_open = axis.loop.device_friction_bound is None and rests_on_hand_force(scene, axis)
+    timing = [key for key in undeclared(axis.loop) if key in _rests_on(scene, axis)]
+    return timing + (["device_friction_bound"] if is_open else [])
 
 
 def _rests_on(scene: Scene, axis: AxisScene) -> Set[str]:

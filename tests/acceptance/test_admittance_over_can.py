@@ -32,6 +32,7 @@ from canhaptic.sim.drive.profile.state_machine import DriveState
 
 SCENE = Path(__file__).parents[2] / "configs" / "admittance" / "virtual_mass.yaml"
 REAL = ["bus.interface=socketcan", "bus.channel=can0", "axes.0.admittance.force.frozen_after=50"]
+REAL += ["axes.0.torque_verified=balance", "axes.0.position_reference=absolute"]
 
 
 def _run(*overrides: str, cycles: int = 1500) -> tuple[RunResult, Experiment]:
@@ -378,7 +379,7 @@ def test_a_drive_without_0x6072_serves_once_its_limit_is_set_with_the_tool_of_th
 
 
 def test_no_real_display_runs_with_an_unknown_jitter() -> None:
-    with pytest.raises(InputError, match="passivity of handle: sync_jitter: not all are declared"):
+    with pytest.raises(InputError, match=r"missing: handle\.passivity\.sync_jitter; the drives are real"):
         require_no_guesses(load_scene(SCENE, REAL))
     require_no_guesses(load_scene(SCENE, [*REAL, "passivity.sync_jitter=5 %"]))
     require_no_guesses(load_scene(SCENE, [*REAL, "passivity={algorithm: unprotected}"]))  # it promises nothing

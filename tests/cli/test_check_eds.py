@@ -193,7 +193,7 @@ def test_check_says_what_is_still_to_be_set(tmp_path: Path, capsys: Captured) ->
     marked = [number for number, line in enumerate(lines, 1) if f" # {TO_SET}" in line]
     assert main(["check", str(scene)]) == 1
     out = " ".join(capsys.readouterr().out.split())
-    assert f"not ready: {len(marked)} values are still marked TO SET" in out
+    assert f"Simulation: no section `simulation`. Hardware: {len(marked)} values to set; " in out
     assert "the largest torque that may ever reach the hand" in out
     assert main(["check", str(scene), "--json"]) == 1
     rows = json.loads(capsys.readouterr().out)["to_set"]

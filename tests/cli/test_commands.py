@@ -156,7 +156,8 @@ def test_a_bar_is_drawn_where_the_end_is_known(capsys: Captured, monkeypatch: py
 def test_check_prints_configuration_bus_drives_stability_and_host(capsys: Captured) -> None:
     assert main(["check", DEMO]) == 0
     out = capsys.readouterr().out
-    assert out.splitlines()[0] == "ready: felt from 0.0015 m/s, 1 drive fits by its dictionary, bus load 28 %"
+    statuses = "Simulation: ready. Hardware: 8 values to set; "
+    assert out.splitlines()[0] == f"{statuses}felt from 0.0015 m/s, 1 drive fit, bus load 28 %"
     for words in ("1 SYNC x 55 + 1 TPDO x 135", "0x6071 target torque", "Colgate", "processors"):
         assert words in out
     assert "stiffness: 100.0" not in out

@@ -64,6 +64,9 @@ def test_a_dictionary_that_is_fit_gives_a_real_display_that_waits_for_its_marks_
     assert main(["run", str(scene), *channel]) == 2
     assert "marked TO SET" in capsys.readouterr().err
     scene.write_text(scene.read_text().replace("TO SET", ""))
+    assert main(["check", str(scene)]) == 1  # a display's drive takes the torque that it needs
+    assert "axis1.torque_verified" in capsys.readouterr().out
+    scene.write_text(scene.read_text().replace("torque_verified: no", "torque_verified: balance"))
     assert main(["check", str(scene), "--json"]) == 0
     assert main(["run", str(scene), *channel]) != 0
     assert "no_such_bus: interface: got none" in capsys.readouterr().err  # all that is left is the bus

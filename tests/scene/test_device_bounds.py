@@ -21,6 +21,7 @@ UNKNOWN = ("simulation.plant.damping=0.25", "passivity.device_damping_bound=null
 REAL = (
     *("bus.interface=socketcan", "bus.channel=can0", "simulation=null", "passivity.sync_jitter=0.02"),
     *("passivity.torque_window=600 us", "passivity.current_lag=50 us", "axes.0.torque_limit=0.5 N"),
+    *("axes.0.torque_verified=mass", "axes.0.position_reference=absolute"),
 )
 
 
@@ -52,6 +53,6 @@ def test_the_guides_of_a_stage_have_theirs():
 def test_no_real_drive_runs_with_a_hand_force_and_unknown_friction():
     declared = load_scene(DEMO, (*REAL, "passivity.device_friction_bound=0.3 N"))
     require_no_guesses(declared)
-    with pytest.raises(InputError, match=r"passivity of handle: .*device_friction_bound: not all are declared"):
+    with pytest.raises(InputError, match=r"missing: handle\.passivity\.device_friction_bound; the drives are real"):
         require_no_guesses(load_scene(DEMO, REAL))
     require_no_guesses(load_scene(DEMO, (*REAL, "passivity.hand_force=null", "passivity.device_damping=0.05")))

@@ -275,7 +275,8 @@ def test_run_refuses_before_it_opens_the_bus(
     without_marks = tmp_path / "rig.yaml"
     eds = REPOSITORY / "eds" / "cia402_servo.eds"
     text = EXAMPLE.read_text().replace("# TO SET", "# set").replace("eds: cia402_servo.eds", f"eds: {eds}")
-    without_marks.write_text(text)
+    known = "    torque_verified: balance\n    position_reference: absolute\n"
+    without_marks.write_text(text.replace("    unit: m", f"{known}    unit: m"))
     monkeypatch.setattr(preflight_module, "_run", answers(changed('"bitrate":1000000', '"bitrate":500000')))
     assert main(["run", str(without_marks), "--json"]) == 3
     answer = json.loads(capsys.readouterr().out)

@@ -40,6 +40,12 @@ class TorqueAxisParameters(Parameters):
     """Torque or force of the axis per torque of the motor (gear ratio, 1/pulley radius); scales 0x6076."""
     torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0)]
     """Largest torque ever commanded; also written to 0x6072 where the drive has it."""
+    torque_verified: Literal["weight", "balance", "mass", "no"] | None = None
+    """Means by which the scale of the torque was verified: a weight on an arm, a spring balance, or the known mass
+    (`canhaptic commission`). Needed on real drives; with `no` they are sent a hundredth of `torque_limit` at most."""
+    position_reference: Literal["absolute", "index_home", "at_start", "sensor"] | None = None
+    """Origin of the counts: an absolute encoder, the index found by homing (`canhaptic home`), the place where power
+    came on, or a sensor of the rig. Needed on real drives; with `at_start` a run shows where its walls lie."""
     torque_rate_limit: Annotated[float, quantity("N/s", "N*m/s", gt=0.0)] | None = None
     """Largest rise of the torque per second, on either side of zero; a fall to zero is never slowed."""
     power_limit: Annotated[float, quantity("W", gt=0.0)] | None = None
