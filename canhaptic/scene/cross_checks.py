@@ -10,6 +10,7 @@ from canhaptic.drive.can.bus_budget import require_budget, shortest_answer
 from canhaptic.drive.can.dictionary_check import check_dictionary
 from canhaptic.drive.can.pdo_map import AxisMap, choose_map
 from canhaptic.drive.profile.fitness import Verdict, limit_objection
+from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.host.interfaces import interface_faults
 from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, SourceLocation
@@ -41,6 +42,7 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
     _check_interfaces(scene, sections, faults)
     _check_loss_limits(scene, sections["axes"], faults)
     _check_demand_reported(scene, sections["axes"], faults)
+    _check_hold(scene, sections["axes"], faults)
     maps: dict[str, list[AxisMap | None]] = {bus.name: [] for bus in scene.buses}
     for axis, entry in zip(scene.axes, sections["axes"], strict=True):
         _check_loop(axis, _passivity_section(axis, entry, sections, scene), scene, faults)
@@ -110,6 +112,24 @@ def _check_demand_reported(scene: Scene, entries: list[MarkedMapping], faults: D
             )
 
 
+def _check_hold(scene: Scene, entries: list[MarkedMapping], faults: Diagnostics) -> None:
+    """Note axes whose torque acts in another hold than the bus says."""
+    late: dict[str, int] = {}  # of the first axis of each group
+    for axis, entry in zip(scene.axes, entries, strict=True):
+        quirks, rpdo = quirks_of(axis.parameters.quirks), scene.bus_of(axis).rpdo
+        if quirks.acts_at_once and rpdo != "event":
+            text = (
+                f"got 'acts_at_once' with bus.rpdo: {rpdo}: every hold would be booked with the torque of its neighbour"
+            )
+            faults.add(entry.value_at("quirks"), f"{text}; set rpdo: event")
+        if quirks.syncs_late and rpdo == "event":
+            text = "got 'acts_a_sync_late' with bus.rpdo: event, where no torque waits for a SYNC"
+            faults.add(entry.value_at("quirks"), f"{text}; set rpdo: synchronous, or leave it out")
+        if axis.group and quirks.syncs_late != late.setdefault(axis.group, quirks.syncs_late):
+            text = f"the axes of group {axis.group!r} act in different holds"
+            faults.add(entry.value_at("quirks"), f"{text}; expected acts_a_sync_late of all of them, or of none")
+
+
 def _check_buses(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
     """Note buses of one channel, buses that no axis is on, and virtual ones among others."""
     names = [bus.name for bus in scene.buses]
@@ -155,11 +175,13 @@ def _check_effects(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -
 
 def _check_loop(axis: AxisScene, passivity: MarkedMapping, scene: Scene, faults: Diagnostics) -> None:
     """Compare a scene's declarations about the loop with the properties of its bus."""
-    if axis.loop.delay < scene.bus.delay:
+    late = quirks_of(axis.parameters.quirks).syncs_late
+    if axis.loop.delay < scene.bus.delay + late:
+        with_quirk = f", and its quirks by {late} more" if late else ""
         faults.add(
             passivity.value_at("delay"),
-            f"got {axis.loop.delay}, but bus.rpdo: {scene.bus.rpdo} delays the torque by {scene.bus.delay} hold; "
-            "leave it out, or set rpdo: event",
+            f"got {axis.loop.delay}, but bus.rpdo: {scene.bus.rpdo} delays the torque by {scene.bus.delay} hold"
+            f"{with_quirk}; leave it out, or set rpdo: event",
         )
     friction, bound = axis.loop.device_friction or 0.0, axis.loop.device_friction_bound
     if bound is not None and friction > bound and rests_on_hand_force(scene, axis):

@@ -266,7 +266,7 @@ def _loop_of(section: object, info: Info[SceneContext]) -> object:
     bus = info.context.bus
     derived: dict[str, object] = {"sample_time": bus.sample_time_ns * 1e-9 if bus else 1e-3}
     if bus is not None:
-        derived["delay"] = bus.delay
+        derived["delay"] = bus.delay + (quirks_of(axis.quirks).syncs_late if axis is not None else 0)
     if axis is not None:
         derived["encoder_count"] = 1.0 / abs(axis.counts_per_unit)
         is_unverified = axis.torque_verified == "no" and not info.context.simulated
@@ -467,6 +467,10 @@ def _drop_later(axis: dict[str, Any]) -> None:
             del axis["loop"][key]
     if "admittance" in axis and not axis["admittance"]["limit_in_drive"]:
         del axis["admittance"]["limit_in_drive"]
+    drive = (axis["simulation"] or {}).get("drive") or {}
+    for key in ("acts_at_once", "syncs_late"):
+        if not drive.get(key, True):
+            del drive[key]
     _drop_later_of_guarded(axis["passivity"])
 
 

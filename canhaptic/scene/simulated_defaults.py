@@ -23,6 +23,8 @@ _TWINS: Final[Mapping[str, Mapping[str, Any]]] = {
     "demand_absent": {"absent": ["0x6074"]},
     "slow_enable": {"enable_delay": 3.0},
     "late_following": {"follow_delay": 0.2},
+    "acts_at_once": {"acts_at_once": True},
+    "acts_a_sync_late": {"syncs_late": 1},
     "abort_disable_voltage": {"refused": {"0x6007": 1}},
     "abort_quick_stop": {"refused": {"0x6007": 1}},
     "manufacturer_event": {"refused": {"0x1400.2": 255}},

@@ -188,3 +188,24 @@ def test_a_campaign_goes_on_where_it_was_stopped(tmp_path):
     kept = tmp_path / "truth_runs.jsonl"
     kept.write_text(f"{lines[0]}\n{lines[1][:50]}{lines[1]}\n{lines[1]}\n", encoding="utf-8")
     assert run_all([1, 2], kept, 1) == [first, second]
+
+
+@pytest.mark.parametrize(
+    ("drive", "declared", "is_booked"),
+    [
+        ("syncs_late=1", ["axes.0.quirks=[acts_a_sync_late]"], True),
+        ("syncs_late=1", ["axes.0.quirks=[acts_a_sync_late]", "axes.0.read_back=none"], True),
+        ("syncs_late=1", ["axes.0.read_back=none"], False),
+        ("acts_at_once=true", ["axes.0.demand_reported=after"], False),
+    ],
+)
+def test_a_torque_in_another_hold_is_booked_right_where_it_is_declared_and_wrong_where_not(
+    drive: str, declared: list[str], *, is_booked: bool
+) -> None:
+    wall = ["environment.stiffness=20 kN/m", "environment.damping=0", "simulation.user.motion.frequency=1.5"]
+    with build(load_scene(DEMO, [*wall, f"simulation.drive.{drive}", *declared])) as experiment:
+        run(experiment.cycle, 600)
+        judge = experiment.cycle.judge
+    assert judge is not None
+    error = judge.believed_error[0]
+    assert error < 5e-5 if is_booked else error > 1e-2

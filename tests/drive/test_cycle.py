@@ -30,6 +30,23 @@ def test_a_torque_is_reported_for_exactly_the_holds_in_which_it_acted(
     assert applied == pytest.approx([0.0] * delay + commands[:-delay])
 
 
+@pytest.mark.parametrize("twin", ["before_update", "after_update"])
+@pytest.mark.parametrize("read_back", ["demand", "actual", "none"])
+def test_of_a_drive_that_acts_a_sync_late_every_hold_is_booked_with_its_own_torque(
+    bench: MakeBench, read_back: str, twin: str
+) -> None:
+    late = axis(read_back=read_back, quirks=("acts_a_sync_late",), demand_reported=twin.partition("_")[0])
+    b = started(bench, [late], drive_values={"syncs_late": 1, "torque_read_back": twin})
+    commands, samples, acted = [0.5 * k for k in range(1, 9)], [], []
+    for command in commands:
+        acted.append(b.drives[0].torque)  # in the hold that ends at the next SYNC
+        samples.append(b.rig.sync()[0].torque_applied)
+        b.rig.write_torques([command])
+    assert samples[1:] == pytest.approx(acted[1:])
+    assert samples == pytest.approx([0.0] * 3 + commands[:-3])
+    assert b.rig.drives[0].uncommanded == 0
+
+
 def test_work_by_reported_torque_and_position_is_the_energy_of_the_mass(bench: MakeBench) -> None:
     """Free mass of 1 kg: the sum of torque times displacement is its kinetic energy, at any delay."""
     b = started(bench, [axis(counts_per_unit=1e9)])

@@ -31,6 +31,8 @@ ALONE: dict[str, str] = {
     "no_interpolation_period": r"interpolation period: got write 0x60c2:0. .*quirks: \[no_interpolation_period\]",
     "rated_torque_written": "",
     "sdo_size_not_indicated": "",
+    "acts_at_once": "",
+    "acts_a_sync_late": "",
 }
 
 

@@ -230,6 +230,24 @@ def test_a_torque_that_begins_at_sync_needs_torques_that_change_at_sync(tmp_path
 _SURVIVES_A_LOSS = "passivity={algorithm: guarded, hand_force: null, device_damping: 1, max_consecutive_losses: 1}"
 
 
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (("axes.0.quirks=[acts_at_once]", "bus.rpdo=synchronous"), "got 'acts_at_once' with bus.rpdo: synchronous"),
+        (("axes.0.quirks=[acts_a_sync_late]", "bus.rpdo=event"), "got 'acts_a_sync_late' with bus.rpdo: event"),
+        (
+            ("axes.0.quirks=[acts_a_sync_late]", "bus.rpdo=synchronous", "passivity.delay=1"),
+            "delays the torque by 1 hold, and its quirks by 1",
+        ),
+    ],
+)
+def test_a_drive_that_acts_in_another_hold_than_the_bus_says_is_refused(
+    tmp_path: Path, overrides: tuple[str, ...], words: str
+) -> None:
+    [line] = faults(tmp_path, overrides=overrides)
+    assert words in line
+
+
 def test_no_losses_are_certified_where_a_lost_frame_showed_the_torque_of_the_next_hold(tmp_path: Path) -> None:
     lines = faults(tmp_path, overrides=(_SURVIVES_A_LOSS, "axes.0.demand_reported=after"))
     [line] = [line for line in lines if "demand_reported: got 'after' with max_consecutive_losses 1" in line]

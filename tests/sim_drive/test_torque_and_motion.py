@@ -1,6 +1,7 @@
 """Cyclic torque: scaling, limits, what is reported for which hold, and when the motor moves."""
 
 import math
+from typing import Any
 
 import pytest
 
@@ -95,6 +96,30 @@ def test_drive_that_reports_after_its_update_shows_the_next_torque() -> None:
         rig.sync()
         rig.send(0x205, "0f00" + torque(100))
         assert rig.sync()[-1][1][-5:] == "64 00"
+
+
+@pytest.mark.parametrize(
+    ("values", "acts"),
+    [({}, [0, 1, 1, 1]), ({"acts_at_once": True}, [1, 1, 1, 1]), ({"syncs_late": 1}, [0, 0, 1, 1]),
+     ({"syncs_late": 2}, [0, 0, 0, 1])],
+)  # fmt: skip
+@pytest.mark.parametrize("read_back", ["before_update", "after_update"])
+def test_a_synchronous_torque_acts_in_the_hold_that_the_drive_chooses(
+    values: dict[str, Any], acts: list[int], read_back: str
+) -> None:
+    """Before the first SYNC after its RPDO, after that one, after the next, and after the one after it."""
+    with Rig(torque_read_back=read_back, **values) as rig:
+        rig.enable()
+        rig.write(0x1400, 2, 1, 1)
+        for _ in range(4):
+            rig.send(0x205, "0f00" + torque(0))
+            rig.sync()
+        rig.send(0x205, "0f00" + torque(100))
+        seen = [rig.drive.torque]
+        for _ in range(3):
+            rig.sync()
+            seen.append(rig.drive.torque)
+    assert seen == pytest.approx([0.1 * act for act in acts])
 
 
 def test_motor_stands_still_until_the_first_sync_with_operation_enabled(rig: Rig) -> None:

@@ -5,10 +5,11 @@ Drawn from a generator of its own, so that a seed keeps what `scenes` draws for 
 """
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
+_Drawn = TypeVar("_Drawn")
 _DRY: Final = ("coulomb_friction", "stribeck_friction")
 _ALGORITHMS: Final = (
     *("adaptive_reference", "bounded_observer", "energy_tank", "force_augmentation", "force_gradient"),
@@ -29,7 +30,7 @@ class _Chance:
     def decades(self, low: float, high: float) -> float:
         return float(f"{10.0 ** self._random.uniform(np.log10(low), np.log10(high)):.4g}")
 
-    def one_of(self, names: Sequence[str]) -> str:
+    def one_of(self, names: Sequence[_Drawn]) -> _Drawn:
         return names[int(self._random.integers(len(names)))]
 
 
@@ -64,7 +65,23 @@ def add_further(seed: int, values: dict[str, Any], tags: set[str], outward: tupl
         ripple, pitch = chance.decades(1e-3, 0.02), chance.decades(2e-3, 2e-2)
         values["simulation"]["drive"].update(torque_ripple=ripple, torque_ripple_pitch=pitch)
         tags.add("drive:torque_ripple")
+    _act_in_another_hold(chance, values, tags)
     return outward
+
+
+def _act_in_another_hold(chance: _Chance, values: dict[str, Any], tags: set[str]) -> None:
+    """Takes drives that act at once or a SYNC late: declared, or in a few scenes not."""
+    is_declared = chance.drawn(0.8)
+    if not chance.drawn(0.08):
+        return
+    if not is_declared:
+        values["simulation"]["drive"].update(chance.one_of(({"acts_at_once": True}, {"syncs_late": 1})))
+        tags.add("false:hold")
+        return
+    quirk = "acts_a_sync_late" if values["bus"]["rpdo"] == "synchronous" else "acts_at_once"
+    for axis in values["axes"]:
+        axis["quirks"] = [*axis.get("quirks", ()), quirk]
+    tags.add(f"drive:{quirk}")
 
 
 def _name(tags: set[str], dimension: str, name: str, section: dict[str, Any] | None = None) -> None:

@@ -37,6 +37,10 @@ class Quirks(Parameters):
     """Time that one step of the enabling may take, where that is longer than step_timeout."""
     waits_for_following: bool = False
     """Whether the start waits for bit 12 of the statusword: the drive follows its target."""
+    acts_at_once: bool = False
+    """Whether a synchronous RPDO acts on arrival, though its type is confirmed: `bus.rpdo: event` says so."""
+    syncs_late: int = 0
+    """SYNCs after the one that follows a synchronous RPDO until it acts."""
 
     @property
     def torque_scale(self) -> float:
@@ -59,6 +63,9 @@ _QUIRKS: Final[Mapping[str, Mapping[str, Any]]] = {
     # the enabling
     "slow_enable": {"enable_time": 10.0},  # brake, commutation search: OPERATION ENABLED comes seconds after 0x0F
     "late_following": {"waits_for_following": True},  # OPERATION ENABLED at once, the torque follows later (bit 12)
+    # the hold in which a torque acts
+    "acts_at_once": {"acts_at_once": True},  # a synchronous RPDO acts on arrival
+    "acts_a_sync_late": {"syncs_late": 1},  # a synchronous RPDO acts at the second SYNC after it
     # the rest
     "abort_disable_voltage": {"abort_connection_option": 2},  # 0x6007 takes no 1
     "abort_quick_stop": {"abort_connection_option": 3},  # 0x6007 takes neither 1 nor 2

@@ -6,6 +6,7 @@ Access of the start of a drive to its objects: read and written, one at a time.
 """
 
 from abc import ABC, abstractmethod
+from collections import deque
 from typing import Final, NamedTuple, Protocol
 
 from canhaptic.canopen import objects as od
@@ -165,6 +166,7 @@ class TorqueAxis(ABC):
         self.policy.reset()
         self._commanded = 0  # per mille: sent last
         self._acting = 0  # per mille: assumed to act now, with a synchronous RPDO
+        self._later = deque([0] * self.quirks.syncs_late)  # per mille: sent, and not acting yet where that takes longer
         self._reported = 0  # per mille: of the process data before
         self._held_before = 0  # per mille: read back for the hold before
         self._followed = 0  # per mille: the last command that a measured torque has shown
@@ -288,7 +290,7 @@ class TorqueAxis(ABC):
         self.policy.on_missed()
         self.longest_hold = max(self.longest_hold, self._periods)
         self._passed.append(self._acting if self._is_synchronous else self._commanded)
-        self._acting = self._commanded
+        self._acting = self._next_acting() if self._later else self._commanded
         if not self.is_complete:
             self.unheard += 1
             self._reported = self._acting  # its value where `_shows_next`
@@ -300,7 +302,7 @@ class TorqueAxis(ABC):
     def _applied_per_mille(self, reported: int) -> int:
         """Torque of the hold that ended: read back, or assumed as commanded where nothing is read back."""
         accounted = self._acting if self._is_synchronous else self._commanded
-        self._acting = self._commanded
+        self._acting = self._next_acting() if self._later else self._commanded
         if self._shows_next:
             reported, self._reported = self._reported, reported
         if self._reads_nothing:
@@ -326,6 +328,11 @@ class TorqueAxis(ABC):
         self.open_time = self._leave_open(reported, accounted) if self._passed else 0
         self._held_before = reported
         return reported
+
+    def _next_acting(self) -> int:
+        """Torque of the hold that begins [per mille], of a drive that acts later than at the next SYNC."""
+        self._later.append(self._commanded)
+        return self._later.popleft()
 
     def _leave_open(self, applied: int, accounted: int) -> int:
         """Record how far torques of lost holds may have been from `applied`; return for how many sample times.

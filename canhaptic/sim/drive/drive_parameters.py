@@ -65,6 +65,8 @@ class SimulatedDriveParameters(Parameters):
             `0x6502` or `"0x1018.1"` (index.subindex, hexadecimal).
         encoder: Rounding of the position to counts: to the nearest, or down to the last line passed.
         torque_read_back: Whether 0x6074 and 0x6077 of a SYNC show the hold that ended, or already the next torque.
+        acts_at_once: Whether a synchronous RPDO acts on arrival, as an event-driven one, though its type is confirmed.
+        syncs_late: SYNCs after the one that follows a synchronous RPDO until it acts.
         torque_resolution: Part of the rated torque per count of 0x6071, 0x6072, 0x6074 and 0x6077.
         torque_lag: Time constant with which 0x6077 follows the motor's torque, as a filter of the drive; none at 0.
         torque_ripple: Variation of 0x6077 with position, as a part of the torque (error of a current sensor).
@@ -88,6 +90,8 @@ class SimulatedDriveParameters(Parameters):
     objects: dict[str | int, int | float | str] = Field(default_factory=dict)
     encoder: Literal["round", "floor"] = "round"
     torque_read_back: Literal["before_update", "after_update"] = "before_update"
+    acts_at_once: bool = False
+    syncs_late: Annotated[int, quantity("count", ge=0, le=4)] = 0
     torque_resolution: Annotated[float, quantity("1", ge=1e-6, le=1.0)] = 1e-3
     torque_lag: Annotated[float, quantity("s", ge=0.0, le=1.0)] = 0.0
     torque_ripple: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.0

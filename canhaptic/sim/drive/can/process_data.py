@@ -118,6 +118,7 @@ class Pdo:
     def reset(self) -> None:
         """Clear the record of frames received, sent and announced."""
         self.pending: bytes | bytearray | None = None  # of a synchronous RPDO, until the next SYNC
+        self.later = deque[bytes | bytearray | None]()  # of a drive that acts later still
         self.was_short = False  # of an RPDO: the last frame was refused
         self.is_due = False  # of a TPDO of type 0: something happened since the last SYNC
         self.not_before = 0  # of a TPDO: end of its inhibit time [ns]
@@ -289,6 +290,7 @@ class ProcessData:
         self._send, self._on_loss = send, on_loss
         self._losses_to_fault = parameters.sync_losses_to_fault
         self._shows_next_torque = parameters.torque_read_back == "after_update"
+        self._acts_at_once, self._syncs_late = parameters.acts_at_once, parameters.syncs_late
         self._rpdos = find_pdos(store, is_transmit=False, on_change=on_change)
         self._tpdos = find_pdos(store, is_transmit=True, on_change=on_change)
         self._pdo_timers = {pdo: timers.add(self._time_out) for pdo in self._rpdos}
@@ -372,13 +374,16 @@ class ProcessData:
         for pdo in self._sync_tpdos:
             if pdo.transmission_type == 1 or pdo.counts_sync():  # 1: at every SYNC
                 send(pdo.cob_id, pdo.pack())
-        if self._sync_rpdos:
+        if self._sync_rpdos and not self._shows_next_torque:
             self._act_on_synchronous()
 
     def _act_on_synchronous(self) -> None:
         for pdo in self._sync_rpdos:
-            if pdo.pending is not None:
-                content, pdo.pending = pdo.pending, None
+            content, pdo.pending = pdo.pending, None
+            if self._syncs_late:
+                pdo.later.append(content)
+                content = pdo.later.popleft() if len(pdo.later) > self._syncs_late else None
+            if content is not None:
                 pdo.load(content)
 
     def _check_counter(self, value: int) -> SdoAbort | None:
@@ -406,7 +411,7 @@ class ProcessData:
                 self._emergency.withdraw(emcy.PDO_TOO_SHORT)
             if pdo.event_time:
                 self._timers.start(self._pdo_timers[pdo], self._servo.now + pdo.event_time)
-            if pdo.is_synchronous:
+            if pdo.is_synchronous and not self._acts_at_once:
                 pdo.pending = content
             else:
                 pdo.load(content)
