@@ -77,6 +77,8 @@ def _place(scene: Scene, arguments: argparse.Namespace) -> Path | None:
     place: Path | None = arguments.config if arguments.in_place else arguments.out
     if place is None:
         return None
+    if arguments.in_place and not place.is_file():
+        raise InputError(f"{place} is a scene of the package; name a file of your own with --out")
     new = _backup(place) if arguments.in_place else place
     check_place(place)
     check_place(new)

@@ -4,6 +4,7 @@
 """
 
 import argparse
+import difflib
 import gc
 import importlib
 import os
@@ -17,32 +18,35 @@ from canhaptic.cli.output import print_failure, write_note
 from canhaptic.errors import CanHapticError, InputError, OverrideWarning
 
 _COMMANDS: Final = {
-    "commission": "walk a new rig from zero torque to a measured configuration, asking before every torque",
-    "run": "run a scene: bring the drives up, render, print the energy account",
-    "check": "say what a scene would do: configuration, bus load, fitness of the drives, stability",
+    "configs": "list the scenes that come with the package, or copy them to change",
     "check-eds": "say whether the drive of an EDS or DCF can serve, and what its configuration must bring",
     "new": "write a commented configuration to start from, for the drive of an EDS or DCF",
+    "check": "say what a scene would do: configuration, bus load, fitness of the drives, stability",
     "preflight": "check the SocketCAN interfaces of a scene: bit rate, state, queue, restart after bus-off",
-    "drive": "simulate the drives of a scene alone, on a bus that another process uses",
-    "compare": "compare every passivity algorithm on one scene with the continuous environment",
-    "arena": "compare every passivity algorithm, and your own, on scenes that are hard, as one page",
-    "accuracy": "show what accuracy costs in time: methods, settings, effects, rate, delay, resolution; with advice",
-    "touch": "touch a simulated scene with the pointer in a browser, unprotected and protected at once",
-    "sweep": "judge many scenes that differ in some keys, on one core, several or a cluster",
-    "map": "draw a sweep: largest wall stiffness, rendered share, and the borders of theory",
-    "design": "find the stiffest and most damped wall that a rig renders, as lines for its scene",
+    "commission": "walk a new rig from zero torque to a measured configuration, asking before every torque",
+    "run": "run a scene: bring the drives up, render, print the energy account",
+    "scope": "show an energy log in a browser while it is written",
     "inspect": "read an energy log: account, checks, comparison, pictures, export, recomputation",
     "replay": "replay a recorded bus against today's master and controllers, and compare every frame they send",
-    "scope": "show an energy log in a browser while it is written",
     "decode": "name every frame of a bus log",
-    "configs": "list the scenes that come with the package, or copy them to change",
+    "touch": "touch a simulated scene with the pointer in a browser, unprotected and protected at once",
+    "design": "find the stiffest and most damped wall that a rig renders, as lines for its scene",
+    "compare": "compare every passivity algorithm on one scene with the continuous environment",
+    "accuracy": "show what accuracy costs in time: methods, settings, effects, rate, delay, resolution; with advice",
+    "sweep": "judge many scenes that differ in some keys, on one core, several or a cluster",
+    "map": "draw a sweep: largest wall stiffness, rendered share, and the borders of theory",
+    "arena": "compare every passivity algorithm, and your own, on scenes that are hard, as one page",
+    "drive": "simulate the drives of a scene alone, on a bus that another process uses",
     "schema": "print the JSON Schema of scene files, for editors",
 }
+"""In the order of a user: a scene, its check, a rig, a run, its log; then studies."""
 _LABORATORY: Final = frozenset({"accuracy", "arena", "compare", "design", "map", "sweep", "touch"})
 """Commands in `canhaptic.lab.commands`; the others are in `canhaptic.cli`."""
 _STOP_IN_ORDER: Final = frozenset({"commission", "run", "drive", "scope", "touch"})
 """Commands that take Ctrl-C as the operator's stop, and need time for it."""
 _BROKEN_PIPE: Final = 1
+_COMPLETION: Final = "_ARGCOMPLETE"
+"""Environment variable that a shell sets which asks for completions."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,13 +71,39 @@ def _run(words: list[str], name: str) -> int:
     parser = argparse.ArgumentParser(prog="canhaptic", description="Passive haptic rendering on CiA 402 servo drives.")
     parser.add_argument("--version", action=_ShowVersion)
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    completes = _COMPLETION in os.environ
     for known, text in _COMMANDS.items():
         subparser = subparsers.add_parser(known, help=text, description=f"{text[:1].upper()}{text[1:]}.")
-        if known == name:
+        if known == name or completes:
             add_options(known, subparser)
+    if completes:
+        _complete(parser)
+    if not words:
+        parser.print_help()
+        return 0
+    if name and name not in _COMMANDS:
+        near = difflib.get_close_matches(name, _COMMANDS, n=2)
+        parser.error(f"{name}: no such command; " + (f"did you mean {' or '.join(near)}?" if near else "see --help"))
     with warnings.catch_warnings():
         _show_warnings()
         return _execute(parser.parse_args(words))
+
+
+def _complete(parser: argparse.ArgumentParser) -> None:
+    """Answer the shell that completes a line, and end; nothing without argcomplete."""
+    try:
+        from argcomplete import autocomplete
+        from argcomplete.completers import BaseCompleter, FilesCompleter
+    except ImportError:
+        return
+    from canhaptic.package_data import scene_names
+
+    class ScenesAndFiles(BaseCompleter):
+        def __call__(self, *, prefix: str, action: argparse.Action, **more: Any) -> list[str]:
+            names = scene_names() if action.dest == "config" else []
+            return [name for name in names if name.startswith(prefix)] + list(FilesCompleter()(prefix))
+
+    autocomplete(parser, default_completer=ScenesAndFiles())
 
 
 def add_options(name: str, parser: argparse.ArgumentParser) -> None:

@@ -24,7 +24,7 @@ _PICTURES: Final = (".png", ".svg", ".pdf")
 
 def add_scene(parser: argparse.ArgumentParser, *, runs: bool = True) -> None:
     """Declare the scene file and its overrides, and for a command that runs the scene `--allow-code`."""
-    parser.add_argument("config", metavar="CONFIG", type=Path, help="scene file (YAML)")
+    parser.add_argument("config", metavar="CONFIG", type=Path, help="scene file (YAML), or the name of a shipped scene")
     add_overrides(parser)
     if runs:
         add_allow_code(parser)

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 from canhaptic.errors import SceneConflictError, SceneError
 from canhaptic.input_file import read_regular
+from canhaptic.package_data import scene_file
 from canhaptic.scene.components import CodeUse
 from canhaptic.scene.cross_checks import cross_check
 from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation, mark_plain, parse_yaml, read_mapping
@@ -33,7 +34,7 @@ def load_scene(
     """Return the validated scene of a YAML file.
 
     Args:
-        path: The scene file.
+        path: The scene file, or the name of a shipped scene (`demo`, `hard/stiff_wall`).
         overrides: Replace values of the file, each `path.to.key=VALUE` with a YAML value (`axes.0.node_id=5`).
         allow_code: Whether program files that the scene names (`type: my_wall.py:MyWall`) may run.
         leave_code: Whether such files, and plug-ins, are left unread instead: for a look at the rest of a scene, from
@@ -41,11 +42,13 @@ def load_scene(
         beyond_bus: Whether a rate beyond its bus is accepted; for a study, no run could keep it.
 
     Raises:
-        SceneError: The file cannot be read, or anything in it is wrong; lists every fault with its line.
+        SceneError: The file cannot be read, several scenes have the name, or anything in it is wrong; lists every fault
+            with its line.
     """
-    text = _text(Path(path), str(path))
+    place = scene_file(Path(path))
+    text = _text(place, str(place))
     use: CodeUse = "left" if leave_code else _use(allow_code)
-    return _from_text(text, str(path), overrides, use, beyond_bus)
+    return _from_text(text, str(place), overrides, use, beyond_bus)
 
 
 def scene_from_text(

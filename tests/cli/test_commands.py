@@ -31,7 +31,7 @@ Captured = pytest.CaptureFixture[str]
 
 
 def test_nothing_unknown_is_accepted(capsys: Captured) -> None:
-    for words in ([], ["walk"], ["run"], ["run", DEMO, "--pace", "fast"], ["run", DEMO, "--duration", "-1"]):
+    for words in (["walk"], ["run"], ["run", DEMO, "--pace", "fast"], ["run", DEMO, "--duration", "-1"]):
         with pytest.raises(SystemExit) as caught:
             main(words)
         assert caught.value.code == 2
