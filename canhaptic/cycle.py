@@ -194,6 +194,13 @@ class Cycle:
             kind, axis = "emcy" if isinstance(error, EmergencyError) else "fault", getattr(error, "axis", "")
             self._log.event(self.rig.sync_index, kind, axis, str(error))
 
+    def note_unrestored(self) -> None:
+        """Log what the start wrote into a drive and the stop did not put back."""
+        if self._log is not None:
+            for drive in self.rig.drives:
+                for text in drive.unrestored:
+                    self._log.event(self.rig.sync_index, "unrestored", drive.axis.name, text)
+
     def _account(
         self, samples: Sequence[Sample], balances: Sequence[EnergyBalance], truths: Sequence[Truth] | None
     ) -> None:
@@ -285,6 +292,15 @@ def run(
             the last records.
         LogWriteError: A log failed in a run that must not go on without it; stopped as by the operator.
     """
+    try:
+        _run(cycle, cycles, stop_requested, progress)
+    finally:
+        cycle.note_unrestored()
+
+
+def _run(
+    cycle: Cycle, cycles: int | None, stop_requested: Callable[[], bool], progress: Callable[[int], None] | None
+) -> None:
     rig = cycle.rig
     rig.start()
     try:

@@ -115,6 +115,7 @@ def roles_of(scene: Scene) -> Roles:
     )
 
 
+_UPLOAD: Final = 0x40  # first byte of an SDO request that reads
 _SYNC: Final[Address] = (0, od.SYNC_FRAME_COB_ID)
 
 
@@ -162,6 +163,20 @@ class Recording:
         addresses = {(bus, od.SDO_REQUEST_BASE + node_id), (bus, od.SDO_RESPONSE_BASE + node_id)}
         pairs = zip(self._addresses, self.frames, strict=True)
         return any(address in addresses and frame.data[1:4] == named for address, frame in pairs)
+
+    def reads_before_writing(self, bus: int, node_id: int) -> bool:
+        """Return whether the master asked a node for its heartbeat period before it wrote it, to put it back."""
+        named, address = struct.pack("<HB", od.PRODUCER_HEARTBEAT_TIME, 0), (bus, od.SDO_REQUEST_BASE + node_id)
+        requests = (f.data for a, f in zip(self._addresses, self.frames, strict=True) if a == address)
+        return next((data[0] == _UPLOAD for data in requests if data[1:4] == named), True)
+
+    @property
+    def restoring(self) -> int:
+        """Index of the frame after the last SYNC that asks for a state, before drives get their values back."""
+        asks = bytes([_UPLOAD]) + struct.pack("<HB", od.STATUSWORD, 0)
+        last = max((n for n, address in enumerate(self._addresses) if address == _SYNC), default=0)
+        after = range(last, len(self.frames))
+        return next((n for n in after if self.is_master[n] and self.frames[n].data[:4] == asks), len(self.frames))
 
     def operator_cycles(self, ramp_cycles: int) -> int | None:
         """Number of cycles before the operator stopped the run; None without such a stop.
@@ -246,7 +261,7 @@ class RecordedSide:
         self._frames = recording.frames
         self._is_master = recording.is_master
         self._left_out = recording.heartbeat
-        self._end = len(recording.frames)
+        self._end = recording.restoring if first else len(recording.frames)  # one that joins restores nothing
         self._next = first
         self._is_over = False
         self.compared = 0
@@ -590,7 +605,7 @@ class _Replay:
         return (JoinedRig if self._joins else Rig)(links, drives, scene.bus, group_places(scene))
 
     def _follow_older_master(self, drives: list[ServoDrive]) -> None:
-        """Leave out of the start what no recorded drive answers: older masters left 0x1006 and offsets alone."""
+        """Leave out what no recorded drive answers: older masters wrote no 0x1006, no offsets, and put nothing back."""
         if self._joins:
             return
         places = {bus.name: place for place, bus in enumerate(self._scene.buses)}
@@ -601,6 +616,8 @@ class _Replay:
                 index for index in (*listed, *drive.axis.offsets) if not self._recording.has_sdo(*where, index)
             )
             self._left_out += [f"{drive.axis.name}: 0x{index:04X}" for index in sorted(drive.left_out)]
+            drive.restores = self._recording.reads_before_writing(*where)
+            self._left_out += [] if drive.restores else [f"{drive.axis.name}: values before the start"]
 
     def run(self) -> ReplayResult:
         """Run to the end of the recording or to the first difference."""

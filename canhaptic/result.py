@@ -60,6 +60,7 @@ class RunResult(TypedDict):
     plants: NotRequired[dict[str, dict[str, int]]]
     bus_effects: NotRequired[Mapping[str, object]]
     logs: NotRequired[dict[str, int]]
+    unrestored: NotRequired[dict[str, list[str]]]  # axis -> objects that the start wrote and the stop did not put back
     error: NotRequired[Mapping[str, object]]
 
 
@@ -135,6 +136,8 @@ def run_result(
         "link": cycle.rig.link_statistics(),
         "method": method,
     }
+    if unrestored := {drive.axis.name: drive.unrestored for drive in cycle.rig.drives if drive.unrestored}:
+        result["unrestored"] = unrestored
     return cast("RunResult", {**result, **verdicts})
 
 

@@ -26,7 +26,7 @@ from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.profile.fitness import Finding
 from canhaptic.drive.survey import survey
 from canhaptic.host.realtime import GRANTED, Realtime
-from canhaptic.scene.build import require_buildable
+from canhaptic.scene.build import build, require_buildable
 from canhaptic.scene.first_contact import advice, slowest_felt
 from canhaptic.scene.hints import Hint, display_hints, group_hints, stability_hints
 from canhaptic.scene.method import dear_holds
@@ -133,12 +133,19 @@ def execute(arguments: argparse.Namespace) -> int:
     felt = {name: speed for name, speed in tried if speed is not None}
     fitness = [survey(*of).suitability.value for of in zip(dictionaries, axes, strict=True)]
     dear = dear_holds(scene) if scene.simulated and not scene.unread else []
-    found = _CheckFindings(scene, budgets, findings, hints, felt, fitness, dear)
+    kept = _objects_of_drives(scene) if arguments.bus else {}
+    found = _CheckFindings(scene, budgets, findings, hints, felt, fitness, dear, kept)
     if arguments.json:
         write_json(_as_json(found))
     else:
         _print(make_console(), found, resolved=arguments.resolved)
     return _TO_BE_SET if found.refused else 0
+
+
+def _objects_of_drives(scene: Scene) -> dict[str, list[Finding]]:
+    """Limits, ramps and reactions that the drives keep; raise SdoError where one does not answer."""
+    with build(scene) as experiment:
+        return {axis.parameters.name: experiment.rig.read_objects(n) for n, axis in enumerate(scene.axes)}
 
 
 class _CheckFindings(NamedTuple):
@@ -151,6 +158,7 @@ class _CheckFindings(NamedTuple):
     felt: dict[str, float]  # axis -> approach speed from which its wall is felt [m/s or rad/s], infinite: from none
     fitness: list[str]  # of each drive, in the words of `check-eds`
     dear: list[str]  # simulated plants whose sample time may take long
+    objects: dict[str, list[Finding]]  # of each axis, as its drive has them; empty where none was asked
 
     def wall(self) -> str:
         """Advice for the wall that is felt least in an approach; "" where none can be tried."""
@@ -186,7 +194,7 @@ class _CheckFindings(NamedTuple):
 
 
 def _as_json(found: _CheckFindings) -> dict[str, Any]:
-    scene, budgets, findings, hints, felt, fitness, _ = found
+    scene, budgets, findings, hints, felt, fitness, _, objects = found
     buses = {name: _budget_as_json(budget) for name, budget in budgets.items()}
     return {
         "status": "ok",
@@ -201,13 +209,18 @@ def _as_json(found: _CheckFindings) -> dict[str, Any]:
         "to_set": [guess._asdict() for guess in values_to_set(scene)],
         "config": scene.resolved(),
         **({"buses": buses} if scene.bus_name else {"bus": buses[""]}),
-        "drives": {
-            name: [{"item": f.item, "verdict": f.verdict.value, "text": f.text} for f in rows]
-            for name, rows in findings.items()
-        },
+        "drives": _findings_as_json(findings),
+        **({"objects": _findings_as_json(objects)} if objects else {}),
         "stability": [{**hint._asdict(), "exceeded": hint.exceeded} for hint in hints],
         "host": [setting._asdict() for setting in host_settings()],
         "realtime": _realtime(scene),
+    }
+
+
+def _findings_as_json(findings: dict[str, list[Finding]]) -> dict[str, list[dict[str, str]]]:
+    return {
+        name: [{"item": f.item, "verdict": f.verdict.value, "text": f.text} for f in rows]
+        for name, rows in findings.items()
     }
 
 
@@ -222,7 +235,7 @@ def _budget_as_json(budget: BusBudget) -> dict[str, Any]:
 
 
 def _print(console: Console, found: _CheckFindings, *, resolved: bool) -> None:
-    scene, budgets, findings, hints, felt, _, _ = found
+    scene, budgets, findings, hints, felt, _, _, objects = found
     if inf in felt.values():
         console.print(f"[bold red]{escape(found.wall())}[/]", soft_wrap=True)
     colour = "red" if found.refused else "yellow" if found.exceeded else "green"
@@ -245,7 +258,10 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool) -> None:
         console.print(f"  worst cycle: {budget.arithmetic()}", markup=False, soft_wrap=True)
         console.print(f"  periodic load of the bus: {100.0 * budget.periodic_load:.1f} %\n")
     for axis in scene.axes:
-        console.print(_fitness_table(axis, findings[axis.parameters.name]))
+        name = axis.parameters.name
+        console.print(_fitness_table(f"{name}: {axis.parameters.eds}", findings[name]))
+        if objects:
+            console.print(_fitness_table(f"{name}: kept in the drive", objects[name]))
     console.print(_hint_table(hints))
     console.print(_host_table())
     answers = _realtime(scene)
@@ -284,9 +300,9 @@ def _bus_table(name: str, budget: BusBudget) -> Table:
     return Table(title, ("what", "frames", "bits each", "bits", "time"), rows)
 
 
-def _fitness_table(axis: AxisScene, findings: list[Finding]) -> Table:
+def _fitness_table(title: str, findings: list[Finding]) -> Table:
     rows: list[list[Cell]] = [[row.item, WORDS[row.verdict], row.text] for row in findings]
-    return Table(f"{axis.parameters.name}: {axis.parameters.eds}", ("object", "verdict", ""), rows)
+    return Table(title, ("object", "verdict", ""), rows)
 
 
 def _hint_table(hints: list[Hint]) -> Table:

@@ -52,6 +52,8 @@ def execute(arguments: argparse.Namespace) -> int:
             with EnergyLog.open(energy_log) as log:
                 draw_energy(log, arguments.png)
     _report(result, error, arguments)
+    for name, texts in result.get("unrestored", {}).items() if scene.axes[0].simulation is None else ():
+        write_note(f"  {name}: not put back in the drive: {'; '.join(texts)}")
     if error is not None:
         return error.exit_status
     return stop.exit_status or (_NOT_PASSIVE if arguments.strict and _fails(result) else 0)

@@ -63,6 +63,7 @@ def commission_displays(session: Session) -> None:
         return
     with session.rig_of(with_hand=False):
         for axis in range(len(session.axes)):
+            session.note_objects(axis)
             _rest(session, axis)
     asked = "hold the handle, push and pull while it shakes a little. Move it?"
     with session.rig_of(with_hand=True):

@@ -76,6 +76,7 @@ def identify(session: Session) -> None:
         _identity(session, axis, drive)
         _modes(session, axis, drive)
         _rated_torque(session, axis, drive)
+        session.note_objects(axis)
 
 
 def _presence(session: Session, axis: int, drive: ServoDrive) -> None:

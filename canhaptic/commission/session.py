@@ -537,6 +537,13 @@ class Session:
         """Add a row that agrees, or has another verdict and a remedy."""
         self.found(axis, item, configured, found, StepVerdict.AGREES if good else otherwise, "" if good else text)
 
+    def note_objects(self, axis: int) -> None:
+        """Add a row for each limit, ramp and reaction that the drive of an axis keeps; raise SdoError."""
+        for name, fitness, text in self.rig.read_objects(axis):
+            value, _, meaning = text.partition(": ")
+            verdict = StepVerdict.MEASURED if fitness is fitness.FIT else StepVerdict.DIFFERS
+            self.found(axis, name, "", value, verdict, meaning)
+
     def agreed(self, question: str, item: str, axes: Iterable[int], text: str = "") -> bool:
         """Whether the person agrees to a trial; otherwise the report records it for these axes."""
         if self.dialogue.confirm(question):

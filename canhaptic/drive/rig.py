@@ -31,6 +31,7 @@ from canhaptic.signals import CycleTiming, Sample
 
 if TYPE_CHECKING:
     from canhaptic.drive.can.background_sdo import BackgroundSdo, SdoLine
+    from canhaptic.drive.profile.fitness import Finding
 
 _RECORDS_KEPT: Final = 1000
 _LONGEST_BEHIND: Final = 1.0  # [s] of SYNCs skipped, less those sent, since the computer was last in time
@@ -375,6 +376,12 @@ class Rig:
             raise RigError("faults are not reset while the rig runs; call stop() first", self.records)
         for drive in self.drives:
             _bring_up(drive).reset_fault()
+
+    def read_objects(self, axis: int) -> "list[Finding]":
+        """Return the limits, ramps and reactions that the drive of an axis keeps; raise SdoError without an answer."""
+        from canhaptic.drive.profile.read_objects import read_objects
+
+        return list(read_objects(self.drives[axis]))
 
     # --- what happened ------------------------------------------------------------------------------------------------
 

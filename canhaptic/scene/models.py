@@ -338,7 +338,13 @@ def _known_bus(bus: BusParameters, info: Info[SceneContext]) -> BusParameters:
     return bus
 
 
-_LATER_KEYS: Final = (("energy_loss_limit", None), ("start_timeout", 5.0), *((key, None) for key in _REQUIRED))
+_LATER_KEYS: Final[tuple[tuple[str, object], ...]] = (
+    ("energy_loss_limit", None),
+    ("start_timeout", 5.0),
+    ("drive_objects", {}),
+    ("restore_limits", False),
+    *((key, None) for key in _REQUIRED),
+)
 """Keys of an axis that logs of the first release do not have, with their defaults."""
 LATER_LOOP_KEYS: Final = (
     *("device_friction", "device_friction_bound", "sync_jitter", "torque_window", "current_lag"),

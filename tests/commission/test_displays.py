@@ -28,6 +28,9 @@ def test_a_right_configuration_agrees_and_the_drive_is_measured(capsys: pytest.C
     assert status == 0
     verdicts = {item: of["verdict"] for item, of in found.items() if item != "values"}
     assert verdicts.pop("friction of the drive") == "measured"  # none is declared
+    kept = {item: verdicts.pop(item) for item in list(verdicts) if item.startswith("0x")}
+    assert set(kept.values()) == {"measured"}
+    assert any(item.startswith("0x6085:00") for item in kept)
     assert set(verdicts.values()) == {"agrees"}
     assert float(found["mass of the drive"]["found"].split()[0]) == pytest.approx(2.0, rel=0.03)
     assert float(found["gain of the velocity loop"]["found"].split()[0]) == pytest.approx(630.0, rel=0.02)

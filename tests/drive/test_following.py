@@ -219,7 +219,7 @@ def test_a_lost_rpdo_that_nothing_tells_of_is_ended_by_the_drives_own_deadline(b
     b = bench([axis(read_back="none")])
     b.rig.start()
     writes = [data.hex() for data in b.sent(0x605) if data[1:4] == bytes.fromhex("001405")]
-    assert writes == ["2b00140564000000", "4000140500000000"]  # 100 ms, read back
+    assert writes == ["4000140500000000", "2b00140564000000", "4000140500000000"]  # 100 ms, read back
     b.run(10, torque=3.0)
     b.tampered.on_send = lambda message: None if message.arbitration_id == 0x205 else message
     begin = b.clock.now()

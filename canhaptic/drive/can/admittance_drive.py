@@ -251,16 +251,18 @@ class AdmittanceBringUp(CanBringUp):
             self._write_confirmed("zero torque", od.TARGET_POSITION, 0, position)
         else:
             self._write_confirmed("zero torque", target, 0, 0)
-        dictionary = self._drive.dictionary
         for index in RAMPS:  # a ramp inside the drive changes the command behind the certificate's back
-            if is_writable(dictionary, index, 0):
-                self._write_confirmed("ramps", index, 0, largest_value(dictionary, index))
+            self._write_unless_asked("ramps", index, largest_value(self._drive.dictionary, index))
         self._zero_offsets()
-        if is_writable(dictionary, od.QUICK_STOP_DECELERATION, 0):
-            steepest = largest_value(dictionary, od.QUICK_STOP_DECELERATION)
-            self._write_confirmed("quick stop", od.QUICK_STOP_DECELERATION, 0, steepest)
-        if is_writable(dictionary, od.QUICK_STOP_OPTION, 0):
-            self._write_confirmed("quick stop", od.QUICK_STOP_OPTION, 0, _SLOW_DOWN)
+        steepest = largest_value(self._drive.dictionary, od.QUICK_STOP_DECELERATION)
+        self._write_unless_asked("quick stop", od.QUICK_STOP_DECELERATION, steepest)
+        self._write_unless_asked("quick stop", od.QUICK_STOP_OPTION, _SLOW_DOWN)
+
+    def _write_unless_asked(self, step: str, index: int, value: int) -> None:
+        """Write an object that the drive has, unless the scene sets it."""
+        drive = self._drive
+        if is_writable(drive.dictionary, index, 0) and (index, 0) not in drive.axis.written_objects:
+            self._write_confirmed(step, index, 0, value)
 
     def command_operational(self) -> None:
         """Send NMT start to the drive and to a sensor with a node of its own, tared where asked; raise StartError."""

@@ -19,6 +19,7 @@ from canopen.sdo.exceptions import SdoAbortedError
 
 from canhaptic.canopen.objects import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SdoAbort
 from canhaptic.drive.can.link import Link
+from canhaptic.drive.profile.torque_axis import COMMANDS, Written
 from canhaptic.errors import LinkError, SdoError
 
 ABORT: Final = 0x80  # command specifier of an abort, either way
@@ -232,6 +233,9 @@ class SdoChannel:
         name: Name of the axis, for messages.
         timeout: Time limit of one answer [ns].
         attempts: Number of attempts of an unanswered request.
+
+    Attributes:
+        changes: Writes so far, with the values before; None: not recorded.
     """
 
     def __init__(
@@ -243,6 +247,7 @@ class SdoChannel:
         self._name = name
         self._timeout, self._attempts = timeout, attempts
         self._patience = f"{attempts} requests, {timeout / 1e9:g} s each"
+        self.changes: list[Written] | None = None
 
     def read(self, index: int, subindex: int = 0) -> int:
         """Return the value of an integer object.
@@ -289,12 +294,25 @@ class SdoChannel:
             SdoError: Aborted by the drive, not answered, or the value does not fit the object.
         """
         data = self.encode(index, subindex, value, size)
+        if self.changes is not None and index not in COMMANDS:
+            self._note(self.changes, Written((index, subindex), None, value, len(data)))
         try:
             self._client.run(download(index, subindex, data), index, subindex)
         except SdoAbortedError as error:
             raise self.aborted("write", index, subindex, error.code) from error
         except (ProtocolError, _NoAnswerError, LinkError) as error:
             raise self._unanswered("write", index, subindex, error) from error
+
+    def _note(self, changes: list[Written], change: Written) -> None:
+        """Record a write with the value before: that of the write before it, or as the drive has it."""
+        earlier = next((c.after for c in reversed(changes) if c.place == change.place), None)
+        if earlier is None:
+            try:
+                earlier = self.read(*change.place)
+            except SdoError as error:
+                if error.code is None:
+                    raise
+        changes.append(change._replace(before=earlier))
 
     def decode(self, index: int, subindex: int, data: bytes) -> int:
         """Return the integer in the bytes of an object, as long and with the sign that the dictionary says."""

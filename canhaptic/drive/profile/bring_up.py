@@ -24,6 +24,7 @@ _REMEDIES: Final = {
     "rated torque": "correct rated_torque and transmission, or the drive's 0x6076 (quirks: rated_torque_...)",
     "torque limit": "raise torque_limit where the drive calls it too low, reduce it where too high, or change the "
     "drive's own limit with the vendor's tool (quirks: max_torque_absent)",
+    "drive objects": "correct drive_objects of the axis",
     "watchdog": "see the quirks abort_... for 0x6007; watchdog: false only if a killed master may leave the torque on",
     "interpolation period": "use a rate whose period the drive accepts, or quirks: [no_interpolation_period]",
     "mode of operation": "the drive refuses the cyclic synchronous mode; check its licence, firmware and settings",
@@ -88,6 +89,7 @@ class BringUp(ABC):
         self._zero_torque()
         self._rated_torque()
         self._torque_limit()
+        self._drive_objects()
         self._watchdog()
         self._interpolation_period()
         self._map()
@@ -326,6 +328,10 @@ class BringUp(ABC):
         if drive.quirks.writes_max_torque and is_writable(drive.dictionary, od.MAX_TORQUE, 0):
             per_mille = torque_limit_per_mille(limit, drive.scaling.rated_torque)
             self._write_confirmed("torque limit", od.MAX_TORQUE, 0, per_mille)
+
+    def _drive_objects(self) -> None:
+        for place, value in self._drive.axis.written_objects.items():
+            self._write_confirmed("drive objects", *place, value)
 
     def _watchdog(self) -> None:
         """Make the drive detect a dead master: 0x6007 selects its reaction, the fieldbus arms it."""

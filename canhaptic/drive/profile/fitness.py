@@ -166,7 +166,7 @@ def profile_findings(
     ]
     read_back = _read_back(dictionary) if axis.admittance is None else []
     of_cycle = _offsets(dictionary, axis) + _ramps(dictionary, axis) + _interpolation(dictionary, axis, sample_time_ns)
-    return findings + read_back + of_cycle
+    return findings + read_back + of_cycle + _drive_objects(dictionary, axis)
 
 
 def agreed_rated_torque(axis: TorqueAxisParameters, counts: int | None, resolution: float = 1e-3) -> float:
@@ -312,12 +312,25 @@ def steepest_ramp(dictionary: Dictionary) -> float:
     return min((largest_value(dictionary, index) for index in RAMPS if is_writable(dictionary, index, 0)), default=inf)
 
 
+def _drive_objects(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[Finding]:
+    """Refusals of objects that the scene sets."""
+    uses = [
+        ObjectUse(*place, reads=True, writes=True, values=(value,)) for place, value in axis.written_objects.items()
+    ]
+    found = [(use, text) for use in uses if (text := objection(dictionary, use)) is not None]
+    return [
+        Finding(f"{use.index:#06x}:{use.subindex:02x} drive_objects", Verdict.REFUSED, f"{text}; leave it out")
+        for use, text in found
+    ]
+
+
 def _ramps(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[Finding]:
     """Refusal where ramps in the drive alter the velocities that a display may command."""
     display = axis.admittance
     if display is None or display.mode != "velocity" or display.acceleration_limit is None:
         return []
-    steepest = steepest_ramp(dictionary) / abs(display.velocity_counts or axis.counts_per_unit)
+    asked = (value or inf for (index, _), value in axis.written_objects.items() if index in RAMPS)  # 0 limits nothing
+    steepest = min([steepest_ramp(dictionary), *asked]) / abs(display.velocity_counts or axis.counts_per_unit)
     if steepest >= display.acceleration_limit:
         return []
     unit = f"{axis.unit}/s^2"

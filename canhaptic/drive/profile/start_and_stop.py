@@ -20,6 +20,7 @@ from canhaptic.canopen.code_texts import emcy_remedy
 from canhaptic.canopen.objects import CONTROLWORD, POSITION_ACTUAL, STATUSWORD, Controlword, StatusBit
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
 from canhaptic.drive.profile.power_states import FAULTED, TORQUE_FREE, PowerState, drive_state, next_controlword
+from canhaptic.drive.profile.restore import restore
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.errors import LinkError, RigError
 
@@ -94,6 +95,7 @@ def start(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
     for drive in exchange.drives:
         drive.reset()
         drive.answers = drive.is_foreign = False
+        drive.sdo.changes, drive.unrestored = [] if drive.restores else None, []
     for bring_up in bring_ups:
         bring_up.call()  # all of them first: their heartbeats come while the first is awaited
     for bring_up in bring_ups:
@@ -318,6 +320,9 @@ def disable(exchange: CyclicExchange, trust: Trust) -> list[str]:
     _try_each(drive.leave_operational for drive in others if drive not in operational)  # STOPPED takes no SDO
     problems = {drive: _confirm_disabled(drive) for drive in others}
     _leave_operational([drive for drive in others if not problems[drive]])
+    for drive in reachable:
+        if drive.sdo.changes:
+            restore(drive, problems.get(drive, ""))
     return [f"{drive.axis.name}: {problem}" for drive, problem in problems.items() if problem]
 
 

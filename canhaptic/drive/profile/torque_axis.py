@@ -21,11 +21,23 @@ from canhaptic.drive.profile.torque_axis_parameters import ReadBack, TorqueAxisP
 from canhaptic.signals import Sample
 
 
+class Written(NamedTuple):
+    """A write to an object."""
+
+    place: tuple[int, int]  # index, subindex
+    before: int | None  # None: the drive does not say
+    after: int
+    size: int  # [bytes]
+
+
 class ObjectAccess(Protocol):
     """Reads and writes integer objects of one drive: SDO over CAN, or over the mailbox of EtherCAT (CoE).
 
     Every method raises SdoError where the drive aborts or does not answer.
     """
+
+    changes: list[Written] | None
+    """Writes so far but commands, with the values before; None: not recorded."""
 
     def read(self, index: int, subindex: int = 0) -> int:
         """Return the value of an object."""
@@ -36,13 +48,15 @@ class ObjectAccess(Protocol):
     def read_within(self, limit: int, index: int, subindex: int = 0) -> int:
         """Return the value of an object; all attempts together take at most `limit` [ns]."""
 
-    def write(self, index: int, subindex: int, value: int) -> None:
-        """Write an object."""
+    def write(self, index: int, subindex: int, value: int, size: int | None = None) -> None:
+        """Write an object of `size` bytes; None: as many as the dictionary says."""
 
     def describe(self, index: int, subindex: int = 0) -> str:
         """Return an object as `0x6072:00 Max torque`."""
 
 
+COMMANDS: Final = frozenset((od.CONTROLWORD, od.TARGET_TORQUE, od.TARGET_POSITION, od.TARGET_VELOCITY))
+"""Objects that command a drive: no settings, and never put back."""
 _tuple: Final = tuple.__new__  # makes a sample at half the cost of calling its class
 _NO_REASON: Final = StopReason.NONE  # bound once: to look a member up in its enum takes as long as all of `fault`
 _LIMITED: Final = int(od.StatusBit.INTERNAL_LIMIT)
@@ -90,6 +104,8 @@ class TorqueAxis(ABC):
         alive_at: Time of the drive's last sign of life [ns].
         answers: Whether the drive answered an SDO since the last start.
         left_out: Objects that the start leaves out, as an older master did whose run is replayed.
+        restores: Whether the stop puts back what the start wrote; False as an older master whose run is replayed.
+        unrestored: What the stop did not put back, in words.
         controlword: Controlword sent with the next torque.
         unasked: Process data since the last `reset` that came in no window of a SYNC.
         culprit: The process data that came so, or did not come in the last window, in words.
@@ -135,6 +151,8 @@ class TorqueAxis(ABC):
         self.policy = LinkPolicy(rules.hold_cycles, rules.stop_cycles)
         self.answers = False
         self.left_out: frozenset[int] = frozenset()
+        self.restores = True
+        self.unrestored: list[str] = []
         self.is_foreign = False
         self.sample_time_ns = rules.sample_time_ns
         self._is_synchronous, self._silence = rules.is_synchronous, rules.silence

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-from pydantic import field_validator
+from pydantic import BeforeValidator, Field, field_validator
 
 from canhaptic.canopen import objects as od
 from canhaptic.drive.profile.quirks import quirks_of
@@ -17,6 +17,15 @@ else:  # an impedance display loads nothing of it
 _LARGEST_SPEED: Final = {"m": 10.0, "rad": 100.0}  # [m/s or rad/s]
 ReadBack = Literal["demand", "actual", "none"]
 """Torque in the process data of a drive: 0x6074, 0x6077, or none."""
+
+
+def _by_place(objects: object) -> object:
+    """Objects of a scene by their places as texts; raise ValueError for one that is none of these."""
+    if not objects or not isinstance(objects, dict):
+        return objects or {}
+    from canhaptic.drive.profile.drive_objects import place_of
+
+    return {"0x{:04X}.{}".format(*place_of(key)): value for key, value in objects.items()}
 
 
 class TorqueAxisParameters(Parameters):
@@ -76,6 +85,11 @@ class TorqueAxisParameters(Parameters):
     """Arms the drive's own watchdog of the master's heartbeat (0x1016, 0x6007)."""
     reset_fault: bool = False
     """Whether start may reset a fault of the drive before it begins; never done in the cycle."""
+    drive_objects: Annotated[dict[str, int], BeforeValidator(_by_place)] = Field(default_factory=dict)
+    """Values of the drive's own limits, ramps and reactions, in its units, written by the start: `{0x6065: 2000}`.
+    0x6065, 0x6066, 0x605A, 0x605E, 0x607D.1, 0x607D.2, 0x607F, 0x6080, 0x6083 to 0x6085, 0x60C5, 0x60C6."""
+    restore_limits: bool = False
+    """Whether the stop puts 0x6072, 0x607F and 0x6080 back too, as it does with all else that the start wrote."""
     sdo_timeout: Annotated[float, quantity("s", ge=1e-3, le=10.0)] = 0.3
     """Time in which the drive must answer an SDO request; then it is repeated."""
     start_timeout: Annotated[float, quantity("s", ge=0.0, le=60.0)] = 5.0
@@ -96,6 +110,11 @@ class TorqueAxisParameters(Parameters):
         except ParameterError as error:
             raise ValueError(str(error).removeprefix("quirks: ")) from error
         return names
+
+    @property
+    def written_objects(self) -> dict[tuple[int, int], int]:
+        """`drive_objects` by (index, subindex)."""
+        return {(int(key[2:6], 16), int(key[7:])): value for key, value in self.drive_objects.items()}
 
     @property
     def mode_code(self) -> int:

@@ -1,0 +1,61 @@
+"""Puts back what a start wrote into a drive, last written first, once the drive says that it is disabled.
+
+A drive in a fault, or one that is silent, is left as it is. Commands are no settings, and stay at rest.
+"""
+
+from collections.abc import Iterator
+from typing import Final
+
+from canhaptic.canopen import objects as od
+from canhaptic.drive.profile.power_states import PowerState, drive_state
+from canhaptic.drive.profile.torque_axis import TorqueAxis, Written
+from canhaptic.errors import SdoError
+
+_LIMITS: Final = (od.MAX_TORQUE, od.MAX_PROFILE_VELOCITY, od.MAX_MOTOR_SPEED)
+_KEPT: Final = "a limit, kept (restore_limits: true puts it back)"
+
+
+def restore(drive: TorqueAxis, problem: str = "") -> None:
+    """Put back what the start wrote; what was not is in `drive.unrestored`, by object.
+
+    Args:
+        drive: Drive out of operation.
+        problem: Why it is not known to be disabled; "" where it is.
+    """
+    changes, drive.sdo.changes = drive.sdo.changes or [], None
+    firsts: dict[tuple[int, int], Written] = {}
+    for change in changes:
+        firsts.setdefault(change.place, change)
+    try:
+        state = problem or drive_state(drive.sdo.read(od.STATUSWORD)).value
+        if state != PowerState.SWITCH_ON_DISABLED.value:
+            raise SdoError(f"left as it is, the drive shows {state}", od.STATUSWORD, 0)
+        for change in reversed(changes):
+            if change.before not in (None, change.after) and not _is_kept(drive, change):
+                _write(drive, change)
+        drive.unrestored = [text for first in firsts.values() if (text := "; ".join(_differences(drive, first)))]
+    except SdoError as error:
+        why = str(error).removeprefix(f"{drive.axis.name}: ")
+        drive.unrestored = [f"{drive.sdo.describe(*place)}: {why}" for place in firsts]
+
+
+def _is_kept(drive: TorqueAxis, change: Written) -> bool:
+    return change.place[0] in _LIMITS and not drive.axis.restore_limits
+
+
+def _write(drive: TorqueAxis, change: Written) -> None:
+    """Put one value back; an abort shows when all are compared; raise SdoError without an answer."""
+    try:
+        drive.sdo.write(*change.place, change.before or 0, change.size)
+    except SdoError as error:
+        if error.code is None:
+            raise
+
+
+def _differences(drive: TorqueAxis, first: Written) -> Iterator[str]:
+    """Yield what an object has now and had before the start, where that is not the same; raise SdoError."""
+    name = drive.sdo.describe(*first.place)
+    if first.before is None:
+        yield f"{name} = {first.after}, unknown before"
+    elif (now := drive.sdo.read(*first.place)) != first.before:
+        yield f"{name} = {now}, {first.before} before" + (f": {_KEPT}" if _is_kept(drive, first) else "")
