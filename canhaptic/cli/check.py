@@ -30,7 +30,7 @@ from canhaptic.scene.build import build, require_buildable
 from canhaptic.scene.first_contact import advice, slowest_felt
 from canhaptic.scene.hints import Hint, display_hints, group_hints, stability_hints
 from canhaptic.scene.method import dear_holds
-from canhaptic.scene.models import AxisScene, Guess, Scene, refused_values, status_text, values_to_set
+from canhaptic.scene.models import Guess, Scene, refused_values, status_text, values_to_set
 from canhaptic.view.energy_table import make_console
 from canhaptic.view.table import Cell, Styled, Table
 

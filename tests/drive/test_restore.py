@@ -160,7 +160,7 @@ def test_a_display_leaves_no_steepest_ramp_behind(capsys: pytest.CaptureFixture[
         "0x6072:00 Max torque = 2000, 1000 before: a limit, kept (restore_limits: true puts it back)"
     ]
     with EnergyLog.open(log) as opened:
-        assert [(event.kind, event.port) for event in opened.events()] == [("unrestored", "handle")]
+        assert [(event.kind, event.port) for event in opened.events] == [("unrestored", "handle")]
     ends: dict[str, str] = {}
     for line in bus_log.read_text().splitlines():
         head, _, data = line.split()[2].partition("#")

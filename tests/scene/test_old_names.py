@@ -113,7 +113,7 @@ def test_an_old_energy_log_opens_and_its_scene_recomputes_to_the_bit(name: str, 
 def test_an_old_bus_log_replays_frame_by_frame_from_its_boot_and_from_its_first_sync(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The start has learnt to read 0x1006 and 0x60B2 since, and leaves them out here."""
+    """The start has learnt to read 0x1006, 0x60B2 and what it writes since, and leaves that out here."""
     path, config = unpacked(f"{name}.log", tmp_path), scene_of_now(name, tmp_path)
     scene = load_scene(config)
     result = replay_bus_log(path, scene)
@@ -121,7 +121,7 @@ def test_an_old_bus_log_replays_frame_by_frame_from_its_boot_and_from_its_first_
         assert result["status"] == "different"
         return
     assert (result["status"], result["start"]) == ("identical", "boot")
-    assert result["reads_left_out"] == ["handle: 0x1006", "handle: 0x60B2"]
+    assert result["reads_left_out"] == ["handle: 0x1006", "handle: 0x60B2", "handle: values before the start"]
     joined = replay_bus_log(path, scene, from_sync=True)
     assert (joined["status"], joined["reads_left_out"]) == ("identical", [])
     assert canhaptic(["replay", str(path), "--config", str(config)]) == 0
