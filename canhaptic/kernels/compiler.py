@@ -193,6 +193,7 @@ METHODS: Final = (
     "stored_energy",
     "effort",
     "state_of_energy",
+    "one_way",
     "relaxed",
     "locate",
     "measure",

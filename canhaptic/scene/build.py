@@ -202,6 +202,8 @@ class Experiment:
         self.scene = scene
         self.pace = pace
         self._log_failure = ""
+        controllers = build_axis_controllers(scene)
+        _require_push(scene, controllers)
         with ExitStack() as stack:
             channels = [_channel(bus.parameters) for bus in scene.buses]
             groups = _build_groups(scene, channels, stack) if scene.simulated else []
@@ -219,8 +221,7 @@ class Experiment:
                 for n, (of, bus) in enumerate(zip(scene.buses, buses, strict=True))
             ]
             self.rig = _build_rig(scene, links, dry_run=no_torque)
-            controllers, truths = build_axis_controllers(scene), _truths(self.far_side)
-            groups_of_axes, meters = build_axis_groups(scene), build_axis_meters(scene)
+            truths, groups_of_axes, meters = _truths(self.far_side), build_axis_groups(scene), build_axis_meters(scene)
             losses = build_loss_meters(scene)
             self.cycle = Cycle(
                 self.rig, controllers, self.energy_log, truths, groups_of_axes, meters, losses, _jitters(scene, pace)
@@ -322,6 +323,23 @@ def build(
         require_torque_axis(axis)  # before a log is made
     logs = (None if path is None else Path(path) for path in (energy_log, bus_log))
     return Experiment(_with_accuracy(scene), chosen, *logs, no_torque=no_torque)
+
+
+def _require_push(scene: Scene, controllers: Sequence[object]) -> None:
+    """Return when no axis lacks the push of the hand; a log of an earlier release may, and is read all the same.
+
+    Raises:
+        InputError: The way out of an environment changes, and no `hand_push` is declared.
+    """
+    axes = [axis for axis in scene.axes if not axis.group]
+    for axis, controller in zip(axes, controllers, strict=True):
+        if getattr(controller, "lacks_push", False) and axis.environment.name != "free_space":
+            raise InputError(
+                f"{scene.source}: passivity of {axis.parameters.name}: hand_push: not declared, expected the largest "
+                f"force with which the hand pushes against the effort: {axis.environment.name} has more than one way "
+                "out, and where they meet the hand pushes out of one contact into the next; declare it (hand_push: "
+                "20 N), or hand_force: null with another certificate"
+            )
 
 
 def require_buildable(scene: Scene) -> None:

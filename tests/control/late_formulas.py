@@ -43,7 +43,7 @@ def case_of(seed: int, losses: tuple[int, ...] = (0, 1, 3)) -> Case:
     bound = TorqueBound(
         displacement=draw.uniform(-6e-5, 6e-5), torque=before, position_uncertainty=draw.choice([0.0, 1e-6])
     )
-    bound.out, bound.turning = draw.choice([1.0, -1.0, 0.0]), draw.choice([0, 0, 1])
+    bound.out, bound.turns = draw.choice([1.0, -1.0, 0.0]), draw.choice([False, False, True])
     bound.highest, bound.lowest = before + draw.choice([0.0, 0.8]), before - draw.choice([0.0, 0.8])
     bound.most, bound.least = 0.5 * (bound.highest + before), 0.5 * (bound.lowest + before)
     bound.dissipated = draw.uniform(0.0, 2e-3)
@@ -66,7 +66,7 @@ def hand_of(case: Case, sign: float) -> float:
     """By the hand in two holds: it pushes against the way out of the contact; after a turn either way."""
     if not case.known.by_hand_force:
         return math.inf
-    pushes = sign == -case.bound.out or case.bound.turning > 0
+    pushes = sign == -case.bound.out or case.bound.turns
     return case.known.response.push if pushes else case.known.response.hand
 
 

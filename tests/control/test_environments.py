@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.environments.coulomb_surface import CoulombSurface
 from canhaptic.control.environments.detents import Detents
+from canhaptic.control.environments.environment import knows_turns, outside_of, plain
+from canhaptic.control.environments.own_environment import OwnEnvironment
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.errors import ParameterError
@@ -124,3 +126,58 @@ def test_bad_parameters_are_refused_with_value_and_limit():
         Detents(peak=1.0, pitch=0.0)
     with pytest.raises(ParameterError, match="stiffness: got nan"):
         SpringDamperWall(stiffness=math.nan)
+
+
+@pytest.mark.parametrize("environment", [e for pair in EXAMPLES.values() for e in pair if knows_turns(e)], ids=repr)
+@given(position=positions, share=st.floats(1e-6, 1.0 - 1e-6))
+def test_in_the_stretch_around_a_position_the_effort_points_one_way_and_the_contact_stays(environment, position, share):
+    low, high = environment.one_way(position)
+    assert low <= position <= high
+    if not low < position < high:  # at its end, or without an effort
+        return
+    low, high = max(low, position - 0.02), min(high, position + 0.02)
+    within = low + share * (high - low)
+    efforts = [environment.effort(environment.true_state(at, 0.0, 0.0)) for at in (position, within)]
+    assert environment.contact(within) == environment.contact(position) != 0
+    assert efforts[0] * efforts[1] >= 0.0
+
+
+def test_the_stretches_of_detents_end_at_rests_and_crests_and_those_of_a_slot_at_its_walls():
+    detents = Detents(peak=2.0, pitch=0.01, position=0.002)
+    assert detents.one_way(0.003) == pytest.approx((0.002, 0.007))
+    assert detents.one_way(0.0071) == pytest.approx((0.007, 0.012))
+    assert detents.one_way(0.002) == (0.002, 0.002)
+    slot = TwoSidedWall(stiffness=500.0, lower=-0.01, upper=0.02)
+    assert (slot.one_way(-0.011), slot.one_way(0.021)) == ((-math.inf, -0.01), (0.02, math.inf))
+    assert slot.one_way(0.0) == (0.0, 0.0)
+
+
+class Centre(OwnEnvironment):
+    def effort(self, state):
+        return 200.0 * state
+
+
+class Slides(Centre):
+    def true_state(self, position, displacement, previous):
+        return position - self.position - 0.001
+
+
+class Follows(Slides):
+    def one_way(self, position):
+        return self.position - 1.0, self.position + 1.0
+
+
+def test_the_way_out_of_ones_own_environment_is_known_as_far_as_its_contact_is_ours():
+    ways = [(kind(side=side), outside, knows) for kind, side, outside, knows in (
+        (Centre, "below", 1.0, True), (Centre, "above", -1.0, True), (Centre, "both", 0.0, True),
+        (Slides, "below", 0.0, False), (Slides, "both", 0.0, False), (Follows, "both", 0.0, True),
+    )]  # fmt: skip
+    for environment, outside, knows in ways:
+        for form in (environment, plain(environment)):
+            assert (outside_of(form), knows_turns(form)) == (outside, knows)
+    for name in ("viscous_medium", "coulomb_surface", "viscoelastic_medium"):
+        medium = plain(EXAMPLES[name][0])
+        assert outside_of(medium) == 0.0
+        assert medium.one_way(0.3) == (0.3, 0.3)
+    assert Centre(position=0.1).one_way(0.3) == (0.1, math.inf)
+    assert Centre(position=0.1).one_way(0.1) == (0.1, 0.1)

@@ -1,7 +1,10 @@
 """The account of `guarded` between two SYNCs: internal relaxation, and holds in which SYNCs were skipped."""
 
+import math
+
 import pytest
 
+from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
 from canhaptic.control.passivity.controller import LoopProperties
@@ -65,3 +68,36 @@ def test_what_a_controller_may_survive_and_owe_is_known_of_it() -> None:
     parameters = GuardedParameters(hand_force=1.0, max_consecutive_losses=2, energy_allowance=1e-3)
     one = Guarded(SpringDamperWall(stiffness=500.0), parameters, LOOP)
     assert (one.max_consecutive_losses, one.energy_allowance, one.energy_resolution) == (2, 1e-3, 0.0)
+
+
+def detent_run(push: float | None, hand_force: float, after: float) -> tuple[Guarded, float]:
+    """Detents climbed to a crest at 4 mm and passed, an ideal encoder; the last torque is `after` beyond it."""
+    made = Guarded(
+        Detents(peak=5.0, pitch=0.008),
+        GuardedParameters(hand_force=hand_force, hand_push=push, energy_allowance=1.0),
+        LoopProperties(sample_time=T, moving_mass=0.25, device_damping_bound=0.0),
+    )
+    torque, position = 0.0, 1e-3
+    while position < 4e-3 + after:
+        torque, position = made.step(position, torque).torque, position + 5e-5
+    return made, torque
+
+
+def test_beyond_a_crest_the_effort_is_rendered_and_near_it_the_hand_counts_for_its_push() -> None:
+    made, torque = detent_run(20.0, 5.0, 1e-3)
+    assert torque == pytest.approx(5.0 * math.sin(0.25 * math.pi), rel=0.1)  # it pulls to the next rest
+    assert (made._state.bound.out, made._state.bound.turns) == (1.0, False)
+    at_crest, _ = detent_run(20.0, 5.0, 6e-5)
+    assert at_crest._state.bound.turns
+    assert not made.lacks_push
+    lacking, _ = detent_run(None, 5.0, 6e-5)
+    assert lacking.lacks_push
+    assert lacking._last.torque == 0.0
+
+
+def test_what_is_kept_for_contacts_that_turn_holds_the_hands_push() -> None:
+    kept = [
+        settings_of(Detents(peak=5.0, pitch=0.008), GuardedParameters(hand_force=5.0, hand_push=push), LOOP).earned
+        for push in (5.0, 20.0)
+    ]
+    assert kept[1] == pytest.approx(16.0 * kept[0])

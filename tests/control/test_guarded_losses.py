@@ -141,7 +141,7 @@ def test_while_a_drag_acts_the_hand_may_pull_either_way(delay: int, late: float)
     declared, bound = made._settings.declared, made._state.bound
     assert dragged
     assert bound.out != 0.0
-    for _ in range(delay + (late > 0.0)):
-        assert hand_along(declared, bound, bound.out) == declared.response.push
-        made.step(0.0105, 0.0)
+    assert hand_along(declared, bound, bound.out) == declared.response.push
+    for _ in range(delay + 2):
+        made.step(0.012, 0.0)
     assert hand_along(declared, bound, bound.out) == declared.response.hand < declared.response.push

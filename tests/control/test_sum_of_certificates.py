@@ -88,7 +88,7 @@ def test_by_the_hand_force_alone_the_largest_torque_is_that_of_the_sum(sign):
         bound = TorqueBound(
             displacement=draw.uniform(-2e-4, 2e-4), torque=draw.uniform(-3.0, 3.0), position_uncertainty=1e-6
         )
-        bound.out, bound.turning = draw.choice([1.0, -1.0]), draw.choice([0, 0, 1])
+        bound.out, bound.turns = draw.choice([1.0, -1.0]), draw.choice([False, False, True])
         memory = bound_memory(known, [draw.uniform(-1.0, 1.0) for _ in range(4)], list_of_zeros)
         energy = draw.uniform(-1e-4, 2e-3)
         expected = largest_in_sum(known, bound, memory, sign, energy)

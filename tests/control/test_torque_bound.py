@@ -9,6 +9,7 @@ import pytest
 
 from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, WINDOW, displacement_response, hold_timing
 from canhaptic.control.certificates.torque_bound import (
+    BoundMemory,
     Declared,
     TorqueBound,
     acted,
@@ -19,14 +20,15 @@ from canhaptic.control.certificates.torque_bound import (
     end_hold,
     hand_along,
     keep,
+    look_for_turn,
     outward,
+    reaches_turn,
     shorten,
     take_late,
-    turn,
 )
 from canhaptic.kernels import list_of_zeros
 
-T, MASS, PULL = 1e-3, 0.25, 5.0
+T, MASS, PULL, GAP = 1e-3, 0.25, 5.0, -7.0
 
 
 def declared_of(draw: random.Random, **given: float) -> Declared:
@@ -50,7 +52,7 @@ def bound_of(draw: random.Random) -> TorqueBound:
     )
     bound.highest, bound.lowest = torque + draw.choice([0.0, 0.9]), torque - draw.choice([0.0, 0.7])
     bound.most, bound.least = torque + draw.uniform(0.0, 0.5), torque - draw.uniform(0.0, 0.5)
-    bound.out, bound.turning = draw.choice([1.0, -1.0, 0.0]), draw.choice([0, 0, 2])
+    bound.out, bound.turns = draw.choice([1.0, -1.0, 0.0]), draw.choice([False, False, True])
     bound.dissipated = bound.certain = draw.uniform(0.0, 1e-3)
     bound.changes, bound.kept, bound.upward, bound.downward = 2e-6, 3, 1.0, 2.0
     return bound
@@ -83,7 +85,7 @@ def test_a_hold_is_kept_with_what_the_device_dissipated_and_what_the_encoder_lea
         known = declared_of(draw, late=0.0)
         half = 0.5 * known.encoder_count
         bound, memory = TorqueBound(), bound_memory(known, [0.0], list_of_zeros)
-        bound.turning, bound.position_uncertainty = 2, 1.0
+        bound.position_uncertainty = 1.0
         holds = [(draw.uniform(-4e-6, 4e-6), draw.uniform(-3.0, 3.0)) for _ in range(draw.choice([3, WINDOW + 5]))]
         dissipated = changes = before = 0.0
         lazy = TorqueBound()
@@ -95,7 +97,7 @@ def test_a_hold_is_kept_with_what_the_device_dissipated_and_what_the_encoder_lea
             changes, before = changes + half * abs(torque - before), torque
         assert close(bound.dissipated, dissipated)
         assert close(bound.certain, dissipated)
-        assert (bound.displacement, bound.torque, bound.position_uncertainty, bound.turning) == (*holds[-1], 0.0, 0)
+        assert (bound.displacement, bound.torque, bound.position_uncertainty) == (*holds[-1], 0.0)
         if half:
             assert close(bound.changes, changes)
             assert close(bound.uncertainty, changes + half * abs(before))
@@ -190,8 +192,9 @@ def test_a_late_torque_leaves_in_doubt_what_it_differs_by_over_how_far_it_is_car
                 r.share * max(0.0, out * before.displacement + count + before.position_uncertainty)
                 + r.tail_before * counted
             )
-            up += r.tail_during * strongest + r.tail_hand * r.hand
-            down = r.share * max(0.0, count - out * moved) + r.tail_before * strongest + r.tail_hand * r.hand
+            by_hand = r.tail_hand * (r.push if before.turns and r.push < math.inf else r.hand)
+            up += r.tail_during * strongest + by_hand
+            down = r.share * max(0.0, count - out * moved) + r.tail_before * strongest + by_hand
             down *= r.swing
             rising = out * change > 0.0
             less, more = (abs(change) * way for way in ((down, up) if rising else (up, down)))
@@ -296,28 +299,76 @@ def test_a_handle_that_may_stand_still_earns_nothing_from_friction_over_lost_sam
     assert bound.dissipated == pytest.approx(0.4 * 4.0 * count)
 
 
-def test_torques_of_a_contact_with_another_way_out_act_until_they_have_ended() -> None:
-    draw = random.Random(1)
-    for late in (0.0, 1e-4):
-        for delay in (0, 2):
-            known = declared_of(draw, late=late, delay=delay, by_hand_force=True)
-            known = replace(known, response=replace(known.response, hand=1.0, push=3.0))
-            bound = TorqueBound()
-            turn(known, bound, 1.0)
-            assert (bound.out, bound.turning) == (1.0, 0)
-            assert [hand_along(known, bound, sign) for sign in (1.0, -1.0)] == [1.0, 3.0]
-            turn(known, bound, 1.0)
-            assert bound.turning == 0
-            turn(known, bound, -1.0)
-            holds = delay + 1 + (late > 0.0)
-            memory = bound_memory(known, [0.0] * 3, list_of_zeros)
-            for left in range(holds, 0, -1):
-                assert bound.turning == left
-                assert [hand_along(known, bound, sign) for sign in (1.0, -1.0)] == [3.0, 3.0]
-                end_hold(known, bound, memory, 0.0, 0.0)
-            assert [hand_along(known, bound, sign) for sign in (1.0, -1.0)] == [3.0, 1.0]
-            turn(known, bound, 0.0)
-            assert (bound.out, bound.turning) == (0.0, holds)
+def stretch_of(draw: random.Random, known: Declared, out: float) -> tuple[TorqueBound, BoundMemory]:
+    """Bound in the middle of a stretch, with torques under way."""
+    bound = TorqueBound(displacement=draw.uniform(-1e-5, 1e-5), torque=draw.uniform(-3.0, 3.0), out=out)
+    bound.most = bound.least = bound.torque
+    bound.kept = 5
+    under_way = [draw.uniform(-3.0, 3.0) for _ in range(known.delay + 1)]
+    return bound, bound_memory(known, under_way, list_of_zeros)
+
+
+def farthest(known: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, torque: float) -> float:
+    """Written out: uniform steps by the largest torque along, with the hand's own word that way."""
+    r = known.response
+    largest = max(0.0, sign * torque, sign * bound.torque, *(sign * sent for sent in memory.under_way))
+    if known.late:
+        largest = max(largest, sign * (bound.most if sign > 0.0 else bound.least))
+    moved = sign * bound.displacement + known.encoder_count
+    way = known.encoder_count
+    for _ in range(known.delay + known.losses + 2):
+        moved *= r.growth if moved > 0.0 else r.retained
+        moved += largest * (r.before + r.during) + (r.hand if sign == bound.out else r.push)
+        way += max(0.0, moved)
+    return way
+
+
+@pytest.mark.parametrize("out", [1.0, -1.0])
+def test_the_hand_counts_for_its_push_either_way_where_a_hold_can_contain_a_turn(out: float) -> None:
+    for seed in range(60):
+        draw = random.Random(seed)
+        known = declared_of(draw, by_hand_force=True, delay=draw.choice([0, 1]), losses=draw.choice([0, 2]))
+        known = replace(known, response=replace(known.response, hand=1e-6, push=6e-6))
+        for share, turns in ((1.001, False), (0.999, True)):
+            for edge in (1.0, -1.0):
+                bound, memory = stretch_of(draw, known, out)
+                if (way := share * farthest(known, bound, memory, edge, 0.0)) == 0.0:
+                    continue
+                bound.above, bound.below = (way, 1.0) if edge > 0.0 else (1.0, way)
+                look_for_turn(known, bound, memory, 0.0, 1.0)
+                assert bound.turns is turns
+                along = [hand_along(known, bound, sign) for sign in (out, -out)]
+                assert along == ([6e-6, 6e-6] if turns else [1e-6, 6e-6])
+                assert bound.kept == (0 if turns else 5)
+                new = edge * draw.uniform(3.0, 9.0)
+                way = share * farthest(known, bound, memory, edge, new)
+                assert way > 0.0
+                bound.above, bound.below = (way, 1.0) if edge > 0.0 else (1.0, way)
+                assert reaches_turn(known, bound, memory, new) is turns
+
+
+def test_a_turn_counts_from_the_hold_before_it_to_the_one_after_it() -> None:
+    known = declared_of(random.Random(3), by_hand_force=True)
+    known = replace(known, response=replace(known.response, hand=1e-6, push=6e-6))
+    bound, memory = TorqueBound(out=1.0, above=1.0, below=1.0), bound_memory(known, [0.0] * 2, list_of_zeros)
+    found = []
+    for moved, holds in (
+        (0.0, 1.0),
+        (2.0, 1.0),
+        (0.0, 1.0),
+        (0.0, 1.0),
+        (-2.0, 1.0),
+        (0.0, 2.0),
+        (0.0, 1.0),
+        (0.0, 1.0),
+    ):
+        look_for_turn(known, bound, memory, moved, holds)
+        found.append(bound.turns)
+    # from outside on either side, after a gap, and each time once more
+    assert found == [False, True, True, False, True, True, True, False]
+    bound.above = known.encoder_count
+    look_for_turn(known, bound, memory, 0.0, 1.0)
+    assert bound.turns
 
 
 @pytest.mark.parametrize(("energy", "left"), [(1.0, 4.0), (3.0, 2.0), (6.0, 0.0)])

@@ -12,7 +12,7 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.clock import VirtualClock, WallClock
 from canhaptic.errors import InputError, LinkError, RigError
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.scene.build import build, build_drive_group, open_bus, private_channel
+from canhaptic.scene.build import build, build_drive_group, open_bus, private_channel, require_buildable
 from canhaptic.scene.hints import stability_hints
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import method_line
@@ -236,3 +236,21 @@ def test_the_largest_certificate_says_how_much_of_the_wall_it_holds(tmp_path: Pa
     largest = max(h.limit for name, h in hints.items() if name.startswith("stiffness, certified by"))  # type: ignore[type-var]
     assert hints["stiffness, certified"].limit == largest
     assert f"holds {largest / 1e3:.3g} % of the request" in hints["stiffness, certified"].text  # type: ignore[operator]
+
+
+def test_an_environment_that_turns_needs_the_push_of_the_hand(tmp_path: Path) -> None:
+    changes = [
+        "environment={type: detents, peak: 2, pitch: 0.01}",
+        "passivity={algorithm: guarded, moving_mass: 0.2, hand_force: 5}",
+    ]
+    path = scene_file(tmp_path)
+    with pytest.raises(InputError, match=r"hand_push: not declared.* detents has more than one way out"):
+        build(load_scene(path, changes), energy_log=tmp_path / "run.h5")
+    assert not (tmp_path / "run.h5").exists()
+    with pytest.raises(InputError, match="hand_push"):
+        require_buildable(load_scene(path, changes))
+    for more in ("passivity.hand_push=20", "environment={type: free_space}", "environment={type: spring_damper_wall, "
+                 "stiffness: 100}"):  # fmt: skip
+        build(load_scene(path, [*changes, more])).close()
+    by_damping = "passivity={algorithm: guarded, moving_mass: 0.2, hand_force: null, device_damping: 0.1}"
+    build(load_scene(path, [changes[0], by_damping])).close()

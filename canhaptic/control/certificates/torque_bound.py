@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from math import inf, isnan, nan
 from typing import NamedTuple, Protocol
 
-from canhaptic.control.certificates.scalar_bounds import WINDOW, DisplacementResponse, tail_reach
+from canhaptic.control.certificates.scalar_bounds import WINDOW, DisplacementResponse, next_displacement, tail_reach
 from canhaptic.kernels import Buffer, MakeBuffer
 
 
@@ -44,8 +44,11 @@ class TorqueBound:
     first: int = 0  # place of the torque that acts next in `BoundMemory.under_way`
     upward: float = nan  # `outward` along +, of a coarse encoder; NaN until it is asked for [m or rad]
     downward: float = nan  # the same along -
-    out: float = 0.0  # direction out of the last contact, 1 or -1; 0: there was none, or it has none
-    turning: int = 0  # holds for which torques of the contact before may act yet
+    out: float = 0.0  # direction out of the contact, 1 or -1; 0: there is none
+    turns: bool = False  # whether the outside can change in a hold that matters for the next torque
+    is_near: bool = False  # whether the holds ahead can reach such a place
+    above: float = inf  # from here to the end of the stretch in which the effort points one way [m or rad]
+    below: float = inf  # the same downwards
     highest: float = 0.0  # torque that acts at the last SYNC at most; used where torques come late [N or N*m]
     lowest: float = 0.0  # the same, at least
     most: float = 0.0  # that counts as held in the hold that ended, along + [N or N*m]
@@ -69,26 +72,55 @@ def bound_memory(declared: Declared, under_way: Buffer, make_buffer: MakeBuffer)
     return BoundMemory(make_buffer(window), make_buffer(window), make_buffer(against), under_way)
 
 
-def turn(declared: Declared, bound: TorqueBound, out: float) -> None:
-    """Set the direction out of a contact that begins: 1, -1, or 0 where it has none.
+def look_for_turn(declared: Declared, bound: TorqueBound, memory: BoundMemory, moved: float, holds: float) -> None:
+    """Say whether a hold that matters for the next torque can contain a place where the effort turns.
 
-    Torques of a contact in another direction may still be under way: until they have ended, the hand's
-    displacement against a contact counts along either direction.
+    At such a place the way out of one contact is the way into another, so that the hand may do either way what it may
+    do in one of them. The hold that ended counts, for its force is in the next displacement, and so do those up to the
+    end of the next torque, and one more. From the SYNC before it is kept whether the hold that ended could: a hand that
+    turned beyond a crest and came back within it leaves no trace in the positions.
+
+    Args:
+        declared: Declared properties of axis and hand.
+        bound: State of the axis's torque bound, with its stretch; changed.
+        memory: Buffers of the bound.
+        moved: Displacement since the last position [m or rad].
+        holds: Number of holds since then.
     """
-    if out != bound.out:
-        if bound.out != 0.0:
-            open_both_ways(declared, bound)
-        bound.out = out
+    count = declared.encoder_count
+    inside = bound.below > count and bound.above > count and bound.below > moved + count and bound.above > count - moved
+    is_near = not inside or holds > 1.0 or reaches_turn(declared, bound, memory, 0.0)
+    bound.turns, bound.is_near = is_near or bound.is_near, is_near
+    if bound.turns:
+        bound.kept = 0  # of the holds before the hand may have done more
 
 
-def open_both_ways(declared: Declared, bound: TorqueBound) -> None:
-    """Bound the hand alike in both directions, as against a contact, until a torque sent now has ended."""
-    bound.turning = declared.delay + (2 if declared.late > 0.0 else 1)
+def reaches_turn(declared: Declared, bound: TorqueBound, memory: BoundMemory, torque: float) -> bool:
+    """Whether the axis can come to the end of its stretch while a next torque acts, or in the hold after it."""
+    up = down = 0.0
+    for place in range(len(memory.under_way)):
+        up, down = max(up, memory.under_way[place]), min(down, memory.under_way[place])
+    up, down = max(up, torque, acted(declared, bound, 1.0)), max(-down, -torque, acted(declared, bound, -1.0))
+    return reach(declared, bound, 1.0, up) >= bound.above or reach(declared, bound, -1.0, down) >= bound.below
+
+
+def reach(declared: Declared, bound: TorqueBound, sign: float, torque: float) -> float:
+    """Farthest that the axis comes along `sign` until the hold after the next torque's, by a torque along it.
+
+    In [m or rad]; the hand pulls along the effort's torque and pushes against it.
+    """
+    hand = declared.response.hand if sign * bound.out > 0.0 else declared.response.push
+    displacement = sign * bound.displacement + declared.encoder_count + bound.position_uncertainty
+    farthest = declared.encoder_count
+    for _ in range(declared.delay + declared.losses + 2):
+        displacement = next_displacement(displacement, torque, torque, declared.response, hand)
+        farthest += max(0.0, displacement)
+    return farthest
 
 
 def hand_along(declared: Declared, bound: TorqueBound, sign: float) -> float:
     """Displacement by the hand in two holds along `sign` [m or rad]: it pulls out, or it pushes in."""
-    if sign * bound.out < 0.0 or bound.turning:
+    if sign * bound.out < 0.0 or bound.turns:
         return declared.response.push
     return declared.response.hand
 
@@ -134,8 +166,6 @@ def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displa
         bound.upward = bound.downward = nan
     bound.position_uncertainty = 0.0
     bound.displacement, bound.torque = displacement, torque
-    if bound.turning:
-        bound.turning -= 1
     return doubt
 
 
@@ -257,12 +287,14 @@ def reach_of_late(
         displacement: Displacement in the hold [m or rad].
         torque: Torque held in it [N or N*m].
     """
-    response, count = declared.response, declared.encoder_count
+    response, count, hand = declared.response, declared.encoder_count, hand_along(declared, bound, sign)
+    if hand == inf:  # no run begins so
+        hand = response.hand
     acting = max(0.0, sign * torque, bound.highest if sign > 0.0 else -bound.lowest)
     start = sign * bound.displacement + count + bound.position_uncertainty
-    up = tail_reach(start, acted(declared, bound, sign), acting, response, response.hand)
+    up = tail_reach(start, acted(declared, bound, sign), acting, response, hand)
     back = count - sign * displacement
-    down = response.tail_before * acting + response.tail_hand * response.hand
+    down = response.tail_before * acting + response.tail_hand * hand
     if back > 0.0:
         down += response.share * back
     return up, response.swing * down

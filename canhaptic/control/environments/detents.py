@@ -42,6 +42,12 @@ class Detents(Parameters):
         nearest = state - round((state - true) / self.pitch) * self.pitch
         return min(max(nearest, 0.0), self.pitch) if true >= 0.0 else max(min(nearest, 0.0), -self.pitch)
 
+    def one_way(self, position: float) -> tuple[float, float]:
+        """Return the ends of the flank: a resting position and a crest [m or rad]."""
+        half = 0.5 * self.pitch
+        begin = self.position + math.floor((position - self.position) / half) * half
+        return begin, (begin + half if position > begin else begin)
+
     def stored_energy(self, state: float) -> float:
         """Return peak pitch / pi sin^2(pi x / pitch) [J]."""
         sine = math.sin(math.pi * state / self.pitch)

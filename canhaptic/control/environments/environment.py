@@ -29,7 +29,11 @@ from canhaptic.units import Parameters, quantity
 
 
 class Environment(Protocol):
-    """A virtual environment of one axis. Immutable: everything that changes belongs to the controller."""
+    """A virtual environment of one axis. Immutable: everything that changes belongs to the controller.
+
+    One with more than one way out may have `one_way(position)` as well: the ends [m or rad] of the stretch around a
+    position in which the effort points one way. Without it the effort may turn anywhere.
+    """
 
     @property
     def damping(self) -> float:
@@ -85,6 +89,30 @@ class Environment(Protocol):
 
         The energy lost is dissipated, not leaked. The identity where `relaxes` is False.
         """
+
+
+def nowhere(_environment: object, position: float) -> tuple[float, float]:
+    """Stretch of one way [m or rad] of an environment of which none is known: it may turn at any time."""
+    return position, position
+
+
+def outside_of(environment: Environment) -> float:
+    """Direction out of an environment, 1 or -1; 0 where it has none, or more than one, or may move."""
+    side = {"below": 1.0, "above": -1.0}.get(getattr(environment, "side", ""), 0.0)
+    return side if _is_ours(environment, "contact", "true_state") else 0.0
+
+
+def knows_turns(environment: Environment) -> bool:
+    """Whether `one_way` of an environment is right: it names the places where this very contact turns."""
+    if not hasattr(environment, "one_way"):
+        return False
+    return not _is_ours(environment, "one_way") or _is_ours(environment, "contact", "true_state")
+
+
+def _is_ours(environment: Environment, *methods: str) -> bool:
+    """Whether methods are those of this package, whose surfaces are fixed in space."""
+    ours = __name__.rpartition(".")[0]
+    return all(getattr(type(environment), name).__module__.startswith(ours) for name in methods)
 
 
 _Environment = TypeVar("_Environment")
@@ -155,6 +183,8 @@ def _form_of(kind: Any) -> _Form | None:
             if any(_names_its_class(value) for value in own.values()):
                 return None  # `super()` works in the class alone that it was written in
             members |= own
+    if "contact" in members:
+        members.setdefault("one_way", nowhere)
     derived = {name: value.fget for name, value in members.items() if isinstance(value, property) and value.fget}
     kept = {name: value for name, value in members.items() if not isinstance(value, property)}
     attributes = {**kept, "__doc__": kind.__doc__, "__module__": kind.__module__}

@@ -82,6 +82,12 @@ class OwnEnvironment(Parameters):
         """Return the state, or 0 where it lies across the surface of a wall."""
         return state if self.side == "both" else kept_on_side(state, true)
 
+    def one_way(self, position: float) -> tuple[float, float]:
+        """Return the side of state 0 on which a position is [m or rad]; counts for both sides and this `contact`."""
+        if position == self.position:
+            return position, position
+        return (-math.inf, self.position) if position < self.position else (self.position, math.inf)
+
     def stored_energy(self, state: float) -> float:
         """Return the potential [J]."""
         return self.potential(state)

@@ -1,5 +1,6 @@
 """A slot: free in the middle, a spring-damper wall on either side."""
 
+import math
 from typing import Annotated, ClassVar
 
 from pydantic import model_validator
@@ -37,6 +38,12 @@ class TwoSidedWall(LinearSpring):
     def admissible(self, state: float, true: float) -> float:
         """Return the state, or 0 where it lies outside the wall."""
         return kept_on_side(state, true)
+
+    def one_way(self, position: float) -> tuple[float, float]:
+        """Return the inside of a wall [m or rad]; none between them."""
+        if position < self.lower:
+            return -math.inf, self.lower
+        return (self.upper, math.inf) if position > self.upper else (position, position)
 
     def relaxed(self, state: float, sample_time: float) -> float:
         """Return the state: nothing relaxes."""

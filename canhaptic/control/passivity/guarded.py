@@ -31,7 +31,7 @@ The torque of `guarded` for the next free hold: the requested one, within accoun
 
 from dataclasses import dataclass, field
 from math import copysign, inf, sqrt
-from typing import ClassVar, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.certificates.certified_torque import free_energy, largest_torques
@@ -43,9 +43,9 @@ from canhaptic.control.certificates.torque_bound import (
     end_hold,
     for_any,
     keep,
-    open_both_ways,
+    look_for_turn,
+    reaches_turn,
     shorten,
-    turn,
 )
 from canhaptic.control.damping import modulated_damping, restart, update
 from canhaptic.control.environments.environment import Environment
@@ -292,10 +292,15 @@ def permitted_size(
         most = within_limits(settings, memory.axis.commands.torques[state.axis.oldest - 1], sign, moved)
         if size > most:
             size = most
-    largest, for_all, by_force = largest_torques(settings.declared, state.bound, memory.bound, sign, energy)
+    declared, bound = settings.declared, state.bound
+    largest, for_all, by_force = largest_torques(declared, bound, memory.bound, sign, energy)
     if size > largest:
         size = largest
-    if size <= settings.declared.friction:
+    if settings.turns and not bound.turns and reaches_turn(declared, bound, memory.bound, sign * size):
+        bound.turns, bound.is_near, bound.kept = True, True, 0
+        largest, for_all, by_force = largest_torques(declared, bound, memory.bound, sign, energy)
+        size = min(size, largest)
+    if size <= declared.friction:
         return size, _BY_FRICTION
     return size, _BY_DAMPING if for_all >= size else _BY_FORCE if by_force >= size else _BY_SPEED
 
@@ -415,8 +420,6 @@ def drag(settings: GuardedSettings, state: GuardedState, memory: Memory, moved: 
     torque = -_DRAG_SHARE * settings.cap * step / settings.sample_time
     if torque == 0.0:
         return 0.0, _NOT_BOUND
-    if settings.outside == 0.0:  # which way is out is not known here
-        open_both_ways(settings.declared, bound)
     torque = min(max(torque, -settings.drag), settings.drag)
     size, certificate = permitted_size(settings, state, memory, torque, energy, moved)
     return towards_zero(copysign(size, torque), settings.quantum), certificate
@@ -439,8 +442,9 @@ def step(
     holds, same = axis.missed + axis.lasted, zone == zone_before
     displacement, damper, modulated, uncertainty = end(settings, state, memory, position, torque_applied)
     true = environment.true_state(position, displacement, state.true if same else 0.0) if zone else 0.0
-    if not same and zone:
-        turn(settings.declared, state.bound, way_out(environment, true))
+    if settings.turns:
+        take_stretch(environment, settings, state.bound, position, true)
+        look_for_turn(settings.declared, state.bound, memory.bound, displacement, holds)
     ceiling = environment.stored_energy(true) if zone else 0.0
     h_i, h_pas = -torque_applied * displacement - uncertainty, modulated * displacement  # `interaction_energy`
     h_r, deficit, leak, paid = book(settings, state, memory, h_i, h_pas, damper * displacement, ceiling)
@@ -475,17 +479,20 @@ def start(
 ) -> EnergyBalance:
     """Take the first position [m or rad]; return the balance of a step that books nothing."""
     begin(state.axis, memory.axis, position)
-    state.bound.out = settings.outside if settings.drag > 0.0 else 0.0
-    if state.zone:
-        turn(settings.declared, state.bound, way_out(environment, environment.true_state(position, 0.0, 0.0)))
+    state.bound.out, state.bound.turns, state.bound.is_near = settings.outside, settings.turns, settings.turns
     return AT_REST
 
 
-def way_out(environment: Environment, true: float) -> float:
-    """Return the direction out of a contact, 1 or -1; 0 where its storage works both ways and it has none."""
-    if environment.admissible(-true, true) == -true:
-        return 0.0
-    return 1.0 if true < 0.0 else -1.0
+def take_stretch(environment: Any, settings: GuardedSettings, bound: TorqueBound, position: float, true: float) -> None:
+    """Take the stretch around a position [m or rad] in which the effort points one way, and the way of its torque.
+
+    The environment has `one_way` wherever `knows_turns` says so.
+    """
+    bound.out = bound.above = bound.below = 0.0
+    effort = environment.effort(true) if settings.knows_turns and environment.contact(position) else 0.0
+    if effort != 0.0:
+        low, high = environment.one_way(position)
+        bound.out, bound.above, bound.below = -copysign(1.0, effort), high - position, position - low
 
 
 def motion_inside(
@@ -524,6 +531,12 @@ class Guarded(SteppedController):
         super().__init__(environment, parameters, loop)
         self.max_consecutive_losses = parameters.max_consecutive_losses
         self.energy_allowance = parameters.energy_allowance
+
+    @property
+    def lacks_push(self) -> bool:
+        """Whether the way out of its environment changes, and how hard the hand pushes is not declared."""
+        settings: GuardedSettings = self._settings
+        return settings.turns and settings.declared.response.push == inf
 
     @property
     def energy_resolution(self) -> float:

@@ -30,7 +30,7 @@ from canhaptic.control.certificates.scalar_bounds import (
 )
 from canhaptic.control.certificates.torque_bound import Declared
 from canhaptic.control.damping import Alpha, damping_cap
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments.environment import Environment, knows_turns, outside_of
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer
@@ -143,12 +143,14 @@ class GuardedParameters(Parameters):
     """
 
     hand_force: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = 0.0
-    """Largest force with which the hand pulls out of the contact, or along the torque where a contact has no outside.
+    """Largest force with which the hand pulls out of the contact: along the torque of its effort, where the handle is.
     In a group, on each motor axis along any torque, Coriolis forces included. None: the certificate is not used."""
     hand_push: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = None
-    """Largest force with which the hand pushes into the contact. It certifies torques that pull the handle back while
-    it leaves the contact (of a damper). None: not known, and the hand force certifies no such torque. Where a contact
-    has no outside, and in a group, `hand_force` counts for it."""
+    """Largest force with which the hand pushes into the contact, against that torque. It certifies torques that pull
+    the handle back while it leaves the contact (of a damper). None: not known, and the hand force certifies no such
+    torque. Where an environment has more than one way out, or none (detents, a slot, a medium), it is needed: near each
+    place where the way turns, or without an effort, the hand may do either way the larger of both. In a group
+    `hand_force` counts for it."""
     hand_speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
     """Largest speed of the hand, in a group of every motor axis. None: the certificate is not used. Alone it begins
     only with an energy allowance."""
@@ -176,7 +178,9 @@ class GuardedSettings:
     credit: float  # [J]
     earned: float  # energy kept for later contacts [J]
     drag: float  # in free motion [N or N*m]
-    outside: float  # direction away from the environment, 1 or -1; 0 where it has none
+    outside: float  # direction away from the environment, 1 or -1; 0 where it has not one
+    turns: bool  # whether it has not, and the force of the hand counts
+    knows_turns: bool  # whether the environment tells where
     alpha: float  # [s/m^2 or s/rad^2]
     torque_limit: float  # largest torque that limiter and drive let act [N or N*m]
     least_limit: float  # torque up to which no limit cuts [N or N*m]
@@ -201,11 +205,16 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
     Raises:
         ParameterError: No declared property certifies any torque, or too few do; a drag that earns nothing.
     """
-    of_loop = _settings_of_loop(parameters, loop)
+    of_loop, outside = _settings_of_loop(parameters, loop), outside_of(environment)
+    response, turns = of_loop.declared.response, of_loop.declared.by_hand_force and not outside
+    if turns and response.push < inf:
+        response = replace(response, hand=response.push)
     return replace(
         of_loop,
-        earned=kept_for_contacts(environment, parameters, loop, of_loop.declared.response),
-        outside={"below": 1.0, "above": -1.0}.get(getattr(environment, "side", ""), 0.0),
+        earned=kept_for_contacts(environment, parameters, loop, response),
+        outside=outside,
+        turns=turns,
+        knows_turns=turns and knows_turns(environment),
         damping=min(environment.damping, of_loop.cap),
     )
 
@@ -229,6 +238,8 @@ def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> Gu
         earned=0.0,
         drag=parameters.drag,
         outside=0.0,
+        turns=False,
+        knows_turns=False,
         alpha=parameters.alpha,
         torque_limit=loop.torque_limit or inf,
         least_limit=0.0 if loop.torque_rate_limit or loop.power_limit else loop.torque_limit or inf,
