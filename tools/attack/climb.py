@@ -3,19 +3,31 @@
 import math
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.control.environments.environment import plain, tuple_type
-from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.environments.environment import Environment, plain, tuple_type
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.kernels import Buffer, Run
 from canhaptic.kernels.compiler import compiled, fixed_tuple
 from canhaptic.kernels.records import records_of
-from tools.attack.plant import BEFORE, DISSIPATED, LOAD_V, LOAD_X, TAKEN_IN, Rig, V, X, cut, hold
+from tools.attack.plant import (
+    BEFORE,
+    DISSIPATED,
+    LOAD_V,
+    LOAD_X,
+    TAKEN_IN,
+    Hand,
+    Rig,
+    V,
+    X,
+    cut,
+    hold,
+    hold_in_words,
+)
 
 HOLDS: Final = 48
 """Cycles of one run."""
@@ -26,14 +38,6 @@ _ENOUGH: Final = 1e-3
 _ROUNDING: Final = -1e-12
 WIDTH = 0
 """Numbers of an environment; bound anew."""
-
-
-class Hand(NamedTuple):
-    """What the hand may do; the wall is solid below 0."""
-
-    pull: float  # out of the wall, at most [N]
-    push: float  # into it, at most [N]
-    speed: float  # at the start, at most [m/s]
 
 
 def step(_environment: Any, _run: Any, _position: float, _torque: float) -> Any:
@@ -52,8 +56,8 @@ def measured(position: float, count: float) -> float:
 
 
 def worst(
-    environment: Any, run: Any, rig: Rig, plant: Buffer, forces: Buffer, lengths: Buffer, start: Buffer, count: float,
-    at_handle: bool,
+    environment: Any, run: Any, rig: Rig, hand: Hand, plant: Buffer, forces: Buffer, lengths: Buffer, start: Buffer,
+    count: float, at_handle: bool,
 ) -> float:  # fmt: skip
     """Returns the least sum of energy after any hold of one run [J]; at the handle with what the device dissipated.
 
@@ -67,7 +71,10 @@ def worst(
     left = 1.0
     step(environment, run, measured(plant[X], count), 0.0)
     for k in range(len(forces)):
-        hold(rig, plant, acting, forces[k], lengths[k] * rig.sample_time)
+        if rig.turns:
+            hold_in_words(environment, rig, hand, plant, acting, forces[k], lengths[k] * rig.sample_time)
+        else:
+            hold(rig, plant, acting, forces[k], lengths[k] * rig.sample_time)
         found = plant[TAKEN_IN] + (plant[DISSIPATED] if at_handle else 0.0)
         if found < least:
             least = found
@@ -104,7 +111,7 @@ def climb(
         zeros[:] = 0.0
         states[0] = rest[0]
         found = worst(
-            environment, Run(settings, states[0], memory), rig, plant, forces, lengths, start, count, at_handle
+            environment, Run(settings, states[0], memory), rig, hand, plant, forces, lengths, start, count, at_handle
         )
         if found < least or (found == least and tried % 2):
             least = found
@@ -132,13 +139,13 @@ def mutate(rig: Rig, hand: Hand, random: int, is_new: bool, forces: Buffer, leng
     longest = holds if is_new or kind == 1 else 6
     last = holds if is_new else min(holds, first + 1 + random % longest)
     random = drawn(random)
-    value, length = force_of(hand, random), length_of(rig, random // 11)
+    value, length = force_of(hand, rig.turns, random), length_of(rig, random // 11)
     for k in range(first, last):
         if is_new or kind == 2:
             random = drawn(random)
             if random % 4 == 0:
                 random = drawn(random)
-                value, length = force_of(hand, random), length_of(rig, random // 11)
+                value, length = force_of(hand, rig.turns, random), length_of(rig, random // 11)
         if is_new or kind != 3:
             forces[k] = value
         if is_new or kind != 4:
@@ -163,16 +170,17 @@ def share(random: int) -> float:
     return (random % 1000003) / 1000002.0
 
 
-def force_of(hand: Hand, random: int) -> float:
+def force_of(hand: Hand, turns: bool, random: int) -> float:
     """Returns a force of the hand: half of the time one of its ends, or none."""
     kind = random % 8
+    most = hand.push if turns and hand.push > hand.pull else hand.pull
     if kind == 0:
-        return hand.pull
+        return most
     if kind == 1:
         return -hand.push
     if kind == 2:
         return 0.0
-    return -hand.push + (hand.pull + hand.push) * share(random // 8)
+    return -hand.push + (most + hand.push) * share(random // 8)
 
 
 @lru_cache(maxsize=8)
@@ -197,7 +205,7 @@ class Attack:
     """
 
     def __init__(
-        self, rig: Rig, wall: SpringDamperWall, declared: LoopProperties, parameters: GuardedParameters, hand: Hand
+        self, rig: Rig, wall: Environment, declared: LoopProperties, parameters: GuardedParameters, hand: Hand
     ) -> None:
         environment = plain(wall)
         kind = tuple_type(environment)
@@ -230,6 +238,10 @@ class Attack:
         """Whether every torque acts from SYNC to SYNC as it was computed, on one mass without dry friction."""
         rig = self._rig
         return rig.limit > 1e3 and not (rig.friction or rig.lag or rig.window or rig.jitter or rig.load)
+
+    def ignore_turns(self) -> None:
+        """Certifies as if the hand pulled with no more than its pull either way, wherever the effort turns."""
+        self._settings["turns"] = False
 
     def run(self, seed: int, evaluations: int = EVALUATIONS, holds: int = HOLDS) -> float:
         """Returns the least sum of energy that the hand of one seed reached [J]; 0 where none was below it."""

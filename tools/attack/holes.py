@@ -1,17 +1,19 @@
 """What a real rig does to the proof of an ideal hold, each with and without the declaration that mends it.
 
-Eight ways on which certified torques gave out energy before the hold was declared as it is.
+Nine ways on which certified torques gave out energy before the hold was declared as it is.
 """
 
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
-from tools.attack.climb import Attack, Hand
-from tools.attack.plant import Rig
+from tools.attack.climb import Attack
+from tools.attack.plant import Hand, Rig
 
 
 class Hole(NamedTuple):
@@ -24,10 +26,15 @@ class Hole(NamedTuple):
     hand: Hand
     mend: dict[str, float]  # what is declared in addition to mass, damping and hand force
     wrong: dict[str, float]  # what takes its place without the mend; a key that is not named is left out
+    kind: type[Any] = SpringDamperWall
 
 
 _HAND: Final = Hand(pull=5.0, push=20.0, speed=0.5)
 _STIFF: Final = {"stiffness": 2000.0}
+_PUSHES: Final = Hand(5.0, 60.0, 0.5)
+_SNAP: Final = {"peak": 20.0, "pitch": 0.004}
+_SLOT: Final = {"stiffness": 1e4, "lower": 0.0019, "upper": 0.002}
+_WIDE: Final = {"stiffness": 1e4, "lower": -0.0005, "upper": 0.0045}
 
 HOLES: Final = (
     Hole("A", "limit of 2.5 N, 100 Hz", Rig(0.01, 0.25, 0.1, limit=2.5, delay=1), _STIFF, Hand(20.0, 20.0, 0.5),
@@ -57,6 +64,15 @@ HOLES: Final = (
     Hole("G", "rotor of 0.1 kg on a shaft, 100 Hz",
          Rig(0.01, 0.1, 0.1, load=0.126, shaft_stiffness=5000.0, shaft_damping=1.0), {"stiffness": 200.0}, _HAND,
          {"hand_force": 100.0}, {"moving_mass": 0.226}),  # the torque of the shaft is the hand of the rotor
+    Hole("T", "detents, 1 kHz", Rig(1e-3, 0.25, 0.1, turns=True), _SNAP, _PUSHES, {"hand_push": 60.0}, {}, Detents),
+    Hole("T", "the same one sample late", Rig(1e-3, 0.25, 0.1, delay=1, turns=True), _SNAP, _PUSHES,
+         {"hand_push": 60.0}, {}, Detents),
+    Hole("T", "detents, late torques, 100 Hz", Rig(0.01, 0.25, 0.1, lag=1e-3, window=1e-3, turns=True), _SNAP, _PUSHES,
+         {"hand_push": 60.0, "current_lag": 1e-3, "torque_window": 1e-3}, {}, Detents),
+    Hole("T", "slot of 0.1 mm, 100 Hz", Rig(0.01, 0.25, 0.1, turns=True), _SLOT, _PUSHES, {"hand_push": 60.0}, {},
+         TwoSidedWall),
+    Hole("T", "slot of 5 mm one sample late, 100 Hz", Rig(0.01, 0.25, 0.1, delay=1, turns=True), _WIDE, _PUSHES,
+         {"hand_push": 60.0}, {}, TwoSidedWall),
 )  # fmt: skip
 
 
@@ -78,8 +94,11 @@ def attack_on(hole: Hole, *, mended: bool) -> Attack:
             loop[key] = value
         elif key in GuardedParameters.model_fields:
             of_algorithm[key] = value  # hand force that is declared too, for a shaft
-    wall = SpringDamperWall(**{"position": 0.0, **hole.wall})
-    return Attack(rig, wall, LoopProperties(**loop), GuardedParameters(**of_algorithm), hole.hand)
+    wall = hole.kind(**({"position": 0.0} if hole.kind is SpringDamperWall else {}), **hole.wall)
+    attack = Attack(rig, wall, LoopProperties(**loop), GuardedParameters(**of_algorithm), hole.hand)
+    if rig.turns and not mended:
+        attack.ignore_turns()
+    return attack
 
 
 def random_attack(seed: int) -> Attack:
@@ -113,15 +132,27 @@ def random_attack(seed: int) -> Attack:
         **{key: value for key, value in declared.items() if key in known},
     )  # fmt: skip
     more = {"hand_push": hand.push} if "hand_push" in GuardedParameters.model_fields and random.random() < 0.5 else {}
-    wall = SpringDamperWall(
+    wall: Any = SpringDamperWall(
         stiffness=decades(50.0, 5e4), damping=float(random.choice([0.0, 5.0, 20.0])) if _PUSH_MATTERS else 0.0,
         position=0.0,
     )  # fmt: skip
+    if (turning := _that_turns(seed, wall.damping)) is not None:
+        wall, rig, more = turning, rig._replace(turns=True), {"hand_push": max(hand.push, hand.pull)}
     if random.random() < 0.5:
         more |= {"earned_energy": decades(1e-4, 0.1), "drag": float(random.choice([0.0, 0.1, 1.0]))}
     if random.random() < 0.25 and (declared["device_damping"] or declared["device_friction"]):
         return Attack(rig, wall, loop, GuardedParameters(**{**more, "hand_force": None}), hand._replace(pull=60.0))
     return Attack(rig, wall, loop, GuardedParameters(hand_force=hand.pull, **more), hand)
+
+
+def _that_turns(seed: int, damping: float) -> Any:
+    """Returns detents or a slot for one seed in four, from a generator of its own: the others keep their loops."""
+    random = np.random.default_rng([seed, 16])
+    kind, size, stiffness = random.integers(8), 10.0 ** random.uniform(-4.0, -2.0), 10.0 ** random.uniform(2.0, 4.7)
+    if kind == 0:
+        return Detents(peak=0.2 * stiffness * float(size), pitch=max(1e-3, float(size)), damping=damping)
+    low = 0.004 * float(random.random())
+    return TwoSidedWall(stiffness=stiffness, damping=damping, lower=low, upper=low + float(size)) if kind == 1 else None
 
 
 _PUSH_MATTERS: Final = "hand_push" in GuardedParameters.model_fields

@@ -5,7 +5,7 @@ the torque is a staircase of its means over `STEPS` parts of a hold, so that wha
 """
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from canhaptic.kernels import Buffer
 
@@ -33,6 +33,15 @@ class Rig(NamedTuple):
     shaft_stiffness: float = 0.0
     shaft_damping: float = 0.0
     delay: int = 0  # holds between computing a torque and its hold
+    turns: bool = False  # the words of the hand depend on where the handle is
+
+
+class Hand(NamedTuple):
+    """What the hand may do: a wall is solid below 0; where the outside changes, by the effort where the handle is."""
+
+    pull: float  # out of the wall, at most [N]
+    push: float  # into it, at most [N]
+    speed: float  # at the start, at most [m/s]
 
 
 def hold(rig: Rig, state: Buffer, torque: float, hand: float, duration: float) -> None:
@@ -40,25 +49,59 @@ def hold(rig: Rig, state: Buffer, torque: float, hand: float, duration: float) -
     parts = STEPS if rig.lag > 0.0 or rig.window > 0.0 or rig.load > 0.0 else 1
     step = duration / parts
     for part in range(parts):
-        late = (rig.window - part * step) / step
-        late = 1.0 if late > 1.0 else 0.0 if late < 0.0 else late
-        demand = late * state[BEFORE] + (1.0 - late) * torque
-        mean = demand
-        if rig.lag > 0.0:
-            kept = math.exp(-step / rig.lag)
-            mean = demand + (state[MOTOR] - demand) * (1.0 - kept) * rig.lag / step
-            state[MOTOR] = demand + (state[MOTOR] - demand) * kept
-        before, kinetic, hand_from = state[X], energy_of(rig, state), state[LOAD_X]
-        if rig.load > 0.0:
-            move_two(rig, state, mean, hand, step)
-            by_hand = hand * (state[LOAD_X] - hand_from)
-        else:
-            move_one(rig, state, mean + hand, step)
-            by_hand = hand * (state[X] - before)
-        by_motor = mean * (state[X] - before)
-        state[TAKEN_IN] -= by_motor
-        state[DISSIPATED] += by_motor + by_hand - (energy_of(rig, state) - kinetic)
+        move(rig, state, torque, hand, part * step, step)
     state[BEFORE] = torque
+
+
+def hold_in_words(
+    environment: Any, rig: Rig, words: Hand, state: Buffer, torque: float, hand: float, duration: float
+) -> None:
+    """The same with a hand that keeps its words wherever the handle is: what it may not, it does not."""
+    step = duration / STEPS
+    for part in range(STEPS):
+        force = kept_to(environment, words, state[X], hand)
+        force = kept_to(environment, words, state[X] + state[V] * step, force)
+        move(rig, state, torque, force, part * step, step)
+    state[BEFORE] = torque
+
+
+def kept_to(environment: Any, words: Hand, position: float, force: float) -> float:
+    """Returns a force [N] cut to the words: along the effort's torque the pull, against it, or without one, the push.
+
+    Without an effort, or beyond it, either way the larger of both.
+    """
+    most = max(words.push, words.pull)
+    effort = 0.0
+    if environment.contact(position):
+        effort = environment.effort(environment.true_state(position, 0.0, 0.0))
+    low, high = -most, most
+    if effort < 0.0:
+        high, low = words.pull, -words.push
+    elif effort > 0.0:
+        low, high = -words.pull, words.push
+    return min(max(force, low), high)
+
+
+def move(rig: Rig, state: Buffer, torque: float, hand: float, since: float, step: float) -> None:
+    """Moves the plant through a part of a hold [s] that begins `since` its SYNC."""
+    late = (rig.window - since) / step
+    late = 1.0 if late > 1.0 else 0.0 if late < 0.0 else late
+    demand = late * state[BEFORE] + (1.0 - late) * torque
+    mean = demand
+    if rig.lag > 0.0:
+        kept = math.exp(-step / rig.lag)
+        mean = demand + (state[MOTOR] - demand) * (1.0 - kept) * rig.lag / step
+        state[MOTOR] = demand + (state[MOTOR] - demand) * kept
+    before, kinetic, hand_from = state[X], energy_of(rig, state), state[LOAD_X]
+    if rig.load > 0.0:
+        move_two(rig, state, mean, hand, step)
+        by_hand = hand * (state[LOAD_X] - hand_from)
+    else:
+        move_one(rig, state, mean + hand, step)
+        by_hand = hand * (state[X] - before)
+    by_motor = mean * (state[X] - before)
+    state[TAKEN_IN] -= by_motor
+    state[DISSIPATED] += by_motor + by_hand - (energy_of(rig, state) - kinetic)
 
 
 def energy_of(rig: Rig, state: Buffer) -> float:
