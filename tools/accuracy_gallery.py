@@ -9,24 +9,27 @@ from typing import Any, Final
 
 from canhaptic.lab.render.accuracy_picture import draw_accuracy
 from canhaptic.lab.studies.accuracy.accuracy_table import advice, advice_lines, length, markdown
-from canhaptic.lab.studies.accuracy.study import AccuracyStudy
+from canhaptic.lab.studies.accuracy.study import AccuracyStudy, chosen_part
 from canhaptic.scene.load import load_scene
 from tools.bench.report import write_result
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 SCENES: Final = ("paper_wall", "stiff_stop", "stick_slip", "delayed_bus", "coarse_encoder")
+BUDGET: Final = 12.0  # [s], compiled plants included
 PACKAGES: Final = ("canhaptic", "numpy", "scipy", "mujoco")
 
 
 def make(name: str, folder: Path) -> None:
     """Writes NAME.json, NAME.md and NAME.png."""
     scene = load_scene(Path("configs") / "accuracy" / f"{name}.yaml")
-    _write(name, AccuracyStudy(scene).run(), folder)
+    _write(name, AccuracyStudy(scene, budget=BUDGET).run(), folder)
 
 
 def redraw(name: str, folder: Path) -> None:
     """Writes advice, tables and picture anew from what was measured before."""
     result = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
+    scene = load_scene(Path("configs") / "accuracy" / f"{name}.yaml")
+    result["now"] = chosen_part(scene, None).now()
     result["advice"] = advice(result["plant"], result["advice"]["effects"], result["tolerance"], result["orders"])
     _write(name, result, folder)
 

@@ -45,12 +45,12 @@ from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisSimulation
 from canhaptic.scene.parts import build_plant, effect_of
-from canhaptic.sim.plant import splitting, stepper
+from canhaptic.sim.plant import mode_arrays, splitting, stepper
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.assembly import PlantModel, collect
 from canhaptic.sim.plant.effort_forces import RIPPLE, Bristle, Effort, bend, mean_force
 from canhaptic.sim.plant.hybrid_automaton import PRODUCTS_EACH, HybridAutomaton
-from canhaptic.sim.plant.mode_arrays import Books, evaluate, flat_tables, largest_term, move, pace, stored
+from canhaptic.sim.plant.mode_arrays import Books, flat_tables, move
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import TICKS, flow_changes
 from canhaptic.sim.plant.splitting import fixed_point, mean_torque
@@ -332,7 +332,8 @@ def residual_of_plant(plant: EventPlant, force: float) -> float:
 
 
 _PRODUCTS: Final = {
-    getattr(stepper, function.__name__): function for function in (move, evaluate, pace, largest_term, stored)
+    getattr(stepper, name): getattr(mode_arrays, name)
+    for name in ("move", "evaluate", "pace", "largest_term", "stored")
 }
 
 CALLS: Final = (

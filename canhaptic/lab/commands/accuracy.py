@@ -7,8 +7,9 @@ from pathlib import Path
 
 from canhaptic.cli.long_command import StopSignal, run_progress
 from canhaptic.cli.options import check_page, check_picture, check_place, scene_of
-from canhaptic.cli.output import note_file, write_file, write_json
-from canhaptic.lab.studies.accuracy.study import UNITS, AccuracyStudy
+from canhaptic.cli.output import note_file, write_file, write_json, write_note
+from canhaptic.lab.studies.accuracy.study import UNITS, AccuracyStudy, length_of
+from canhaptic.scene.method import dear_holds
 from canhaptic.scene.models import Scene
 from canhaptic.view.energy_table import make_console
 
@@ -28,16 +29,21 @@ def execute(arguments: argparse.Namespace) -> int:
         check_place(arguments.markdown)
     if _is_of_display(scene, arguments.axis):
         return _study_display(scene, arguments)
+    for text in dear_holds(scene):
+        write_note(f"  {text}")
+    chosen = length_of(scene, arguments.axis, arguments.duration)
     with StopSignal() as stop, run_progress(UNITS, scene.bus.sample_time, "free", every=1) as progress:
         study = AccuracyStudy(
-            scene,
+            chosen.scene,
             arguments.axis,
             tolerance=arguments.tolerance,
-            duration=arguments.duration,
+            duration=chosen.holds * scene.bus.sample_time,
             budget=arguments.budget,
             engine=arguments.engine,
             progress=progress,
             stop=stop.requested,
+            judged=chosen.remark,
+            say=None if arguments.json else lambda row: write_note(f"  {row}"),
         )
         result = study.run()
     _report(result, arguments)

@@ -22,7 +22,7 @@ from canhaptic.cli.options import (
 )
 
 _COUNT, _SOME, _WORKERS = whole(0, 10**9), whole(1, 10**9), whole(1, 1024)
-BUDGET: Final = 12.0
+BUDGET: Final = 4.0
 """Time for timings [s]; as `lab.studies.accuracy.study.DEFAULT_BUDGET`, which is imported when the study begins."""
 TOLERANCE, MARGIN = 0.05, 0.2
 """As in `lab.studies.design.wall`, which is imported when the search begins."""
@@ -44,7 +44,7 @@ def _accuracy(parser: argparse.ArgumentParser) -> None:
         "--duration",
         metavar="S",
         type=seconds,
-        help="length of the comparison [s]; by default 1000 sample times at most",
+        help="length of the comparison [s]; by default until the second contact, 4000 sample times at most",
     )
     parser.add_argument(
         "--budget", metavar="S", type=budget, default=BUDGET, help="time to spend on timing [s]; 0: none"

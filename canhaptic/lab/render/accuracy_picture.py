@@ -16,7 +16,16 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from canhaptic.axis_units import mass_unit
 from canhaptic.errors import InputError
 from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR
-from canhaptic.lab.studies.accuracy.accuracy_table import Row, accuracy_tables, advice_lines, front, heading, part_of
+from canhaptic.lab.studies.accuracy.accuracy_table import (
+    Row,
+    accuracy_tables,
+    advice_lines,
+    base_loop,
+    front,
+    heading,
+    part_of,
+    price_lines,
+)
 from canhaptic.lab.studies.accuracy.admittance_accuracy import AdmittanceStudy, ChangeRow, display_accuracy_table
 from canhaptic.lab.studies.accuracy.admittance_accuracy import heading as display_heading
 from canhaptic.lab.studies.accuracy.plant_solvers import COMPILED, OURS
@@ -69,9 +78,15 @@ def draw_accuracy(result: Row, path: str | Path) -> None:
     if not result["plant"]:
         raise InputError("nothing was measured, there is nothing to draw")
     with drawing() as figure_type:
-        loop = [row for row in result["loop"] if row["position_error"]]
-        figure = figure_type(figsize=(14.5, max(6.4, 1.6 + 0.22 * len(loop))), dpi=110, layout="constrained")
-        panels = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.05))
+        base = base_loop(result)
+        felt = base is None or base["largest_torque"] > 0.0
+        loop = [row for row in result["loop"] if row["position_error"]] if felt else []
+        effects = [row for row in (result["advice"] or {"effects": ()})["effects"] if row.get("position_error")]
+        widths = [1.0, 1.0, *([1.05] if loop else []), *([0.6] if effects else [])]
+        figure = figure_type(
+            figsize=(4.8 * sum(widths), max(6.4, 1.6 + 0.22 * len(loop))), dpi=110, layout="constrained"
+        )
+        panels = figure.subplots(1, len(widths), width_ratios=widths)
         time = _price_of(result)
         _draw_ladder(panels[0], result, time[0], "position_error")
         panels[0].set_xlabel(time[1])
@@ -79,7 +94,10 @@ def draw_accuracy(result: Row, path: str | Path) -> None:
         _draw_ladder(panels[1], result, "evaluations_per_period", "energy_error")
         panels[1].set_xlabel("evaluations of the equations of motion per period")
         panels[1].set_ylabel("largest error of an energy [J]")
-        _draw_loop(panels[2], loop, result)
+        if loop:
+            _draw_loop(panels[2], loop, result)
+        if effects:
+            _draw_effects(panels[-1], effects, result)
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower left", ncols=5, fontsize=8.5)
         figure.suptitle(_caption(result), x=0.01, ha="left", fontsize=9.5, color="#404040")
@@ -93,7 +111,8 @@ def write_accuracy_page(result: Row, path: Path) -> None:
         InputError: matplotlib is not installed, the page cannot be written, or nothing was measured.
     """
     shown = picture(lambda file: draw_accuracy(result, file), "what accuracy costs")
-    said = words(*advice_lines(result)), words(*heading(result))
+    prices = [line.replace("\t", ": ") for line in price_lines(result)]
+    said = words(*advice_lines(result)), words(*prices), words(*heading(result))
     write_page(path, f"{result['scene']} - accuracy", [*said, shown, *accuracy_tables(result, wide=True)])
 
 
@@ -171,6 +190,23 @@ def _draw_loop(panel: "Axes", loop: Sequence[Row], result: Row) -> None:
         words = [] if thread is None else [f"{thread:.0f} us"]
         words.append(f"{100.0 * row['bus_load']:.0f} %" + ("" if row["bus_fits"] else " !"))
         panel.text(1.02, place, ", ".join(words), transform=across, fontsize=8.0, va="center", color="#404040")
+
+
+def _draw_effects(panel: "Axes", effects: Sequence[Row], result: Row) -> None:
+    """Draw one row per effect: the error of leaving it out, with what that saves in words."""
+    across = panel.get_yaxis_transform()
+    for place, row in enumerate(effects):
+        panel.plot([row["position_error"]], [place], "o", color=VERMILION, markersize=6.0)
+        saved = row["us_saved_per_period"]
+        price = f"{row['evaluations_saved_per_period']:.3g} evaluations" if saved is None else f"{saved:.3g} us"
+        panel.text(1.02, place, f"saves {price}", transform=across, fontsize=8.0, va="center", color="#404040")
+    panel.axvline(result["tolerance"], color="#CC0000", linewidth=1.0, linestyle=":")
+    panel.set_yticks(range(len(effects)), [row["effect"].replace("_", " ") for row in effects], fontsize=8.0)
+    panel.set_xscale("log")
+    panel.set_ylim(len(effects) - 0.2, -0.8)
+    panel.margins(x=0.15)
+    panel.grid(axis="y", visible=False)
+    panel.set_xlabel(f"error of leaving an effect out [{result['unit']}]")
 
 
 _COLOURS: Final = {

@@ -16,8 +16,10 @@ import yaml
 
 from canhaptic.cli.main import main
 from canhaptic.lab.studies.accuracy import study as control_thread
-from canhaptic.lab.studies.accuracy.study import AccuracyStudy
+from canhaptic.lab.studies.accuracy.accuracy_table import price_lines, wrapped
+from canhaptic.lab.studies.accuracy.study import AccuracyStudy, length_of
 from canhaptic.scene.load import load_scene
+from canhaptic.scene.torque_history import torque_history
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 SCENE = str(REPOSITORY / "configs" / "accuracy" / "delayed_bus.yaml")
@@ -55,6 +57,7 @@ def test_the_answer_comes_first_with_a_line_that_a_scene_takes(capsys: Captured,
     assert picture.stat().st_size > 30_000
     shown = capsys.readouterr().out
     assert shown.lstrip().startswith("within 100 nm: ")
+    assert "now " in shown
     assert shown.index("accuracy: {event_bits") < shown.index("Pareto front")
     [text] = [line.strip() for line in shown.splitlines() if line.strip().startswith("accuracy: {event_bits")]
     scene = load_scene(
@@ -100,10 +103,70 @@ def test_an_effect_that_did_nothing_is_worth_nothing(capsys: Captured, effect: s
 def test_a_time_in_which_nothing_is_felt_is_no_comparison_and_nothing_is_cut_off(capsys: Captured) -> None:
     demo = str(REPOSITORY / "configs" / "demo.yaml")
     assert main(["accuracy", demo, "--duration", "0.02 s", "--budget", "0"]) == 0
-    printed = capsys.readouterr().out
+    shown = capsys.readouterr().out
+    printed = " ".join(shown.split())
+    assert "sample rate" not in shown  # no row of a loop that was not compared
     assert "nothing is felt, and nothing was compared; take a longer --duration" in printed
     assert "nearer:" not in printed
     assert "…" not in printed
+
+
+def test_every_line_fits_80_columns_and_a_setting_starts_with_what_the_scene_has_now() -> None:
+    row = {"status": "ok", "method": "canhaptic", "position_error": 8.2e-9, "us_per_period": 1100.0}
+    rows: list[dict[str, Any]] = [
+        {**row, "accuracy": {"event_bits": 24, "substeps": 1}},
+        {**row, "accuracy": {"event_bits": 12, "substeps": 1}, "position_error": 2.8e-6, "us_per_period": 610.0},
+    ]
+    loop: dict[str, Any] = {
+        "status": "ok",
+        "group": "sample rate",
+        "is_scene": False,
+        "bus_load": 1.14,
+        "bus_fits": False,
+    }
+    loop |= {"position_error": 1e-4, "control_thread_us": 14.0, "largest_torque": 1.0, "fineness": 4.0}
+    result: dict[str, Any] = {
+        "unit": "m", "plant": rows, "tolerance": 1e-7, "workload": {"seconds": 1.0}, "reference": {"travel": 0.1},
+        "loop": [{**loop, "group": "as it is", "is_scene": True},
+                 *({**loop, "setting": f"{n} kHz"} for n in (2, 4, 8))],
+        "now": {"accuracy": {"event_bits": 24, "substeps": 1}, "sample rate": "1 kHz"}, "advice": None,
+    }  # fmt: skip
+    lines = price_lines(result)
+    assert lines[1] == "event bits\tnow 24: 1,100 us, 8.20 nm · 12: 610 us, 2.80 um"
+    assert lines[-1].startswith("sample rate\tnow 1 kHz: 14 us, bus 114 %, does not fit, 100 um · 2 kHz: 14 us")
+    shown = [part for line in lines for part in wrapped(line)]
+    assert max(map(len, shown)) < 80
+    assert not any(part.lstrip().startswith("·") for part in shown)
+    assert "".join(lines).replace("\t", "").replace(" ", "") == "".join(shown).replace(" ", "")
+    still = {**result, "loop": [{**of, "largest_torque": 0.0} for of in result["loop"]]}
+    assert not any("sample rate" in line for line in price_lines(still))
+
+
+@pytest.mark.slow
+def test_a_loop_without_torque_is_judged_with_unprotected_until_its_second_contact(capsys: Captured) -> None:
+    demo = str(REPOSITORY / "configs" / "demo.yaml")
+    held = ["--set", "passivity.moving_mass=1e-6", "--set", "passivity.hand_force=100", "--budget", "0"]
+    scene = load_scene(demo, held[1::2][:2])
+    length = length_of(scene, None)
+    torques = torque_history(length.scene.axes[0], length.scene, length.holds)
+    begins = [k for k, t in enumerate(torques) if t and not (k and torques[k - 1])]
+    assert len(begins) == 2
+    assert not any(torque_history(scene.axes[0], scene, length.holds))
+    assert main(["accuracy", demo, *held]) == 0
+    captured = capsys.readouterr()
+    assert "loop: this loop gives no torque; judged with unprotected" in " ".join(captured.out.split())
+    assert "now unprotected" in captured.out
+    assert "exact: " in captured.err  # a first row, before any reference
+
+
+@pytest.mark.slow
+def test_a_shaft_under_backlash_has_a_price(capsys: Captured) -> None:
+    shaft = "{type: shaft_compliance, stiffness: 1e4, damping: 1, load_mass: 0.1}, {type: backlash, gap: 1 mm}"
+    words = ["--duration", "0.05 s", "--budget", "0", "--set", f"simulation.effects=[{shaft}]", "--json"]
+    assert main(["accuracy", str(REPOSITORY / "configs" / "demo.yaml"), *words]) == 0
+    rows = {row["effect"]: row for row in json.loads(capsys.readouterr().out)["advice"]["effects"]}
+    assert set(rows) == {"backlash", "shaft_compliance with backlash"}
+    assert all(row["position_error"] > 0.0 for row in rows.values())
 
 
 @pytest.mark.parametrize(

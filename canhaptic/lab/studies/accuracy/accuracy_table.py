@@ -6,6 +6,7 @@ All choices rest on errors and evaluations, which are the same in every run; tim
 """
 
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -31,6 +32,10 @@ EFFECT_HEADS: Final = (
     "left out", "order", "position", "force", "energy", "evals\nsaved", "us\nsaved", "error\nper us",
 )  # fmt: skip
 
+_WIDTH, _LABEL = 78, 15  # columns of a line, and of its label
+_DOT, _KEPT = "\u00b7", "\u00a0"  # the last: a space at which no line ends
+_GAP, _BETWEEN = "\t", f" {_DOT} "
+_TIME_OF: Final = ("evaluations", "time")  # whether it was measured
 _NEARER: Final = 0.8
 """Part of the scene's own error below which a change is worth naming."""
 _SHOWN: Final = 4
@@ -41,15 +46,127 @@ _WIDE_HEADS: Final = ("wall time per simulated s", "median over least")
 
 def accuracy_report(result: Row, *, tables: bool = False) -> RenderableType:
     """Return the answer, what was studied and, where they are asked for, the tables, for a terminal."""
-    parts: list[RenderableType] = [Text(f" {line}") for line in (*advice_lines(result), "", *heading(result))]
+    lines = [*advice_lines(result), "", *price_lines(result), ""]
     if not tables:
-        return Group(*parts, Text(" every row: --tables"))
-    return Group(*parts, *accuracy_tables(result))
+        said = [*lines, *heading(result)[:2], *result["remarks"], "every row: --tables"]
+        return Group(*(Text(f" {part}") for line in said for part in wrapped(line)))
+    shown = [Text(f" {part}") for line in (*lines, *heading(result)) for part in wrapped(line)]
+    return Group(*shown, *accuracy_tables(result))
+
+
+def wrapped(line: str) -> list[str]:
+    """Return a line in parts that fit 80 columns, the further ones below its text."""
+    label, found, text = line.partition(_GAP)
+    indent = " " * (_LABEL if found else len(line) - len(line.lstrip()))
+    if found:
+        whole = " ".join(f"{entry} {_DOT}".replace(" ", _KEPT) for entry in text.split(_BETWEEN))
+        line = f"{label:<{_LABEL}}{whole[: 1 - len(_BETWEEN)]}"
+    wrapper = textwrap.TextWrapper(_WIDTH, "", indent, break_long_words=False, break_on_hyphens=False)
+    return [part.replace(_KEPT, " ") for part in wrapper.wrap(line)] or [""]
+
+
+def price_lines(result: Row) -> list[str]:
+    """Return what each setting costs in time and errs by, one line for each setting that matters, now first."""
+    unit, floor = result["unit"], _floor(result)
+    lines = [*_plant_prices(result, unit, floor), *_method_prices(result, unit, floor), *_effect_prices(result)]
+    loop = _loop_prices(result)
+    said = [f"{label}{_GAP}{_BETWEEN.join(entries)}" for label, entries in lines if entries]
+    said = [f"plant: {_TIME_OF[bool(result['workload'])]} a period, and largest error of the position", *said]
+    if loop:
+        said.append("loop: time of the control thread in a cycle, and distance from the continuous axis")
+    return [*said, *(f"{label}{_GAP}{_BETWEEN.join(entries)}" for label, entries in loop)]
+
+
+def _plant_prices(result: Row, unit: str, floor: float) -> list[tuple[str, list[str]]]:
+    """Return our settings: event bits at the substeps that the scene has, and substeps at its event bits."""
+    now = result["now"]["accuracy"]
+    ours = {(row["accuracy"]["event_bits"], row["accuracy"]["substeps"]): row
+            for row in result["plant"] if row["method"] == OURS}  # fmt: skip
+    own = (now["event_bits"], now["substeps"])
+    if own not in ours:
+        return []
+    if len(ours) == 1:
+        return [("settings", [f"now exact: {_price(ours[own], unit, floor)}"])]
+    lines = []
+    for name, place in (("event bits", 0), ("substeps", 1)):
+        others = sorted({key for key in ours if key[1 - place] == own[1 - place] and key != own}, reverse=not place)
+        entries = [f"now {own[place]}: {_price(ours[own], unit, floor)}"]
+        entries += [f"{key[place]}: {_price(ours[key], unit, floor)}" for key in others]
+        lines.append((name, entries if others else []))
+    return lines
+
+
+def _method_prices(result: Row, unit: str, floor: float) -> list[tuple[str, list[str]]]:
+    """Return of each other method the cheapest setting within the tolerance, else the most exact one."""
+    entries = []
+    for method in dict.fromkeys(row["method"] for row in result["plant"] if row["method"] != OURS):
+        rows = [row for row in result["plant"] if row["method"] == method and row["status"] == "ok"]
+        good = cheapest(rows, result["tolerance"]) or min(
+            rows, key=lambda row: float(row["position_error"]), default=None
+        )
+        entries.append(f"{method}, {good['setting']}: {_price(good, unit, floor)}" if good else f"{method}: unstable")
+    return [("other methods", entries)]
+
+
+def _effect_prices(result: Row) -> list[tuple[str, list[str]]]:
+    """Return what leaving each effect out errs by, and what it saves."""
+    entries = []
+    for row in (result["advice"] or {"effects": ()})["effects"]:
+        if row.get("position_error") is not None:
+            saved = row["us_saved_per_period"]
+            price = (
+                f"{row['evaluations_saved_per_period']:.3g} evaluations" if saved is None else _time(max(saved, 0.0))
+            )
+            entries.append(f"{row['effect']}: errs by {length(row['position_error'], result['unit'])}, saves {price}")
+    return [("left out", entries)]
+
+
+def _loop_prices(result: Row) -> list[tuple[str, list[str]]]:
+    """Return the loop's settings; none where it renders nothing, and nothing was compared."""
+    base = base_loop(result)
+    if base is None or not base["largest_torque"]:
+        return []
+    now, lines = result["now"], []
+    for group in dict.fromkeys(row["group"] for row in result["loop"] if not row["is_scene"]):
+        rows = [row for row in result["loop"] if row["group"] == group]
+        lines.append((group, [f"now {now.get(group, 'as it is')}: {_loop_price(base, result, group)}"]))
+        lines[-1][1].extend(f"{row['setting']}: {_loop_price(row, result, group)}" for row in rows)
+    return lines
+
+
+def base_loop(result: Row) -> Row | None:
+    """Return the row of the loop as the scene has it; None where it does not run to its end."""
+    return next((row for row in result["loop"] if row["is_scene"] and row["status"] == "ok"), None)
+
+
+def _price(row: Row, unit: str, floor: float) -> str:
+    """Return time, or evaluations where nothing was timed, and error."""
+    if row["status"] != "ok":
+        return str(row["status"]).partition(":")[0]
+    spent = row.get("us_per_period")
+    cost = f"{row['evaluations_per_period']:.3g} evaluations" if spent is None else _time(spent)
+    return f"{cost}, {length(max(row['position_error'], floor), unit)}"
+
+
+def _loop_price(row: Row, result: Row, group: str) -> str:
+    """Return time of the control thread, load of the bus where it differs, and distance from the continuous axis."""
+    spent = row.get("control_thread_us")
+    parts = [] if spent is None else [_time(spent)]
+    if group == "sample rate":
+        parts.append(f"bus {100.0 * row['bus_load']:.0f} %{'' if row['bus_fits'] else ', does not fit'}")
+    stable = row["status"] == "ok"
+    return ", ".join([*parts, length(row["position_error"], result["unit"]) if stable else str(row["status"])])
+
+
+def _time(microseconds: float) -> str:
+    """Return a time in microseconds, with three figures."""
+    return f"{microseconds:,.0f} us" if microseconds >= 100.0 else f"{microseconds:.2g} us"
 
 
 def markdown(result: Row) -> str:
     """Return the same as Markdown, with every table."""
     lines = ["### Advice", "", *(f"- {line}" for line in advice_lines(result)), ""]
+    lines += ["### Prices", "", *(f"- {line.replace(_GAP, ': ')}" for line in price_lines(result)), ""]
     lines += [*(f"{line}  " for line in heading(result)), ""]
     return "\n".join([*lines, *(table.markdown() for table in accuracy_tables(result, wide=True)), ""])
 
@@ -109,11 +226,8 @@ def advice_lines(result: Row) -> list[str]:
 
 
 def _effect_advice(result: Row) -> list[str]:
-    """Return what each effect is worth, and which ones did nothing."""
-    effects, unit = result["advice"]["effects"], result["unit"]
-    worth = [effect for effect in effects if effect.get("position_error")]
-    names = ", ".join(f"{effect['effect']} ({length(effect['position_error'], unit)})" for effect in worth)
-    lines = [f"effects, most error per microsecond saved first: {names}"] if worth else []
+    """Return which effects did nothing, and what cannot be left out."""
+    effects, lines = result["advice"]["effects"], []
     idle = [effect["effect"] for effect in effects if effect.get("position_error") == 0.0]
     if idle:
         lines.append(f"changed nothing in this time: {', '.join(idle)}")
@@ -122,7 +236,7 @@ def _effect_advice(result: Row) -> list[str]:
 
 def _loop_advice(result: Row) -> str:
     """Return what brings the rendered axis nearer to the continuous one and fits the bus, best first."""
-    base = next((row for row in result["loop"] if row["is_scene"] and row["status"] == "ok"), None)
+    base = base_loop(result)
     if base is None:
         return ""
     floor, unit = _loop_floor(result), result["unit"]
@@ -142,14 +256,19 @@ def _loop_advice(result: Row) -> str:
 
     nearer = [row for row in result["loop"] if row["bus_fits"] and is_nearer(row) and lasts(row)]
     if not nearer:
-        return "loop: no single change that fits the bus brings it clearly nearer to the continuous axis"
+        what = (
+            result.get("judged", "")
+            or "no single change that fits the bus brings it clearly nearer to the continuous axis"
+        )
+        return f"loop: {what}"
     words = []
     for row in sorted(nearer, key=lambda row: float(row["position_error"]))[:_SHOWN]:
         given = max(0.0, row["energy_given_out"])
         out = f", gives out {si(given, 'J', 2)}" if given > PASSIVE_TOLERANCE else ""
         load = f"bus {100.0 * row['bus_load']:.0f} %"
         words.append(f"{row['group']} {row['setting']} ({length(row['position_error'], unit)}, {load}{out})")
-    return f"loop: {length(base['position_error'], unit)} from the continuous axis; nearer: {'; '.join(words)}"
+    judged = f"{result['judged']}: " if result.get("judged", "") else ""
+    return f"loop: {judged}{length(base['position_error'], unit)} from the continuous axis; nearer: {'; '.join(words)}"
 
 
 def _loop_floor(result: Row) -> float:
@@ -174,7 +293,8 @@ def accuracy_tables(result: Row, *, wide: bool = False) -> list[Table]:
     found.append(_table(" order of the error in the step", ("method", "declared", "fitted"), orders))
     effects = [_effect_cells(row, unit) for row in (result["advice"] or {"effects": ()})["effects"]]
     found.append(_table(" effects: what leaving one out does", EFFECT_HEADS, effects))
-    loop = [_loop_cells(row, unit) for row in result["loop"]]
+    felt = any(row["largest_torque"] for row in result["loop"])
+    loop = [_loop_cells(row, unit) for row in result["loop"]] if felt else []
     title = " loop: largest difference from the continuous axis, one thing changed; !: the cycle does not fit"
     found.append(_table(title, LOOP_HEADS, loop, [row["is_scene"] for row in result["loop"]]))
     return [table for table in found if table.rows]

@@ -185,6 +185,20 @@ def variants(axis: AxisScene, scene: Scene) -> Sequence[Variant]:
     return [*found, *_torques(base), *_encoders(base), *_without_encoder_effects(base, scene)]
 
 
+def settings_now(axis: AxisScene, scene: Scene) -> dict[str, str]:
+    """Return what the scene has where the variants have something else, by the group of the variant."""
+    case, unit, parameters = loop_case(axis, scene), axis.parameters.unit, axis.passivity.parameters
+    quantum, counts = case.torque_quantum, case.counts_per_unit
+    found = {"sample rate": hertz(scene.bus.rate), "RPDO": scene.bus.rpdo, "algorithm": axis.passivity.name}
+    if "velocity" in type(parameters).model_fields:
+        found["velocity"] = getattr(parameters, "velocity", "last")
+    if quantum is not None:
+        found["torque step"] = f"{quantum:g} {effort_unit(unit)}"
+    if counts is not None:
+        found["encoder count"] = f"{1.0 / abs(counts):.3g} {unit}"
+    return found
+
+
 def _with_substeps(axis: AxisScene, factor: float) -> AxisScene:
     """Return the axis with substeps of the same length at `factor` times the rate."""
     fine = AccuracyParameters(substeps=max(1, round(_SUBSTEPS / factor)))

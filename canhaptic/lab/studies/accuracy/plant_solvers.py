@@ -216,6 +216,20 @@ def candidates(
     return found
 
 
+def own_ladder(simulation: AxisSimulation, sample_time_ns: int) -> list[AccuracyParameters]:
+    """Return every setting that makes a difference to this plant, and the one that the scene has."""
+    found, now = ladder(simulation, sample_time_ns), own_setting(simulation, sample_time_ns)
+    return found if now in found else [now, *found]
+
+
+def own_setting(simulation: AxisSimulation, sample_time_ns: int) -> AccuracyParameters:
+    """Return the accuracy that a scene has, with the defaults where it makes no difference to this plant."""
+    found, now = ladder(simulation, sample_time_ns), simulation.accuracy
+    bits = now.event_bits if len({of.event_bits for of in found}) > 1 else found[0].event_bits
+    substeps = now.substeps if len({of.substeps for of in found}) > 1 else found[0].substeps
+    return now.model_copy(update={"event_bits": bits, "substeps": substeps})
+
+
 def remarks(simulation: AxisSimulation) -> list[str]:
     """Return what could not be run, and why."""
     lines = []
@@ -356,7 +370,7 @@ class PlantSide:
         self.travel = max(float(np.ptp(self.exact.position)), 1e-9)
         kinetic = 0.5 * self._simulation.plant.mass * self.exact.velocity**2
         self.energy = max(float(np.abs(work).max()) for work in (self.exact.motor, self.exact.user, kinetic))
-        settings = settings or ladder(self._simulation, self._period)
+        settings = settings or own_ladder(self._simulation, self._period)
         self.candidates: list[Candidate] = candidates(self._simulation, self.torques, self._period, settings)
         if with_compiled and importlib.util.find_spec("numba"):
             finest = settings[-1]
@@ -405,18 +419,15 @@ class PlantSide:
 
     def _effect_row(self, name: str, accuracy: AccuracyParameters, whole: Motion, base: int) -> Row:
         """Return what leaving an effect out changes at one accuracy, the error of the method apart."""
-        rest = tuple(effect for effect in self._simulation.effects if effect.name != name)
-        without = replace(self._simulation, effects=rest)
-        try:
-            build_plant(without, self._period)
-        except ParameterError as error:
-            return {"effect": name, "remark": f"cannot be left out alone: {error}"}
+        order = next(getattr(e.parameters, "order", None) for e in self._simulation.effects if e.name == name)
+        without, name, problem = self._left_out(name)
+        if problem:
+            return {"effect": name, "remark": f"cannot be left out alone: {problem}"}
         self.without[name] = candidate = ours(without, accuracy, self.torques, self._period)
         motion, evaluations, _ = candidate.observe()
         found = difference(motion, whole, self._simulation.plant.mass, self._period * 1e-9)
         if found.position <= FLOOR * self.travel and found.energy <= FLOOR * self.energy:
             found = MotionError(0.0, 0.0, 0.0)
-        order = next(getattr(e.parameters, "order", None) for e in self._simulation.effects if e.name == name)
         return {
             "effect": name,
             "order": order,
@@ -424,6 +435,22 @@ class PlantSide:
             **_errors_of(found),
             "evaluations_saved_per_period": (base - evaluations) / len(self.torques),
         }
+
+    def _left_out(self, name: str) -> tuple[AxisSimulation, str, str]:
+        """Return the plant without an effect, what was left out, and why it cannot be.
+
+        An effect that another needs, as a backlash its shaft, is left out together with that one.
+        """
+        effects, problem = self._simulation.effects, ""
+        for other in ("", *dict.fromkeys(effect.name for effect in effects if effect.name != name)):
+            without = replace(self._simulation, effects=tuple(e for e in effects if e.name not in (name, other)))
+            try:
+                build_plant(without, self._period)
+            except ParameterError as error:
+                problem = problem or str(error)
+                continue
+            return without, f"{name} with {other}" if other else name, ""
+        return self._simulation, name, problem
 
     def orders(self) -> list[Row]:
         """Return the order of every method with a step, declared and as fitted to this very scene."""

@@ -34,10 +34,16 @@ from canhaptic.drive.clock import VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError
 from canhaptic.lab.batch.engine import Engine
-from canhaptic.lab.loop.axis_loop import microseconds_per_step, parts_of
+from canhaptic.lab.loop.axis_loop import able_under, microseconds_per_step, parts_of
 from canhaptic.lab.reference import continuous_group
-from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR, holds_of, require_own_axis
-from canhaptic.lab.studies.accuracy.accuracy_table import advice, error_per_microsecond, pareto, rank_agreement
+from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR, HOLDS, holds_of, require_own_axis
+from canhaptic.lab.studies.accuracy.accuracy_table import (
+    advice,
+    error_per_microsecond,
+    length,
+    pareto,
+    rank_agreement,
+)
 from canhaptic.lab.studies.accuracy.loop_sensitivity import (
     FINEST,
     Continuous,
@@ -47,16 +53,29 @@ from canhaptic.lab.studies.accuracy.loop_sensitivity import (
     continuous_loop,
     engines_of,
     group_variants,
+    hertz,
     loop_row,
+    settings_now,
     variants,
 )
-from canhaptic.lab.studies.accuracy.plant_solvers import LSODA, Plants, PlantSide, Row, group_side, remarks
+from canhaptic.lab.studies.accuracy.plant_solvers import (
+    LSODA,
+    Plants,
+    PlantSide,
+    Row,
+    group_side,
+    ours,
+    own_ladder,
+    own_setting,
+    remarks,
+)
 from canhaptic.scene.build import build, build_drive_group, open_bus, private_channel
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.scene.parts import build_servo_drive
-from canhaptic.scene.torque_history import simulation_of
+from canhaptic.scene.parts import build_plant, build_servo_drive
+from canhaptic.scene.torque_history import simulation_of, torque_history
 from canhaptic.signals import SimulatedPeer
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant.direct_rig import observed
 
 _CYCLES: Final = 600
 _TURNS: Final = 3
@@ -239,6 +258,16 @@ class StudiedPart(Protocol):
     def variants(self) -> Sequence[Variant]:
         """Return every loop of the loop side."""
 
+    def first_rows(self, holds: int) -> Iterator[str]:
+        """Yield what each setting of the plant costs and how far it is from the finest one, in words."""
+
+    def now(self) -> dict[str, Any]:
+        """Return what the scene has, by the group of the variants that have something else, and its accuracy."""
+
+
+def _as_plain(accuracy: AccuracyParameters) -> dict[str, int]:
+    return {"event_bits": accuracy.event_bits, "substeps": accuracy.substeps}
+
 
 @dataclass(frozen=True, slots=True)
 class _AxisPart:
@@ -266,6 +295,24 @@ class _AxisPart:
     def variants(self) -> Sequence[Variant]:
         return variants(self.axis, self.scene)
 
+    def first_rows(self, holds: int) -> Iterator[str]:
+        simulation, period = simulation_of(self.axis), self.scene.bus.sample_time_ns
+        torques, clock = torque_history(self.axis, self.scene, holds, simulation.accuracy), WallClock()
+        settings = own_ladder(simulation, period)
+        finest, unit = settings[-1], self.axis.parameters.unit
+        best = observed(build_plant(replace(simulation, accuracy=finest), period), torques).position
+        for accuracy in dict.fromkeys((own_setting(simulation, period), *settings)):
+            rung = ours(simulation, accuracy, torques, period)
+            begin = clock.now()
+            rung.spend()
+            spent = (clock.now() - begin) / holds / _NS_PER_US
+            apart = float(np.abs(rung.observe()[0].position - best).max())
+            yield f"{rung.setting}: {spent:.3g} us a period, {length(apart, unit)} from the finest setting"
+
+    def now(self) -> dict[str, Any]:
+        accuracy = own_setting(simulation_of(self.axis), self.scene.bus.sample_time_ns)
+        return {"accuracy": _as_plain(accuracy), **settings_now(self.axis, self.scene)}
+
 
 @dataclass(frozen=True, slots=True)
 class _GroupPart:
@@ -291,6 +338,14 @@ class _GroupPart:
     def variants(self) -> Sequence[Variant]:
         return group_variants(self.scene)
 
+    def first_rows(self, holds: int) -> Iterator[str]:
+        return iter(())
+
+    def now(self) -> dict[str, Any]:
+        bus, (group,) = self.scene.bus, self.scene.groups
+        loop = {"sample rate": hertz(bus.rate), "RPDO": bus.rpdo, "algorithm": group.passivity.name}
+        return {"accuracy": _as_plain(AccuracyParameters()), **loop}
+
 
 def chosen_part(scene: Scene, name: str | None) -> StudiedPart:
     """Return an axis or a group by name; the first axis by default, and the group of an axis that has one.
@@ -309,11 +364,62 @@ def chosen_part(scene: Scene, name: str | None) -> StudiedPart:
     return _GroupPart(group, parts[group])
 
 
-DEFAULT_BUDGET: Final = 12.0
+_LONGEST: Final = 4000
+"""Most sample times that are searched for the second contact."""
+_AFTER: Final = 100
+"""Sample times of the second contact that are compared."""
+_JUDGED_WITH: Final = "unprotected"
+"""Algorithm that shows what a loop costs whose own algorithm lets no torque through."""
+
+
+class Length(NamedTuple):
+    """What a study is made on."""
+
+    scene: Scene
+    holds: int
+    remark: str = ""  # why the scene is not the one that was given
+
+
+def length_of(scene: Scene, name: str | None, duration: float | None = None) -> Length:
+    """Return how long a scene is compared: until its second contact, unless a duration is given [s].
+
+    Where its algorithm gives no torque, the plain controller that every algorithm limits is taken in its place.
+    """
+    part = chosen_part(scene, name)
+    if not isinstance(part, _AxisPart):
+        return Length(scene, holds_of(scene, duration))
+    most = holds_of(scene, duration) if duration is not None else _LONGEST
+    if duration is None and scene.run.duration is not None:
+        most = min(_LONGEST, round(scene.run.duration / scene.bus.sample_time))
+    begins = _contacts(part.axis, scene, most)
+    remark = ""
+    if not begins and part.axis.passivity.name != _JUDGED_WITH:
+        axis = able_under(part.axis, _JUDGED_WITH, scene).axis
+        axes = tuple(axis if of is part.axis else of for of in scene.axes)
+        plain = replace(scene, axes=axes)
+        begins = _contacts(axis, plain, most)
+        if begins:
+            scene, remark = plain, f"this loop gives no torque; judged with {_JUDGED_WITH}"
+    if duration is not None:
+        return Length(scene, most, remark)
+    if len(begins) > 1:
+        return Length(scene, min(most, begins[1] + _AFTER), remark)
+    return Length(scene, min(most, (begins[0] if begins else 0) + HOLDS), remark)
+
+
+def _contacts(axis: AxisScene, scene: Scene, holds: int) -> list[int]:
+    """Return the sample times at which the torque of an axis begins."""
+    torques = torque_history(axis, scene, holds, simulation_of(axis).accuracy)
+    return [k for k, torque in enumerate(torques) if torque and not (k and torques[k - 1])]
+
+
+DEFAULT_BUDGET: Final = 4.0
 """Time for timings [s], the plant side's; runs for errors come on top."""
 UNITS: Final = 1000
 """Units of progress in the whole study."""
 _SHARES: Final = {"references": 200, "ladder": 250, "loops": 250, "times": 300}
+_BEFORE: Final = 0.5
+"""Part of a share that the reference before it may fill."""
 _TENTH: Final = 0.1
 _REPEATS: Final = 3
 _WORKLOAD: Final = "workload"
@@ -335,11 +441,14 @@ class AccuracyStudy:
         axis: Name of an axis or a group; the first axis by default, or its group.
         tolerance: Largest error of the position [m or rad]; by default what the scene's `accuracy: {auto: ...}` says,
             else a tenth of an encoder count.
-        duration: Length of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter.
+        duration: Length of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter; see
+            `length_of`.
         budget: Time for timings [s]; 0 for none.
         engine: Engine of the loops; "auto" compiles them where that pays.
         progress: Called with the number of units done, of `UNITS`.
         stop: Asked often whether to stop.
+        judged: The remark of `length_of`.
+        say: Called with the first rows, which need no reference, as soon as each is there.
     """
 
     def __init__(
@@ -353,11 +462,14 @@ class AccuracyStudy:
         engine: Engine = "auto",
         progress: Callable[[int], None] | None = None,
         stop: Callable[[], bool] | None = None,
+        judged: str = "",
+        say: Callable[[str], None] | None = None,
     ) -> None:
         self.scene, self.part = scene, chosen_part(scene, axis)
         counts = max(abs(given.counts_per_unit) for given in self.part.parameters)
         self.tolerance = tolerance or scene.accuracy_tolerance or _TENTH / counts
         self.holds = holds_of(scene, duration)
+        self._judged, self._say = judged, say
         self._budget, self._engine, self._progress, self._stop = budget, engine, progress, stop or (lambda: False)
         self._done = 0
         self._plant: Plants | None = None
@@ -380,14 +492,17 @@ class AccuracyStudy:
         return self.result()
 
     def _measure(self) -> None:
-        with_compiled = self._budget >= _COMPILING
-        self._plant = plant = self.part.plants(self.holds, self._stop, with_compiled=with_compiled)
+        if self._say is not None:
+            for row in self.part.first_rows(self.holds):
+                self._check()
+                self._say(row)
+        with_compiled, stop = self._budget >= _COMPILING, self._counted_stop("references")
+        self._plant = plant = self.part.plants(self.holds, stop, with_compiled=with_compiled)
         self._remarks = self.part.remarks()
-        period = self.scene.bus.sample_time_ns
-        exact = self.part.continuous(period // FINEST, self.holds * FINEST, self._stop)
-        self._advance("references", 1.0)
         self._each(plant.measure(), len(plant.candidates), "ladder")
         self._each(plant.measure_effects(self._accuracy(plant)))
+        period = self.scene.bus.sample_time_ns
+        exact = self.part.continuous(period // FINEST, self.holds * FINEST, self._counted_stop("loops"))
         every = self.part.variants()
         engines = engines_of(every, self.holds * period, self._engine)
         for number, (variant, engine) in enumerate(zip(every, engines, strict=True)):
@@ -402,6 +517,18 @@ class AccuracyStudy:
             self._check()
             if part:
                 self._advance(part, min(1.0, number / count))  # every plant of a group runs each of them
+
+    def _counted_stop(self, part: str) -> Stop:
+        """Return `stop` that moves the bar on, by less and less: a reference does not tell how far it is."""
+        asked = 0
+
+        def stop() -> bool:
+            nonlocal asked
+            asked += 1
+            self._advance(part, _BEFORE * asked / (asked + self.holds))
+            return self._stop()
+
+        return stop
 
     def _check(self) -> None:
         if self._stop():
@@ -473,6 +600,8 @@ class AccuracyStudy:
             "holds": self.holds,
             "duration": self.holds * bus.sample_time,
             "tolerance": self.tolerance,
+            "now": self.part.now(),
+            "judged": self._judged,
             "workload": self._workload(),
             "log_us": self._log_us,
             "remarks": self._remarks,
