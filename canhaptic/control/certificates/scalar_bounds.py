@@ -292,6 +292,14 @@ def renderable_by_hand_speed(speed: float, sample_time: float, delay: int, torqu
     return torque / (2.0 * speed * sample_time * (1 + delay))
 
 
+def sustained_by_friction(friction: float, count: float) -> float:
+    """Return the stiffness [N/m or N*m/rad] that dry friction pays for with an encoder, at any speed: f_c / count.
+
+    0 with an ideal encoder, of which no count is in doubt. See `torque_bound`.
+    """
+    return friction / count if count > 0.0 else 0.0
+
+
 WINDOW: Final = 32
 """Holds looked back for the outward speed when the encoder is coarse."""
 

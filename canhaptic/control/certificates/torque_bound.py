@@ -1,11 +1,32 @@
-"""State of the certificates of one axis: the holds that ended, and the uncertainty of their energy."""
+"""State of the certificates of one axis: the holds that ended, and the uncertainty of their energy.
+
+**What an encoder leaves open, with dry friction.** A position x_k = p_k + e_k is read as p_k, |e_k| <= c / 2, and
+friction takes f_c |x_(k+1) - x_k| at least. Let G_k(e) be the least that came in and was dissipated, less what is
+booked, over all motions that end at e. With D = p_(k+1) - p_k and the torque f of the hold
+
+    G_(k+1)(e') = min over e of G_k(e) - f (e' - e) + f_c |D + e' - e|.
+
+It starts flat. Where |D| >= c the sign of the motion is known, and G becomes a straight line, of any G before, with
+the slope -f + f_c sign(D); where D = 0 its slope is limited to -f +- f_c. So a line it stays, exactly, and one number
+has the slope s. Its least value is G(0) - |s| c / 2, and each hold changes G(0) by f_c |D| - |s' - s| c / 2. Without
+friction that is |f - f'| c / 2 for each change of torque.
+
+For a spring f = -k p that is rendered whole, dither over one edge costs nothing up to k = 2 f_c / c. A motion over
+many counts costs k c^2 for each of them, of which friction pays f_c c: k = f_c / c is sustained at any speed of any
+hand, and that is the most. For the same counts are read of a hand that rests at every edge and crosses the next count
+within one hold: it takes out k c^2 a count, and nothing in its counts tells it from a slow one. For a hand that is
+slower than c / 2 T throughout, 2 f_c / c would do.
+"""
 
 from dataclasses import dataclass
 from math import inf, isnan, nan
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from canhaptic.control.certificates.scalar_bounds import WINDOW, DisplacementResponse, next_displacement, tail_reach
 from canhaptic.kernels import Buffer, MakeBuffer
+
+_WHOLE: Final = 1.0 - 1e-9
+"""Part of a count from which on a displacement is one or more of them; less is an encoder that shows parts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +59,7 @@ class TorqueBound:
     uncertainty: float = 0.0  # largest shortfall of the energy that came in so far [J]: encoder counts and lost samples
     dissipated: float = 0.0  # by the device for certain, and not forgotten [J]
     certain: float = 0.0  # the same, less the further uncertainty for an arbitrary hand [J]
-    slack: float = 0.0  # of the shortest motion within the encoder's resolution, behind them [m or rad]
+    slope: float = 0.0  # of G, see the module [N or N*m]
     kept: int = 0  # holds in the history
     newest: int = 0  # their newest place
     first: int = 0  # place of the torque that acts next in `BoundMemory.under_way`
@@ -143,15 +164,13 @@ def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displa
         certain = abs(displacement) - count
         if certain > 0.0:
             dissipate(bound, declared.damping / declared.sample_time * certain * certain)
-    if declared.friction:
-        dissipate(bound, declared.friction * certain_path(bound, displacement, count))
+    if declared.friction and not count:
+        dissipate(bound, declared.friction * abs(displacement))
     if late:
         doubt = doubt_of_late(declared, bound, displacement, torque)
         take_late(declared, bound, torque)
     if count:
-        half = 0.5 * count
-        bound.changes = changes = bound.changes + half * abs(torque - bound.torque)
-        bound.uncertainty = changes + half * abs(torque)
+        pass_within_count(bound, count, declared.friction, displacement, torque)
         newest = bound.newest + 1
         if newest == WINDOW:
             newest = 0
@@ -180,15 +199,32 @@ def for_any(bound: TorqueBound) -> float:
     return min(bound.certain, bound.dissipated)
 
 
-def certain_path(bound: TorqueBound, displacement: float, count: float) -> float:
-    """Displacement per hold of the shortest motion within one count of the encoder's positions [m or rad]."""
-    behind = bound.slack + displacement
-    moved = abs(behind) - count
-    if moved <= 0.0:
-        bound.slack = behind
-        return 0.0
-    bound.slack = count if behind > 0.0 else -count
-    return moved
+def pass_within_count(bound: TorqueBound, count: float, friction: float, displacement: float, torque: float) -> None:
+    """Take a hold whose ends an encoder shows to a count: dissipation by dry friction, less what the count leaves open.
+
+    See the module: the least of G moves by the friction along the counts, less half a count times the change of slope.
+
+    Args:
+        bound: State of the axis's torque bound; changed.
+        count: Encoder count [m or rad].
+        friction: Certain dry friction of the device [N or N*m].
+        displacement: Displacement in the hold [m or rad].
+        torque: Torque held in it [N or N*m].
+    """
+    half, slope, earned = 0.5 * count, -torque, friction * abs(displacement)
+    if displacement >= _WHOLE * count:
+        slope += friction
+    elif displacement <= -_WHOLE * count:
+        slope -= friction
+    else:
+        earned = -earned
+        slope += min(max(bound.slope + torque, -friction), friction)
+    earned -= half * abs(slope - bound.slope)
+    if earned > 0.0:
+        dissipate(bound, earned)
+    else:
+        bound.changes -= earned
+    bound.slope, bound.uncertainty = slope, bound.changes + half * abs(slope)
 
 
 def shorten(declared: Declared, bound: TorqueBound, lasted: float) -> None:
@@ -336,8 +372,9 @@ def end_gap(
         if certain > 0.0:
             dissipate(bound, stiffness * certain * certain / holds)
         damped = missed * apart * ((abs(displacement) + count) / holds + apart / (4.0 * stiffness))
-    if declared.friction > 0.0:  # the way of the gap: an omission here would be counted again on the way back
-        dissipate(bound, declared.friction * certain_path(bound, displacement, count))
+    if declared.friction > 0.0:
+        certain = abs(displacement) - count if abs(displacement) > count else 0.0
+        dissipate(bound, declared.friction * certain - 0.5 * count * abs(bound.slope + bound.torque))
     if declared.by_hand_force:
         doubt = missed * apart * excursion_unseen(declared, bound, displacement, holds, largest)
     elif declared.hand_speed > 0.0:
@@ -348,7 +385,7 @@ def end_gap(
         bound.certain += doubt - damped
     bound.resolution += 2.0 * doubt
     bound.changes += holds * count * largest
-    bound.uncertainty = bound.changes + 0.5 * count * abs(torque)
+    bound.slope, bound.uncertainty = -torque, bound.changes + 0.5 * count * abs(torque)
     bound.displacement, bound.torque = displacement / holds, torque
     return doubt
 
@@ -382,7 +419,7 @@ def keep(bound: Dissipated, energy: float, enough: float) -> None:
     Without it a contact could live, and buzz, on what the device dissipated long ago.
     """
     if energy + bound.dissipated > enough:
-        bound.dissipated = max(0.0, enough - energy)
+        bound.dissipated = min(bound.dissipated, max(0.0, enough - energy))
 
 
 def outward(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> float:

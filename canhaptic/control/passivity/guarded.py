@@ -248,7 +248,7 @@ def render(
             inside = mover_motion
     lead = environment.effort(environment.admissible(true + ahead, true)) - spring
     velocity = inside / settings.sample_time
-    spring, lead, damper, covered = efforts(settings, bound, spring, lead, ahead, velocity, energy, ceiling)
+    spring, lead, damper, covered = efforts(settings, bound, true, spring, lead, ahead, velocity, energy, ceiling)
     rendered = damper / velocity if velocity != 0.0 else settings.damping
     modulated = 0.0
     if settings.alpha > 0.0 and state.axis.h_dis > 0.0 and velocity != 0.0:
@@ -341,6 +341,7 @@ def within_limits(settings: GuardedSettings, newest: float, sign: float, moved: 
 def efforts(
     settings: GuardedSettings,
     bound: TorqueBound,
+    true: float,
     spring: float,
     lead: float,
     ahead: float,
@@ -356,6 +357,11 @@ def efforts(
     permitted = 2.0 * settings.calm_stiffness * energy
     if not settings.declared.by_hand_force_alone:
         permitted = energy_permitted(settings, bound, spring + lead + damper, energy, ceiling)
+        if settings.sustained > 0.0:
+            soft, further = soft_and_further(settings, bound, size, abs(true), energy)
+            if soft + further < size:  # all of it would use up what the soft spring lives on
+                permitted = min(permitted, (soft + further) * (soft + further))
+                room, led = min(room, further), min(led, further)
     covered = permitted >= size * size
     if not covered:
         held = sqrt(permitted) if permitted > 0.0 else 0.0
@@ -371,6 +377,33 @@ def efforts(
     if abs(lead) > led:
         lead = copysign(led, lead)
     return spring, lead, damper, covered
+
+
+def soft_and_further(
+    settings: GuardedSettings, bound: TorqueBound, size: float, depth: float, energy: float
+) -> tuple[float, float]:
+    """Effort of the spring that dry friction sustains, and the largest effort beyond it [N or N*m].
+
+    What that spring stores is kept for it, so that the wall gets softer and never vanishes; what is there beyond pays
+    for further efforts, and for the count that raising and lowering them leaves open. With less than half of it there,
+    after a motion faster than friction pays for, it is softer still.
+
+    Args:
+        settings: Constants of the run.
+        bound: State of the torque bound.
+        size: Requested effort [N or N*m].
+        depth: Size of the true state [m or rad].
+        energy: Energy budget [J].
+    """
+    count, calm = settings.declared.encoder_count, settings.calm_stiffness or settings.damped_stiffness
+    soft = min(size, settings.sustained * depth)
+    reserve = 0.5 * soft * (depth - count) if depth > count else 0.0
+    spare = energy + bound.dissipated - reserve
+    if spare < 0.0:
+        left = 2.0 * (spare + reserve)
+        return (soft if left >= reserve else soft * left / reserve if left > 0.0 else 0.0), 0.0
+    blur = calm * count
+    return soft, sqrt(blur * blur + 2.0 * calm * spare) - blur
 
 
 def energy_permitted(

@@ -27,6 +27,7 @@ from canhaptic.control.certificates.scalar_bounds import (
     renderable_by_device_damping,
     renderable_by_hand_force,
     start_energy,
+    sustained_by_friction,
 )
 from canhaptic.control.certificates.torque_bound import Declared
 from canhaptic.control.damping import Alpha, damping_cap
@@ -193,6 +194,9 @@ class GuardedSettings:
     calm: float  # stiffness of the largest spring that the rate renders; a prediction counts for no more
     calm_stiffness: float  # of the energy-permitted spring; 0 without a hand force [N/m or N*m/rad]
     damped_stiffness: float  # of the same, by the damping of the device; 0 where it is not declared
+    sustained: (
+        float  # stiffness that certain dry friction holds for ever with this encoder; 0: not used [N/m or N*m/rad]
+    )
     path: float  # of the hand in the holds that a torque takes; 0 without a hand speed [m or rad]
     prediction: PredictionSettings
     longest_window: int  # of the velocity, in samples; 0 with an ideal encoder
@@ -252,6 +256,7 @@ def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> Gu
         calm=calm,
         calm_stiffness=calm if by_hand_force else 0.0,
         damped_stiffness=damped,
+        sustained=sustained_by_friction(loop.device_friction or 0.0, loop.encoder_count),
         path=speed * sample_time * (1 + loop.delay),
         prediction=prediction_settings(
             mass, damping, sample_time, loop.delay, PREDICTION_HOLDS + late, loop.encoder_count
