@@ -432,6 +432,7 @@ def _run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--strict", action="store_true", help="exit with 1 unless every port that was touched is shown as passive"
     )
+    parser.add_argument("--full", action="store_true", help="print every figure of the account")
     add_json(parser)
 
 

@@ -135,7 +135,7 @@ def _report(result: RunResult, error: CanHapticError | None, arguments: argparse
 
         if result.get("dry_run"):
             write_line(_withheld(result))
-        print_energy(result)
+        print_energy(result, full=arguments.full)
     if error is not None:
         write_failure(error)
     files = {"energy log": arguments.log, "bus log": arguments.bus_log, "picture": None if error else arguments.png}

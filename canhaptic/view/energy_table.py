@@ -47,7 +47,21 @@ def headline_text(name: str, port: PortResult) -> Text:
     text.append(f"passive: {_WORDS.get(word, word)}" if word in ("yes", "no", "in doubt") else _WORDS.get(word, word),
                 style=STYLES[word])  # fmt: skip
     text.append("".join(f"{separator}{reason}" for separator, reason in _reasons(port)))
-    return text
+    return text.append("".join(f" · {figure}" for figure in _first_figures(port)))
+
+
+def _first_figures(port: PortResult) -> list[str]:
+    """Return the figures of the first line: energies, the part of a wall that was there, and what guarantees them."""
+    if port["verdict"] in ("no contact", "dry run"):
+        return []
+    found = [f"{si(port['in'], 'J', 3)} in, {si(port['out'], 'J', 3)} out"] if "in" in port else []
+    share = port["rendered"]["stiffness"] if "rendered" in port else None
+    if share is not None:
+        found.append("stiffness as requested" if share > _WHOLE else f"stiffness {100.0 * share:.3g} % of requested")
+    certificate = port.get("certificate", "none")
+    if port["verdict"] == "yes" and certificate not in ("none", "exact"):
+        found.append(f"guarantee rests on: {certificate.replace('_', ' ')}")
+    return found
 
 
 def _reasons(port: PortResult) -> list[tuple[str, str]]:
@@ -73,9 +87,6 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
     if "contradicted" in port:
         names = " and ".join(name.replace("_", " ") for name in port["contradicted"])
         found.append(("; ", f"contradicts its certificates ({names}): one of {', '.join(port['suspects'])} is wrong"))
-    certificate = port.get("certificate", "none")
-    if word == "yes" and certificate not in ("none", "exact"):
-        found.append(("; ", f"guarantee rests on: {certificate.replace('_', ' ')}"))
     return found
 
 
@@ -95,6 +106,11 @@ _VERDICTS: Final[dict[Verdict, Styled]] = {
 _ROUNDING: Final = 1e-9
 """Part of the largest damping below which the least is none."""
 _SHOWN_AT_ZERO: Final = frozenset({"deadlines_missed", "missing", "missed_tpdos", "skipped_syncs", "success_rate"})
+
+_WHOLE: Final = 0.995
+"""Rendered share of a stiffness above which the wall is whole; a damper adds to the effort while the hand goes in."""
+_LOSSES: Final = ("skipped_syncs", "missed_tpdos", "missing")
+"""What is amiss on a link where it is not zero."""
 
 _Result = Mapping[str, Any]
 _Port = TypeVar("_Port", PortResult, TruthResult)
@@ -123,28 +139,45 @@ def make_console(file: IO[str] | None = None) -> Console:
     return SafeConsole(highlight=False, width=_PLAIN_WIDTH, file=file)
 
 
-def print_energy(result: _Result, console: Console | None = None) -> None:
+def print_energy(result: _Result, console: Console | None = None, *, full: bool = False) -> None:
     """Print the account of a run.
 
     Args:
         result: As `run --json` prints it.
         console: Where to; standard output by default.
+        full: Whether to print every figure.
     """
-    (console or make_console()).print(energy_report(result))
+    shown = energy_report(result) if full else brief_report(result)
+    (console or make_console()).print(shown)
+
+
+def brief_report(result: _Result) -> RenderableType:
+    """Return the first line of each port, how the run ended, and what went wrong on the link or is not exact."""
+    parts: list[RenderableType] = [*_headlines(result), _heading(result)]
+    link, method = result.get("link") or {}, result.get("method", "")
+    amiss = [_words(key, value) for key, value in link.items() if key in _LOSSES and value]
+    late = (result.get("timing") or {}).get("deadlines_missed", 0)
+    if amiss or late:
+        parts.append(_line("link", ", ".join([*amiss, *([f"deadlines missed {late}"] if late else [])])))
+    if " order " in method or " error" in method.lower():
+        parts.append(_line("method", method))
+    return Group(*parts, Text(" every figure: --full, or `canhaptic inspect` of an energy log", style="dim"))
 
 
 def energy_report(result: _Result) -> RenderableType:
-    """Return the word of each port, energy table, timing line, link line and method line of a run."""
-    names = _ordered(result.get("ports", {}))
-    accounts = {name: result["ports"][name] for name in names}
-    parts: list[RenderableType] = [headline_text(name, of) for name, of in accounts.items() if "verdict" in of]
-    parts.append(_heading(result))
-    if names:
+    """Return the first line of each port, energy table, timing line, link line and method line of a run."""
+    parts = [*_headlines(result), _heading(result)]
+    if result.get("ports"):
         parts.append(energy_table(result))
     for name in ("timing", "link", "method"):
         if result.get(name):
             parts.append(_line(name, result[name]))
     return Group(*parts)
+
+
+def _headlines(result: _Result) -> list[RenderableType]:
+    ports = {name: result["ports"][name] for name in _ordered(result.get("ports", {}))}
+    return [headline_text(name, of) for name, of in ports.items() if "verdict" in of]
 
 
 def _ordered(ports: Mapping[str, PortResult]) -> list[str]:
@@ -175,7 +208,7 @@ def energy_table(result: _Result) -> Table:
     rows: list[list[Cell]] = [[label, *(_cell(cell, port) for port in ports)] for label, cell in _PORT_ROWS]
     rows = [row for row in rows if any(cell != _NOTHING for cell in row[1:])]
     rows += [
-        [f"holds booked as {branch}", *(_count_text(port, "branches", branch) for port in ports)]
+        [f"cycles booked as {branch}", *(_count_text(port, "branches", branch) for port in ports)]
         for branch in _counted(ports, "branches")
     ]
     rows += [
@@ -184,7 +217,7 @@ def energy_table(result: _Result) -> Table:
         if any(port.get(of_group) for port in ports)
     ]
     rows += [
-        [f"holds limited: {limit}", *(_count_text(port, "limits", limit) for port in ports)]
+        [f"cycles limited by: {limit}", *(_count_text(port, "limits", limit) for port in ports)]
         for limit in _counted(ports, "limits")
     ]
     truth = result.get("truth") or {}
@@ -220,17 +253,13 @@ def energy(value: float) -> str:
 
 
 def _margin(port: PortResult) -> Styled:
-    margin = port["margin"]["value"]
-    return Styled(energy(margin), "green" if margin >= -PASSIVE_TOLERANCE else "red")
-
-
-def _margin_place(port: PortResult) -> str:
-    margin = port["margin"]
-    return f"{margin['time']:.4g} s " if margin["value"] < 0.0 else "never below 0  "
+    margin, at = port["margin"]["value"], port["margin"]["time"]
+    place = f" at {at:.4g} s   " if margin < 0.0 else ", never negative"
+    return Styled(f"{si(margin, 'J')}{place}", "green" if margin >= -PASSIVE_TOLERANCE else "red")
 
 
 def _longest_hold(port: PortResult) -> str:
-    return f"{port['longest_hold']} T   " if "longest_hold" in port else _NOTHING
+    return f"{port['longest_hold']} cycles   " if "longest_hold" in port else _NOTHING
 
 
 def _uncommanded(port: PortResult) -> str:
@@ -266,7 +295,7 @@ def _silent(port: PortResult) -> str | Styled:
 def _resolution(port: PortResult) -> str:
     """Return how far the booked energy may be from the true one."""
     resolution = port["energy_resolution"]
-    return energy(resolution) if resolution else "exact   "
+    return f"+-{energy(resolution)}" if resolution else "rounding   "
 
 
 def _certificates(port: PortResult) -> str:
@@ -311,32 +340,31 @@ _PORT_ROWS: Final[tuple[tuple[str, Callable[[PortResult], str | Styled]], ...]] 
     ("out", _plain("out")),
     ("dissipated", _plain("dissipated")),
     ("stored at the end", _plain("stored")),
-    ("surplus at the end", _surplus("end")),
-    ("surplus at most", _surplus("max")),
+    ("energy created by sampling, not yet removed", _surplus("end")),
+    ("  at its peak", _surplus("max")),
     ("recovered by the damper", _plain("recovered")),
-    ("leaked", _plain("leaked")),
-    ("deficit", _plain("deficit")),
-    ("least sum of interaction", _plain("least_interaction")),
-    ("passive at the motor (eq. 3)", _passive),
-    ("least sum at the handle", _plain("least_at_handle")),
+    ("stored energy given up", _plain("leaked")),
+    ("given out but never stored", _plain("deficit")),
+    ("lowest net energy into the handle", _plain("least_interaction")),
+    ("passive at the motor", _passive),
+    ("lowest net energy at the handle", _plain("least_at_handle")),
     ("passive at the handle", _at_handle),
-    ("least margin (eq. 4)", _margin),
-    ("  reached at", _margin_place),
+    ("smallest margin", _margin),
     ("damping rendered", _damping),
-    ("  of what was asked", _share("damping")),
-    ("stiffness rendered, of asked", _share("stiffness")),
-    ("holds of contact without torque", _silent),
-    ("energy resolution", _resolution),
-    ("longest hold", _longest_hold),
-    ("holds not as commanded", _uncommanded),
+    ("damping rendered, of requested", _share("damping")),
+    ("stiffness rendered, of requested", _share("stiffness")),
+    ("cycles of contact without torque", _silent),
+    ("the account is certain to", _resolution),
+    ("longest time between torque updates", _longest_hold),
+    ("cycles not as commanded", _uncommanded),
     ("beyond declared friction and hand", _friction),
-    ("certificates", _certificates),
+    ("guarantee rests on", _certificates),
 )
 _TRUTH_ROWS: Final[tuple[tuple[str, Callable[[TruthResult], str]], ...]] = (
-    ("true interaction", _true("interaction")),
-    ("least true interaction", _true("least_interaction")),
-    ("least true sum at the handle", _true("least_at_handle")),
-    ("believed minus true, at most", _true("believed_error")),
+    ("net energy, from the plant", _true("interaction")),
+    ("lowest net energy, from the plant", _true("least_interaction")),
+    ("lowest at the handle, from the plant", _true("least_at_handle")),
+    ("largest error of the account", _true("believed_error")),
 )
 
 

@@ -46,10 +46,20 @@ def test_a_duration_may_carry_its_unit() -> None:
 
 
 def test_run_prints_the_energy_account(capsys: Captured) -> None:
-    assert main(["run", *SHORT]) == 0
+    assert main(["run", *SHORT, "--full"]) == 0
     out = capsys.readouterr().out
-    for words in ("completed", "200 cycles", "least margin (eq. 4)", "believed minus true", "timing", "link", "method"):
+    for words in (
+        "completed",
+        "200 cycles",
+        "smallest margin",
+        "largest error of the account",
+        "timing",
+        "link",
+        "method",
+    ):
         assert words in out
+    assert main(["run", *SHORT]) == 0
+    assert len(capsys.readouterr().out.splitlines()) <= 12
 
 
 def test_run_json_is_one_object_with_the_names_of_the_design(capsys: Captured, tmp_path: Path) -> None:

@@ -90,8 +90,8 @@ def test_every_part_of_the_result_is_in_the_report() -> None:
         "0.123 s",
         "4..10 N*s/m",
         "hand force",
-        "holds booked as exact",
-        "true interaction",
+        "cycles booked as exact",
+        "net energy, from the plant",
         "success rate 99.987 %, missing 1",
         "cycles per second 9123.4, deadlines missed 0",
         "p50   7.00 us",
@@ -108,12 +108,12 @@ def row_of(content: dict[str, object], label: str) -> str:
     for port in ports.values():
         if "least_interaction" in port:
             add_verdicts(port)
-    (line,) = (line for line in printed(content).splitlines() if line.strip().startswith(label))
+    (line,) = (line for line in printed(content).splitlines() if line.strip().startswith(f"{label} "))
     return line.strip().removeprefix(label).strip()
 
 
 def test_a_port_that_gave_energy_away_is_marked() -> None:
-    assert row_of(result(["still", "handle"]), "passive at the motor (eq. 3)").split() == ["yes", "NO"]
+    assert row_of(result(["still", "handle"]), "passive at the motor").split() == ["yes", "NO"]
 
 
 @pytest.mark.parametrize(
@@ -129,32 +129,32 @@ def test_a_port_that_gave_energy_away_is_marked() -> None:
 def test_a_port_is_passive_in_doubt_or_not(least: float, uncertainty: float, verdict: str) -> None:
     content = result(["handle"])
     content["ports"]["handle"] |= {"least_interaction": least, "unsure": uncertainty, "certificate": "none"}
-    assert row_of(content, "passive at the motor (eq. 3)") == verdict
+    assert row_of(content, "passive at the motor") == verdict
 
 
 @pytest.mark.parametrize(
     ("label", "changed", "shown"),
     [
-        ("reached at", {"margin": {"value": 0.0, "cycle": 0, "time": 0.0}}, "never below 0"),
-        ("reached at", {}, "0.123 s"),
+        ("smallest margin", {"margin": {"value": 0.0, "cycle": 0, "time": 0.0}}, "0 J, never negative"),
+        ("smallest margin", {}, "-2.200 mJ at 0.123 s"),
         ("damping rendered", {"damping_rendered": {"least": 4.0, "most": 4.0}, "unit": "rad"}, "4 N*m*s/rad"),
-        ("energy resolution", {"energy_resolution": 0.0}, "exact"),
-        ("energy resolution", {"read_back": "none", "energy_resolution": 0.2}, "200.0 mJ"),
-        ("energy resolution", {"read_back": "actual", "energy_resolution": 2.5e-3}, "2.500 mJ"),
-        ("stiffness rendered, of asked", {"rendered": {"stiffness": 0.875, "damping": None}}, "87.5 %"),
-        ("holds of contact without torque", {"contact": {"holds": 40, "without_torque": 3}}, "3 of 40"),
+        ("the account is certain to", {"energy_resolution": 0.0}, "rounding"),
+        ("the account is certain to", {"read_back": "none", "energy_resolution": 0.2}, "+-200.0 mJ"),
+        ("the account is certain to", {"read_back": "actual", "energy_resolution": 2.5e-3}, "+-2.500 mJ"),
+        ("stiffness rendered, of requested", {"rendered": {"stiffness": 0.875, "damping": None}}, "87.5 %"),
+        ("cycles of contact without torque", {"contact": {"holds": 40, "without_torque": 3}}, "3 of 40"),
         (
-            "holds of contact without torque",
+            "cycles of contact without torque",
             {"contact": {"holds": 40, "without_torque": 40}},
             "all",
         ),
-        ("certificates", {"certificates": []}, "no torque"),
-        ("certificates", {"certificates": ["exact", "hand_force"]}, "exact, hand force"),
+        ("guarantee rests on", {"certificates": []}, "no torque"),
+        ("guarantee rests on", {"certificates": ["exact", "hand_force"]}, "exact, hand force"),
         ("passive at the handle", {"energy_resolution": 0.0, "least_at_handle": -1e-3}, "in doubt"),
         ("passive at the handle", {"energy_resolution": 0.0, "least_at_handle": 0.0}, "yes"),
         ("input from moving surfaces", {"supplied": 0.25}, "250.0 mJ"),
         ("uncertainty, taken off `in`", {"unsure": 0.25}, "250.0 mJ"),
-        ("holds limited: singular", {"limits": {"singular": 12, "workspace": 0}}, "12"),
+        ("cycles limited by: singular", {"limits": {"singular": 12, "workspace": 0}}, "12"),
     ],
 )
 def test_each_row_says_it_in_words(label: str, changed: dict[str, object], shown: str) -> None:
@@ -166,7 +166,7 @@ def test_each_row_says_it_in_words(label: str, changed: dict[str, object], shown
 def test_a_limit_that_never_acted_has_no_row() -> None:
     content = result(["handle"])
     content["ports"]["handle"] |= {"limits": {"workspace": 0}, "supplied": 0.0}
-    assert "holds limited" not in printed(content)
+    assert "cycles limited" not in printed(content)
     assert "movers" not in printed(content)
 
 
@@ -198,7 +198,7 @@ def test_without_a_terminal_the_table_is_plain_text_a_hundred_columns_wide(
 ) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
     assert make_console().width == 100
-    print_energy(result(["handle"]))
+    print_energy(result(["handle"]), full=True)
     text = capsys.readouterr().out
     assert "\x1b" not in text
     assert "energy account" in text
@@ -222,8 +222,8 @@ def test_a_range_of_damping_is_written_whole_and_once_where_it_is_one_number(lea
 
 
 def test_a_quantity_that_no_port_has_is_no_row():
-    assert "energy resolution" not in printed(result(["handle"]))
-    assert "energy resolution" in printed(
+    assert "the account is certain to" not in printed(result(["handle"]))
+    assert "the account is certain to" in printed(
         result(["a"]) | {"ports": {"a": port() | {"energy_resolution": 1e-6}}, "truth": {}}
     )
 
@@ -233,3 +233,19 @@ def test_of_many_events_the_first_are_shown(count: int, title: str) -> None:
     event: LoggedEvent = {"time": 1.0, "sync_index": 1000, "kind": "fault", "port": "handle", "text": "stopped"}
     table = _events_table([event] * count)
     assert (table.title, len(table.rows)) == (title, min(count, 20))
+
+
+def test_a_run_prints_a_line_a_port_and_what_is_amiss(capsys: pytest.CaptureFixture[str]) -> None:
+    content = result(["still", "handle"])
+    ports: Any = content["ports"]
+    for port in ports.values():
+        add_verdicts(port)
+    print_energy(content)
+    lines = capsys.readouterr().out.splitlines()[1:]
+    assert lines[0].startswith(" handle: passive: NO")
+    assert lines[1].startswith(" ok   8000 cycles")
+    assert lines[2].split() == ["link", "missing", "1"]
+    assert "--full" in lines[3]
+    content |= {"link": {"missing": 0}, "method": "cogging of order 2, estimated error 1 um"}
+    print_energy(content)
+    assert capsys.readouterr().out.splitlines()[3].strip().startswith("method   cogging of order 2")

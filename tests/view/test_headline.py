@@ -13,10 +13,10 @@ CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
 @pytest.mark.parametrize(
     ("port", "words"),
     [
-        ({"passive": "yes", **CERTIFIED}, "passive: yes; guarantee rests on: hand force"),
+        ({"passive": "yes", **CERTIFIED}, "passive: yes · guarantee rests on: hand force"),
         ({"passive": "yes", "energy_allowance": 1e-4}, "passive: yes, within 100 uJ"),
         ({"passive": "no", "passive_at_handle": "yes", **CERTIFIED},
-         "passive: yes, at the handle; guarantee rests on: hand force"),
+         "passive: yes, at the handle · guarantee rests on: hand force"),
         ({"passive": "in doubt", "plant_passive": "yes"}, "passive: yes, by the plant; the account alone cannot tell"),
         ({"passive": "in doubt", "plant_passive": "no"}, "passive: NO, by the plant; the account alone cannot tell"),
         ({"passive": "yes", "plant_passive": "no"},
@@ -30,6 +30,10 @@ CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
         ({"passive": "yes", "contact": {"holds": 0, "without_torque": 0}}, "no contact"),
         ({"passive": "yes", "contact": {"holds": 9, "without_torque": 9}, "advice": "a lower current_lag"},
          "NOTHING RENDERED: a lower current_lag"),
+        ({"passive": "yes", "in": 0.136, "out": 0.0376, "rendered": {"stiffness": 0.985, "damping": None}, **CERTIFIED},
+         "passive: yes · 136 mJ in, 37.6 mJ out · stiffness 98.5 % of requested · guarantee rests on: hand force"),
+        ({"passive": "yes", "in": 0.1, "out": 0.0, "rendered": {"stiffness": 1.38, "damping": None}},
+         "passive: yes · 100 mJ in, 0 J out · stiffness as requested"),
         ({"passive": "yes", "dry_run": True}, "dry run, no torque was sent"),
     ],
 )  # fmt: skip

@@ -65,7 +65,7 @@ def _accuracy(parser: argparse.ArgumentParser) -> None:
 def _arena(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `arena`."""
     parser.add_argument("--scenes", metavar="A,B,...", type=names, help="names of configs/hard, or files; default: all")
-    parser.add_argument("--algorithms", metavar="A,B,...", type=names, help="which; by default every one")
+    parser.add_argument("--algorithms", metavar="A,B,...", type=names, help="algorithms to compare (default: all)")
     parser.add_argument(
         "--entry", metavar="FILE.py:CLASS", action="append", default=[], help="an algorithm of your own; repeatable"
     )
@@ -91,7 +91,7 @@ def _arena(parser: argparse.ArgumentParser) -> None:
 def _compare(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `compare`."""
     add_scene(parser)
-    parser.add_argument("--algorithms", metavar="A,B,...", type=names, help="which; by default every one")
+    parser.add_argument("--algorithms", metavar="A,B,...", type=names, help="algorithms to compare (default: all)")
     parser.add_argument("--duration", metavar="S", type=seconds, help="length of each run [s]; by default the scene's")
     parser.add_argument(
         "--rate", metavar="HZ", type=rate, help="another rate than the scene's, also beyond what a bus could carry"
