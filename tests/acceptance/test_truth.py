@@ -144,11 +144,11 @@ def test_faults_of_bus_drive_and_host_leave_no_false_claim_either():
 
 
 def test_losses_that_a_bus_makes_are_declared_and_a_yes_is_due_then():
-    scenes = [with_fault(random_scene(seed, further=False)) for seed in (5311, 5115)]  # TPDOs lost; RPDOs lost
+    scenes = [with_fault(random_scene(seed, further=False)) for seed in (5165, 5115)]  # TPDOs lost; RPDOs lost
     outcomes = [judged(scene)[1] for scene in scenes]
     assert all(0 < outcome.losses == outcome.declared_losses for outcome in outcomes)
     assert all(outcome.is_due and outcome.says_yes for outcome in outcomes)
-    ended_in_a_loss = judged(with_fault(random_scene(5165)))[1]
+    ended_in_a_loss = judged(with_fault(random_scene(5417)))[1]
     assert ended_in_a_loss.is_due
     assert ended_in_a_loss.says_yes
     beyond = Outcome(**{**outcomes[0].as_json(), "declared_losses": outcomes[0].losses - 1})

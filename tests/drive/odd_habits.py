@@ -86,6 +86,23 @@ def storm(slave: OddSlave) -> None:
         slave.emcy(0x3210)
 
 
+def of_the_sensor(**values: object) -> Callable[[OddSlave], None]:
+    """Attributes of its sensor."""
+
+    def take_on(slave: OddSlave) -> None:
+        for name, value in values.items():
+            assert hasattr(slave.sensor, name), name
+            setattr(slave.sensor, name, value)
+
+    return take_on
+
+
+def lacks(name: str) -> Callable[[OddSlave], object]:
+    """An object that it should have."""
+    index, sub = name[1:].split("_")
+    return lambda slave: slave.objects.pop((int(index, 16), int(sub)))
+
+
 def aborts(name: str, code: bytes = READ_ONLY) -> Callable[[OddSlave], None]:
     """A write that is refused."""
     index, sub = name[1:].split("_")
@@ -98,6 +115,12 @@ def keeps(name: str) -> Callable[[OddSlave], None]:
     return lambda slave: slave.frozen.add((int(index, 16), int(sub)))
 
 
+def late_once(slave: OddSlave) -> None:
+    """One TPDO beyond its window."""
+    slave.script = {20: sets(tpdo_after=7 * MILLISECOND), 21: sets(tpdo_after=200_000)}
+
+
+LATER = "as soon after SYNC as before: what comes may answer an older SYNC"
 HABITS = [
     # --- found before any torque ---
     Habit("is not there", "refused", "no answer", sets(is_deaf_to_sdo=True)),
@@ -146,6 +169,13 @@ HABITS = [
         sensor(inhibit=50 * MILLISECOND),
         "sensor",
     ),
+    Habit(
+        "sends a frame of another length",
+        "refused",
+        "no frame 0x1a1 of the force sensor of the right length",
+        sensor(length=2),
+        "sensor",
+    ),
     Habit("shows a force at rest", "refused", "let go of the handle", sensor(counts=200), "sensor"),
     Habit("refuses the TPDO map", "refused", "PDO map", aborts("x1a00_2")),
     Habit("keeps its transmission type", "refused", "Transmission type", keeps("x1400_2")),
@@ -166,6 +196,25 @@ HABITS = [
         "refused",
         "0x60b0:00 = 200, not in the dictionary",
         objects(x60b0_0="c8 00 00 00"),
+        "display",
+    ),
+    Habit("is of another vendor", "refused", "0x1018:01 = 0x1", objects(x1018_1="01 00 00 00")),
+    Habit("is another product", "refused", "0x1018:02 = 0x7", objects(x1018_2="07 00 00 00")),
+    Habit("has no heartbeat (0x1017)", "refused", "0x1017", lacks("x1017_0")),
+    Habit("rounds the heartbeat's period", "refused", "0x1017", both(objects(x1017_0="64 00"), keeps("x1017_0"))),
+    Habit("keeps 0x60C2", "refused", "0x60c2:01", both(objects(x60c2_1="05"), keeps("x60c2_1"))),
+    Habit("keeps the COB-ID of its RPDO", "refused", "0x1400:01", keeps("x1400_1")),
+    Habit(
+        "reads an SDO in blocks alone",
+        "refused",
+        "aborted with 0x05040001",
+        lambda slave: slave.no_read.update({(0x1000, 0): bytes.fromhex("01 00 04 05")}),
+    ),
+    Habit(
+        "keeps a 0x60B0 that its dictionary lists",
+        "refused",
+        "0x60b0",
+        both(objects(x60b0_0="c8 00 00 00"), keeps("x60b0_0")),
         "display",
     ),
     Habit("demands 0x1006", "refused", "set the drive's 0x1006 (cycle period)", sets(needs_period=True)),
@@ -191,7 +240,35 @@ HABITS = [
         "",
         in_motion(both(sends(0x185, "", is_remote_frame=True), sends(0x185, "00", is_extended_id=True))),
     ),
+    Habit("sends every second TPDO from then on", "runs", "", in_motion(sets(tpdo_every=2))),
+    Habit("sends a TPDO 0.7 cycles late, once", "runs", "", late_once),
+    Habit("answers no SDO expedited", "runs", "", sets(segments=True)),
+    Habit("sends SDO answers without a request", "runs", "", in_motion(OddSlave.answers_stale)),
+    Habit("toggles bit 7 of its heartbeat", "runs", "", sets(beat_bits=0x80)),
+    Habit("left its TPDO at another COB-ID", "runs", "", objects(x1800_1="c5 01 00 00")),
+    Habit("sends an event TPDO too", "runs", "", in_motion(sends(0x285, "37 12"))),
+    Habit("counts over the end of 0x6064", "runs", "", sets(position=(1 << 31) - 60, speed=1)),
+    Habit("shows bit 12 never", "runs", "", sets(statusword=0x0210)),
+    Habit("shows its limit (bit 11), with 0x6074", "runs", "", in_motion(sets(statusword=0x1A10))),
+    Habit("shows a warning and vendor bits", "runs", "", in_motion(sets(statusword=0xD290))),
+    Habit("left an offset in 0x60B1", "runs", "", objects(x60b1_0="c8 00 00 00"), "display"),
     # --- ends while it runs ---
+    Habit("becomes 1.2 cycles late", "ended", LATER, in_motion(sets(tpdo_after=12 * MILLISECOND))),
+    Habit("becomes 2.3 cycles late", "ended", LATER, in_motion(sets(tpdo_after=23 * MILLISECOND))),
+    Habit(
+        "becomes 1.2 cycles late",
+        "ended",
+        f"0x1a1 of the force sensor {LATER}",
+        in_motion(of_the_sensor(delay=12 * MILLISECOND)),
+        "sensor",
+    ),
+    Habit("freezes", "ended", "shows the same count for too long", in_motion(of_the_sensor(counts=100)), "sensor"),
+    Habit("is overloaded", "ended", "beyond the range of its sensor", in_motion(of_the_sensor(counts=40000)), "sensor"),
+    Habit("holds its torque", "ended", "holds an old torque", in_motion(sets(is_stuck=True))),
+    Habit("sends an EMCY of two bytes", "ended", "EMCY 0x3210", in_motion(sends(0x085, "10 32"))),
+    Habit("sends a boot-up and goes on", "ended", "left NMT OPERATIONAL", in_motion(sends(0x705, "00"))),
+    Habit("stops quickly by itself", "ended", "left OPERATION ENABLED", in_motion(sets(state="quick stop"))),
+    Habit("falls back to SWITCHED ON", "ended", "left OPERATION ENABLED", in_motion(sets(state="on"))),
     Habit("falls silent", "ended", "heartbeat stopped", in_motion(sets(has_heartbeat=False))),
     Habit("sends no more TPDOs", "ended", "no TPDO for too many SYNCs", in_motion(sets(tpdo_every=1 << 60))),
     Habit("loses all RPDOs", "ended", "its RPDOs are lost", in_motion(deaf_to(0x205))),
@@ -223,7 +300,7 @@ HABITS = [
         "dies",
         "ended",
         "without frame 0x1a1 of the force sensor",
-        in_motion(lambda slave: setattr(slave.sensor, "is_absent", True)),
+        in_motion(of_the_sensor(is_absent=True)),
         "sensor",
     ),
     Habit("another master sends SYNC", "ended", "SYNC (COB-ID 0x080)", in_motion(sends(0x080, ""))),

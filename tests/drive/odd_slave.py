@@ -67,6 +67,7 @@ class OddSlave:
     lost_requests: int = 0  # each n-th is lost
     is_deaf_to_sdo: bool = False
     aborts: dict[tuple[int, int], bytes] = field(default_factory=dict)  # abort code of writes
+    no_read: dict[tuple[int, int], bytes] = field(default_factory=dict)  # abort code of reads
     frozen: set[tuple[int, int]] = field(default_factory=set)  # objects that confirm a write and keep their value
     hears: Callable[[can.Message], bool] = lambda message: True
     tpdo_after: int = 200_000  # [ns] after SYNC
@@ -78,6 +79,9 @@ class OddSlave:
     period_fault: int = 0x8700
     needs_counter: bool = False  # a SYNC without a counter is none
     sto: bool = False
+    segments: bool = False  # answers no SDO expedited
+    is_stuck: bool = False  # keeps its torque
+    beat_bits: int = 0  # in every heartbeat
     refuses_mode: bool = False
     statusword: int = 0x1210  # its bits beyond the state: voltage, remote, follows
     clears_emcy: bool = False
@@ -91,6 +95,7 @@ class OddSlave:
     nmt: int = 0x7F
     position: int = 1000
     held: int = 0  # per mille: acts while enabled
+    segment: bytes = b""
     image: bytes = b""  # target in the last RPDO
     target: int = 0
     force: int = 0
@@ -133,7 +138,7 @@ class OddSlave:
         if now >= self.beat_at:
             self.beat_at += self.period()
             if self.has_heartbeat:
-                self.send(0x700 + self.node, bytes([self.nmt]))
+                self.send(0x700 + self.node, bytes([self.nmt | self.beat_bits]))
         if self.sensor:
             self.sensor.act(self, now)
 
@@ -172,17 +177,24 @@ class OddSlave:
             self.later(300_000, 0x7E4, bytes.fromhex("50 00 00 00 00 00 00 00"))
 
     def sdo(self, request: bytes) -> bytes:
+        if request[0] & 0xE0 == 0x60:  # the next segment: the only one
+            return bytes([7 - len(self.segment) << 1 | 1]) + self.segment.ljust(7, b"\0")
         index, sub = int.from_bytes(request[1:3], "little"), request[3]
         place, head = (index, sub), request[1:4]
         if place == (0x6041, 0):
             value: bytes | None = self.word().to_bytes(2, "little")
         elif place == (0x6064, 0):
-            value = self.position.to_bytes(4, "little", signed=True)
+            value = (self.position % (1 << 32)).to_bytes(4, "little")
         else:
             value = self.objects.get(place)
         if value is None:
             return b"\x80" + head + _ABSENT
+        if request[0] == 0x40 and self.segments:
+            self.segment = value
+            return b"\x41" + head + len(value).to_bytes(4, "little")
         if request[0] == 0x40:
+            if place in self.no_read:
+                return b"\x80" + head + self.no_read[place]
             return bytes([0x43 | 4 - len(value) << 2]) + head + value.ljust(4, b"\0")
         if request[0] & 0xE0 == 0x20:
             if place in self.aborts:
@@ -223,6 +235,10 @@ class OddSlave:
     def emcy(self, code: int) -> None:
         self.send(0x080 + self.node, code.to_bytes(2, "little") + b"\x01" + bytes(5))
 
+    def answers_stale(self) -> None:
+        """An SDO answer that nobody asked for."""
+        self.send(0x580 + self.node, bytes.fromhex("43 00 10 00 92 01 02 00"))
+
     def word(self) -> int:
         return STATES[self.state] | self.statusword
 
@@ -240,12 +256,13 @@ class OddSlave:
             if act := self.script.get(self.enabled_syncs):
                 act(self)
         if self.syncs % self.tpdo_every == 0 and self.has_tpdo():
-            image = self.word().to_bytes(2, "little") + self.position.to_bytes(4, "little", signed=True)
+            image = self.word().to_bytes(2, "little") + (self.position % (1 << 32)).to_bytes(4, "little")
             image += demand.to_bytes(2, "little", signed=True)
             for _ in range(self.tpdo_copies):
                 self.later(self.tpdo_after, 0x180 + self.node, image[: 6 if self.sensor else self.tpdo_length])
         offset = int.from_bytes(self.objects.get((0x60B2, 0), b""), "little", signed=True)
-        self.held = self.target + offset if self.state == "enabled" else 0
+        if not self.is_stuck:
+            self.held = self.target + offset if self.state == "enabled" else 0
 
     @property
     def torque(self) -> int:
@@ -258,12 +275,13 @@ class OddSlave:
 
 @dataclass
 class OddSensor:
-    """A force sensor of its own: four bytes in frame 0x1A1, in answer to a SYNC or by itself."""
+    """A force sensor of its own, node 0x21: four bytes in frame 0x1A1, in answer to a SYNC or by itself."""
 
     every: int = 0  # [ns] by itself; 0: it answers the SYNC
     inhibit: int = 0  # [ns] between two frames
+    delay: int = 200_000  # [ns] after SYNC
+    length: int = 4
     is_absent: bool = False
-    dies_at: int = _NEVER
     counts: int = 0
     due: int = _NEVER
     last: int = -_NEVER
@@ -272,11 +290,14 @@ class OddSensor:
         if message.arbitration_id == 0x000 and message.data[0] == 1 and self.every and self.due == _NEVER:
             self.due = slave.now + self.every
         if message.arbitration_id == 0x080 and not self.every and slave.now - self.last >= self.inhibit:
-            self.due = slave.now + 200_000
+            self.last = slave.now
+            self.show(slave, self.delay)
 
     def act(self, slave: OddSlave, now: int) -> None:
-        if now < self.due:
-            return
-        self.due, self.last = (self.due + self.every if self.every else _NEVER), now
-        if not self.is_absent and now < self.dies_at:
-            slave.send(0x1A1, self.counts.to_bytes(4, "little", signed=True))
+        if now >= self.due:
+            self.due += self.every
+            self.show(slave, 0)
+
+    def show(self, slave: OddSlave, delay: int) -> None:
+        if not self.is_absent:
+            slave.later(delay, 0x1A1, self.counts.to_bytes(4, "little", signed=True)[: self.length])

@@ -26,7 +26,7 @@ CYCLES = 200
 
 def display(kind: str) -> AxisParameters:
     source = {"node": ForceNode(node_id=0x21)} if kind == "sensor" else {"object": "0x2205.1"}
-    force = ForceParameters(per_count=0.01, range=300.0, slew=5e3, error=0.5, **source)
+    force = ForceParameters(per_count=0.01, range=300.0, slew=5e3, error=0.5, frozen_after=50, **source)
     parameters = AdmittanceParameters(mode="position", acceleration_limit=50.0, handle_acceleration=80.0, force=force)
     return axis(
         NODE,
@@ -46,7 +46,7 @@ class OddBench:
         link = Link(bus, VirtualClock([slave]), self.record)
         parameters = BusParameters(rate=RATE)
         if kind == "torque":
-            one = axis(NODE, name="handle")
+            one = axis(NODE, name="handle", vendor_id=0xF00D, product_code=1)
             drive = ServoDrive(link, one, read_dictionary(one.eds, NODE), parameters)
         else:
             one = display(kind)

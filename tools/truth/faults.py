@@ -31,6 +31,10 @@ _ON_THE_BUS: Final[dict[str, Callable[[float, np.random.Generator], dict[str, An
         "reorder": chance.uniform(0.01, 0.1), "reorder_delay": chance.uniform(0.05, 0.4) * period,
         "ids": [_TPDO, _RPDO],
     },
+    "late_tpdo": lambda period, chance: {
+        "delay": chance.choice([1.2, 2.3, chance.uniform(1.0, 3.0)]) * period, "direction": "to_master",
+        "ids": [_TPDO],
+    },
     "truncate": lambda _, chance: {"truncate": chance.uniform(0.01, 0.1), "ids": [_TPDO]},
     "refuse": lambda _, chance: {"refuse": chance.uniform(0.01, 0.1)},
     "jitter": lambda period, chance: {"jitter": chance.uniform(0.02, 0.15) * period},

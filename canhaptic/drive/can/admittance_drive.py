@@ -89,7 +89,7 @@ class AdmittanceDrive(ServoDrive):
                 self._statistics.short += 1
                 return
             if not self._pending & bit:
-                self._count_surplus(bit)
+                self._count_surplus(bit, is_same=False)
                 return
             self._stage[2] = int.from_bytes(data[begin:end], node.order, signed=node.signed)
             self._take_part(bit)

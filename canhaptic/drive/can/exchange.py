@@ -12,6 +12,7 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive, SyncWindow
 from canhaptic.errors import LinkError
 
+_MARGIN = 10  # part of a sample time by which an answer after a missing one may be slower than those before
 _HEARTBEAT = bytes([NmtState.OPERATIONAL])
 
 
@@ -60,6 +61,9 @@ class Exchange:
         """Let the next SYNC go out at once and count from there."""
         self.periods = 1
         self.uneven = self.skipped = 0
+        self._is_whole, self._slowest = True, -1
+        for _, window, _, _ in self._buses:
+            window.latest = self._window_ns
         self._since_heartbeat = self.beat_cycles
         self._next = self.deadline = self.woken = self.heard = self._synced = self._logged = self.clock.now()
 
@@ -70,6 +74,7 @@ class Exchange:
             LinkError: A bus failed.
         """
         self._next += self._period
+        self._slowest = -1
         for link in self.links:
             link.pump(self._synced + self._window_ns)
 
@@ -82,8 +87,7 @@ class Exchange:
         failure: LinkError | None = None
         synced = self.woken = self._wait()
         for link, window, group, count in self._buses:
-            window.is_open = True
-            window.pending = count
+            window.is_open, window.pending, window.synced = True, count, synced
             for drive in group:
                 drive.expect_tpdos()
             try:
@@ -97,16 +101,25 @@ class Exchange:
         self._synced, self._logged = synced, logged
         if synced - self.deadline > self._latest:  # held up after the wait: the next must not follow at once
             self._skip_after(synced - self.deadline)
-        end = synced + self._window_ns
+        end, was_whole, self._is_whole = synced + self._window_ns, self._is_whole, True
         for link, window, group, _ in self._buses:
             while window.pending and link.poll(end):
                 pass
             window.is_open = False
             if window.pending:
+                self._is_whole = False
                 _refuse_tpdos(group)
-        self.heard = self.now()
+        self.heard = heard = self.now()
+        if heard - synced > self._slowest and self._is_whole and was_whole:
+            self._allow(heard - synced)
         if failure is not None:
             raise failure
+
+    def _allow(self, slowest: int) -> None:
+        """Take the slowest answer that was surely in order [ns] for the measure of those that follow a missing one."""
+        self._slowest = slowest
+        for _, window, _, _ in self._buses:
+            window.latest = slowest + self._period // _MARGIN
 
     def _skip_after(self, late: int) -> None:
         """Skip the deadlines missed between the wait and the SYNC, given the SYNC's lateness [ns]."""

@@ -14,6 +14,7 @@ from canhaptic.drive.can.sdo import SdoChannel, download
 from canhaptic.drive.profile.torque_axis import CycleRules, ReceivedEmergency, TorqueAxis
 
 _SLOTS: Final = {od.STATUSWORD: 0, od.POSITION_ACTUAL: 1, od.TORQUE_DEMAND: 2, od.TORQUE_ACTUAL: 2}
+_DOUBT: Final = 1 << 30  # of the frames awaited: order after SYNC is not sure
 _IN_ORDER: Final = (0, 1, 2)
 _NMT_STATE: Final = 0x7F  # bit 7 of a heartbeat is reserved
 _OPERATIONAL: Final = int(od.NmtState.OPERATIONAL)
@@ -21,13 +22,18 @@ _DISABLE_BY_SDO: Final = next(download(od.CONTROLWORD, 0, od.Controlword.DISABLE
 
 
 class SyncWindow:
-    """Number of drives of one bus that have not answered the last SYNC yet; open from SYNC to the TPDO timeout."""
+    """Number of drives of one bus that have not answered the last SYNC yet; open from SYNC to the TPDO timeout.
 
-    __slots__ = ("is_open", "pending")
+    Attributes:
+        synced: Time of that SYNC [ns].
+        latest: Time after a SYNC until which an answer that follows a missing one counts as one to this SYNC [ns].
+    """
+
+    __slots__ = ("is_open", "latest", "pending", "synced")
 
     def __init__(self) -> None:
         self.is_open = False
-        self.pending = 0
+        self.pending = self.synced = self.latest = 0
 
 
 class ServoDrive(TorqueAxis):
@@ -77,6 +83,7 @@ class ServoDrive(TorqueAxis):
         self.nmt_state = None
         self._stage = [0, 0, 0]  # statusword, position counts, torque per mille: of the SYNC that is open
         self._pending = 0  # one bit for each TPDO that may come now
+        self._doubt = 0  # `_DOUBT` where the SYNC before was not answered
 
     @property
     def nmt_state(self) -> int | None:
@@ -92,13 +99,15 @@ class ServoDrive(TorqueAxis):
 
     def expect_tpdos(self) -> None:
         """Open the window of a SYNC for this drive."""
-        self._pending = self._all_tpdos
+        self._pending = self._all_tpdos | self._doubt
         self.is_complete = False
 
     def refuse_tpdos(self) -> None:
         """Close the window: a later TPDO must not count for the next SYNC."""
         if self._pending:
-            self.culprit = self.part(self._pending)
+            late = f"{self.part(self._all_tpdos)} as soon after SYNC as before: what comes may answer an older SYNC"
+            self.culprit = late if self._pending == _DOUBT else self.part(self._pending)
+            self._doubt = _DOUBT  # what comes after the next SYNC may answer this one
         self._pending = 0
 
     def part(self, bits: int) -> str:
@@ -180,16 +189,16 @@ class ServoDrive(TorqueAxis):
     ) -> Callable[[bytearray], None]:
         image = codec(plan.entries, wanted)
         unpack, length = image.unpack, image.size
-        is_whole = slots == _IN_ORDER and len(self.map.tpdos) == 1
+        alone = bit if slots == _IN_ORDER and len(self.map.tpdos) == 1 else -1
 
         def take(data: bytearray) -> None:
             if len(data) != length:
                 self._statistics.short += 1
                 return
             if not self._pending & bit:
-                self._count_surplus(bit)
+                self._count_surplus(bit, alone == bit and unpack(data) == self._values)
                 return
-            if is_whole:  # `_complete` written out: this runs for every drive in every cycle
+            if self._pending == alone:  # `_complete` written out: this runs for every drive in every cycle
                 self._values = values = unpack(data)
                 self.statusword = values[0]
                 self._pending, self.is_complete = 0, True
@@ -203,10 +212,14 @@ class ServoDrive(TorqueAxis):
 
     def _take_part(self, bit: int) -> None:
         """Record one frame of a sample, whose values are staged; the last one completes it."""
-        if self._pending != bit:
-            self._pending ^= bit
+        self._pending ^= bit
+        if self._pending & ~_DOUBT:
             return
-        self._values = list(self._stage)
+        if self._pending and self.now() - self.window.synced > self.window.latest:
+            self._statistics.late += 1
+            return
+        self._doubt = 0
+        self._values = tuple(self._stage)
         self._complete()
 
     def _complete(self) -> None:
@@ -216,7 +229,10 @@ class ServoDrive(TorqueAxis):
         self.statusword = self._values[0]
         self.window.pending -= 1
 
-    def _count_surplus(self, bit: int) -> None:
+    def _count_surplus(self, bit: int, is_same: bool) -> None:
+        """Count a frame beyond the one that answered; after a missing one it may have been the right one."""
+        if self.is_complete and self.unheard and not is_same:
+            self.uncommanded += 1
         if self.window.is_open:
             self._statistics.duplicate += 1
         else:
