@@ -189,20 +189,26 @@ class OddSlave:
             value = self.objects.get(place)
         if value is None:
             return b"\x80" + head + _ABSENT
-        if request[0] == 0x40 and self.segments:
+        return self.read(place, value) if request[0] == 0x40 else self.download(place, request)
+
+    def read(self, place: tuple[int, int], value: bytes) -> bytes:
+        head = place[0].to_bytes(2, "little") + bytes([place[1]])
+        if place in self.no_read:
+            return b"\x80" + head + self.no_read[place]
+        if self.segments:
             self.segment = value
             return b"\x41" + head + len(value).to_bytes(4, "little")
-        if request[0] == 0x40:
-            if place in self.no_read:
-                return b"\x80" + head + self.no_read[place]
-            return bytes([0x43 | 4 - len(value) << 2]) + head + value.ljust(4, b"\0")
-        if request[0] & 0xE0 == 0x20:
-            if place in self.aborts:
-                return b"\x80" + head + self.aborts[place]
-            if place not in self.frozen:
-                self.write(place, request[4 : 8 - (request[0] >> 2 & 3)])
-            return b"\x60" + head + bytes(4)
-        return b""
+        return bytes([0x43 | 4 - len(value) << 2]) + head + value.ljust(4, b"\0")
+
+    def download(self, place: tuple[int, int], request: bytes) -> bytes:
+        head = request[1:4]
+        if request[0] & 0xE0 != 0x20:
+            return b""
+        if place in self.aborts:
+            return b"\x80" + head + self.aborts[place]
+        if place not in self.frozen:
+            self.write(place, request[4 : 8 - (request[0] >> 2 & 3)])
+        return b"\x60" + head + bytes(4)
 
     def write(self, place: tuple[int, int], data: bytes) -> None:
         self.objects[place] = data
@@ -236,7 +242,7 @@ class OddSlave:
         self.send(0x080 + self.node, code.to_bytes(2, "little") + b"\x01" + bytes(5))
 
     def answers_stale(self) -> None:
-        """An SDO answer that nobody asked for."""
+        """An SDO answer without a request."""
         self.send(0x580 + self.node, bytes.fromhex("43 00 10 00 92 01 02 00"))
 
     def word(self) -> int:
