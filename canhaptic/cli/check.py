@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple
 import yaml
 from rich.console import Console
 from rich.markup import escape
+from rich.text import Text
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.cli.check_eds import WORDS
@@ -23,7 +24,7 @@ from canhaptic.cli.output import write_json
 from canhaptic.drive.can.bus_budget import BusBudget, require_budget
 from canhaptic.drive.can.dictionary_check import check_dictionary
 from canhaptic.drive.can.pdo_map import choose_map
-from canhaptic.drive.profile.fitness import Finding
+from canhaptic.drive.profile.fitness import Finding, Verdict
 from canhaptic.drive.survey import survey
 from canhaptic.host.realtime import GRANTED, Realtime
 from canhaptic.scene.build import build, require_buildable
@@ -138,7 +139,7 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.json:
         write_json(_as_json(found))
     else:
-        _print(make_console(), found, resolved=arguments.resolved)
+        _print(make_console(), found, resolved=arguments.resolved, full=arguments.full)
     return _TO_BE_SET if found.refused else 0
 
 
@@ -234,9 +235,9 @@ def _budget_as_json(budget: BusBudget) -> dict[str, Any]:
     }
 
 
-def _print(console: Console, found: _CheckFindings, *, resolved: bool) -> None:
-    scene, budgets, findings, hints, felt, _, _, objects = found
-    if inf in felt.values():
+def _print(console: Console, found: _CheckFindings, *, resolved: bool, full: bool) -> None:
+    scene = found.scene
+    if inf in found.felt.values():
         console.print(f"[bold red]{escape(found.wall())}[/]", soft_wrap=True)
     colour = "red" if found.refused else "yellow" if found.exceeded else "green"
     console.print(f"[bold {colour}]{escape(found.verdict())}[/]", soft_wrap=True)
@@ -248,25 +249,55 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool) -> None:
         console.print(f"[yellow]{escape(text)}[/]", soft_wrap=True)
     unset = values_to_set(scene)
     if found.refused or any(guess.line for guess in unset):
-        console.print("real drives run when all of this is set:")
-        console.print(_guess_table(unset))
+        console.print("set these before connecting a drive:")
+        console.print(_guess_table(unset) if full else _guess_line(unset))
     if resolved:
         values = _without_empty(scene.resolved())
         console.print(yaml.safe_dump(values, sort_keys=False, allow_unicode=True), markup=False)
-    for name, budget in budgets.items():
-        console.print(_bus_table(name, budget))
-        console.print(f"  worst cycle: {budget.arithmetic()}", markup=False, soft_wrap=True)
-        console.print(f"  periodic load of the bus: {100.0 * budget.periodic_load:.1f} %\n")
-    for axis in scene.axes:
-        name = axis.parameters.name
-        console.print(_fitness_table(f"{name}: {axis.parameters.eds}", findings[name]))
-        if objects:
-            console.print(_fitness_table(f"{name}: kept in the drive", objects[name]))
-    console.print(_hint_table(hints))
-    console.print(_host_table())
+    (_print_all if full else _print_brief)(console, found)
     answers = _realtime(scene)
     if answers:
         console.print(_realtime_table(answers))
+
+
+def _print_brief(console: Console, found: _CheckFindings) -> None:
+    """Print the load of the bus, what is amiss with a drive or the host, and the limits that the scene rests on."""
+    for name, budget in found.budgets.items():
+        used, most = 1e6 * budget.worst_cycle, 1e6 * budget.sample_time
+        console.print(f"{f'bus {name}'.rstrip()}: {used:.0f} us of {most:.0f} us in the worst cycle", markup=False)
+    for axis in found.scene.axes:
+        name = axis.parameters.name
+        amiss = [row for row in found.findings[name] if row.verdict is not Verdict.FIT]
+        if amiss:
+            console.print(_fitness_table(f"{name}: {axis.parameters.eds}", amiss))
+        if found.objects:
+            console.print(_fitness_table(f"{name}: kept in the drive", found.objects[name]))
+    console.print(_hint_table([hint for hint in found.hints if hint.concerns or hint.exceeded], texts=False))
+    advice = [setting for setting in host_settings() if setting.advice]
+    if advice:
+        console.print("host: " + "; ".join(f"{setting.name}: {setting.advice}" for setting in advice), markup=False)
+    console.print("[dim]every object, limit and setting: --full[/]")
+
+
+def _print_all(console: Console, found: _CheckFindings) -> None:
+    for name, budget in found.budgets.items():
+        console.print(_bus_table(name, budget))
+        console.print(f"  worst cycle: {budget.arithmetic()}", markup=False, soft_wrap=True)
+        console.print(f"  periodic load of the bus: {100.0 * budget.periodic_load:.1f} %\n")
+    for axis in found.scene.axes:
+        name = axis.parameters.name
+        console.print(_fitness_table(f"{name}: {axis.parameters.eds}", found.findings[name]))
+        if found.objects:
+            console.print(_fitness_table(f"{name}: kept in the drive", found.objects[name]))
+    console.print(_hint_table(found.hints, texts=True))
+    console.print(_host_table())
+
+
+def _guess_line(unset: list[Guess]) -> Text:
+    """The values to set in a few lines; the file says at each what belongs there."""
+    return Text(
+        ", ".join(f"{f'line {guess.line} ' if guess.line else ''}{guess.key}: {guess.value}" for guess in unset)
+    )
 
 
 def _guess_table(unset: list[Guess]) -> Table:
@@ -305,14 +336,15 @@ def _fitness_table(title: str, findings: list[Finding]) -> Table:
     return Table(title, ("object", "verdict", ""), rows)
 
 
-def _hint_table(hints: list[Hint]) -> Table:
+def _hint_table(hints: list[Hint], *, texts: bool) -> Table:
     rows: list[list[Cell]] = []
     for hint in hints:
         limit = "unknown" if hint.limit is None else f"{hint.limit:.4g} {hint.unit}"
         asked = "" if hint.asked is None else f"{hint.asked:.4g}"
         style = "dim" if not hint.concerns else "yellow" if hint.exceeded else ""
-        rows.append([Styled(text, style) for text in (hint.axis, hint.what, limit, asked, hint.text)])
-    return Table("stability", ("axis", "limit", "at most", "asked", ""), rows)
+        shown = (hint.axis, hint.what, limit, asked, *([hint.text] if texts else []))
+        rows.append([Styled(text, style) for text in shown])
+    return Table("stability", ("axis", "limit", "at most", "requested", *([""] if texts else [])), rows)
 
 
 def _host_table() -> Table:

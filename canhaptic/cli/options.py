@@ -241,6 +241,7 @@ def _check(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `check`."""
     add_scene(parser, runs=False)
     parser.add_argument("--resolved", action="store_true", help="print every value in effect, as YAML")
+    parser.add_argument("--full", action="store_true", help="print every object, limit and setting with its reason")
     text = "also read the limits, ramps and reactions that the drives keep, by SDO; nothing is written or enabled"
     parser.add_argument("--bus", action="store_true", help=text)
     add_json(parser)

@@ -165,6 +165,8 @@ def test_a_bar_is_drawn_where_the_end_is_known(capsys: Captured, monkeypatch: py
 
 def test_check_prints_configuration_bus_drives_stability_and_host(capsys: Captured) -> None:
     assert main(["check", DEMO]) == 0
+    assert len(capsys.readouterr().out.splitlines()) <= 40
+    assert main(["check", DEMO, "--full"]) == 0
     out = capsys.readouterr().out
     statuses = "Simulation: ready. Hardware: 8 values to set; "
     assert out.splitlines()[0] == f"{statuses}felt from 0.0015 m/s, 1 drive fit, bus load 28 %"

@@ -77,7 +77,7 @@ def test_markup_in_what_is_no_name_is_printed_as_it_is(tmp_path: Path, capsys: p
     (folder / "x.eds").write_bytes(SHIPPED_EDS.read_bytes())
     path = scene_file(folder, ("cia402_servo.eds", "x.eds"))
     for command in (
-        ["check", str(path)],
+        ["check", str(path), "--full"],
         ["run", str(path), "--duration", "0.05"],
         ["check-eds", str(folder / "x.eds")],
     ):
