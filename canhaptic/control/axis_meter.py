@@ -49,6 +49,7 @@ class Accuracy:
     position: float = 0.0  # error of a position, a constant part left out [m or rad]
     torque_share: float = 0.0  # error of the torque, of the torque
     torque_offset: float = 0.0  # error of the torque [N or N*m]
+    acts_unasked: bool = False  # a torque may act where none was sent
     torque_limit: float = inf  # part of the booked torque that may not have acted [N or N*m]
     late: float = 0.0  # time after a SYNC for which the torque before may act, where the algorithm counts none [s]
     late_speed: float | None = None  # of the axis in that time; None: estimated [m/s or rad/s]
@@ -182,7 +183,7 @@ class AxisMeter:
         if self._friction:
             self.dissipated += self._friction * self._path_to(position)
             self._compare(position, torque)
-        if torque or self._torque:
+        if torque or self._torque or self.accuracy.acts_unasked:
             self._leave_open(torque, moved, holds)
         else:
             self._speed = moved / holds

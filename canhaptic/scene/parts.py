@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from canhaptic.sim.plant.mechanism.shared_mechanism import MechanismMotor
     from canhaptic.sim.plant.plant import Plant
 
+_ANY: Final = 1e6  # [N or N*m]
+_OF_A_WINDING: Final = ("supply", "back_emf", "resistance")
 _SIGMAS: Final = 6.0
 """Standard deviations of a noise beyond which no sample is expected: 2e-9 of them."""
 
@@ -67,13 +69,14 @@ def accuracy_of(axis: AxisScene, algorithm: str) -> Accuracy:
     """
     effects, loop = _effects(axis), loop_as_known(axis)
     late = (loop.torque_window or 0.0) + (loop.current_lag or 0.0)  # beyond a hold too, where nothing is certified
-    certifies = algorithm == "guarded"
+    certifies, unasked = algorithm == "guarded", _unasked(effects, axis)
     bounds_motion = certifies and (bool(axis.group) or _bounds_motion(axis, loop))
     return Accuracy(
         sample_time=loop.sample_time * (1.0 + (loop.sync_jitter or 0.0)),
         position=0.5 * loop.encoder_count,
         torque_share=_share(effects),
-        torque_offset=0.5 * _value(effects, "torque_quantisation", "quantum", 0.0),
+        torque_offset=0.5 * _value(effects, "torque_quantisation", "quantum", 0.0) + unasked,
+        acts_unasked=unasked > 0.0,
         torque_limit=_largest_torque(effects),
         late=0.0 if bounds_motion else late,
         late_speed=axis.parameters.largest_speed if certifies else None,
@@ -130,6 +133,17 @@ def _position_error(effects: Mapping[str, Parameters]) -> float:
 
 def _largest_torque(effects: Mapping[str, Parameters]) -> float:
     return _value(effects, "torque_saturation", "limit", inf)
+
+
+def _unasked(effects: Mapping[str, Parameters], axis: AxisScene) -> float:
+    """Largest torque apart from that asked for of a motor whose supply its back-EMF may reach; 0 where it may not."""
+    if "voltage_limit" not in effects:
+        return 0.0
+    supply, constant, resistance = (_value(effects, "voltage_limit", of, 0.0) for of in _OF_A_WINDING)
+    speed, torque = axis.parameters.largest_speed, axis.parameters.torque_limit or _ANY
+    if supply > constant * speed + resistance * torque / constant:
+        return 0.0
+    return constant * (supply + constant * speed) / resistance + torque
 
 
 def _share(effects: Mapping[str, Parameters]) -> float:

@@ -10,8 +10,9 @@ The hand-force certificate counts on them. With real drives nothing is derived: 
 (`canhaptic commission`) and declared, and without them no real drive runs (`guesses`, and the algorithm itself).
 """
 
-from collections.abc import Mapping, Set
+from collections.abc import Callable, Mapping, Set
 from dataclasses import replace
+from math import inf
 from typing import Any, Final
 
 from canhaptic.canopen.eds import read_dictionary
@@ -79,6 +80,8 @@ def _bounds_of_mechanism(of: MechanismScene, place: int) -> dict[str, float]:
     return dict(zip(BOUNDS, (float(getattr(given, f"damping{guide}", 0.0)), static), strict=True))
 
 
+NO_LAG: Final = 1.0
+"""Lag of a torque whose own is not bounded [s]: the largest that is accepted, with which nothing is certified."""
 GUESSES: Final = {"sync_jitter": 0.05, "torque_window": 100e-6, "current_lag": 500e-6}
 """Taken for real drives until it is declared, with the time that event RPDOs take; no real drive runs on them."""
 _MOST_JITTER: Final = 0.5
@@ -184,7 +187,10 @@ def _window(scene: Scene, bus: NamedBus) -> float:
 
 
 def _lag(axis: AxisScene) -> float:
-    """Largest time constant from the commanded torque to the motor's [s]."""
-    effects = axis.simulation.effects if axis.simulation is not None else ()
-    lags = [getattr(effect.parameters, "time_constant", 0.0) for effect in effects if effect.name == "current_loop"]
-    return max(lags, default=0.0)
+    """Largest time constant from the commanded torque to the motor's [s]; `NO_LAG` where it may not follow at all."""
+    effects = {of.name: of.parameters for of in axis.simulation.effects} if axis.simulation is not None else {}
+    lag = float(getattr(effects.get("current_loop"), "time_constant", 0.0))
+    slowest: Callable[..., float] | None = getattr(effects.get("voltage_limit"), "slowest_lag", None)
+    if slowest is None:
+        return lag
+    return min(slowest(lag, axis.parameters.torque_limit or inf, axis.parameters.largest_speed), NO_LAG)

@@ -98,6 +98,14 @@ def test_a_hold_ended_by_a_late_sync_dissipates_for_its_own_length():
     assert judged(with_fault(random_scene(400828, further=False)))[1].false_claims == ()
 
 
+@pytest.mark.parametrize("seed", [684, pytest.param(1245, marks=pytest.mark.slow)])
+def test_a_winding_at_its_supply_leaves_no_false_claim(seed):
+    """Both claimed joules that were not there before the account knew of the supply."""
+    scene = random_scene(seed)
+    assert "effect:voltage_limit" in scene.tags
+    assert judged(scene)[1].false_claims == ()
+
+
 def _outcomes(scenes: int) -> list[Outcome]:
     return [outcome_of(seed) for seed in range(scenes)]
 

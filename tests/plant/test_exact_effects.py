@@ -4,7 +4,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.effects import encoder_noise
+from canhaptic.sim.plant.effects.voltage_limit import VoltageLimit
 from canhaptic.sim.plant.user import UserParameters
 from tests.plant.plant_scenes import (
     DAMPING,
@@ -113,6 +115,54 @@ def test_the_current_loop_agrees_with_closed_form_steps_up_to_four_hundred_time_
         current = held + gap * (1 - lost)
         assert positions[k + 1] == pytest.approx(q, rel=1e-12)
     assert plant.energy().motor == pytest.approx(0.5 * MASS * v * v, rel=1e-12)
+
+
+WINDING = {"type": "voltage_limit", "supply": 6.0, "back_emf": 2.0, "resistance": 1.5, "inductance": 3e-3}
+
+
+def test_a_winding_at_its_supply_is_the_closed_form_of_a_stalled_and_of_a_running_motor():
+    """Stalled, K U / R (1 - exp(-t R / L)); running free, to U / K. Then a torque below both, followed as asked."""
+    loop, torque = {"type": "current_loop", "time_constant": 1e-5}, 2.0 * 6.0 / 1.5
+    stalled = make_plant(loop, WINDING, user=None, mass=1e6, damping=0.0)
+    stalled.begin(0)
+    for k in range(1, 6):
+        stalled.advance_to(k * MS, 100.0)
+        assert stalled.motor_torque == pytest.approx(torque * -math.expm1(-k * 1e-3 * 1.5 / 3e-3), rel=1e-7)
+    stalled.advance_to(7 * MS, 1.0)
+    assert stalled.motor_torque == pytest.approx(1.0, rel=1e-9)
+    running = make_plant(loop, WINDING, user=None, damping=0.0)
+    running.begin(0)
+    for k in range(1, 2001):
+        running.advance_to(k * MS, 100.0)
+    assert running.velocity == pytest.approx(6.0 / 2.0, rel=1e-3)
+    assert running.energy().motor == pytest.approx(0.5 * MASS * running.velocity**2, rel=1e-9)
+    assert running.events <= 2
+    free = make_plant(loop, {**WINDING, "supply": 1e6}, user=None)
+    bare = make_plant(loop, user=None)
+    assert run(free, [1.0, -2.0, 0.5]) == pytest.approx(run(bare, [1.0, -2.0, 0.5]), rel=1e-12)
+
+
+@pytest.mark.parametrize("torque", [1.0, 4.0, 8.0])
+def test_the_slowest_lag_of_a_winding_bounds_how_late_its_torque_is(torque):
+    limit, lag = VoltageLimit(**{key: of for key, of in WINDING.items() if key != "type"}), 1e-4
+    slowest = limit.slowest_lag(lag, torque, 0.5)
+    assert (slowest == math.inf) is (1.5 * torque / 2.0 + 2.0 * 0.5 + 1e-9 >= 6.0)
+    for speed in (-0.5, 0.5):
+        plant = make_plant({"type": "current_loop", "time_constant": lag}, WINDING, user=None, mass=1e6, damping=0.0,
+                           initial_velocity=speed)  # fmt: skip
+        plant.begin(0)
+        held = -torque
+        plant.advance_to(MS * 20, held)
+        missing = 0.0
+        for k in range(1, 2000):  # the area between step and response, in units of the step
+            plant.advance_to(MS * 20 + k * 10_000, torque)
+            missing += (torque - plant.motor_torque) * 1e-5
+        assert missing <= slowest * 2.0 * torque * (1.0 + 1e-2)
+
+
+def test_a_voltage_limit_without_a_current_loop_is_refused():
+    with pytest.raises(ParameterError, match="voltage_limit: got no current_loop, expected one"):
+        make_plant(WINDING)
 
 
 def shaft_rates(time: float, y: Any, torque: float, force: float) -> list[float]:

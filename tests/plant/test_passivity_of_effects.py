@@ -36,6 +36,10 @@ VARIANTS: dict[str, list[dict[str, Any]]] = {
     "torque_saturation": [{"type": "torque_saturation", "limit": 1.0}],
     "tremor": [{"type": "tremor", "amplitude": 1e-3}],
     "viscous_friction": [{"type": "viscous_friction", "damping": 0.3}],
+    "voltage_limit": [
+        {"type": "current_loop", "time_constant": 5e-5},
+        {"type": "voltage_limit", "supply": 8.0, "back_emf": 2.0, "resistance": 1.0, "inductance": 1e-3},
+    ],
 }  # fmt: skip
 NEEDS_HAND = {"tremor", "grasp_change"}
 FRICTIONS = {"coulomb_friction", "stribeck_friction", "lugre_friction"}

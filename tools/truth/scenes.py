@@ -259,7 +259,20 @@ def _effects(chance: _Chance) -> list[dict[str, Any]]:
             continue
         chance.tags.add(f"effect:{kind}")
         effects.append({"type": kind, **_effect(chance, kind)})
+    if any(effect["type"] == "current_loop" for effect in effects):
+        effects += _supply(chance)
     return effects
+
+
+def _supply(chance: _Chance) -> list[dict[str, Any]]:
+    """Returns a voltage limit in a third of the scenes with a current loop, drawn apart from everything else."""
+    apart = _Chance(int(chance.generator.bit_generator.state["state"]["state"] % 2**32))
+    if not apart.drawn(0.33):
+        return []
+    chance.tags.add("effect:voltage_limit")
+    winding = {"back_emf": apart.decades(0.5, 10.0), "resistance": apart.decades(0.1, 5.0)}
+    return [{"type": "voltage_limit", "supply": apart.decades(8.0, 80.0), **winding,
+             "inductance": apart.decades(1e-4, 5e-3)}]  # fmt: skip
 
 
 def _effect(chance: _Chance, kind: str) -> dict[str, Any]:

@@ -294,12 +294,59 @@ class ReferenceStickSlip:
         return (Transition(index, "stuck", lambda t, y, u: sign * float(y[self._velocity]), _NEGLIGIBLE, stop),)
 
 
+class ReferenceWinding:
+    """A winding at a supply that is limited: U = R i + L di/dt + K v, torque K i; the voltage asked for is cut at +-U.
+
+    Args:
+        limit: Supply U, constant K of back-EMF and torque, resistance R and inductance L.
+        place: Place of the motor's torque in the state.
+        wanted: (state, torque held) -> rate of the torque that the current loop asks for.
+    """
+
+    modes: tuple[str, ...] = ("free", "high", "low")
+
+    def __init__(self, limit: Any, place: int, wanted: Callable[[State, float], float]) -> None:
+        self._limit, self._place, self._wanted = limit, place, wanted
+
+    def _asked(self, state: State, torque: float) -> float:
+        p, ampere, change = self._limit, state[self._place] / self._limit.back_emf, self._wanted(state, torque)
+        return float(p.resistance * ampere + p.inductance * change / p.back_emf + p.back_emf * state[VELOCITY])
+
+    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
+        """Replace the rate of the torque while the voltage is cut."""
+        if mode != "free":
+            p = self._limit
+            rest = p.supply if mode == "high" else -p.supply
+            rest -= p.back_emf * state[VELOCITY] + p.resistance * state[self._place] / p.back_emf
+            rates[self._place] = p.back_emf * rest / p.inductance
+
+    def ways(self, index: int, mode: str) -> Sequence[Transition]:
+        """Transitions where the voltage that is asked for passes the supply, either way."""
+        supply = self._limit.supply
+        rounding = _NEGLIGIBLE * supply
+        if mode == "free":
+            return (
+                Transition(index, "high", lambda t, y, u: supply - self._asked(y, u), rounding),
+                Transition(index, "low", lambda t, y, u: supply + self._asked(y, u), rounding),
+            )
+        sign = 1.0 if mode == "high" else -1.0
+        return (Transition(index, "free", lambda t, y, u: sign * self._asked(y, u) - supply, rounding),)
+
+
 MOTOR_WORK, USER_WORK = -2, -1
 """Places of the works in the state [J]."""
 Modes = tuple[str, ...]
 _DRY: Final = ("coulomb_friction", "stribeck_friction")
 _COMMANDS: Final = ("torque_saturation", "torque_quantisation", "thermal_derating")
-_ONCE: Final = ("current_loop", "shaft_compliance", "backlash", "lugre_friction", "thermal_derating", *_DRY)
+_ONCE: Final = (
+    "current_loop",
+    "voltage_limit",
+    "shaft_compliance",
+    "backlash",
+    "lugre_friction",
+    "thermal_derating",
+    *_DRY,
+)
 _OFTEN: Final = ("torque_ripple", "viscous_friction", "cogging", "hard_stop", "grasp_change", "tremor", *_COMMANDS[:2])
 _OF_THE_ENCODER: Final = ("encoder_noise", "encoder_quantisation")
 """Effects on measured values, on which the motion does not depend."""
@@ -377,6 +424,9 @@ class Model:
         self._lag = loop and loop.time_constant
         self._current = self.add_state("motor_torque") if loop else -1
         self._winding = self.add_state("temperature", derating.ambient) if derating else -1
+        limit = self._one("voltage_limit")
+        if limit:
+            self._elements.append(ReferenceWinding(limit, self._current, self._wanted))
         self._ripples = [
             (r.amplitude, 2.0 * math.pi / r.pitch, r.phase) for r in self._effects.get("torque_ripple", [])
         ]
@@ -485,6 +535,11 @@ class Model:
                 heat = command.thermal_resistance * command.copper_loss * torque**2
                 rates[self._winding] = (heat - (warmth - command.ambient)) / command.time_constant
         return torque
+
+    def _wanted(self, state: State, torque: float) -> float:
+        """Rate of the motor's torque that the current loop asks for."""
+        held = self._held(state, torque, [0.0] * len(self.names)) if self._commands else torque
+        return float((held - state[self._current]) / self._lag)
 
     def _other_forces(self, time: float, state: State, torque: float) -> float:
         """All forces on the motor but dry friction, in the modes of the last call of `ways`."""

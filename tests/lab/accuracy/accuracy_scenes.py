@@ -29,6 +29,10 @@ EFFECTS = {
     "cogging": ({"type": "cogging", "amplitude": 0.1, "pitch": 0.01},),
     "torque_ripple": ({"type": "torque_ripple", "amplitude": 0.02, "pitch": 0.01},),
     "current_loop": ({"type": "current_loop", "time_constant": 3e-4},),
+    "voltage_limit": (
+        {"type": "current_loop", "time_constant": 3e-4},
+        {"type": "voltage_limit", "supply": 1.0, "back_emf": 1.3, "resistance": 0.6, "inductance": 1e-3},
+    ),
     "torque_saturation": ({"type": "torque_saturation", "limit": 0.6},),
     "torque_quantisation": ({"type": "torque_quantisation", "quantum": 0.1},),
     "shaft_compliance": (SHAFT,),

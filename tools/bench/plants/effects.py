@@ -17,6 +17,10 @@ VARIANTS: dict[str, tuple[dict[str, Any], ...]] = {
     "cogging": ({"type": "cogging", "amplitude": 0.1, "pitch": 0.01},),
     "torque_ripple": ({"type": "torque_ripple", "amplitude": 0.02, "pitch": 0.01},),
     "current_loop": ({"type": "current_loop", "time_constant": 5e-5},),
+    "voltage_limit": (
+        {"type": "current_loop", "time_constant": 5e-5},
+        {"type": "voltage_limit", "supply": 24.0, "back_emf": 2.0, "resistance": 1.0, "inductance": 1e-3},
+    ),
     "torque_saturation": ({"type": "torque_saturation", "limit": 1.0},),
     "torque_quantisation": ({"type": "torque_quantisation", "quantum": 0.01},),
     "thermal_derating": (

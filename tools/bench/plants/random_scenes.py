@@ -87,6 +87,8 @@ def random_scene(seed: int, friction: str = "coulomb_friction") -> RandomScene:
     chance = _Chance(seed)
     period_ns = int(chance.generator.choice([100_000, 1_000_000, 5_000_000, 10_000_000, 20_000_000])) // 32 * 32
     effects = _effects(chance, friction)
+    if any(effect["type"] == "current_loop" for effect in effects):
+        effects += _supply(np.random.default_rng([seed, 39]))
     user = None
     if chance.drawn(0.7):
         user = UserParameters(
@@ -107,6 +109,15 @@ def random_scene(seed: int, friction: str = "coulomb_friction") -> RandomScene:
     if chance.drawn(0.3):
         torques = np.repeat(torques[::4], 4)
     return RandomScene(seed, plant, user, tuple(read_effect(e) for e in effects), period_ns, tuple(torques.tolist()))
+
+
+def _supply(generator: np.random.Generator) -> list[dict[str, Any]]:
+    """Returns a voltage limit in half of the scenes, drawn apart from everything else."""
+    if generator.random() < 0.5:
+        return []
+    draws = {"supply": (0.3, 1.5), "back_emf": (-0.7, 0.7), "resistance": (-1.0, 1.0), "inductance": (-4.3, -2.3)}
+    values = {name: float(10.0 ** generator.uniform(*decades)) for name, decades in draws.items()}
+    return [{"type": "voltage_limit", **values}]
 
 
 def _effects(chance: _Chance, friction: str) -> list[dict[str, Any]]:

@@ -32,6 +32,7 @@ EFFECTS: Final[dict[str, str]] = {
     "torque_saturation": "canhaptic.sim.plant.effects.torque_saturation:TorqueSaturation",
     "tremor": "canhaptic.sim.plant.effects.tremor:Tremor",
     "viscous_friction": "canhaptic.sim.plant.effects.viscous_friction:ViscousFriction",
+    "voltage_limit": "canhaptic.sim.plant.effects.voltage_limit:VoltageLimit",
 }
 """Name in a scene -> "module:Class" of its frozen parameters."""
 

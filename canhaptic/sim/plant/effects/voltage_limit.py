@@ -1,0 +1,89 @@
+"""Voltage limit: the drive cannot drive the current faster, or against a higher back-EMF, than its supply allows.
+
+    voltage = resistance i + inductance di/dt + back_emf v,   |voltage| <= supply,   torque = back_emf i
+
+Within the supply the current follows as `current_loop` says; at the supply it follows the winding's own equation. In SI
+the torque of an ampere is the back-EMF of a unit of speed. Above supply / back_emf the motor brakes, torque or none.
+Needs `current_loop`. States added: none (3 modes). Exact. Energy: motor work is that of the true torque.
+Typical: 24..48 V, 0.05..5 ohm, 0.05..5 mH. Source: Leonhard, "Control of Electrical Drives", 2001, ch. 5 and 7.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Literal
+
+from canhaptic.errors import ParameterError
+from canhaptic.sim.plant.assembly import MOTOR, Guard, PlainPart, PlantModel, Rows
+from canhaptic.sim.plant.propagator import Array
+from canhaptic.units import Parameters, quantity
+
+
+class VoltageLimit(Parameters):
+    """A supply that limits the voltage of the winding."""
+
+    order: ClassVar[int | None] = None
+    rank: ClassVar[int] = 1
+
+    type: Literal["voltage_limit"] = "voltage_limit"
+    supply: Annotated[float, quantity("V", gt=0.0, le=1e6)]
+    """Largest voltage of the drive at the winding."""
+    back_emf: Annotated[float, quantity("V*s/m", "V*s/rad", gt=0.0, le=1e6)]
+    """Voltage of the turning motor by speed; the torque by ampere is the same number."""
+    resistance: Annotated[float, quantity("ohm", gt=0.0, le=1e6)]
+    """Resistance of the winding."""
+    inductance: Annotated[float, quantity("H", gt=0.0, le=1e3)]
+    """Inductance of the winding."""
+
+    def add_to(self, scene: PlantModel) -> None:
+        """Add the modes in which the voltage is at the supply.
+
+        Raises:
+            ParameterError: There is no current loop.
+        """
+        if "current loop" not in scene.slots:
+            raise ParameterError("voltage_limit: got no current_loop, expected one; it says how fast the current is")
+        scene.claim("voltage limit", self.type)
+        scene.parts.append(_Winding(self))
+
+    def slowest_lag(self, time_constant: float, torque: float, speed: float) -> float:
+        """Return the time constant [s] that the torque follows with at least; infinite where it may not follow at all.
+
+        With the voltage that remains, w = supply - resistance i - back_emf v, the torque changes by back_emf w /
+        inductance, and what is left of a step is 2 `torque` at most.
+
+        Args:
+            time_constant: Time constant of the current loop [s].
+            torque: Largest torque that is asked for [N or N*m].
+            speed: Largest speed [m/s or rad/s].
+        """
+        rest = self.supply - self.resistance * torque / self.back_emf - self.back_emf * speed
+        steep = 2.0 * torque * self.inductance
+        return max(time_constant, steep / (self.back_emf * rest)) if rest > 0.0 else math.inf
+
+
+class _Winding(PlainPart):
+    """The winding: within the supply, at it, or at its negative."""
+
+    name = "voltage_limit"
+    modes: tuple[str, ...] = ("within", "upper", "lower")
+    has_guards = True
+
+    def __init__(self, limit: VoltageLimit) -> None:
+        self._limit = limit
+
+    def assemble(self, rows: Rows, mode: str) -> None:
+        """Keep the rate that the current loop asks for, and at the supply put the winding's own in its place."""
+        p, current = self._limit, rows.row(motor_torque=1.0)
+        back = p.back_emf * rows.velocity(MOTOR)
+        self._wanted: Array = rows.rates[rows.index["motor_torque"]].copy()
+        self._voltage = (p.resistance * current + p.inductance * self._wanted) / p.back_emf + back
+        if mode != "within":
+            supply = rows.row(one=p.supply if mode == "upper" else -p.supply)
+            rows.set_rate("motor_torque", (p.back_emf * (supply - back) - p.resistance * current) / p.inductance)
+
+    def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
+        """Guards: the voltage that is asked for passes the supply, or comes back."""
+        supply, voltage = rows.row(one=self._limit.supply), self._voltage
+        if mode == "within":
+            return Guard(supply - voltage, "upper"), Guard(supply + voltage, "lower")
+        return (Guard((voltage if mode == "upper" else -voltage) - supply, "within"),)
