@@ -29,7 +29,7 @@ from canhaptic.drive.survey import survey
 from canhaptic.host.realtime import GRANTED, Realtime
 from canhaptic.scene.build import build, require_buildable
 from canhaptic.scene.first_contact import advice, slowest_felt
-from canhaptic.scene.hints import Hint, display_hints, group_hints, stability_hints
+from canhaptic.scene.hints import Hint, display_hints, group_hints, guarantee, stability_hints
 from canhaptic.scene.method import dear_holds
 from canhaptic.scene.models import Guess, Scene, refused_values, status_text, values_to_set
 from canhaptic.view.energy_table import make_console
@@ -102,7 +102,7 @@ def _read(path: str) -> str:
         return ""
 
 
-NO_WALL: Final = "NO WALL"
+NO_WALL: Final = "NO WALL for this rig and hand"
 _TO_BE_SET: Final = 1  # exit status: a run is refused until the marked values are set
 
 
@@ -204,6 +204,7 @@ def _as_json(found: _CheckFindings) -> dict[str, Any]:
         "wall": found.wall(),
         "dear": found.dear,
         "fitness": fitness,
+        "guarantee": {axis.parameters.name: guarantee(axis, hints) for axis in scene.axes},
         "felt_from": felt,  # infinite: null
         "config_hash": None if scene.unread else scene.config_hash(),  # it holds the defaults of own code
         "unread": list(scene.unread),
@@ -247,6 +248,8 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool, full: boo
     console.print(line + ("" if resolved else "; every value: --resolved"), markup=False, soft_wrap=True)
     for text in found.dear:
         console.print(f"[yellow]{escape(text)}[/]", soft_wrap=True)
+    for text in filter(None, (guarantee(axis, hints) for axis in scene.axes)):
+        console.print(text, markup=False, soft_wrap=True)
     unset = values_to_set(scene)
     if found.refused or any(guess.line for guess in unset):
         console.print("set these before connecting a drive:")

@@ -426,6 +426,7 @@ def _run(parser: argparse.ArgumentParser) -> None:
         "--no-torque", action="store_true",
         help="dry run: the drives are enabled and every torque that is sent is 0; the log holds the requests",
     )  # fmt: skip
+    parser.add_argument("--large-allowance", action="store_true", help="accept an energy_allowance above 10 mJ")
     parser.add_argument("--log", metavar="FILE.h5", type=Path, help="energy log (HDF5)")
     parser.add_argument("--bus-log", metavar="FILE.log", type=Path, help="bus log (candump text)")
     parser.add_argument("--force", action="store_true", help="replace logs that exist")

@@ -3,6 +3,7 @@
 import argparse
 import tempfile
 from contextlib import ExitStack
+from math import inf
 from pathlib import Path
 from typing import Final
 
@@ -12,13 +13,14 @@ from canhaptic.cli.options import check_picture, require_new, scene_of
 from canhaptic.cli.output import failure, note_file, write_failure, write_json, write_line, write_note
 from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
-from canhaptic.errors import CanHapticError
+from canhaptic.errors import CanHapticError, ParameterError
 from canhaptic.result import RunResult
 from canhaptic.scene.build import Experiment, build, logs_elsewhere
 from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.models import Scene, require_no_guesses
 
 _NOT_PASSIVE: Final = 1  # exit status of --strict
+_LARGE: Final = 0.01  # energy allowance that needs --large-allowance [J]
 _KEPT: Final = ("yes", "no contact", "dry run")
 
 
@@ -35,6 +37,7 @@ def execute(arguments: argparse.Namespace) -> int:
             if energy_log is None:
                 energy_log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.h5"
         require_no_guesses(scene)
+        _require_allowed(scene, most=inf if arguments.large_allowance else _LARGE)
         for text in (*elsewhere, *_unverified(scene)):
             write_note(f"  {text}")
         if any(bus.parameters.interface == "socketcan" for bus in scene.buses):
@@ -66,6 +69,22 @@ def _dear_holds(scene: Scene) -> list[str]:
     from canhaptic.scene.method import dear_holds
 
     return dear_holds(scene)
+
+
+def _require_allowed(scene: Scene, most: float) -> None:
+    """Refuse an allowance that a hand may feel as a kick, above `most` [J].
+
+    Raises:
+        ParameterError: An axis or a group may give out more than 10 mJ.
+    """
+    ports = [(axis.parameters.name, axis.passivity) for axis in scene.axes if not axis.group]
+    for name, passivity in [*ports, *((group.name, group.passivity) for group in scene.groups)]:
+        energy = getattr(passivity.parameters, "energy_allowance", 0.0)
+        if energy > most:
+            raise ParameterError(
+                f"{name}: passivity.energy_allowance: got {energy:.3g} J, expected at most {most:g} J; the port may "
+                "give this out before any came in: declare less, or run with --large-allowance"
+            )
 
 
 def _unverified(scene: Scene) -> list[str]:

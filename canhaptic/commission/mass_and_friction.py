@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.commission.session import OpenLoop, Session, StepVerdict, reversals
-from canhaptic.scene.first_contact import ALLOWANCES, share_of_wall
+from canhaptic.scene.first_contact import ALLOWANCES, share_of_wall, with_declared
+from canhaptic.scene.hints import advised_allowance, allowance_words
 from canhaptic.scene.models import AxisScene
 
 _Array = NDArray[np.float64]
@@ -247,6 +248,27 @@ def needed_allowance(
     return next(tried, None)
 
 
+def propose_allowance(session: Session, axis: int, known: Mapping[str, float]) -> None:
+    """Propose the energy allowance with which a wall begins at any speed, where none is declared or proposed.
+
+    Args:
+        session: The rig.
+        axis: Its index.
+        known: Measured values of `passivity`, SI.
+    """
+    scene, key = session.axes[axis], "passivity.energy_allowance"
+    hand_force, declared = (getattr(scene.passivity.parameters, name, None) for name in ("hand_force", key[10:]))
+    mine = [value for value in session.report.values if value.axis == scene.parameters.name]
+    if scene.group or hand_force is None or declared is None or declared > 0.0 or key in [each.key for each in mine]:
+        return
+    timing = {each.key[10:]: each.value for each in mine if isinstance(each.value, float)}
+    loop = with_declared(scene, {**known, **{name: timing[name] for name in _TIMES if name in timing}}).loop
+    energy = advised_allowance(loop, hand_force, getattr(scene.passivity.parameters, "max_consecutive_losses", 0))
+    if energy > 0.0:
+        session.propose(axis, key, energy, "J", allowance_words(energy, loop, scene.parameters.unit))
+
+
+_TIMES: Final = ("sync_jitter", "torque_window", "current_lag")
 _ITEM: Final = "torque lag"
 _SHORTEST: Final = 24  # cycles of the first part of the longest doublet
 _LONGEST: Final = 60

@@ -15,6 +15,7 @@ from canhaptic.commission.mass_and_friction import (
     friction_curve,
     is_dear,
     mass_within,
+    propose_allowance,
     time_the_torque,
 )
 from canhaptic.commission.session import OpenLoop, Session, StepVerdict, doublet, sweep
@@ -179,6 +180,7 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
         for key, value in values.items():
             session.propose(axis, f"passivity.{key}", value, _unit_of(session, axis, key), _COMMENTS[key])
         time_the_torque(session, axis, _largest_torque(session, axis), rough_mass, values)
+        propose_allowance(session, axis, values)
 
 
 def _swept(

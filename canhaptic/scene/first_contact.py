@@ -10,10 +10,10 @@ from dataclasses import replace
 from math import inf
 from typing import Any, Final, NamedTuple, cast
 
-from canhaptic.axis_units import effort_unit
+from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.environments.environment import Environment
 from canhaptic.errors import ParameterError
-from canhaptic.scene.hints import LEAN
+from canhaptic.scene.hints import LEAN, advised_allowance
 from canhaptic.scene.models import AxisScene
 from canhaptic.scene.parts import build_axis_controller
 
@@ -141,7 +141,13 @@ def advice(axis: AxisScene) -> str:
     aim = 0.01 * axis.parameters.largest_speed if slowest == inf else slowest / 3.0
     ways = [remedy.text for remedy in remedies(axis, aim)[:1]]
     if (allowance := enough_allowance(axis, aim)) is not None:
-        ways.append(f"energy_allowance: {allowance:g} J starts it")
+        least = advised_allowance(axis.loop, getattr(axis.passivity.parameters, "hand_force", None) or 0.0)
+        allowance = max(allowance, float(f"{least:.2g}"))
+        share = rendered_share(with_declared(axis, {"energy_allowance": allowance}), aim)
+        ways.append(f"energy_allowance: {allowance:g} J starts it, {100.0 * share:.0f} % of it at {aim:.2g} {unit}")
+    if stiffness := getattr(axis.environment.parameters, "stiffness", None):
+        needed = 0.5 * stiffness * axis.loop.sample_time * (1 + axis.loop.delay)
+        ways.append(f"device_damping of {needed:.2g} {damping_unit(axis.parameters.unit)} holds it for every hand")
     return f"{begins} {'starts' if slowest == inf else 'does not start'} this wall; {'; '.join(ways) or 'see check'}"
 
 

@@ -23,6 +23,7 @@ from canhaptic.control.certificates.scalar_bounds import (
     start_speed,
 )
 from canhaptic.control.damping import largest_stable_damping, least_oscillating_damping
+from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import display_properties
 
@@ -35,6 +36,41 @@ LEAN: Final = 0.25
 """Force of a hand that leans on a wall, as a part of the torque limit."""
 DRAG: Final = 0.1
 """Drag that is hardly felt [N or N*m]."""
+
+
+ENCODER: Final = "with this encoder, f_c / count"
+"""End of the name of the stiffness that dry friction sustains."""
+LARGEST_ADVISED: Final = 1e-3
+"""Largest energy allowance that is proposed [J]: 0.25 kg at 9 cm/s."""
+_ANY_TORQUE: Final = 1e9  # [N or N*m]
+
+
+def advised_allowance(loop: LoopProperties, hand_force: float, losses: int = 0) -> float:
+    """Return the energy allowance [J] with which half of the certified stiffness begins at any speed of approach.
+
+    It is h F_h^2 / 4 with h = T^2 / m, three times that one sample late, and no more than `LARGEST_ADVISED`.
+
+    Args:
+        loop: Properties of the loop and of the device; 0 is returned where they certify nothing by a hand force.
+        hand_force: Declared force of the hand [N or N*m].
+        losses: Consecutive lost cycles that the certificates survive.
+    """
+    if loop.moving_mass is None or loop.device_damping_bound is None:
+        return 0.0
+    pull, least, most = hand_force + (loop.device_friction_bound or 0.0), 0.0, loop.device_damping_bound
+    response = displacement_response(loop.sample_time, loop.moving_mass, pull, least, most, timing=loop.timing)
+    holds = loop.delay + losses
+    energy = start_energy(response, holds, 0.5 * renderable_by_hand_force(response, holds, _ANY_TORQUE))
+    return min(energy, LARGEST_ADVISED)
+
+
+def allowance_words(energy: float, loop: LoopProperties, unit: str) -> str:
+    """Return what an energy allowance [J] lets happen, in words, for an axis in m or rad."""
+    mass, mass_unit = loop.moving_mass or 1.0, "kg" if unit == "m" else "kg*m^2"
+    speed = sqrt(2.0 * energy / mass)
+    return (
+        f"at no time more than this beyond what came in since the start: {mass:.2g} {mass_unit} at {speed:.2g} {unit}/s"
+    )
 
 
 class Hint(NamedTuple):
@@ -234,7 +270,45 @@ def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list
     if hand_speed is not None:
         limit = renderable_by_hand_speed(hand_speed, loop.sample_time, lag, torque)
         held["hand speed"] = limit, f"at the torque limit, hand speed up to {hand_speed:g}{more}"
-    return [*_held_stiffness(axis, held), *hints]
+    return [*_held_stiffness(axis, held), *hints, *_encoder_hint(axis)]
+
+
+def _encoder_hint(axis: AxisScene) -> list[Hint]:
+    """Stiffness that `guarded` renders for ever with the encoder, f_c / count, and the count for the wall asked."""
+    count, friction, asked = axis.loop.encoder_count, axis.loop.device_friction or 0.0, _asked(axis, "stiffness")
+    if not count or axis.group or axis.passivity.name != "guarded":
+        return []
+    what, unit = f"stiffness kept {ENCODER}", axis.parameters.unit
+    if not friction:
+        text = "pressed to and fro the wall fades: give passivity.device_friction (canhaptic commission)"
+        if asked:
+            text += f"; {asked * count:.2g} {effort_unit(unit)} of it would keep the wall asked, and k count^2 = "
+            text += f"{asked * count * count:.2g} J is in doubt for each count to and fro"
+        return [_hint(axis, what, "stiffness", None, asked, text)]
+    text = "at any speed of any hand, by device_friction; twice that for tremor over one count"
+    if asked:
+        text += f"; counts up to {friction / asked:.2g} {unit} keep the wall asked, here {count:.2g} {unit}"
+    return [_hint(axis, what, "stiffness", friction / count, asked, text)]
+
+
+def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
+    """Return which declaration limits the certified stiffness, and what the device's damping would hold.
+
+    Args:
+        axis: One axis.
+        hints: Hints of the scene.
+    """
+    own = [hint for hint in hints if hint.axis == axis.parameters.name and hint.certificate not in ("", "largest")]
+    held = [(hint.limit, hint.certificate) for hint in own if hint.limit is not None]
+    if not held:
+        return ""
+    unit, most = _LINEAR_ROTARY["stiffness"][axis.parameters.unit == "rad"], max(held)
+    text = f"{axis.parameters.name}: guarantee rests on: {most[1]}, {most[0]:.3g} {unit} at the torque limit"
+    bound = axis.loop.device_damping_bound
+    if bound and axis.loop.device_damping is None:
+        limit = renderable_by_device_damping(bound, axis.loop.sample_time, axis.loop.delay + _losses(axis))
+        text += f"; with device_damping measured: up to {limit:.3g} {unit} for every hand"
+    return text
 
 
 def _felt_hints(axis: AxisScene, response: DisplacementResponse, lag: int, text: str) -> list[Hint]:

@@ -28,6 +28,7 @@ from canopen import ObjectDictionary
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import is_writable
+from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.can.bus_budget import round_rate
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
 from canhaptic.drive.profile.fitness import (
@@ -41,6 +42,7 @@ from canhaptic.drive.profile.fitness import (
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.survey import Suitability, Survey, stated_value
 from canhaptic.errors import DictionaryError
+from canhaptic.scene.hints import advised_allowance, allowance_words
 from canhaptic.scene.layout import path_for_scene
 from canhaptic.scene.models import TO_SET
 from canhaptic.scene.profiles import profile_values
@@ -338,6 +340,7 @@ passivity:
   device_friction_bound: $most_friction N*m # $to_set: the same of dry friction
 $timing  hand_force: 0 N*m         # $to_set: largest torque with which the hand pulls out of the contact
   hand_push: $push N*m       # $to_set: largest torque with which it pushes in
+  energy_allowance: $allowance uJ # $allowed
 """)
 
 _TIMING: Final = f"""\
@@ -385,7 +388,21 @@ def _rendered(found: Survey, limit: float, *, simulate: bool) -> str:
     """Return environment and passivity."""
     if found.axis.admittance is not None:
         return display_rendered(found.axis.admittance, limit, 1.0 / _rate(found), simulate=simulate)
-    return _RENDERED.substitute(to_set=TO_SET, **_scaled(limit), timing="" if simulate else _TIMING)
+    values = _scaled(limit)
+    late = {} if simulate else {"sync_jitter": 0.05, "torque_window": 1e-4, "current_lag": 5e-4}
+    loop = LoopProperties(
+        sample_time=1.0 / _rate(found),
+        delay=1,
+        moving_mass=float(values["inertia"]),
+        device_damping_bound=float(values["most_damping"]),
+        device_friction_bound=float(values["most_friction"]),
+        **late,
+    )
+    energy = advised_allowance(loop, 0.0)
+    return _RENDERED.substitute(
+        to_set=TO_SET, **values, timing="" if simulate else _TIMING,
+        allowance=number(1e6 * energy), allowed=allowance_words(energy, loop, "rad"),
+    )  # fmt: skip
 
 
 def _bus_values(found: Survey, simulate: bool) -> dict[str, str]:

@@ -13,6 +13,7 @@ from canhaptic.commission.mass_and_friction import (
     estimate_lateness,
     is_dear,
     needed_allowance,
+    propose_allowance,
     time_the_torque,
 )
 from canhaptic.commission.session import CommissioningLimits, Session, StepVerdict, reversals
@@ -121,6 +122,17 @@ def test_a_lag_that_ends_the_wall_is_declared_with_the_allowance_that_keeps_it(m
     assert lag == pytest.approx(1.1e-3)
     assert share_of_wall(axis, 0.5, {"current_lag": lag, "energy_allowance": allowance}) > 0.9
     assert allowance < 1e-3
+
+
+def test_an_allowance_is_proposed_once_and_only_where_none_is_declared() -> None:
+    session, _ = timed()
+    known = {"moving_mass": 0.2, "device_damping_bound": 0.5, "device_friction_bound": 1.0}
+    for _ in range(2):
+        propose_allowance(session, 0, known)
+    proposed = [each for each in session.report.values if each.key == "passivity.energy_allowance"]
+    assert len(proposed) == 1
+    assert proposed[0].value >= 3.0 * 1e-6 / 0.2 / 4.0
+    assert proposed[0].comment.startswith("at no time more than this beyond what came in since the start: 0.2 kg at ")
 
 
 def test_the_wall_ends_where_a_hold_is_over_before_its_torque_acts() -> None:

@@ -16,6 +16,7 @@ from canhaptic.scene.first_contact import (
     rendered_share,
     slowest_felt,
 )
+from canhaptic.scene.hints import LARGEST_ADVISED, advised_allowance, guarantee, stability_hints
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import AxisScene
 
@@ -71,7 +72,9 @@ def test_check_and_run_say_that_there_is_no_wall_and_strict_fails(capsys: pytest
     words = [word for value in LATE for word in ("--set", value)]
     scene = str(CONFIGS / "demo.yaml")
     assert main(["check", scene, *words]) == 0
-    assert capsys.readouterr().out.startswith("NO WALL: no approach starts this wall; current_lag 0.002 s")
+    assert capsys.readouterr().out.startswith(
+        "NO WALL for this rig and hand: no approach starts this wall; current_lag 0.002 s"
+    )
     assert main(["run", scene, *words, "--duration", "1.4", "--pace", "free", "--strict"]) == 1
     said = capsys.readouterr()
     assert said.out.startswith(" handle: NOTHING RENDERED: no approach starts this wall; current_lag 0.002 s")
@@ -97,3 +100,42 @@ def test_what_has_no_outside_or_is_of_a_group_is_not_tried() -> None:
     assert slowest_felt(axis("environment={type: free_space}")) is None
     assert rendered_share(axis("environment={type: free_space}"), 0.1) == 0.0
     assert can_be_tried(axis("environment={type: detents, peak: 5 N, pitch: 4 mm}"))
+
+
+UNCOMMISSIONED = ("passivity.device_damping_bound=2", "passivity.device_friction_bound=1", "passivity.hand_force=5")
+
+
+@pytest.mark.parametrize("delay", ["event", "synchronous"])
+def test_the_allowance_that_is_advised_lets_half_of_the_certified_stiffness_begin_at_any_speed(delay: str) -> None:
+    h = (1.0 if delay == "event" else 3.0) * 1e-6 / 0.2  # the mass that is declared
+    changes = (*UNCOMMISSIONED, f"bus.rpdo={delay}", "passivity.torque_window=0", f"environment.stiffness={0.25 / h}")
+    energy = advised_allowance(axis(*changes).loop, 5.0)
+    assert energy == pytest.approx(h * 6.0**2 / 4.0)
+    allowed = axis(*changes, f"passivity.energy_allowance={energy} J")
+    assert not is_felt(axis(*changes), 0.02)
+    assert is_felt(allowed, 0.02)
+    assert is_felt(allowed, 0.001)
+
+
+def test_no_more_than_a_millijoule_is_advised_and_nothing_where_nothing_is_certified() -> None:
+    assert advised_allowance(axis(*UNCOMMISSIONED).loop, 200.0) == LARGEST_ADVISED
+    assert advised_allowance(axis().loop.model_copy(update={"moving_mass": None}), 5.0) == 0.0
+
+
+def test_a_run_needs_a_word_for_an_allowance_above_ten_millijoules(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["run", str(CONFIGS / "demo.yaml"), "--duration", "0.01", "--set", "passivity.energy_allowance=11 mJ"]
+    assert main(words) == 2
+    assert "expected at most 0.01 J" in capsys.readouterr().err
+    assert main([*words, "--large-allowance"]) == 0
+    assert main([*words[:-1], "passivity.energy_allowance=10 mJ"]) == 0
+
+
+def test_check_says_on_which_declaration_the_guarantee_rests_and_what_the_encoder_keeps() -> None:
+    demo = axis(*UNCOMMISSIONED)
+    said = guarantee(demo, stability_hints(demo))
+    assert said.startswith("handle: guarantee rests on: hand force, ")
+    assert said.endswith("with device_damping measured: up to 2e+03 N/m for every hand")  # b / T, one sample late
+    rough = axis(*UNCOMMISSIONED, "axes.0.counts_per_unit=10000", "passivity.device_friction=0.2")
+    kept = next(hint for hint in stability_hints(rough) if hint.what.startswith("stiffness kept"))
+    assert (kept.limit, kept.asked) == (pytest.approx(2000.0), 100.0)
+    assert "counts up to 0.002 m keep the wall asked, here 0.0001 m" in kept.text

@@ -57,6 +57,7 @@ def _price(result: dict[str, Any]) -> list[Text]:
         f" certified {name}: up to {si(limit, stiffness_unit(result['unit']), 3)}"
         for name, limit in result["certified"].items()
     ]
+    lines += [f" {text}" for text in result.get("guarantee", ()) if text]
     rest = si(max(0.0, -result["least_judged"]), "J", 3)
     covered = f", {rest} with what the device dissipates at least" if "device_damping" in result["loop"] else ""
     lines.append(

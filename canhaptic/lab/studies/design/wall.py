@@ -45,7 +45,7 @@ from canhaptic.lab.studies.design.trial import (
 )
 from canhaptic.lab.studies.sweep.chunk import places_of
 from canhaptic.lab.studies.sweep.run_sweep import Pool
-from canhaptic.scene.hints import DRAG, LEAN, stability_hints
+from canhaptic.scene.hints import DRAG, ENCODER, LEAN, guarantee, stability_hints
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.units import Parameters
@@ -357,6 +357,7 @@ def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: flo
     wall = scene_from_text(scene.text, scene.source, [*scene.overrides, *overrides], allow_code=allowed)
     [axis] = wall.axes
     axes = compare(wall, [ALGORITHM], duration=DURATION, repeats=0).result["axes"]
+    hints = stability_hints(axis)
     run, parameters = axes[axis.parameters.name]["algorithms"][ALGORITHM], axis.passivity.parameters
     return {
         "scene": trial.scene.source,
@@ -365,7 +366,8 @@ def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: flo
         "damping": damping,
         **verdict.account(damping),
         "certificate": run.get("certificate"),
-        "certified": {hint.certificate: hint.limit for hint in stability_hints(axis) if hint.certificate},
+        "certified": {hint.certificate: hint.limit for hint in hints if hint.certificate},
+        "guarantee": [guarantee(axis, hints), *(f"{h.what}: {h.text}" for h in hints if h.what.endswith(ENCODER))],
         "engine": trial.engine,
         "remark": trial.remark,
         "loop": {key: value for key, value in _chosen(axis.loop).items() if key in _DEVICE},
