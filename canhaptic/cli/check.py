@@ -248,7 +248,7 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool, full: boo
     console.print(line + ("" if resolved else "; every value: --resolved"), markup=False, soft_wrap=True)
     for text in found.dear:
         console.print(f"[yellow]{escape(text)}[/]", soft_wrap=True)
-    for text in filter(None, (guarantee(axis, hints) for axis in scene.axes)):
+    for text in filter(None, (guarantee(axis, found.hints) for axis in scene.axes)):
         console.print(text, markup=False, soft_wrap=True)
     unset = values_to_set(scene)
     if found.refused or any(guess.line for guess in unset):

@@ -131,7 +131,7 @@ def test_an_allowance_is_proposed_once_and_only_where_none_is_declared() -> None
         propose_allowance(session, 0, known)
     proposed = [each for each in session.report.values if each.key == "passivity.energy_allowance"]
     assert len(proposed) == 1
-    assert proposed[0].value >= 3.0 * 1e-6 / 0.2 / 4.0
+    assert float(proposed[0].value or 0.0) >= 3.0 * 1e-6 / 0.2 / 4.0
     assert proposed[0].comment.startswith("at no time more than this beyond what came in since the start: 0.2 kg at ")
 
 
