@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from canhaptic.lab.batch import run_batch as run_batch
     from canhaptic.lab.studies.compare import compare as compare
     from canhaptic.logs.energy_reader import EnergyLog as EnergyLog
+    from canhaptic.program import open_rig as open_rig
     from canhaptic.replay import replay_bus_log as replay_bus_log
     from canhaptic.scene.build import Experiment as Experiment
     from canhaptic.scene.build import build as build
@@ -81,6 +82,7 @@ _PUBLIC: Final = {
     "build_group_controller": "canhaptic.control.multi_axis",
     "compare": "canhaptic.lab.studies.compare",
     "load_scene": "canhaptic.scene.load",
+    "open_rig": "canhaptic.program",
     "recompute": "canhaptic.audit.recompute",
     "replay_bus_log": "canhaptic.replay",
     "run": "canhaptic.cycle",

@@ -6,7 +6,8 @@
 One thread walks it. On any error zero torque is sent first and the exception is raised second.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final, Protocol
 
 from canhaptic.control.axis_meter import AxisMeter
@@ -78,6 +79,7 @@ class Cycle:
         timing: Durations of each part of the cycle; nothing is counted at free pace.
         cycles: Cycles completed.
         uneven: Holds that were longer or shorter than `sync_jitter` declares.
+        turn: Asks for the torques of a turn, from its samples, where a program does; None: environments are rendered.
     """
 
     def __init__(
@@ -110,6 +112,7 @@ class Cycle:
         self.timing = {name: DurationHistogram() for name in CycleTiming._fields}
         self.judge = None if truths is None else _judge(axes, self.groups)
         self.cycles = self.uneven = 0
+        self.turn: Callable[[Sequence[Sample]], None] | None = None
         self._is_timed = not isinstance(rig.clock, VirtualClock)  # virtual time does not advance within a cycle
         self._log = log
         self._truths = truths
@@ -125,9 +128,18 @@ class Cycle:
         Raises:
             RigError: Drive, link or controller failed, or a port gave out more energy than was declared.
         """
-        rig = self.rig
-        samples = rig.sync()  # SYNC out, position TPDOs in            [rad or m]
-        read = self._truths
+        samples = self.rig.sync()  # SYNC out, position TPDOs in       [rad or m]
+        if self.turn is not None:
+            self.turn(samples)
+        self.answer(samples)
+
+    def answer(self, samples: Sequence[Sample]) -> list[EnergyBalance]:
+        """Walk the rest of the route, from the samples of a SYNC on; return the balance of each axis.
+
+        Raises:
+            RigError: As `step`.
+        """
+        rig, read = self.rig, self._truths
         truths = read() if read is not None else None
         if rig.periods > 1:
             for lasted in self._lasted:
@@ -145,12 +157,13 @@ class Cycle:
         if self._jitters is not None and rig.uneven > self._least_jitter:
             self._withdraw(balances, self._jitters)
         for meter in self._loss_meters:
-            if meter.take(samples, rig.deadline_index) and (lost := self._lost(meter)):
+            if meter.take(samples, rig.deadline_index) and (lost := self._lost(meter, samples)):
                 error = rig.end(StopReason.ENERGY_LOST, lost)  # zero torque first, the account second
                 self._account(samples, balances, truths)
                 raise error
         rig.write_torques(torques)  # RPDOs out, held until the next SYNC [N*m or N]
         self._account(samples, balances, truths)
+        return balances
 
     def _withdraw(self, balances: list[EnergyBalance], jitters: Sequence[int]) -> None:
         """Withdraw the certificates of a hold that was longer or shorter than they were proved for."""
@@ -166,14 +179,22 @@ class Cycle:
             self._log.event(self.rig.sync_index, "timing", "", _UNEVEN.format(self.rig.uneven * 1e-9))
         self.uneven += 1
 
-    def _lost(self, meter: EnergyLossMeter) -> str:
+    def _lost(self, meter: EnergyLossMeter, samples: Sequence[Sample]) -> str:
         """Port that gave out too much energy, and how much; "" where that is uncertain."""
-        uncertainty = sum(map(self._likely_doubt, meter.axes))
+        uncertainty = sum(self._likely_doubt(axis) + self._lost_to_friction(axis, samples) for axis in meter.axes)
         supplied = sum(g.supplied + g.balance.supplied for g in self.groups if g.name == meter.name)
         if meter.energy + supplied + uncertainty >= meter.floor:
             return ""
         limit = f"limit {meter.limit:.3g} J beyond the {meter.allowance:.3g} J declared"
         return f"{meter.name}: sum of interaction {meter.energy + supplied:.3g} J, {limit}"
+
+    def _lost_to_friction(self, axis: int, samples: Sequence[Sample]) -> float:
+        """Energy that the device dissipated for certain [J] where it has dry friction, on which certificates count."""
+        known = self.meters.axes[axis]
+        friction, blur = known.accuracy.device_friction, 2.0 * known.accuracy.position
+        if not friction:
+            return 0.0
+        return known.dissipated + friction * max(0.0, abs(samples[axis].position - known.position) - blur)
 
     def _likely_doubt(self, axis: int) -> float:
         """Largest likely error of the energy of an axis [J], without commands that may have been lost unseen.
@@ -292,22 +313,31 @@ def run(
             the last records.
         LogWriteError: A log failed in a run that must not go on without it; stopped as by the operator.
     """
-    try:
-        _run(cycle, cycles, stop_requested, progress)
-    finally:
-        cycle.note_unrestored()
-
-
-def _run(
-    cycle: Cycle, cycles: int | None, stop_requested: Callable[[], bool], progress: Callable[[int], None] | None
-) -> None:
-    rig = cycle.rig
-    rig.start()
-    try:
+    if cycle.turn is None and any(hasattr(controller, "ask") for controller in cycle.controllers):
+        raise InputError("guard: the scene is for a program that asks for its torques; run it with canhaptic.open_rig")
+    with running(cycle):
         while (cycles is None or cycle.cycles < cycles) and not stop_requested():
             cycle.step()
             if progress is not None:
                 progress(cycle.cycles)
+
+
+@contextmanager
+def running(cycle: Cycle) -> Iterator[None]:
+    """Start the rig, and stop it on every way out of the block: zero torque first. See `run`."""
+    try:
+        with _started(cycle):
+            yield
+    finally:
+        cycle.note_unrestored()
+
+
+@contextmanager
+def _started(cycle: Cycle) -> Iterator[None]:
+    rig = cycle.rig
+    rig.start()
+    try:
+        yield
     except LogWriteError:
         rig.stop()
         raise

@@ -1,10 +1,18 @@
-"""Input files of a command: regular ones alone, since a pipe or a device has no end, and of a bounded size."""
+"""Input files of a command: regular ones alone, since a pipe or a device has no end, and of a bounded size.
 
+Folders of the files in the package: `configs/` and `eds/`, in the source tree or as installed.
+"""
+
+import difflib
 import errno
 import os
 import stat
+import sysconfig
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
+
+from canhaptic.errors import SceneError
 
 _KINDS: Final = (
     (stat.S_ISLNK, "a symbolic link"),
@@ -56,3 +64,60 @@ def read_regular(path: str | Path, most: int) -> bytes:
     if len(content) > most:
         raise OSError(errno.EFBIG, f"larger than {most} bytes", str(path))
     return content
+
+
+FOLDERS: Final = ("configs", "eds")
+
+_TREE: Final = Path(__file__).resolve().parent.parent
+
+
+def shipped(folder: str) -> Path:
+    """Folder of that name: next to the package in a source tree, else where its wheel put it.
+
+    Args:
+        folder: One of `FOLDERS`.
+    """
+    of_tree = _TREE / folder
+    installed = Path(sysconfig.get_path("data")) / "share" / "canhaptic" / folder
+    of_target = _TREE / "share" / "canhaptic" / folder  # pip install --target
+    return next((place for place in (of_tree, installed, of_target) if place.is_dir()), installed)
+
+
+def scene_names() -> list[str]:
+    """Names of the shipped scenes: their paths below `configs/`, without `.yaml`."""
+    folder = shipped("configs")
+    return sorted(path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.yaml"))
+
+
+def scene_file(path: Path) -> Path:
+    """File of a scene: `path` where it exists, else the shipped scene of that name.
+
+    Args:
+        path: A file; or a name such as `hard/stiff_wall` or, where only one scene has it, `stiff_wall`.
+
+    Raises:
+        SceneError: Several shipped scenes have the name, or neither a file nor a scene has it.
+    """
+    if path.exists() or path.is_absolute():
+        return path
+    name = path.as_posix().removeprefix("configs/").removesuffix(".yaml")
+    names = scene_names()
+    found = [name] if name in names else [known for known in names if known.split("/")[-1] == name]
+    if len(found) == 1:
+        return shipped("configs") / f"{found[0]}.yaml"
+    if found:
+        raise SceneError([f"{path}: {len(found)} scenes have this name: {', '.join(found)}; give one of these"])
+    if len(path.parts) > 1 and path.parent.is_dir():
+        names = [entry.as_posix() for entry in path.parent.glob("*.yaml")] + names
+    raise SceneError(
+        [f"{path}: cannot be read (no such file), and no scene of the package has the name{did_you_mean(name, names)}"]
+    )
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Words like `; did you mean demo?` where a known one is near, else `; canhaptic configs lists them`."""
+    names = list(known)
+    near = difflib.get_close_matches(word, names, n=2) or [
+        name for name in names if difflib.get_close_matches(word, [name.split("/")[-1]], n=1)
+    ]
+    return f"; did you mean {' or '.join(near[:2])}?" if near else "; `canhaptic configs` lists the scenes"

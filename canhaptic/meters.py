@@ -103,6 +103,14 @@ class _StatesResolution(Protocol):
     def energy_resolution(self) -> float: ...
 
 
+@runtime_checkable
+class _Asks(Protocol):
+    """A controller whose torque a program asks for."""
+
+    @property
+    def asked(self) -> float: ...
+
+
 class AxisPort:
     """Figures of one axis.
 
@@ -126,13 +134,14 @@ class AxisPort:
     """
 
     __slots__ = (
-        "_controller", "_drive", "_floor", "_is_damped", "_lowest", "_meter", "activity", "asked", "contacts",
+        "_asks", "_controller", "_drive", "_floor", "_is_damped", "_lowest", "_meter", "activity", "asked", "contacts",
         "damping", "drives", "least_at_handle", "rendered", "silent", "sizes_asked", "sizes_sent",
     )  # fmt: skip
 
     def __init__(self, meter: AxisMeter, drive: HeldTorques, controller: object) -> None:
         self._meter, self._drive, self.drives = meter, drive, (drive,)
         self._controller = controller if isinstance(controller, _StatesResolution) else None
+        self._asks = controller if isinstance(controller, _Asks) else None
         self._lowest = self.asked = self.rendered = self.damping = self.sizes_asked = self.sizes_sent = 0.0
         self.contacts = self.silent = 0
         self.activity = Activity(active_limits([meter.accuracy], promise_of(controller).energy_allowance))
@@ -154,6 +163,8 @@ class AxisPort:
         if branch != _HELD:
             _, position, torque, _, _ = sample
             drive, before = self._drive, meter.position
+            if self._asks is not None:
+                meter.asked = -self._asks.asked
             meter.take(position, torque, sent, touches)
             if drive.open_time:
                 exact = -torque * (position - before)

@@ -21,7 +21,7 @@ Runs the real master and controllers of a scene against a recording, and compare
 import struct
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from itertools import islice
 from pathlib import Path
 from typing import Final, Literal, NamedTuple, TypedDict
@@ -559,21 +559,33 @@ def replay_bus_log(
     Raises:
         InputError: The recording cannot be read, does not fit the scene, has no SYNC to begin with, or no whole cycle.
     """
-    recording = Recording(bus_log, roles_of(scene), Channels(scene))
-    joins = from_sync or not recording.has_boot
-    if joins and recording.first_sync < 0:
-        raise InputError(
-            f"{bus_log}: the log has no bring-up and no SYNC that every axis of {scene.source} "
-            "answered in OPERATION ENABLED; replay needs one of them"
-        )
-    with ExitStack() as stack:
-        return _Replay(recording, scene, joins, realtime, dry_run, stack).run()
+    with closing(OpenReplay(bus_log, scene, realtime=realtime, from_sync=from_sync, dry_run=dry_run)) as replay:
+        return replay.run()
 
 
-class _Replay:
-    """One replay, built."""
+class OpenReplay:
+    """A replay, built; the arguments are those of `replay_bus_log`.
+
+    Attributes:
+        cycle: Rig, controllers and accounts, ready to run.
+    """
 
     def __init__(
+        self, bus_log: str | Path, scene: Scene, *, realtime: bool = False, from_sync: bool = False,
+        dry_run: bool = False,
+    ) -> None:  # fmt: skip
+        recording = Recording(bus_log, roles_of(scene), Channels(scene))
+        joins = from_sync or not recording.has_boot
+        if joins and recording.first_sync < 0:
+            raise InputError(
+                f"{bus_log}: the log has no bring-up and no SYNC that every axis of {scene.source} "
+                "answered in OPERATION ENABLED; replay needs one of them"
+            )
+        with ExitStack() as stack:
+            self._build(recording, scene, joins, realtime, dry_run, stack)
+            self._stack = stack.pop_all()
+
+    def _build(
         self, recording: Recording, scene: Scene, joins: bool, realtime: bool, dry_run: bool, stack: ExitStack
     ) -> None:
         self._recording = recording
@@ -595,7 +607,7 @@ class _Replay:
         rig = self._rig([Link(bus, clock) for bus in near_buses], dry_run)
         groups, known = build_axis_groups(scene), build_axis_meters(scene)
         meters = build_loss_meters(scene)
-        self._cycle = Cycle(rig, build_axis_controllers(scene), groups=groups, axis_meters=known, loss_meters=meters)
+        self.cycle = Cycle(rig, build_axis_controllers(scene), groups=groups, axis_meters=known, loss_meters=meters)
 
     def _rig(self, links: list[Link], dry_run: bool) -> Rig:
         scene = self._scene
@@ -625,20 +637,33 @@ class _Replay:
         ramp_cycles = max(1, round(bus.stop_ramp * 1e9) // bus.sample_time_ns)
         begin, ended = self._wall.now(), "at the end of the recording"
         try:
-            run(self._cycle, self._recording.operator_cycles(ramp_cycles))
+            run(self.cycle, self._recording.operator_cycles(ramp_cycles))
             ended = "stopped by the operator, as recorded"
         except ReplayOverError:
             pass
         except RigError as error:
             ended = f"{type(error).__name__}: {error}"
-        if self._cycle.cycles == 0 and self._side.departure is None and self._side.unsent < 0:
+        return self.result((self._wall.now() - begin) * 1e-9, ended)
+
+    def close(self, _status: str = "completed") -> None:
+        """Close the buses; a second call does nothing."""
+        self._stack.close()
+
+    def result(self, elapsed: float, ended: str = "by the program") -> ReplayResult:
+        """Return what was compared, after a run of the cycle.
+
+        Args:
+            elapsed: Duration of the run [s].
+            ended: How it ended, if without a difference.
+
+        Raises:
+            InputError: No whole cycle was compared.
+        """
+        if self.cycle.cycles == 0 and self._side.departure is None and self._side.unsent < 0:
             raise InputError(
                 f"{self._recording.path}: holds no whole cycle (SYNC, TPDOs, RPDOs), so that nothing was compared that "
                 "a controller computed; record for longer, or from an earlier time"
             )
-        return self._result(ended, (self._wall.now() - begin) * 1e-9)
-
-    def _result(self, ended: str, elapsed: float) -> ReplayResult:
         recording, side, scene = self._recording, self._side, self._scene
         difference = describe(recording, side, scene)
         duration = (recording.frames[-1].timestamp_ns - self._start) * 1e-9
@@ -649,14 +674,14 @@ class _Replay:
             "skipped": dict(recording.skipped),
             "reads_left_out": self._left_out,
             "frames": {"recorded": len(recording.frames), "played": side.played, "compared": side.compared},
-            "cycles": self._cycle.cycles,
+            "cycles": self.cycle.cycles,
             "duration": duration,
             "elapsed": elapsed,
             "speed": duration / elapsed if elapsed else 0.0,
             "ended": "at the first difference" if side.departure is not None else ended,
             "difference": difference,
             "account": run_result(
-                self._cycle,
+                self.cycle,
                 [(axis.parameters.name, axis.parameters.unit) for axis in scene.axes],
                 status="replayed",
                 config_hash=scene.config_hash(),

@@ -313,7 +313,7 @@ def simulate(
         >>> result.account["handle"].passive  # doctest: +SKIP
         'yes'
     """
-    loaded = _scene(scene, changes or {}, allow_code)
+    loaded = load_any(scene, changes or {}, allow_code)
     if not loaded.simulated:
         raise InputError(
             f"{loaded.source}: simulates nothing in this process (needs `simulation` and `bus.interface: virtual`); "
@@ -340,14 +340,15 @@ def _label(scene: Scene) -> str:
     return ", ".join(scene.overrides) or Path(scene.source).name
 
 
-def _scene(
+def load_any(
     scene: str | PathLike[str] | Mapping[str, object] | Scene, changes: Mapping[str, object], allow_code: bool
 ) -> Scene:
+    """Return a scene given as a file, a mapping or itself, with changes; see `simulate`."""
     overrides = [_override(path, value) for path, value in changes.items()]
     if isinstance(scene, Scene):
         if changes:
             raise InputError(
-                "changes: a loaded scene takes none; give them to load_scene, or give the file to simulate"
+                "changes: a loaded scene takes none; give them to load_scene, or name the file of the scene here"
             )
         return scene
     if isinstance(scene, Mapping):

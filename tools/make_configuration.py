@@ -62,7 +62,7 @@ class _Page:
         top = [_row(name, of, name in self._schema["required"]) for name, of in sections.items()]
         parts = [_INTRODUCTION, "\n## Top level\n\nThe sections of a scene, and what belongs to none.\n", *_table(top)]
         for name, of in sections.items():
-            if name != "duration":
+            if self._mappings(of):
                 parts.append(f"\n## `{name}`\n\n{fill(of.get('description', ''), 120)}\n")
                 parts.extend(self._below([name], of))
         return re.sub(r"\n{3,}", "\n\n", "\n".join(parts)).rstrip() + "\n"

@@ -17,7 +17,7 @@ PAGE: Final = ROOT / "docs" / "how_it_works.md"
 BEGIN, END = "<!-- the trace begins -->\n", "<!-- the trace ends -->\n"
 _IN_CONTACT: Final = 1500  # cycles into the demo: the hand is in the wall
 _PACKAGE: Final = str(ROOT / "canhaptic")
-_DEEPEST: Final = 5
+_DEEPEST: Final = 6
 _FAR_SIDE: Final = "canhaptic/sim/"
 
 

@@ -66,8 +66,11 @@ def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControlle
     inputs = [logged_rows(log, name, _INPUTS) for name in axes]
     outputs = [logged_rows(log, name, _OUTPUTS) for name in names]
     rows = zip(periods_of(log), zip(*inputs, strict=True), zip(*outputs, strict=True), strict=False)
+    programs = list(zip(controllers.programs, (efforts_asked(log, name) for name in axes), strict=False))
     for row, (periods, seen, expected) in enumerate(rows):
         controllers.lasted(periods)
+        for program, asked in programs:
+            program.ask(-next(asked))
         samples = [Sample(row, position, torque, 0, fresh=bool(fresh)) for position, torque, fresh in seen]
         balances = [*controllers.step(samples), *(group.balance.account for group in controllers.groups)]
         for name, balance, logged in zip(names, balances, expected, strict=True):
@@ -124,6 +127,11 @@ def logged_rows(log: EnergyLog, port: str, columns: Sequence[str]) -> Iterator[t
     for start in range(0, log.rows, _BLOCK):
         block = (log.ports[port].read(column, start, start + _BLOCK).tolist() for column in columns)
         yield from zip(*block, strict=True)
+
+
+def efforts_asked(log: EnergyLog, axis: str) -> Iterator[float]:
+    """Yield the effort that was asked for on an axis, row by row [N or N*m]: the inverse of the torque."""
+    return (effort for (effort,) in logged_rows(log, axis, ("effort_asked",)))
 
 
 def _differ(left: float, right: float) -> bool:

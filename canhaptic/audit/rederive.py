@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from math import inf
 from pathlib import Path
-from typing import Final, NotRequired, TypedDict
+from typing import Any, Final, NotRequired, TypedDict
 
 from canhaptic.audit.listened_axis import OF_A_NODE, DeclaredDrive, DeclaredForce, ListenedAxis
-from canhaptic.audit.recompute import logged_rows
+from canhaptic.audit.recompute import efforts_asked, logged_rows
 from canhaptic.audit.user_checks import Outcome
 from canhaptic.canopen import objects as od
 from canhaptic.control.balance import EnergyBalance
@@ -139,9 +139,12 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     """
     derived = _Derivation(scene, dry_run=log is not None and log.dry_run)
     judges = [] if log is None else [_Judge(log, name) for name in derived.units]
+    asked = _asked(derived.programs, scene, log, bus_log)
     for periods, samples, shown in _samples_of(bus_log, scene):
         if log is not None and derived.cycles == log.rows:
             break
+        for program, efforts in asked:
+            program.ask(-next(efforts))
         rows = derived.take(periods, samples, shown)
         for judge, (sample, balance) in zip(judges, rows, strict=False):
             judge.compare(derived.cycles - 1, (sample.position, sample.torque_applied, *balance[1:]))
@@ -159,12 +162,23 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     return result
 
 
+def _asked(
+    programs: Sequence[Any], scene: Scene, log: EnergyLog | None, bus_log: str | Path
+) -> list[tuple[Any, Iterator[float]]]:
+    """Return the controllers of a program with the efforts it asked for, which are in no frame."""
+    if programs and log is None:
+        raise InputError(f"{bus_log}: a program asked for its torques; name the energy log of the run as well")
+    names = [axis.parameters.name for axis in scene.axes]
+    return [(each, efforts_asked(log, name)) for each, name in zip(programs, names, strict=False) if log is not None]
+
+
 class _Derivation:
     """Controllers and accounts of a scene, fed with what the frames show.
 
     Attributes:
         units: Name and unit of each axis, then of each group.
         cycles: SYNCs taken.
+        programs: Controllers whose torques a program asks for.
     """
 
     def __init__(self, scene: Scene, *, dry_run: bool) -> None:
@@ -177,6 +191,7 @@ class _Derivation:
         self.units |= {group.name: self.units[group.axes[0]] for group in scene.groups}
         self._ledgers = [Ledger() for _ in self.units]
         self.cycles, self._deadline = 0, -1
+        self.programs = self._controllers.programs
 
     def take(self, periods: int, samples: list[Sample], shown: Sequence[bool]) -> list[tuple[Sample, EnergyBalance]]:
         """Take a SYNC; return sample and balance of each axis, then of each group.

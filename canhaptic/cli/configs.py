@@ -8,7 +8,7 @@ from typing import Final
 
 from canhaptic.cli.output import note_file, write_json
 from canhaptic.errors import InputError
-from canhaptic.package_data import FOLDERS, shipped
+from canhaptic.input_file import FOLDERS, shipped
 from canhaptic.view.energy_table import make_console
 from canhaptic.view.table import Table
 

@@ -136,7 +136,7 @@ def _meter(
     limits = [limit for axis in axes if (limit := _limit(axis, is_on)) is not None]
     if not limits:
         return None
-    damping = [axis.loop.device_damping or 0.0 for axis in axes]
+    damping = [0.0 if axis.loop.device_friction else axis.loop.device_damping or 0.0 for axis in axes]  # see `Cycle`
     return EnergyLossMeter(name, places, min(limits), allowance, damping, scene.bus.sample_time)
 
 

@@ -6,7 +6,7 @@
       .plant .user .effects, and those of       the shared ones, and those over the profile of its drive
       axes.N, simulation.axes.NAME
     simulation: {seed, bus, mechanisms, ...}  simulation, bus_effects, mechanisms
-    accuracy, log, duration                   accuracy or auto_accuracy, log, run
+    accuracy, log, duration, guard            accuracy or auto_accuracy, log, run
 
 Every value keeps its place in the file; errors of the layout itself are noted here, the values are validated by
 `Scene`.
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, get_args
 
 from canhaptic.axis_units import Motion
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
-from canhaptic.package_data import shipped
+from canhaptic.input_file import shipped
 from canhaptic.registry import nearest
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.document import (
@@ -75,7 +75,10 @@ def path_for_scene(dictionary: Path, scene: Path | None) -> str:
     return os.path.relpath(dictionary.parent.resolve() / dictionary.name, scene.parent.resolve())
 
 
-SECTIONS: Final = ("bus", "axes", "groups", "environment", "passivity", "simulation", "accuracy", "log", "duration")
+SECTIONS: Final = (
+    *("bus", "axes", "groups", "environment", "passivity", "simulation", "accuracy", "log"),
+    *RunParameters.model_fields,
+)
 OWN_SECTIONS: Final = ("environment", "passivity")
 """Shared sections of which an axis may have its own."""
 SCALING_KEYS: Final = ("counts_per_unit", "rated_torque", "direction")

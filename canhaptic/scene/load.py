@@ -10,17 +10,24 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
-from canhaptic.errors import SceneConflictError, SceneError
-from canhaptic.input_file import read_regular
-from canhaptic.package_data import scene_file
-from canhaptic.scene.components import CodeUse
+from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.errors import InputError, SceneConflictError, SceneError
+from canhaptic.input_file import read_regular, scene_file
+from canhaptic.registry import load
+from canhaptic.scene.components import CodeUse, ComponentSpec
 from canhaptic.scene.cross_checks import cross_check
 from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation, mark_plain, parse_yaml, read_mapping
 from canhaptic.scene.layout import SECTIONS, laid_out
-from canhaptic.scene.models import Scene, SceneContext, scene_adapter
+from canhaptic.scene.models import AxisScene, Scene, SceneContext, scene_adapter
 from canhaptic.scene.timing import with_device_bounds, with_timing
 
 MAX_BYTES: Final = 1_000_000
+_PROGRAM: Final = {"program": "canhaptic.control.passivity.asked_torque:Program"}
+_OF_GUARDS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
+    "certificates": ("guarded", {"hand_force": None}),
+    "none": ("unprotected", {}),
+}
+"""Guard of a program -> algorithm in its place, and what it knows where the scene has another one."""
 
 
 def load_scene(
@@ -146,7 +153,8 @@ def _validated(
         scene = scene_adapter().validate_python(laid, context=context)
         if context.has_code:
             scene = replace(scene, own_code=context.code.hashes, unread=tuple(context.code.left))
-        return with_device_bounds(with_timing(_completed(scene)))
+        scene = with_device_bounds(with_timing(_completed(scene)))
+        return scene if scene.run.guard is None else for_program(scene, scene.run.guard)
     except ValidationError as error:
         from canhaptic.scene.explain import note_errors
 
@@ -169,3 +177,45 @@ def _completed(scene: Scene) -> Scene:
     )  # fmt: skip
     mechanisms = (replace(of, substeps=scene.accuracy.substeps) for of in scene.mechanisms)
     return replace(scene, axes=tuple(axes), mechanisms=tuple(mechanisms))
+
+
+def for_program(scene: Scene, guard: str) -> Scene:
+    """Scene whose axes give the torques that a program asks for.
+
+    The declarations of `guarded` stay where that is the algorithm; of any other, those of the loop alone.
+
+    Args:
+        scene: The scene as written.
+        guard: "certificates" or "none".
+
+    Raises:
+        InputError: Axes render together, or an axis takes force and gives velocity.
+    """
+    for axis in scene.axes:
+        what = "renders in a group" if axis.group else "is an admittance display" if axis.parameters.admittance else ""
+        if what:
+            raise InputError(
+                f"{scene.source}: {axis.parameters.name}: {what}; a program asks for the torque of axes that stand "
+                "alone: take the axis out of the group, or render an environment with `canhaptic run`"
+            )
+    axes = tuple(_for_program(axis, guard) for axis in scene.axes)
+    if scene.run.guard is not None:
+        if scene.run.guard != guard:
+            raise InputError(f"{scene.source}: was loaded with guard: {scene.run.guard}; load it with guard: {guard}")
+        return replace(scene, axes=axes)
+    run, said = scene.run.model_copy(update={"guard": guard}), f"guard={guard}"
+    return replace(scene, axes=axes, run=run, overrides=(*scene.overrides, said))
+
+
+def _for_program(axis: AxisScene, guard: str) -> AxisScene:
+    (name, known), passivity = _OF_GUARDS[guard], axis.passivity
+    if passivity.name != name:
+        passivity = ComponentSpec(name, load(ALGORITHMS, name, "passivity algorithm").parameters_type(**known))
+    environment = ComponentSpec("program", load(_PROGRAM, "program", "environment")())
+    return replace(axis, environment=environment, passivity=passivity, guard=guard)
+
+
+def says_none(scene: Scene) -> bool:
+    """Return whether a scene itself asks for torques without a guard."""
+    unprotected = any(axis.passivity.name == "unprotected" for axis in scene.axes)
+    return scene.run.guard == "none" or (scene.run.guard is None and unprotected)

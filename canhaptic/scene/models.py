@@ -206,6 +206,10 @@ class RunParameters(Parameters):
 
     duration: Annotated[float, quantity("s", gt=0.0, le=1e6)] | None = None
     """How long a run lasts; None: until it is stopped."""
+    guard: Literal["certificates", "none"] | None = None
+    """The scene is for a program (`canhaptic.open_rig`), which asks for the torques in place of environment and
+    algorithm, and this is their guard. `none` lets a real rig give them as they are only where the call says so too.
+    None: the environment is rendered."""
 
 
 class AutoAccuracy(Parameters):
@@ -289,6 +293,7 @@ class AxisScene:
     bus: str = ""  # name of the one it is on
     group: str = ""  # name of the group that renders on it; environment and passivity then say so
     simulated_drive: _Drive | None = None  # of an axis whose motor moves a simulated mechanism
+    guard: str = ""  # of the torque that a program asks for on it; empty where an environment is rendered
 
     @property
     def is_read(self) -> bool:
@@ -446,6 +451,7 @@ class Scene:
         """
         resolved = self.resolved()
         del resolved["log"]
+        resolved["run"] = {key: value for key, value in resolved["run"].items() if key == "duration" or value}
         for axis in self.axes:
             resolved["axes"][axis.parameters.name]["eds"] = axis.dictionary_hash()
             for key, default in _LATER_KEYS:
@@ -489,7 +495,7 @@ def _drop_later_of_guarded(passivity: dict[str, Any]) -> None:
 def _resolved_axis(axis: dict[str, Any]) -> dict[str, Any]:
     """Return an axis as it is in the configuration in effect."""
     parameters, bus, drive = axis.pop("parameters"), axis.pop("bus"), axis.pop("simulated_drive")
-    del axis["group"]
+    del axis["group"], axis["guard"]
     simulation = axis["simulation"] if drive is None else {"drive": drive}
     for section, key in (
         (parameters, "admittance"),

@@ -22,6 +22,7 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.errors import InputError, ParameterError
+from canhaptic.registry import load
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene
 from canhaptic.units import Parameters
@@ -40,6 +41,11 @@ if TYPE_CHECKING:
 
 _ANY: Final = 1e6  # [N or N*m]
 _OF_A_WINDING: Final = ("supply", "back_emf", "resistance")
+_PROGRAMS: Final = {
+    "certificates": "canhaptic.control.passivity.asked_torque:GuardedProgram",
+    "none": "canhaptic.control.passivity.asked_torque:UnguardedProgram",
+}
+"""Guard -> "module:Class" of the controller of an axis whose torque a program asks for."""
 _SIGMAS: Final = 6.0
 """Standard deviations of a noise beyond which no sample is expected: 2e-9 of them."""
 
@@ -196,6 +202,9 @@ def build_axis_controller(axis: AxisScene) -> Controller:
         return build_display_controller(
             axis.environment.parameters, axis.passivity.name, axis.passivity.parameters, display_properties(axis)
         )
+    if axis.guard:
+        program: Controller = load(_PROGRAMS, axis.guard, "guard")(axis.passivity.parameters, loop_as_known(axis))
+        return program
     environment = cast(Environment, axis.environment.parameters)  # every class of ENVIRONMENTS is one
     if axis.passivity.own is not None:
         controller: Controller = axis.passivity.own(environment, axis.passivity.parameters, loop_as_known(axis))
@@ -263,7 +272,7 @@ def build_axis_meters(scene: Scene) -> list[AxisMeter]:
 def _axis_meter(axis: AxisScene, algorithm: str) -> AxisMeter:
     if axis.parameters.admittance is not None:
         return SilentMeter()
-    environment = None if axis.group else plain(cast(Environment, axis.environment.parameters))
+    environment = None if axis.group or axis.guard else plain(cast(Environment, axis.environment.parameters))
     if (declared := friction_declared(axis)) is None:
         return AxisMeter(accuracy_of(axis, algorithm), environment)
     from canhaptic.control.friction_watch import FrictionWatch

@@ -11,8 +11,7 @@ from typing import Any, Final
 
 from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.errors import SceneError
-from canhaptic.input_file import read_regular
-from canhaptic.package_data import shipped
+from canhaptic.input_file import read_regular, shipped
 from canhaptic.scene.document import (
     Diagnostics,
     MarkedMapping,

@@ -23,6 +23,7 @@ from canhaptic.scene.load import scene_from_mapping
 from tools.truth.faults import FaultWatch
 from tools.truth.hand_watch import HandWatch
 from tools.truth.loss_watch import LossWatch
+from tools.truth.programs import Asking
 from tools.truth.scenes import SOURCE, TruthScene
 
 ROUNDING: Final = 1e-9
@@ -142,6 +143,9 @@ def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
         watch, asked, faults = HandWatch(experiment, scene.outward), _Asked(experiment), FaultWatch(experiment, scene)
         axes = [(axis.parameters.name, axis.parameters.unit) for axis in loaded.axes]
         losses, moments = LossWatch(experiment), _Moments(experiment, axes, scene.passivity)
+        program = next((tag.partition(":")[2] for tag in scene.tags if tag.startswith("program:")), "")
+        if program:
+            experiment.cycle.turn = asking = Asking(experiment, scene.seed, program)
 
         def each(cycles: int) -> None:
             watch(cycles)
@@ -160,6 +164,8 @@ def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
         if status == "stopped":
             reaction, to_zero = experiment.rig.stop_reason.name, faults.syncs_to_zero()
     outcome = _outcome(scene, account, watch, asked, status, text)
+    if program:
+        outcome = replace(outcome, asked=asking.asked)
     outcome = replace(outcome, false_claims=(*outcome.false_claims, *moments.claims))
     declared = int(scene.passivity.get("max_consecutive_losses", 0))
     outcome = replace(outcome, losses=losses.longest, declared_losses=declared, skipped=losses.skipped)

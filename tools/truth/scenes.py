@@ -15,6 +15,7 @@ import numpy as np
 
 from tools.truth.five_bar import make_five_bar
 from tools.truth.further import add_further
+from tools.truth.programs import draw_program
 
 SOURCE: Final = str(Path(__file__).resolve().parents[2] / "configs" / "truth.yaml")
 """Where paths of a scene start from."""
@@ -110,6 +111,7 @@ def random_scene(seed: int, *, further: bool = True) -> TruthScene:
         make_five_bar(np.random.default_rng([seed, 22]), values)
     if further:
         outward = add_further(seed, values, chance.tags, outward)
+        outward = draw_program(seed, values, chance.tags, outward)
     _declare_falsely(chance, values)
     chance.tags.add(f"rate:{rate}")
     return TruthScene(seed, values, frozenset(chance.tags), outward, values["duration"])

@@ -205,6 +205,11 @@ class GroupedControllers:
         self._singles = list(zip((axis for axis in range(self.axes) if axis not in grouped), controllers, strict=True))
         self._balances: list[EnergyBalance] = [_axis_balance(0.0, 0.0, _GROUP, 0)] * self.axes
 
+    @property
+    def programs(self) -> list[Any]:
+        """Controllers whose torques a program asks for, in the order of the axes: all or none."""
+        return [controller for _, controller in self._singles if hasattr(controller, "ask")]
+
     def lasted(self, periods: int) -> None:
         """Record that SYNCs were skipped: the hold that ends next lasted this number of sample times."""
         for controller in (*(single for _, single in self._singles), *(group.controller for group in self.groups)):

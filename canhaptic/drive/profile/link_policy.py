@@ -12,28 +12,7 @@ everything below        at once      zero torque, the rig stops
 from enum import Enum, IntEnum
 from typing import Final, NamedTuple
 
-from canhaptic.errors import (
-    BusFailedError,
-    CommandLostError,
-    CycleFailedError,
-    DriveStateFaultError,
-    EmergencyError,
-    EnergyLostError,
-    ForceContradictedError,
-    ForceFrozenError,
-    ForceRangeError,
-    HeartbeatLostError,
-    NmtStateLeftError,
-    NotFollowingError,
-    PositionJumpError,
-    RigError,
-    SecondMasterError,
-    StateLeftError,
-    SyncsSkippedError,
-    TorqueLimitedError,
-    TorqueNotFiniteError,
-    TpdoLostError,
-)
+from canhaptic import errors
 
 
 class StopReason(IntEnum):
@@ -75,93 +54,97 @@ class _StopRule(NamedTuple):
     """One reason of a stop."""
 
     meaning: str
-    error: type[RigError]  # the exception
+    error: type[errors.RigError]  # the exception
     remedy: str
 
 
 STOP_TABLE: Final[dict[StopReason, _StopRule]] = {
     StopReason.TPDO_LOST: _StopRule(
         "no TPDO for too many SYNCs",
-        TpdoLostError,
+        errors.TpdoLostError,
         "check the cable and what else loads the bus, or raise bus.tpdo_timeout or bus.stop_cycles",
     ),
     StopReason.HEARTBEAT_LOST: _StopRule(
         "the drive's heartbeat stopped",
-        HeartbeatLostError,
+        errors.HeartbeatLostError,
         "check power and cable of the drive, or raise bus.heartbeat_timeout",
     ),
     StopReason.SEND_FAILED: _StopRule(
         "a frame could not be sent, or none be read",
-        BusFailedError,
+        errors.BusFailedError,
         "check the cable, the bit rate and the length of the interface's queue",
     ),
     StopReason.COMMAND_LOST: _StopRule(
         "the drive holds an old torque, its RPDOs are lost",
-        CommandLostError,
+        errors.CommandLostError,
         "check the cable, the COB-ID of the RPDO and what else loads the bus",
     ),
     StopReason.SECOND_MASTER: _StopRule(
         "another master sends on the bus",
-        SecondMasterError,
+        errors.SecondMasterError,
         "end the other program, or remove the other device, that sends SYNC, NMT, RPDOs or SDO requests",
     ),
     StopReason.SYNCS_SKIPPED: _StopRule(
         "this computer was late for too many SYNCs",
-        SyncsSkippedError,
+        errors.SyncsSkippedError,
         "end other programs, see `canhaptic check`, host, ask for bus.realtime, or lower bus.rate",
     ),
     StopReason.EMERGENCY: _StopRule(
-        "the drive sent an EMCY", EmergencyError, "look the code up in the drive's manual and remove its cause"
+        "the drive sent an EMCY", errors.EmergencyError, "look the code up in the drive's manual and remove its cause"
     ),
     StopReason.DRIVE_FAULT: _StopRule(
-        "the drive is in FAULT", DriveStateFaultError, "look its error code (0x603F) up and remove the cause"
+        "the drive is in FAULT", errors.DriveStateFaultError, "look its error code (0x603F) up and remove the cause"
     ),
     StopReason.STATE_LEFT: _StopRule(
-        "the drive left OPERATION ENABLED", StateLeftError, "check enable input, supply and limits of the drive"
+        "the drive left OPERATION ENABLED", errors.StateLeftError, "check enable input, supply and limits of the drive"
     ),
     StopReason.NMT_STATE_LEFT: _StopRule(
-        "the drive left NMT OPERATIONAL", NmtStateLeftError, "look for a reset of the drive and for another NMT master"
+        "the drive left NMT OPERATIONAL",
+        errors.NmtStateLeftError,
+        "look for a reset of the drive and for another NMT master",
     ),
     StopReason.POSITION_JUMP: _StopRule(
         "the position moved faster than the speed limit",
-        PositionJumpError,
+        errors.PositionJumpError,
         "check the encoder and counts_per_unit, or raise speed_limit of the axis",
     ),
     StopReason.NOT_FOLLOWING: _StopRule(
         "the drive does not follow its target torque (bit 12 of the statusword)",
-        NotFollowingError,
+        errors.NotFollowingError,
         "look for a limit, a halt or a safety input of the drive, and for another master that commands it",
     ),
     StopReason.TORQUE_LIMITED: _StopRule(
         "the drive limits its torque (bit 11 of the statusword), and none is read back",
-        TorqueLimitedError,
+        errors.TorqueLimitedError,
         "map 0x6074 or 0x6077 (read_back), or lower torque_limit below the limits of the drive",
     ),
     StopReason.FORCE_RANGE: _StopRule(
         "the force is beyond the range of its sensor",
-        ForceRangeError,
+        errors.ForceRangeError,
         "check cable, scale and offset of the sensor, or raise admittance.force.range",
     ),
     StopReason.FORCE_FROZEN: _StopRule(
         "the force sensor shows the same count for too long",
-        ForceFrozenError,
+        errors.ForceFrozenError,
         "check the sensor, its amplifier and its cable, or raise admittance.force.frozen_after",
     ),
     StopReason.CONTROLLER: _StopRule(
         "the controller's torque is not finite",
-        TorqueNotFiniteError,
+        errors.TorqueNotFiniteError,
         "check the parameters of environment and algorithm against the motion",
     ),
-    StopReason.EXCEPTION: _StopRule("the cycle raised an exception", CycleFailedError, "see the error that caused it"),
+    StopReason.EXCEPTION: _StopRule(
+        "the cycle raised an exception", errors.CycleFailedError, "see the error that caused it"
+    ),
     StopReason.ENERGY_LOST: _StopRule(
         "a port gave out more energy than was declared",
-        EnergyLostError,
+        errors.EnergyLostError,
         "look for SYNCs skipped, frames lost, and a wrong moving_mass or hand_force; raise energy_loss_limit "
         "of the axis only where a person may be given that energy",
     ),
     StopReason.FORCE_CONTRADICTED: _StopRule(
         "encoder and commands contradict the force sensor",
-        ForceContradictedError,
+        errors.ForceContradictedError,
         "check sign, scale and offset of the sensor, whether commands reach the drive, and drive_mass and loop_gain",
     ),
 }

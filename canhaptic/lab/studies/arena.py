@@ -36,7 +36,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.input_file import read_regular
+from canhaptic.input_file import read_regular, shipped
 from canhaptic.lab.batch import run_batch, run_scalar, scene_with, why_not_batchable
 from canhaptic.lab.figures.field_figures import (
     asked_impedance,
@@ -68,7 +68,6 @@ from canhaptic.lab.loop.axis_loop import (
 from canhaptic.lab.reference import ContinuousReference, continuous_reference
 from canhaptic.lab.studies.map import theory_of
 from canhaptic.lab.studies.sweep.run_sweep import Progress, SerialExecutor
-from canhaptic.package_data import shipped
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import MAX_BYTES, load_scene, scene_from_text
 from canhaptic.scene.models import Scene

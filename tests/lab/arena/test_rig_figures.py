@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from canhaptic.input_file import shipped
 from canhaptic.lab.studies import arena
 from canhaptic.lab.studies.arena import DAMPINGS, borders, impedances, mass_widths, theory, tried_stiffnesses
-from canhaptic.package_data import shipped
 
 RIG = shipped("configs") / "arena_rig.yaml"
 

@@ -1,0 +1,204 @@
+"""Torques that a program asks for, and their guard: the account as a tank, within the certificates of `guarded`.
+
+Nothing is known of what a program stores. So nothing is rendered, predicted or dissipated here: what came in and was
+not given back is in the account, as far as `earned_energy` where that is given, and the declared certificates bound
+each torque by it as they bound one of `guarded`. What they do not hold is cut; a torque that is not cut goes out as it
+was asked for. Dissipation of the device is forgotten beyond what the asked torque needs, as in `guarded`.
+
+A program without a guard has an account, and no certificate.
+"""
+
+from dataclasses import dataclass
+from math import copysign, inf
+
+from canhaptic.control.balance import Branch, Certificate, EnergyBalance
+from canhaptic.control.certificates.torque_bound import keep, look_for_turn
+from canhaptic.control.damping import VelocityWindow, restart, update
+from canhaptic.control.environments.free_space import FreeSpace
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.guarded import (
+    Guarded,
+    GuardedState,
+    Memory,
+    book,
+    certain_energy,
+    end,
+    memory_of,
+    permitted_size,
+    start,
+)
+from canhaptic.control.passivity.guarded_settings import GuardedParameters, GuardedSettings, settings_of
+from canhaptic.control.passivity.stepped import SteppedController, send, towards_zero
+from canhaptic.control.passivity.unprotected import Unprotected
+from canhaptic.kernels import Kernel, Run, list_of_zeros, new
+from canhaptic.units import Parameters
+
+_FREE, _EXACT = Branch.FREE.value, Branch.EXACT.value
+_EXIT, _DEPLETED = Branch.EXIT.value, Branch.DEPLETED.value
+_NOT_BOUND = Certificate.EXACT.value
+_LONGEST_WINDOW = 0.02
+"""Longest window of the velocity that a program reads [s]."""
+
+
+class Program(FreeSpace):
+    """The program in the place of an environment: nothing is known of it."""
+
+
+class AskedEffort:
+    """The program as an environment: an effort that is the same everywhere, and stores nothing.
+
+    Attributes:
+        asked: Torque that was asked for [N or N*m].
+    """
+
+    damping = 0.0
+    linear_stiffness = None
+    relaxes = False
+
+    def __init__(self) -> None:
+        self.asked = 0.0
+
+    def contact(self, position: float) -> int:
+        """Return 1: everywhere."""
+        return 1
+
+    def true_state(self, position: float, displacement: float, previous: float) -> float:
+        """Return 0."""
+        return 0.0
+
+    def admissible(self, state: float, true: float) -> float:
+        """Return 0."""
+        return 0.0
+
+    def stored_energy(self, state: float) -> float:
+        """Return 0 J."""
+        return 0.0
+
+    def effort(self, state: float) -> float:
+        """Return the effort whose torque was asked for [N or N*m]."""
+        return -self.asked
+
+    def state_of_energy(self, energy: float, like: float) -> float:
+        """Return 0."""
+        return 0.0
+
+    def relaxed(self, state: float, sample_time: float) -> float:
+        """Return the state."""
+        return state
+
+
+@dataclass(slots=True)
+class AskedState(GuardedState):
+    """State kept from SYNC to SYNC."""
+
+    size: float = inf  # of the tank beyond `GuardedSettings.earned` [J]
+
+
+def step(
+    environment: AskedEffort, run: Run[GuardedSettings, AskedState, Memory], position: float, torque_applied: float
+) -> EnergyBalance:
+    """Account for the hold that ended; see `Controller.step`."""
+    settings, state, memory = run.settings, run.state, run.memory
+    axis = state.axis
+    if not axis.started:
+        return start(environment, settings, state, memory, position)
+    holds, torque = axis.missed + axis.lasted, environment.asked
+    displacement, _, _, uncertainty = end(settings, state, memory, position, torque_applied)
+    if settings.turns:  # the program may ask for a torque either way
+        look_for_turn(settings.declared, state.bound, memory.bound, displacement, holds)
+    h_i = -torque_applied * displacement - uncertainty  # `interaction_energy`
+    h_r, deficit, leak, paid = book(settings, state, memory, h_i, 0.0, 0.0, state.size)
+    branch, certificate = _EXACT, _NOT_BOUND
+    if torque != 0.0:
+        torque, certificate = granted(settings, state, memory, torque, displacement / holds)
+    else:
+        branch = _EXIT if h_i != 0.0 or leak != 0.0 else _FREE
+    axis.oldest = send(memory.axis.commands, axis.oldest, torque, 0.0, 0.0)
+    return new(EnergyBalance, (
+        torque, h_i, 0.0, h_i, h_r, state.h_s, axis.h_dis, 0.0, deficit, leak, paid,
+        _DEPLETED if deficit > 0.0 else branch, 0.0, certificate, 0.0,
+    ))  # fmt: skip
+
+
+def granted(
+    settings: GuardedSettings, state: AskedState, memory: Memory, asked: float, moved: float
+) -> tuple[float, int]:
+    """Return the part of an asked torque, not 0, that limits and certificates let pass [N or N*m], and which one.
+
+    Args:
+        settings: Constants of the run.
+        state: State of the axis.
+        memory: Buffers of the axis.
+        asked: Torque that was asked for [N or N*m].
+        moved: Displacement in a hold [m or rad].
+    """
+    bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
+    if bound.dissipated > 0.0:
+        enough = settings.earned
+        if settings.damped_stiffness > 0.0:
+            most = min(abs(asked), settings.torque_limit)
+            enough = max(enough, 0.5 * most * most / settings.damped_stiffness)
+        keep(bound, energy, max(0.0, energy) + enough)
+    if settings.longest_window:
+        energy = certain_energy(state, energy)
+    size, certificate = permitted_size(settings, state, memory, asked, energy, moved)
+    return towards_zero(copysign(size, asked), settings.quantum), certificate
+
+
+class _Asks(SteppedController):
+    """A controller whose torque is asked for before each step."""
+
+    def __init__(self, parameters: Parameters, loop: LoopProperties) -> None:
+        self._effort = AskedEffort()
+        self._sample_time, self._count = loop.sample_time, loop.encoder_count or 1e-9
+        self._window = VelocityWindow()
+        self._positions = list_of_zeros(max(2, round(_LONGEST_WINDOW / loop.sample_time)) + 1)
+        super().__init__(self._effort, parameters, loop)
+
+    @property
+    def asked(self) -> float:
+        """Torque that was asked for last [N or N*m]."""
+        return self._effort.asked
+
+    def ask(self, torque: float) -> None:
+        """Ask for the torque of the next step [N or N*m]; finite."""
+        self._effort.asked = torque
+
+    def velocity(self, position: float, periods: int) -> float:
+        """Take a position; return the velocity there, by a window as long as one encoder count allows [m/s or rad/s].
+
+        Args:
+            position: Position at this SYNC [m or rad].
+            periods: Sample times since the last position taken; 0: it is the first.
+        """
+        window, positions = self._window, self._positions
+        if periods == 1:
+            update(window, positions, self._count, self._sample_time, position)
+        else:
+            before = positions[window.newest]
+            restart(window, positions, position)
+            window.velocity = (position - before) / (periods * self._sample_time) if periods else 0.0
+        return window.velocity
+
+
+class GuardedProgram(_Asks, Guarded):
+    """A program's torques as far as the certificates allow."""
+
+    parameters_type = GuardedParameters
+    kernel = Kernel(settings_of, AskedState, memory_of, step)
+
+    def __init__(self, parameters: GuardedParameters, loop: LoopProperties) -> None:
+        self._size = inf if parameters.earned_energy is None else 0.0
+        super().__init__(parameters, loop)
+
+    def reset(self) -> None:
+        """Clear the state; see `Controller.reset`."""
+        super().reset()
+        self._state.size = self._size
+
+
+class UnguardedProgram(_Asks):
+    """A program's torques as they are."""
+
+    parameters_type = Unprotected.parameters_type
+    kernel = Unprotected.kernel

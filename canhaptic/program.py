@@ -1,0 +1,403 @@
+"""A rig for a program of one's own: iterate over its SYNCs, and ask for torques.
+
+    with canhaptic.open_rig("rig.yaml") as rig:
+        for sample in rig:                                       # one SYNC a turn
+            rig["knob"].torque = -2.0 * sample["knob"].position  # sent at its end, as far as the guard lets it pass
+
+Bring-up, limits, link policy, account, logs and verdict are those of `canhaptic run`; the program takes the place of
+environment and algorithm. The drives are enabled at the first turn and not before, as SYNCs must follow one another
+from then on. However the loop ends, zero torque is sent first and the drives are disabled second. What no code can
+answer (SIGKILL, `os._exit`, a crash of the interpreter) ends the watchdog of each drive; a rig without one is refused.
+"""
+
+import atexit
+import os
+import signal
+import threading
+import weakref
+from collections.abc import Iterator, Mapping
+from math import isfinite
+from numbers import Real
+from os import PathLike
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any, Final, Literal, NamedTuple, Self
+
+from canhaptic.axis_units import effort_unit
+from canhaptic.control.balance import Branch, Certificate, EnergyBalance
+from canhaptic.cycle import Cycle, running
+from canhaptic.drive.clock import WallClock
+from canhaptic.drive.profile.link_policy import StopReason
+from canhaptic.errors import CanHapticError, InputError, RigError
+from canhaptic.registry import nearest
+from canhaptic.replay import OpenReplay, ReplayOverError, ReplayResult
+from canhaptic.scene.build import Experiment, build, logs_elsewhere
+from canhaptic.scene.experiment_account import experiment_account
+from canhaptic.scene.load import for_program, says_none
+from canhaptic.scene.models import AxisScene, RunParameters, Scene, require_no_guesses
+from canhaptic.signals import Sample
+from canhaptic.simulation import Account, load_any
+from canhaptic.units import shown
+
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
+_SHELL_OFFSET: Final = 128  # exit status of a process ended by signal n is 128 + n
+_PATIENCE: Final = 1.0  # [s] for a turn of another thread to end at the exit of the interpreter
+_ROUNDING: Final = 1e-9
+_HELD: Final = Branch.HELD.value
+_new: Final = tuple.__new__  # makes a record at half the cost of calling its class
+_Guard = Literal["none"] | None
+_Pace = Literal["real", "free"] | None
+
+
+def open_rig(
+    scene: str | PathLike[str] | Mapping[str, object] | Scene,
+    changes: Mapping[str, object] | None = None,
+    *,
+    guard: _Guard = None,
+    pace: _Pace = None,
+    duration: float | None = None,
+    energy_log: str | PathLike[str] | None = None,
+    bus_log: str | PathLike[str] | None = None,
+    force: bool = False,
+    no_torque: bool = False,
+    replay: str | PathLike[str] | None = None,
+    allow_code: bool = False,
+) -> "OpenRig":
+    """Return a rig to iterate over, inside `with`; nothing is sent before its first turn.
+
+    Args:
+        scene: A scene file, a mapping with the keys of one, or a scene that was loaded. Environment and algorithm are
+            left aside.
+        changes: Replace values of the scene, by path, as for `simulate`. Not for a loaded scene.
+        guard: "none": torques go out as they are asked for. On a real rig the scene must say so too, by `guard: none`
+            or `algorithm: unprotected`.
+        pace: As for `build`.
+        duration: Time after which the loop ends [s]; by default the scene's, or never.
+        energy_log: Energy log (HDF5) to write; by default the scene's.
+        bus_log: Bus log (candump text) to write; the same.
+        force: Whether logs may replace files.
+        no_torque: Whether the torque sent is always 0: a dry run.
+        replay: Bus log of an earlier run, whose drives answer in place of real ones; what the program lets the rig send
+            is compared with what was sent then.
+        allow_code: As for `simulate`.
+
+    Raises:
+        SceneError: The scene is wrong; lists every fault.
+        InputError: The guard is left out once and not twice, an axis has no watchdog or does not stand alone, a log
+            exists already, or a value is still marked as a guess.
+
+    Example:
+        >>> with canhaptic.open_rig("configs/demo.yaml", guard=None) as rig:  # doctest: +SKIP
+        ...     for sample in rig:
+        ...         rig["handle"].torque = -5.0 * sample["handle"].velocity
+    """
+    written = load_any(scene, changes or {}, allow_code)
+    chosen = _guard_of(written, guard, is_replay=replay is not None)
+    ready = for_program(written, chosen) if isinstance(scene, Scene) else load_any(
+        scene, {**(changes or {}), "guard": chosen}, allow_code
+    )  # fmt: skip
+    length = ready.run.duration if duration is None else RunParameters.validated({"duration": duration}).duration
+    cycles = None if length is None else max(1, round(length / ready.bus.sample_time))
+    if replay is not None:
+        return OpenRig(ready, cycles, pace, (None, None), Path(replay), no_torque=no_torque)
+    _require_watchdogs(ready)
+    require_no_guesses(ready)
+    logs_elsewhere(ready, energy=energy_log is None, bus=bus_log is None)
+    logs = (energy_log or ready.log.energy), (bus_log or ready.log.bus)
+    for taken in logs:
+        if taken and Path(taken).exists() and not force:
+            raise InputError(f"{taken} already exists; force=True replaces it, or name another file")
+    energy, bus = (None if path is None else Path(path) for path in logs)
+    return OpenRig(ready, cycles, pace, (energy, bus), None, no_torque=no_torque)
+
+
+def _guard_of(scene: Scene, asked: _Guard, *, is_replay: bool) -> str:
+    """Return the guard in effect; on a real rig it is left out where scene and call agree."""
+    if asked not in (None, "none"):
+        raise InputError(f"guard: got {shown(asked)}, expected None (the certificates) or 'none'")
+    in_scene = says_none(scene)
+    if in_scene is not (asked == "none") and not (scene.simulated or is_replay):
+        one, other = ("the scene", 'the call: guard="none"') if in_scene else ("the call", "the scene: guard: none")
+        raise InputError(
+            f"{scene.source}: guard: none is said by {one} alone, and the drives are real; a torque without a guard "
+            f"may give out any energy: say it in {other} as well, or leave it out in both"
+        )
+    return "certificates" if asked is None else "none"
+
+
+def _require_watchdogs(scene: Scene) -> None:
+    for axis in scene.axes:
+        if not axis.parameters.watchdog:
+            raise InputError(
+                f"{scene.source}: {axis.parameters.name}: watchdog: got false; a program that is killed would leave "
+                "its torque on: set watchdog: true, with a drive that has one"
+            )
+
+
+class AxisSample(NamedTuple):
+    """What an axis reports at a SYNC."""
+
+    sync_index: int  # of the SYNC, counted from 0
+    position: float  # [m or rad]
+    velocity: float  # by the longest window that an encoder count allows, at most 20 ms [m/s or rad/s]
+    torque: float  # held since the SYNC before, read back from the drive [N or N*m]
+    fresh: bool  # False where no report came, and the values are those of the last one
+
+
+class ProgramAxis:
+    """One axis of an open rig.
+
+    Attributes:
+        name: Name of the axis.
+        unit: Unit of its position.
+        granted: Torque that the guard let pass in the last turn [N or N*m].
+        limited_by: Why that is not the one asked for: `start` in the first turn, `lost sample`, `torque_limit`, the
+            name of the certificate that held no more, or `account` where there was no energy for any; empty: it is.
+    """
+
+    __slots__ = ("_asked", "_before", "_controller", "_grid", "_limit", "_rig", "_velocity", "granted", "limited_by",
+                 "name", "unit")  # fmt: skip
+
+    def __init__(self, rig: "OpenRig", axis: AxisScene, controller: Any) -> None:
+        self.name, self.unit = axis.parameters.name, axis.parameters.unit
+        self.granted, self.limited_by = 0.0, ""
+        self._rig, self._controller = rig, controller
+        self._asked = self._velocity = 0.0
+        self._limit, self._grid = axis.parameters.torque_limit, axis.loop.torque_quantum + _ROUNDING
+        self._before = -1  # sample times to the last report; -1 before the first
+
+    @property
+    def torque(self) -> float:
+        """Torque asked for in this turn [N or N*m]; 0 until it is set, in every turn anew.
+
+        Raises:
+            InputError: On setting what is no finite number, or outside a turn; zero torque was sent before.
+        """
+        return self._asked
+
+    @torque.setter
+    def torque(self, value: float) -> None:
+        if type(value) is not float:
+            if not isinstance(value, Real) or isinstance(value, bool):
+                raise self._rig.refusal(f"{self.name}: torque: got {value!r:.40}, expected a number")
+            value = float(value)
+        if not isfinite(value):
+            raise self._rig.refusal(f"{self.name}: torque: got {value}, expected a finite number")
+        if not self._rig.is_open:
+            raise self._rig.refusal(f"{self.name}: torque: got {value:g} {effort_unit(self.unit)} outside a turn")
+        self._asked = value
+
+    def begin_turn(self, sample: Sample, now: int) -> AxisSample:
+        """Take what the axis reports; of the rig alone. `now` are the sample times since the first SYNC."""
+        index, position, torque, _, fresh = sample
+        if fresh:
+            periods = now - self._before if self._before >= 0 else 0
+            self._velocity, self._before = self._controller.velocity(position, periods), now
+        return _new(AxisSample, (index, position, self._velocity, torque, fresh))
+
+    def end_turn(self) -> None:
+        """Ask for the torque of this turn; of the rig alone."""
+        self._controller.ask(self._asked)
+
+    def take_answer(self, balance: EnergyBalance, index: int) -> None:
+        """Note what was granted at a SYNC, and ask for nothing any more; of the rig alone."""
+        torque, branch, certificate = balance.torque, balance.branch, balance.certificate
+        asked, self._asked, self.granted = self._asked, 0.0, torque
+        if -self._grid < asked - torque < self._grid:
+            self.limited_by = ""
+        elif branch == _HELD or index == 0:
+            self.limited_by = "lost sample" if branch == _HELD else "start"
+        elif abs(torque) > self._limit - self._grid:
+            self.limited_by = "torque_limit"
+        else:
+            self.limited_by = Certificate(certificate).name.lower() if torque else "account"
+
+
+class OpenRig:
+    """A rig that a program iterates over, inside `with`; see `open_rig`.
+
+    Attributes:
+        scene: The scene, its axes for a program.
+        is_open: Whether a turn is open, in which torques may be set.
+        replayed: Outcome of the comparison, after the block of a replayed rig; None for any other.
+    """
+
+    def __init__(self, scene: Scene, cycles: int | None, pace: _Pace, logs: tuple[Path | None, Path | None],
+                 replay: Path | None, *, no_torque: bool) -> None:  # fmt: skip
+        self.scene, self.is_open = scene, False
+        self.replayed: ReplayResult | None = None
+        self._cycles, self._pace, self._logs, self._replay = cycles, pace, logs, replay
+        self._no_torque = no_torque
+        self._source: Experiment | OpenReplay | None = None
+        self._account: Account | None = None
+        self._turns: weakref.ref[Any] | None = None  # so that `break` drops the last reference, which closes it
+        self._axes: dict[str, ProgramAxis] = {}
+        self._signal, self._before = 0, dict[int, Any]()
+        self._left: CanHapticError | None = None
+        self._is_over = self._is_ending = self._must_end = False
+        self._begin, self._process = 0, 0
+
+    @property
+    def account(self) -> Account:
+        """Energies of each port, after the block.
+
+        Raises:
+            InputError: The block has not ended.
+        """
+        if self._account is None:
+            raise InputError("open_rig: the account is ready when the block `with ... as rig:` has ended")
+        return self._account
+
+    @property
+    def sample_time(self) -> float:
+        """Time from SYNC to SYNC [s]."""
+        return self.scene.bus.sample_time
+
+    def __getitem__(self, name: str) -> ProgramAxis:
+        if name not in self._axes:
+            known = ", ".join(self._axes) or "none outside `with`"
+            raise InputError(f"no axis {name!r}; expected one of: {known}{nearest(name, self._axes)}")
+        return self._axes[name]
+
+    def __enter__(self) -> Self:
+        if self._source is not None:
+            raise InputError("open_rig: this rig was opened before; call open_rig again")
+        scene = self.scene
+        if self._replay is not None:
+            self._source = OpenReplay(self._replay, scene, realtime=self._pace == "real", dry_run=self._no_torque)
+        else:
+            self._source = build(scene, self._pace, *self._logs, no_torque=self._no_torque)
+        controllers = self._source.cycle.controllers
+        for axis, controller in zip(scene.axes, controllers, strict=True):
+            self._axes[axis.parameters.name] = ProgramAxis(self, axis, controller)
+        self._begin, self._process = WallClock().now(), os.getpid()
+        if threading.current_thread() is threading.main_thread():
+            self._before = {number: signal.signal(number, self._take_signal) for number in _SIGNALS}
+        atexit.register(self._at_exit)
+        return self
+
+    def __iter__(self) -> Iterator[Mapping[str, AxisSample]]:
+        if self._source is None or self._is_over:
+            raise InputError("open_rig: iterate inside the block: with canhaptic.open_rig(...) as rig: for ... in rig:")
+        if self._turns is not None:
+            raise InputError("open_rig: a rig is iterated once; call open_rig again for another run")
+        turns = self._run(self._source.cycle)
+        self._turns = weakref.ref(turns)
+        return turns
+
+    def _run(self, cycle: Cycle) -> Iterator[Mapping[str, AxisSample]]:
+        """Yield the samples of each turn; zero torque and disabled drives on every way out."""
+        rig, axes, cycles = cycle.rig, tuple(self._axes.values()), self._cycles
+        places = tuple(range(len(axes)))
+        try:
+            with running(cycle):
+                while cycles is None or cycle.cycles < cycles:
+                    samples = rig.sync()
+                    self._end_if_asked()
+                    now, turn = rig.deadline_index, {}
+                    for place in places:
+                        axis = axes[place]
+                        turn[axis.name] = axis.begin_turn(samples[place], now)
+                    self.is_open = True
+                    try:
+                        yield turn
+                    except GeneratorExit:
+                        self._stop(rig.stop, StopReason.OPERATOR)
+                        raise
+                    finally:
+                        self.is_open = False
+                    for axis in axes:
+                        axis.end_turn()
+                    balances = cycle.answer(samples)
+                    for place in places:
+                        axes[place].take_answer(balances[place], rig.sync_index)
+                    self._end_if_asked()
+        except ReplayOverError:
+            return
+
+    def _stop(self, stop: Any, reason: StopReason) -> None:
+        """Stop the rig at once where no exception may leave; `__exit__` raises it."""
+        try:
+            stop(ramp=False, reason=reason)
+        except RigError as error:
+            self._left = error
+
+    def refusal(self, what: str) -> InputError:
+        """Send zero torque, stop the rig, and return the error of a torque that cannot be asked for."""
+        if self._source is not None:
+            self._stop(self._source.cycle.rig.stop, StopReason.CONTROLLER)
+        return InputError(f"{what}; the torque is zero and the rig has stopped; set finite numbers, inside the loop")
+
+    def _take_signal(self, number: int, frame: FrameType | None) -> None:
+        """End the program: at once in its own lines, else at the end of the turn's work; a second signal at once."""
+        if (self._is_ending or self._is_at_work) and not self._signal:
+            self._signal = number
+            return
+        raise _ending(number)
+
+    @property
+    def _is_at_work(self) -> bool:
+        """Whether the rig is between two turns, in this thread or another."""
+        turns = None if self._turns is None else self._turns()
+        return turns is not None and turns.gi_running
+
+    def _end_if_asked(self) -> None:
+        if self._signal:
+            raise _ending(self._signal)
+        if self._must_end:
+            raise SystemExit
+
+    def _at_exit(self) -> None:
+        """Take the torque away when the interpreter ends inside the block; not in a process that was forked there."""
+        if os.getpid() != self._process or self._source is None:
+            return
+        self._must_end, clock = True, WallClock()
+        end = clock.now() + round(_PATIENCE * 1e9)
+        while self._is_at_work and clock.now() < end:
+            clock.wait_until(clock.now() + 1_000_000)
+        self._end("stopped")
+
+    def _end(self, status: str) -> None:
+        """Stop the rig, close logs and buses, and take the account; a second call does nothing."""
+        if self._is_over or self._source is None:
+            return
+        self._is_over = True
+        source, rig = self._source, self._source.cycle.rig
+        self._stop(rig.stop, StopReason.EXCEPTION)
+        try:
+            if isinstance(source, OpenReplay):
+                self.replayed = source.result((WallClock().now() - self._begin) * 1e-9)
+                self._account = Account(self.replayed["account"])
+            else:
+                elapsed = (WallClock().now() - self._begin) * 1e-9
+                self._account = Account(experiment_account(source, status, elapsed))
+        finally:
+            source.close(status)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        cycle = self._source.cycle if self._source is not None else None
+        status, self._is_ending = "stopped", True
+        if isinstance(error, Exception):
+            status = f"failed: {error}"
+            if cycle is not None:
+                self._stop(cycle.rig.stop, StopReason.EXCEPTION)
+                if not isinstance(error, RigError):
+                    cycle.note_fault(error)
+        elif error is None and cycle is not None and cycle.cycles == self._cycles:
+            status = "completed"
+        try:
+            self._end(status)
+        finally:
+            for number, handler in self._before.items():
+                signal.signal(number, handler)
+            atexit.unregister(self._at_exit)
+        if self._left is not None and error is None:
+            raise self._left
+        if self._signal and error is None:
+            raise _ending(self._signal)
+
+
+def _ending(number: int) -> BaseException:
+    return KeyboardInterrupt() if number == signal.SIGINT else SystemExit(_SHELL_OFFSET + number)
