@@ -81,6 +81,9 @@ def draw_program(seed: int, values: dict[str, Any], tags: set[str], outward: tup
     tags -= {tag for tag in tags if tag.startswith("environment:")}
     tags.add(f"program:{list(PROGRAMS)[int(chance.integers(len(PROGRAMS)))]}")
     values["guard"] = "certificates"
+    if values["passivity"].get("hand_push") is None and values["passivity"].get("hand_force") is not None:
+        values["passivity"]["hand_push"] = 5.0
+        tags.add("declares:hand_push")
     return (0,)
 
 
