@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.commission.session import OpenLoop, Session, StepVerdict, reversals
+from canhaptic.commission.which_hold import as_declared, report_hold, time_the_hold
 from canhaptic.scene.first_contact import ALLOWANCES, share_of_wall, with_declared
 from canhaptic.scene.hints import advised_allowance, allowance_words
 from canhaptic.scene.models import AxisScene
@@ -272,32 +273,36 @@ _TIMES: Final = ("sync_jitter", "torque_window", "current_lag")
 _ITEM: Final = "torque lag"
 _SHORTEST: Final = 24  # cycles of the first part of the longest doublet
 _LONGEST: Final = 60
-_DOUBLETS: Final = (32, 64, 128, 256)
-"""Lengths of the tests, one after the other until the wall can be judged; 45 s at 1 kHz in all."""
+_DOUBLETS: Final = (32, 64, 128, 256, 512)
+"""Lengths of the tests, one after the other until the hold is known and the wall can be judged."""
+_LONGEST_TEST: Final = 60.0  # [s]
 _OVER: Final = 1.1
 _EARLY: Final = 3.0  # standard deviations below 0 from which on a torque acts before its SYNC
 
 
-def time_the_torque(session: Session, axis: int, most: float, mass: float, known: Mapping[str, float]) -> None:
-    """Measure the lateness of the torque, and propose its upper bounds.
+def time_the_torque(session: Session, axis: int, most: float, mass: float, known: Mapping[str, float] | None) -> None:
+    """Find the hold in which a torque acts, measure its lateness, and propose its upper bounds.
 
-    The test is repeated, longer each time, while its uncertainty costs too much of the wall.
+    The test is repeated, longer each time, while the hold is unclear or the uncertainty costs too much of the wall.
 
     Args:
         session: The rig.
         axis: Its index.
         most: Largest torque [N or N*m].
         mass: First estimate of the mass, in the units of the encoder as configured [kg or kg*m^2].
-        known: Measured values of `passivity`, SI.
+        known: Measured values of `passivity`, SI; None: without a mass, the hold alone is of interest.
 
     Raises:
         RigError: Drive or link failed.
     """
-    torque, longest = _reversal(session, axis, most, mass)
+    friction = 0.5 * (known or {}).get("device_friction_bound", 0.0)
+    torque, longest = _reversal(session, axis, most, mass, friction)
     name, unit = session.axes[axis].parameters.name, effort_unit(session.axes[axis].parameters.unit)
     if not session.agreed(f"{name}: hands off. Reversals of {torque:.3g} {unit}, now?", _ITEM, [axis]):
         return
-    for count in _DOUBLETS:
+    before: int | None = None  # the hold by the test before
+    counts = [count for count in _DOUBLETS if 3 * longest * count * session.sample_time <= _LONGEST_TEST]
+    for count in counts:
         law = session.play_within(axis, _ITEM, partial(reversals, longest=longest, count=count), torque)
         if session.stop_requested():
             session.not_tried(_ITEM, [axis])
@@ -307,7 +312,15 @@ def time_the_torque(session: Session, axis: int, most: float, mass: float, known
             text = f"{law.tripped or 'too little motion'}; raise --travel or --torque"
             session.found(axis, _ITEM, "", "unclear", StepVerdict.UNKNOWN, text)
             return
-        if count == _DOUBLETS[-1] or _is_resolved(session, axis, late, known):
+        times = time_the_hold(session, axis, law, longest // 3)
+        is_last, hold = count == counts[-1], times.hold
+        is_told, before = times.is_sure or (hold is not None and (is_last or hold == before)), hold
+        if is_told and hold and hold > 0:  # the hold is declared, and the lag is that within it
+            late = late[0] - hold * session.sample_time, late[1]
+        if is_last or (is_told and (known is None or _is_resolved(session, axis, late, known))):
+            report_hold(session, axis, times if is_told else times._replace(hold=None))
+            if known is None:
+                return
             declared = session.axes[axis].loop.current_lag or 0.0
             is_kept = late[0] <= SURE * late[1] and _at_most(late) <= declared
             is_kept = is_kept and not _is_lost(session, axis, declared, known)
@@ -315,7 +328,8 @@ def time_the_torque(session: Session, axis: int, most: float, mass: float, known
             if late[0] >= -_EARLY * late[1]:
                 _propose(session, axis, None if is_kept else _at_most(late), known)
             return
-        session.dialogue.tell(f"  {name}: {_ITEM}: +- {SURE * late[1] * 1e6:.2g} us costs too much of the wall")
+        seen = f"+- {SURE * late[1] * 1e6:.2g} us costs too much of the wall" if is_told else "in which hold is unclear"
+        session.dialogue.tell(f"  {name}: {_ITEM}: {seen}")
 
 
 def _at_most(late: tuple[float, float]) -> float:
@@ -335,24 +349,21 @@ def _is_lost(session: Session, axis: int, lag: float, known: Mapping[str, float]
     return is_dear(session.axes[axis], session.limits.speed, without, lagging)
 
 
-def _reversal(session: Session, axis: int, most: float, mass: float) -> tuple[float, int]:
+def _reversal(session: Session, axis: int, most: float, mass: float, friction: float) -> tuple[float, int]:
     """Return the torque of the test [N or N*m], and the cycles of its longest part, within half of the limits."""
     travel, speed, time = 0.25 * session.limits.travel, 0.5 * session.limits.speed, session.sample_time
     wanted = min(math.sqrt(travel * mass / most), speed * mass / most) / time
     cycles = max(_SHORTEST, min(_LONGEST, round(wanted)))
-    allowed = mass * min(travel / (cycles * time) ** 2, speed / (cycles * time))
+    allowed = friction + mass * min(travel / (cycles * time) ** 2, speed / (cycles * time))
     quantum = session.drives[axis].scaling.torque_quantum
     return max(1, math.floor(min(most, allowed) / quantum)) * quantum, cycles
 
 
 def _lateness(session: Session, axis: int, law: OpenLoop, half_base: int) -> tuple[float, float] | None:
     """Return lateness and standard deviation [s], against the torques sent: a measured one is late itself."""
-    parameters, ahead = session.axes[axis].parameters, 1 + session.axes[axis].loop.delay
-    acted = np.concatenate([np.zeros(ahead), law.sent])[: len(law.positions)]
-    if parameters.torque_rate_limit or parameters.power_limit:  # which alter the commands
-        acted = np.array(law.applied)
+    acted = as_declared(session, axis, law)
     positions = np.array(law.positions) / session.encoder_ratios[axis]
-    return estimate_lateness(positions, acted, session.sample_time, half_base)
+    return estimate_lateness(positions, np.asarray(acted, dtype=np.float64), session.sample_time, half_base)
 
 
 def _report(session: Session, axis: int, late: tuple[float, float], kept: str) -> None:

@@ -14,7 +14,7 @@ from typing import Final
 from canhaptic.axis_units import effort_unit
 from canhaptic.canopen import objects as od
 from canhaptic.commission.session import NO_TORQUE, OpenLoop, Session, StepVerdict
-from canhaptic.commission.torque_tests import identify_dynamics, pulse, time_the_read_back
+from canhaptic.commission.torque_tests import identify_dynamics, pulse
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.power_states import TORQUE_FREE, drive_state
@@ -401,5 +401,3 @@ def _with_torque(session: Session) -> None:
         rough_mass = pulse(session, axis)
         if rough_mass is not None and not session.stop_requested():
             identify_dynamics(session, axis, rough_mass)
-    if not session.report.unfinished((), ()) and not session.stop_requested():
-        time_the_read_back(session)

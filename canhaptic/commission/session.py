@@ -242,7 +242,7 @@ class OpenLoop:
     Attributes:
         positions: Position at every SYNC since `reset` [m or rad].
         applied: Torque of the hold that ended there [N or N*m].
-        sent: Torque returned there [N or N*m].
+        sent: Torque returned there, and after `Session.play` the one that the limits let pass [N or N*m].
         tripped: Reason why the torque was removed; "" if it was not.
         has_gap: Whether a sample was lost: the positions then do not belong to consecutive SYNCs.
     """
@@ -312,6 +312,9 @@ def doublet(torque: float, cycles: int) -> list[float]:
     return [torque] * cycles + [-torque] * (2 * cycles) + [torque] * cycles
 
 
+_LEAST_REVERSAL: Final = 0.6  # of the largest
+
+
 def reversals(torque: float, longest: int, count: int) -> list[float]:
     """Return doublets of a torque [N or N*m] of both signs and many lengths, the same with every call.
 
@@ -322,8 +325,9 @@ def reversals(torque: float, longest: int, count: int) -> list[float]:
     """
     drawn = np.random.default_rng(1)
     lengths, signs = drawn.integers(longest // 2, longest + 1, count), drawn.choice([-1.0, 1.0], count)
+    sizes = signs * drawn.uniform(_LEAST_REVERSAL, 1.0, count)  # equal motions would repeat the errors of an encoder
     return [
-        part for length, sign in zip(lengths, signs, strict=True) for part in doublet(float(sign * torque), int(length))
+        part for length, size in zip(lengths, sizes, strict=True) for part in doublet(float(size * torque), int(length))
     ]
 
 
@@ -490,8 +494,17 @@ class Session:
             OpenLoop(torques, limits.travel, largest_step) if n == axis and torques else OpenLoop(NO_TORQUE)
             for n in range(len(self.axes))
         ]
-        self.run(laws, cycles, ready)
-        return laws[axis]
+        law, sent = laws[axis], list[float]()
+
+        def note() -> bool:
+            if self.rig.records:
+                sent.append(self.drives[axis].scaling.torque(self.rig.records[-1].torques_per_mille[axis]))
+            return ready()
+
+        self.run(laws, cycles, note)
+        note()
+        law.sent = sent
+        return law
 
     def run(self, laws: Sequence[OpenLoop], cycles: int, ready: Callable[[], bool] = lambda: False) -> Cycle:
         """Run the rig with one law per axis and stop it; return the cycle with its timing.

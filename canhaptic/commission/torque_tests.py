@@ -19,7 +19,6 @@ from canhaptic.commission.mass_and_friction import (
     time_the_torque,
 )
 from canhaptic.commission.session import OpenLoop, Session, StepVerdict, doublet, sweep
-from canhaptic.drive.readback_timing import measure_read_back
 
 _FIRST: Final = 0.01  # of the rated torque
 _PULSE: Final = 0.04  # [s]
@@ -30,7 +29,6 @@ _LONGEST_SWEEP: Final = 4  # times the first, where the wall asks for a better e
 _HALF_BASE: Final = 0.02  # [s] of the weights of the estimate
 _DERATING: Final = 0.5
 """Certain part of the braking force that was measured: warmth, grease and wear reduce it."""
-_DITHER: Final = 64  # cycles
 _SHAKES: Final = 64  # of one sign or the other
 _RESOLVED_COUNTS: Final = 20  # of motion in one part of a shake: quantisation then changes the mass by 0.1 %
 _RIGID: Final = 0.1
@@ -104,36 +102,6 @@ def pulse(session: Session, axis: int) -> float | None:
     return torque * (cycles * session.sample_time) ** 2 / (2.0 * moved) if right else None  # as the encoder has it
 
 
-def time_the_read_back(session: Session) -> None:
-    """Find out whether each drive reports its torque just before or just after the update at a SYNC.
-
-    Raises:
-        RigError: Drive or link failed.
-    """
-    item, axes = "demand reported", range(len(session.axes))
-    if any(drive.map.read_back == "none" for drive in session.drives):
-        session.not_tried(item, axes)
-        return
-    amplitude = min(_largest_torque(session, axis) for axis in axes)
-    asked = f"all axes: hands off. A dither of +-{amplitude:.3g} N or N*m, too small to move the handle, now?"
-    if not session.agreed(asked, item, axes):
-        return
-    session.rig.start()
-    try:
-        timings = measure_read_back(session.rig, amplitude, _DITHER)
-    finally:
-        session.rig.stop(ramp=False)
-    for axis, timing in enumerate(timings):
-        configured = session.axes[axis].parameters.demand_reported
-        if timing.reported is None:
-            session.found(axis, item, configured, "unclear", StepVerdict.UNKNOWN, timing.text)
-            continue
-        same = timing.reported == configured
-        text = "every hold is booked with its neighbour's torque"
-        session.judged(axis, item, configured, timing.reported, good=same, text=text)
-        session.propose(axis, "demand_reported", None if same else timing.reported, comment="measured by a dither")
-
-
 def _first_motion(law: OpenLoop, cycles: int) -> float:
     """Displacement over the first part of a doublet, from where the torque began to act."""
     begin = next((k for k, torque in enumerate(law.applied) if torque), len(law.applied)) - 1
@@ -175,11 +143,16 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
     _report_friction(session, axis, found)
     _report_least_friction(session, axis, found, curve)
     _scale(session, axis, found)
-    if rigid is not None and not session.stop_requested():
-        values = declared_of(rigid, curve)
-        for key, value in values.items():
-            session.propose(axis, f"passivity.{key}", value, _unit_of(session, axis, key), _COMMENTS[key])
-        time_the_torque(session, axis, _largest_torque(session, axis), rough_mass, values)
+    if not session.stop_requested():
+        _declare(session, axis, rough_mass, None if rigid is None else declared_of(rigid, curve))
+
+
+def _declare(session: Session, axis: int, rough_mass: float, values: dict[str, float] | None) -> None:
+    """Propose measured values, then time the torque; None: without a mass, the hold alone is timed."""
+    for key, value in (values or {}).items():
+        session.propose(axis, f"passivity.{key}", value, _unit_of(session, axis, key), _COMMENTS[key])
+    time_the_torque(session, axis, _largest_torque(session, axis), rough_mass, values)
+    if values is not None:
         propose_allowance(session, axis, values)
 
 

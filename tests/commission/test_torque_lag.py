@@ -49,7 +49,7 @@ def measured(lag: float, damping: float, friction: str, count: float, offset: fl
 @pytest.mark.parametrize("friction", FRICTIONS)
 def test_a_first_order_lag_is_found_whatever_the_friction(friction: str) -> None:
     late, error = measured(300e-6, 0.1, friction, 1e-6)
-    assert late == pytest.approx(300e-6, abs=40e-6 if friction == "falling" else 5e-6)
+    assert late == pytest.approx(300e-6, abs=40e-6 if friction == "falling" else 6e-6)
     assert error < 20e-6
 
 
@@ -93,7 +93,7 @@ def test_a_torque_that_acts_before_its_sync_fails_and_bounds_nothing(monkeypatch
     monkeypatch.setattr(mass_and_friction, "estimate_lateness", lambda *_: (-1e-3, 1e-5))
     session, _ = timed()
     assert row(session.report, "torque lag").verdict is StepVerdict.FAILED
-    assert session.report.values == []
+    assert not [found for found in session.report.values if found.key.startswith("passivity")]
 
 
 def test_a_test_that_leaves_too_much_open_is_repeated_longer(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,12 +103,12 @@ def test_a_test_that_leaves_too_much_open_is_repeated_longer(monkeypatch: pytest
         lengths.append(len(positions))
         return (-387e-6, 660e-6) if len(lengths) < 3 else (-100e-6, 60e-6)
 
-    monkeypatch.setattr(mass_and_friction, "_DOUBLETS", (4, 8, 16, 32))
+    monkeypatch.setattr(mass_and_friction, "_DOUBLETS", (8, 16, 32, 64))
     monkeypatch.setattr(mass_and_friction, "estimate_lateness", uncertainty)
     session, said = timed()
     assert len(lengths) == 3
     assert lengths[0] * 1.8 < lengths[1] < lengths[2] / 1.8
-    assert len([line for line in said.said if "costs too much of the wall" in line]) == 2
+    assert len([line for line in said.said if "costs too much of the wall" in line or "which hold" in line]) == 2
     assert value(session.report, "passivity.current_lag") == pytest.approx(1.1 * 120e-6)
     assert "energy_allowance" not in str(session.report.values)
 
@@ -160,6 +160,8 @@ def test_of_what_renders_no_wall_by_itself_nothing_is_judged(scene: str) -> None
 def test_reversals_bring_a_mass_back_and_are_of_both_signs_and_many_lengths() -> None:
     torques = np.array(reversals(1.0, 24, 16))
     assert np.array_equal(torques, reversals(1.0, 24, 16))
-    assert np.cumsum(torques)[-1] == 0.0
+    assert abs(np.cumsum(torques)[-1]) < 1e-12
     assert abs(np.cumsum(np.cumsum(torques))[-1]) <= np.abs(np.cumsum(torques)).max() * 16
-    assert set(np.unique(torques)) == {-1.0, 1.0}
+    assert 0.6 <= np.abs(torques).min() < 0.7
+    assert 0.95 < np.abs(torques).max() <= 1.0
+    assert {-1.0, 1.0} == set(np.sign(torques))

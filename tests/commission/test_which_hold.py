@@ -1,0 +1,189 @@
+"""The hold in which a torque acts, found from the motion; judged by the plant that moved."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canhaptic.commission.session import Report, StepVerdict, reversals
+from canhaptic.commission.which_hold import TorqueDelay, _age, _response, estimate_delay
+from canhaptic.sim.plant.effects import Effect
+from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
+from canhaptic.sim.plant.effects.current_loop import CurrentLoop
+from canhaptic.sim.plant.effects.shaft_compliance import ShaftCompliance
+from canhaptic.sim.plant.plant import Plant, PlantParameters
+from tests.commission.test_commissioning import commissioned, row, value
+from tests.commission.test_torque_lag import timed
+from tools.bench.which_hold import outcome_of
+
+TIME = 1e-3
+AHEAD = 4  # SYNCs before the first torque
+EFFECTS: dict[str, list[Effect]] = {
+    "nothing": [],
+    "lag": [CurrentLoop(time_constant=600e-6)],
+    "a lag of a hold": [CurrentLoop(time_constant=1e-3)],
+    "friction": [CoulombFriction(kinetic=0.2, static=0.3)],
+    "shaft": [ShaftCompliance(stiffness=2e4, damping=1.0, load_mass=0.15), CurrentLoop(time_constant=300e-6)],
+}
+
+
+def delay_of(effects: list[Effect], hold: int, count: float = 1e-6, doublets: int = 24) -> TorqueDelay:
+    """What reversals of 1 N find, on 0.25 kg and a coarse encoder, of a torque that acts some holds late."""
+    torques = np.array(reversals(1.0, 36, doublets))
+    plant = Plant(PlantParameters(mass=0.25, damping=0.2), None, effects, 1_000_000)
+    moved = plant.run(np.concatenate([np.zeros(AHEAD + hold), torques, np.zeros(AHEAD - hold)]))
+    positions = np.floor(np.concatenate([[0.0], moved]) / count + 0.3) * count
+    found = estimate_delay(positions, np.concatenate([np.zeros(AHEAD + 1), torques, np.zeros(AHEAD)]), TIME, 12)
+    assert found is not None
+    return found
+
+
+@pytest.mark.slow_but("nothing-0", "lag--1", "a lag of a hold-0")
+@pytest.mark.parametrize("hold", [-1, 0, 1, 2])
+@pytest.mark.parametrize("effects", EFFECTS)
+def test_the_hold_is_found_with_any_lag_the_friction_and_the_shaft(effects: str, hold: int) -> None:
+    found = delay_of(EFFECTS[effects], hold)
+    assert found.hold(0.25) == hold
+    assert found.low - 0.1 <= hold <= found.high + 0.1
+    assert found.high - found.low < 0.9
+
+
+def test_a_motion_that_is_no_model_of_a_rig_tells_no_hold() -> None:
+    generator = np.random.default_rng(3)
+    torques = np.concatenate([np.zeros(5), reversals(1.0, 36, 16)])
+    positions = np.cumsum(np.abs(generator.normal(size=len(torques))))  # one way, and without any torque
+    found = estimate_delay(positions, torques, TIME, 12)
+    assert found is None or found.hold(0.25) is None
+
+
+def test_too_few_reversals_or_an_axis_that_turns_tells_nothing() -> None:
+    torques = np.concatenate([np.zeros(20), reversals(1.0, 36, 16), np.zeros(20)])
+    assert estimate_delay(np.zeros(len(torques)), torques, TIME, 12) is None
+    assert estimate_delay(np.arange(100.0), torques[:100], TIME, 12) is None
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "hold"),
+    [
+        (-1.1, -0.7, -1), (-0.1, 0.1, 0), (0.9, 1.3, 1), (1.5, 2.1, 2),  # one of the holds alone
+        (-0.8, 0.0, None), (0.1, 1.0, None), (-1.3, 0.0, None),  # two of them, or too wide
+        (0.4, 0.7, 0), (-0.6, -0.4, -1),  # none at its begin: late within it
+        (0.5, 1.4, 1), (2.4, 2.8, 2),
+    ],
+)  # fmt: skip
+def test_a_hold_is_named_where_one_alone_is_possible(low: float, high: float, hold: int | None) -> None:
+    found = TorqueDelay((low + high) / 2.0, low, high, 0.1, is_explained=True)
+    assert found.hold(0.25) == hold
+    assert found._replace(is_explained=False).hold(0.25) is None
+
+
+@given(st.floats(0.05, 2.0), st.floats(0.0, 2.0), st.sampled_from([None, (0.3, 0.05), (1.2, 0.2)]))
+def test_the_response_to_a_step_is_that_of_the_differential_equations(
+    lag: float, begin: float, mode: tuple[float, float] | None
+) -> None:
+    """Runge-Kutta of lag' = (1 - torque) / lag, and of a mass or an oscillator that the torque drives."""
+    root, damping = mode or (0.0, 0.0)
+
+    def rate(state: np.ndarray) -> np.ndarray:
+        torque, position, speed = state
+        force = torque - 2.0 * damping * root * speed - root * root * position
+        return np.array([(1.0 - torque) / lag, speed, force])
+
+    state, step, steps = np.zeros(3), 0.01, 800
+    for _ in range(steps):
+        a = rate(state)
+        b = rate(state + 0.5 * step * a)
+        c = rate(state + 0.5 * step * b)
+        state = state + step / 6.0 * (a + 2.0 * b + 2.0 * c + rate(state + step * c))
+    [found] = _response(np.array([begin + steps * step]) - begin, lag, mode)
+    assert found == pytest.approx(state[1], rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("age", [0, 1, 3])
+def test_the_age_of_a_read_back_is_the_shift_that_explains_it(age: int) -> None:
+    commands = np.array(reversals(1.0, 12, 8))
+    shown = np.concatenate([np.zeros(age), commands])[: len(commands)]
+    assert _age(commands, shown) == age
+    assert _age(commands, 0.95 * shown) == age
+    assert _age(commands, np.zeros(len(commands))) is None
+
+
+# --- of a whole drive ---------------------------------------------------------------------------------------------
+
+
+def verdicts(report: Report) -> list[StepVerdict]:
+    return [row(report, item).verdict for item in ("command to motion", "command to read-back", "read-back to motion")]
+
+
+AGREES, DIFFERS, FAILED = StepVerdict.AGREES, StepVerdict.DIFFERS, StepVerdict.FAILED
+
+
+@pytest.mark.slow_but("early")
+@pytest.mark.parametrize(
+    ("overrides", "expected", "proposed"),
+    [
+        ((), [AGREES, AGREES, AGREES], {}),
+        (("simulation.drive.acts_at_once=true",), [FAILED, DIFFERS, AGREES], {}),
+        (("simulation.drive.syncs_late=1",), [DIFFERS, DIFFERS, AGREES], {"quirks": "[acts_a_sync_late]"}),
+        (("simulation.drive.syncs_late=2",), [FAILED, DIFFERS, AGREES], {}),
+        (("axes.0.quirks=[acts_a_sync_late]",), [AGREES, AGREES, AGREES], {}),
+        (
+            ("axes.0.quirks=[acts_a_sync_late]", "simulation.drive.syncs_late=0"),
+            [DIFFERS, DIFFERS, AGREES],
+            {"quirks": "[]"},
+        ),
+        (
+            ("simulation.drive.torque_read_back=after_update",),
+            [AGREES, DIFFERS, DIFFERS],
+            {"demand_reported": "after"},
+        ),
+        (
+            ("simulation.drive={syncs_late: 1, torque_read_back: after_update, objects: {0x6502: 0x200}}",),
+            [DIFFERS, AGREES, DIFFERS],
+            {"quirks": "[acts_a_sync_late]", "demand_reported": "after"},
+        ),
+        (("axes.0.demand_reported=after", "simulation.drive.torque_read_back=before_update"),
+         [AGREES, DIFFERS, DIFFERS], {"demand_reported": "before"}),
+        (("bus.rpdo=event", "simulation.drive.acts_at_once=true"), [AGREES, AGREES, AGREES], {}),
+    ],
+    ids=["right", "early", "late", "later", "late_declared", "late_untrue", "after", "late_after", "before", "event"],
+)  # fmt: skip
+def test_motion_is_timed_against_the_commands_and_the_read_back_separately(
+    overrides: tuple[str, ...], expected: list[StepVerdict], proposed: dict[str, str]
+) -> None:
+    session, _ = timed(*overrides)
+    report = session.report
+    assert verdicts(report) == expected
+    assert {v.key: v.value for v in report.values if v.value is not None and "passivity" not in v.key} == proposed
+    if expected[0] is FAILED and "acts_at_once" in overrides[0]:
+        assert "declare rpdo: event" in row(report, "command to motion").text
+        assert not [v for v in report.values if v.key.startswith("passivity")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drive", ["acts_at_once=true", "syncs_late=1"])
+def test_a_hold_that_is_not_the_declared_one_is_found_without_a_read_back(drive: str) -> None:
+    report = commissioned(f"simulation.drive.{drive}", "axes.0.read_back=none")
+    found = row(report, "command to motion")
+    assert found.verdict is (FAILED if "at_once" in drive else DIFFERS)
+    assert row(report, "command to read-back").found == "none"
+
+
+@pytest.mark.slow
+def test_what_commissioning_proposes_for_a_late_drive_agrees_when_it_is_done_again() -> None:
+    late = "simulation.drive.syncs_late=1"
+    quirks = value(commissioned(late), "quirks")
+    again = commissioned(late, f"axes.0.quirks={quirks}")
+    assert verdicts(again) == [AGREES, AGREES, AGREES]
+    assert not again.differs
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+def test_of_random_twins_no_hold_is_wrong(seed: int) -> None:
+    found = outcome_of(seed)
+    assert found.hold in (None, found.true_hold)
+
+
+def test_a_torque_too_small_for_its_encoder_tells_no_hold() -> None:
+    assert delay_of([], 0, count=1e-4, doublets=12).hold(0.25) is None

@@ -1,0 +1,146 @@
+"""Does commissioning find the hold in which a drive acts? Random twins of drives, each through the test of its torque.
+
+A twin acts at once, at its SYNC, one or two SYNCs late; reports its torque before or after its update, or none; has a
+lag of 0 to 1 ms, a mass, a torque, an encoder, dry or falling friction, a shaft or none. Each runs the reversals of
+`canhaptic commission` on the virtual bus. Wrong is a hold, or a time of its report, that is not the true one; unclear,
+where nothing is said. `--runs N` twins from `--seed` on; what has run is kept in `which_hold_runs.jsonl`.
+"""
+
+import argparse
+import json
+import math
+import os
+from contextlib import suppress
+from multiprocessing import Pool
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from canhaptic.commission.mass_and_friction import time_the_torque
+from canhaptic.commission.session import CommissioningLimits, Session, StepVerdict, Unattended
+from canhaptic.scene.load import scene_from_mapping
+from tools.bench.report import Row, kept_folder, publish
+
+_SOURCE: Final = str(Path(__file__).resolve().parents[2] / "configs" / "which_hold.yaml")
+_KEPT: Final = "which_hold_runs.jsonl"
+_WANTED: Final = 1000
+
+
+class Twin(NamedTuple):
+    """One drawn drive, and what commissioning said of it."""
+
+    seed: int
+    true_hold: int
+    hold: int | None
+    wrong_read_back: bool
+    named: str
+
+
+def _drawn(seed: int) -> tuple[dict[str, Any], int, float, float]:
+    """Returns a scene, the true hold, torque and mass."""
+    generator = np.random.default_rng([seed, 29])
+
+    def decades(low: float, high: float) -> float:
+        return float(f"{10.0 ** generator.uniform(math.log10(low), math.log10(high)):.4g}")
+
+    hold, rate = int(generator.choice([-1, 0, 1, 2])), int(generator.choice([250, 500, 1000, 1000, 1000]))
+    mass, torque = decades(0.05, 0.6), decades(0.5, 5.0)
+    drive = {"acts_at_once": hold < 0, "syncs_late": max(0, hold), "objects": {"0x6502": 0x200}}
+    if generator.random() < 0.4:
+        drive["torque_read_back"] = "after_update"
+    effects: list[dict[str, Any]] = []
+    if generator.random() < 0.8:
+        effects.append({"type": "current_loop", "time_constant": max(1e-5, float(generator.uniform(0.0, 1e-3)))})
+    friction, kinetic = generator.choice(["", "coulomb_friction", "stribeck_friction"]), decades(0.02, 0.3) * torque
+    if friction:
+        effects.append({"type": str(friction), "kinetic": kinetic, "static": 1.3 * kinetic})
+        if friction == "stribeck_friction":
+            effects[-1]["stribeck_velocity"] = decades(5e-3, 5e-2)
+    load = 0.0
+    if generator.random() < 0.25:
+        load = decades(0.03, 0.3)
+        effects.append(
+            {
+                "type": "shaft_compliance",
+                "stiffness": decades(2e3, 1e5),
+                "damping": decades(0.5, 10.0),
+                "load_mass": load,
+            }
+        )
+    axis = {
+        "name": "handle", "node_id": 1, "eds": "cia402_servo.eds", "unit": "m",
+        "counts_per_unit": float(f"{1.0 / decades(3e-7, 1e-5):.4g}"), "rated_torque": 50.0, "torque_limit": 50.0,
+        "read_back": "none" if generator.random() < 0.2 else "auto",
+    }  # fmt: skip
+    scene = {
+        "duration": 1.0, "bus": {"rate": rate}, "axes": [axis],
+        "environment": {"type": "spring_damper_wall", "stiffness": 1000.0, "position": -1.0},
+        "passivity": {"algorithm": "unprotected", "current_lag": 2e-3},
+        "simulation": {"drive": drive, "plant": {"mass": mass, "damping": decades(0.02, 1.0)}, "effects": effects},
+    }  # fmt: skip
+    return scene, hold, torque, mass + load
+
+
+def outcome_of(seed: int) -> Twin:
+    """Returns what commissioning says of the twin of a seed."""
+    values, hold, torque, mass = _drawn(seed)
+    session = Session(
+        scene_from_mapping(values, _SOURCE), Unattended(lambda _: None), CommissioningLimits(), lambda: False
+    )
+    kinetic = sum(effect.get("kinetic", 0.0) for effect in values["simulation"]["effects"])
+    with session.rig_of(with_hand=False):
+        time_the_torque(session, 0, torque, mass, {"device_friction_bound": 2.0 * kinetic})
+    rows = {found.item: found for found in session.report.findings}
+    motion, booked = rows.get("command to motion"), rows.get("read-back to motion")
+    found = None if motion is None or motion.verdict is StepVerdict.UNKNOWN else motion.found
+    is_after = values["simulation"]["drive"].get("torque_read_back") == "after_update" and hold >= 0
+    said = None if booked is None or booked.verdict is StepVerdict.UNKNOWN else booked.verdict is not StepVerdict.AGREES
+    named = " ".join([str(values["bus"]["rate"]), *(effect["type"] for effect in values["simulation"]["effects"])])
+    return Twin(seed, hold, _hold_in(found), said not in (None, is_after), named)
+
+
+def _hold_in(found: str | None) -> int | None:
+    """Returns the hold that a row names, counted from the declared one."""
+    return None if found is None else int(found.partition(" ")[0]) - 1
+
+
+def run_all(first: int, runs: int, kept: Path, jobs: int) -> list[Twin]:
+    """Runs the seeds that are not among those kept; returns all of them."""
+    done: dict[int, Twin] = {}
+    for line in kept.read_text(encoding="utf-8").splitlines() if kept.exists() else ():
+        with suppress(json.JSONDecodeError):  # one that a stop cut off
+            twin = Twin(*json.loads(line))
+            done[twin.seed] = twin
+    missing = [seed for seed in range(first, first + runs) if seed not in done]
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    with Pool(jobs) as pool, kept.open("a", encoding="utf-8") as file:
+        for twin in pool.imap_unordered(outcome_of, missing):
+            done[twin.seed] = twin
+            file.write(json.dumps(twin) + "\n")
+            file.flush()
+    return [done[seed] for seed in range(first, first + runs)]
+
+
+def main() -> None:
+    """Runs, prints, publishes."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=_WANTED)
+    parser.add_argument("--seed", type=int, default=0, help="the first one")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    arguments = parser.parse_args()
+    twins = run_all(arguments.seed, arguments.runs, kept_folder() / _KEPT, arguments.jobs)
+    wrong = [twin for twin in twins if twin.hold not in (None, twin.true_hold) or twin.wrong_read_back]
+    unclear = sum(twin.hold is None for twin in twins) / len(twins)
+    for twin in wrong:
+        print(f"wrong: {twin}")
+    figures = [
+        Row("twins", len(twins), "1", target=">= 1000", met=len(twins) >= _WANTED),
+        Row("wrong holds or read-backs", len(wrong), "1", target="0", met=not wrong),
+        Row("holds unclear", unclear, "1", target="<= 0.05", met=unclear <= 0.05),
+    ]
+    publish("which_hold", figures, ("canhaptic", "numpy"))
+
+
+if __name__ == "__main__":
+    main()
