@@ -68,6 +68,7 @@ class PortAccount:
         verdict: Displayed word: the verdict of the simulated plant where it is known, or that nothing was rendered
             ("nothing rendered", "no contact", "dry run").
         plant_passive: Verdict by the plant's own energy.
+        first_active: First time at which the booked sum was below 0 [s]; None: never.
         active_since: First time at which energy had gone out for certain [s]; None: never.
         advice: Cause and remedy where nothing was rendered; empty otherwise.
         group: The group that the axis belongs to, whose account counts; empty otherwise.
@@ -86,6 +87,7 @@ class PortAccount:
     passive: Verdict
     verdict: Headline
     plant_passive: Verdict | None = None
+    first_active: float | None = None
     active_since: float | None = None
     advice: str = ""
     group: str = ""
@@ -432,6 +434,7 @@ def _port_account(name: str, raw: RunResult) -> PortAccount:
         passive=whole["passive"],
         verdict=whole["verdict"],
         plant_passive=whole.get("plant_passive"),
+        first_active=whole.get("first_active"),
         active_since=whole.get("active_since"),
         advice=whole.get("advice", ""),
         group=group,

@@ -15,7 +15,7 @@ from canhaptic.audit.user_checks import Outcome
 from canhaptic.canopen.objects import StatusBit
 from canhaptic.control.balance import Branch, Certificate, certificates_of
 from canhaptic.control.ledger import LedgerSummary
-from canhaptic.control.verdict import Headline, PortResult, Verdict
+from canhaptic.control.verdict import PASSIVE_TOLERANCE, Headline, PortResult, Verdict
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.columns import Event
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
@@ -167,6 +167,10 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
     truth = {name: _truth(log, name, rows) for name in log.truth}
     ports = _ports(log, rows, truth)
     verdicts = overall(ports)
+    stretches = {n: _contacts(log, port, rows) for n, port in log.ports.items() if n not in log.group_of}
+    for name, among in stretches.items():
+        if (first := ports[name].get("first_active")) is not None:
+            ports[name]["first_active_contact"] = sum(contact["start"] <= first for contact in among)
     found: Inspection = {
         "file": str(log.path),
         "status": log.status,
@@ -182,7 +186,7 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
         "truth": truth,
         "timing": _timing(log, rows),
         "link": _link(log, rows, sync_index),
-        "contacts": {n: _contacts(log, port, rows) for n, port in log.ports.items() if n not in log.group_of},
+        "contacts": stretches,
         "events": [_logged(event, log) for event in log.events],
     }
     return cast("Inspection", {**found, **verdicts})
@@ -208,6 +212,15 @@ def _least(running: Array) -> tuple[float, int]:
         return 0.0, 0
     row = int(running.argmin())
     return float(running[row]), row
+
+
+def _first_below(log: EnergyLog, running: Array, start: int) -> int | None:
+    """Return the sample times to the first row after which a running sum is below 0; None: it never is."""
+    below = running < -PASSIVE_TOLERANCE
+    if not below.any():
+        return None
+    row = start + int(below.argmax())
+    return int(log.deadlines(row, row + 1)[0])
 
 
 def _port(log: EnergyLog, port_name: str, rows: slice) -> PortResult:
@@ -267,6 +280,7 @@ def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> Led
         margin_cycle=cycle,
         margin_deadline=deadline,
         least_interaction=_least(_running(h_i))[0],
+        first_below=_first_below(log, _running(h_i), rows.start),
         certificates=certificates_of(
             sum(1 << int(number) for number in np.unique(certificates[column("torque_command") != 0.0]))
         ),

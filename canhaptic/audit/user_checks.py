@@ -4,7 +4,7 @@ import difflib
 import operator
 import re
 from collections.abc import Iterator, Mapping
-from typing import Final, Literal, TypedDict
+from typing import Final, Literal, NotRequired, TypedDict
 
 from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.verdict import PortResult
@@ -41,6 +41,7 @@ class Outcome(TypedDict):
     name: str
     value: float | str
     holds: bool
+    first_active: NotRequired[float]  # of a verdict: first time at which the booked sum was below 0 [s]
 
 
 def check(result: Checked, expression: str) -> list[Outcome]:
@@ -92,10 +93,14 @@ def _verdicts(result: Checked, expression: str) -> list[Outcome]:
         verdicts = {name: verdict for name, verdict in verdicts.items() if name == port}
     if not verdicts:
         raise InputError(f"check {expression!r}: the run has no account of that name; expected NAME.passive or passive")
-    return [
-        {"check": expression, "name": f"ports.{name}.{_VERDICT}", "value": verdict, "holds": verdict == "yes"}
-        for name, verdict in verdicts.items()
-    ]
+    found: list[Outcome] = []
+    for name, verdict in verdicts.items():
+        found.append(
+            {"check": expression, "name": f"ports.{name}.{_VERDICT}", "value": verdict, "holds": verdict == "yes"}
+        )
+        if verdict != "yes" and "first_active" in result["ports"][name]:
+            found[-1]["first_active"] = result["ports"][name]["first_active"]
+    return found
 
 
 def _factor(expression: str, unit: str, found: Mapping[str, float], result: Checked) -> float:
@@ -133,7 +138,14 @@ def _unit_of(path: str, result: Checked) -> str:
             head, _, figure = figure.partition(".")
             port = f"{port}.{head}"
         motion = result["ports"][port].get("unit", "m")
-        units = {"peak_torque": effort_unit(motion), "margin.time": "s", "margin.cycle": "1", "longest_hold": "1"}
+        units = {
+            "peak_torque": effort_unit(motion),
+            "margin.time": "s",
+            "first_active": "s",
+            "active_since": "s",
+            "margin.cycle": "1",
+            "longest_hold": "1",
+        }
         if figure.startswith("damping_rendered."):
             return damping_unit(motion)
         pure = figure.startswith(_PURE) or name.endswith("cycles")

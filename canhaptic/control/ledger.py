@@ -16,7 +16,7 @@ from canhaptic.control.balance import (
     add,
     certificates_of,
 )
-from canhaptic.control.verdict import PortResult
+from canhaptic.control.verdict import PASSIVE_TOLERANCE, PortResult
 from canhaptic.signals import Sample
 
 
@@ -105,6 +105,7 @@ class LedgerSummary(NamedTuple):
     margin_cycle: int  # the SYNC at which it was reached
     margin_deadline: int  # and the sample times to it
     least_interaction: float  # least value of sum(h_i) after any hold (eq. 3)
+    first_below: int | None  # sample times to the first hold after which that sum was below 0; None: never
     certificates: tuple[Certificate, ...]  # that bounded a torque, weakest last
     branches: dict[str, int]  # holds booked by each branch
     damping_least: float  # range of the damping rendered in contact [N*s/m or N*m*s/rad]
@@ -122,7 +123,9 @@ class LedgerSummary(NamedTuple):
         Args:
             sample_time: Turns the cycle of the least margin into a time [s].
         """
+        below = self.first_below
         return {
+            **({} if below is None else {"first_active": below * sample_time}),
             "in": self.energy_in,
             "out": self.energy_out,
             "stored": self.stored,
@@ -165,6 +168,7 @@ class Ledger:
         self._last = AT_REST
         self.interaction = self._least_interaction = self._least_margin = self._surplus_max = 0.0
         self._least_margin_cycle = self._least_margin_deadline = 0
+        self._first_below: int | None = None
         self._certificates = 0  # one bit each
         self._damping_least, self._damping_most = float("inf"), 0.0
 
@@ -211,6 +215,8 @@ class Ledger:
             add(self._in, h_i)
         elif interaction < self._least_interaction:
             self._least_interaction = interaction
+            if self._first_below is None and interaction < -PASSIVE_TOLERANCE:
+                self._first_below = deadline
         dissipated = add(self._dissipated, h_r) if h_r else self._dissipated.value
         if interaction - dissipated < self._least_margin:
             self._least_margin = interaction - dissipated
@@ -235,6 +241,7 @@ class Ledger:
             margin_cycle=self._least_margin_cycle,
             margin_deadline=self._least_margin_deadline,
             least_interaction=self._least_interaction,
+            first_below=self._first_below,
             certificates=certificates_of(self._certificates),
             branches={branch.name.lower(): self._branches[branch] for branch in Branch},
             damping_least=min(self._damping_least, self._damping_most),

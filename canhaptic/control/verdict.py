@@ -133,6 +133,8 @@ class PortResult(_Flows, total=False):
     group: str
     axes: list[str]
     resolution_is_estimated: bool  # `energy_resolution` is no bound of every error
+    first_active: float  # first time at which the booked sum at the motor was below 0 [s]
+    first_active_contact: int  # number of the contact in which that was, from 1; of a log alone
     active_since: float  # first time at which the sum at the motor was below the allowance for certain [s]
     active_at_handle_since: float  # the same of the sum at the handle [s]
     active_before: bool  # of a part of a log: that was before the part

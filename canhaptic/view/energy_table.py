@@ -80,6 +80,7 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
     if word == "no":
         found += [(", ", f"for certain from {port['active_since']:.4g} s on")] if "active_since" in port else []
         found += [(", ", "before this part already")] if port.get("active_before") else []
+        found += [(", ", f"first below zero at {_first_active(port).strip()}")] if "first_active" in port else []
     if word == "in doubt":
         found.append((": ", f"the account is certain to +-{si(port.get('energy_resolution', 0.0), 'J', 3)}"))
     if word == "nothing rendered" and "advice" in port:
@@ -258,6 +259,11 @@ def _margin(port: PortResult) -> Styled:
     return Styled(f"{si(margin, 'J')}{place}", "green" if margin >= -PASSIVE_TOLERANCE else "red")
 
 
+def _first_active(port: PortResult) -> str:
+    contact = f" (contact {port['first_active_contact']})" if port.get("first_active_contact") else ""
+    return f"{port['first_active']:.4g} s{contact}   "
+
+
 def _longest_hold(port: PortResult) -> str:
     return f"{port['longest_hold']} cycles   " if "longest_hold" in port else _NOTHING
 
@@ -346,6 +352,7 @@ _PORT_ROWS: Final[tuple[tuple[str, Callable[[PortResult], str | Styled]], ...]] 
     ("stored energy given up", _plain("leaked")),
     ("given out but never stored", _plain("deficit")),
     ("lowest net energy into the handle", _plain("least_interaction")),
+    ("  first below zero at", _first_active),
     ("passive at the motor", _passive),
     ("lowest net energy at the handle", _plain("least_at_handle")),
     ("passive at the handle", _at_handle),

@@ -72,12 +72,18 @@ def _events_table(events: list[LoggedEvent]) -> Table:
     return Table(title, ("time", "cycle", "kind", "port", "what"), rows)
 
 
+def _checked(check: Outcome) -> str:
+    value = check["value"]
+    since = f", first below zero at {check['first_active']:.4g} s" if "first_active" in check else ""
+    return f"{value}{since}" if isinstance(value, str) else f"{value:.9g}"
+
+
 def checks_table(checks: list[Outcome]) -> Table:
     """Return the outcome of every check."""
     rows: list[list[Cell]] = [
         [
             check["check"], check["name"],
-            check["value"] if isinstance(check["value"], str) else f"{check['value']:.9g}",
+            _checked(check),
             Styled("holds", "green") if check["holds"] else Styled("FAILS", "bold red"),
         ]
         for check in checks

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from canhaptic.audit.port_record import contacts, rows_between, rows_to_draw
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
 from canhaptic.view.picture_style import (
@@ -199,8 +200,14 @@ class PortPicture:
         axes.plot(time, upper, color=BLUE, linewidth=1.3, label="in")
         axes.plot(time, lower, color=VERMILION, linewidth=1.3, linestyle=(0, (4, 1.5)), label="dissipated")
         worst = int(margin.argmin())
-        label = f"least margin {si(float(margin[worst]), 'J')} at {self._time[worst]:.4g} s"
+        label = f"smallest margin {si(float(margin[worst]), 'J', 3)} at {self._time[worst]:.4g} s"
         axes.plot(self._time[worst], taken_in[worst] / scale, "ko", markersize=4, zorder=5, label=label)
+        below = taken_in < -PASSIVE_TOLERANCE
+        if below.any():
+            first = float(self._time[int(below.argmax())])
+            axes.axvline(
+                first, color=VERMILION, linewidth=1.0, linestyle=":", label=f"first below zero at {first:.4g} s"
+            )
         _finish(axes, "energy", f"{prefix}J")
 
     def _draw_surplus(self, axes: "Axes") -> None:
