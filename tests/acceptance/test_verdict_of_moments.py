@@ -11,10 +11,11 @@ from canhaptic.cli.main import main
 from canhaptic.logs.energy_reader import EnergyLog
 
 
+@pytest.mark.filterwarnings("ignore::canhaptic.errors.OverrideWarning")  # keys of guarded are dropped
 def test_the_first_moment_below_zero_is_the_same_in_run_log_check_and_python(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    log, rattles = tmp_path / "a.h5", {"passivity": {"algorithm": "unprotected"}}
+    log, rattles = tmp_path / "a.h5", {"passivity.algorithm": "unprotected"}
     words = ["run", "stiff_wall", "--set", "passivity.algorithm=unprotected", "--duration", "0.6", "--log", str(log)]
     assert main([*words, "--json"]) == 0
     first = json.loads(capsys.readouterr().out)["ports"]["handle"]["first_active"]
