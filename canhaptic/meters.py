@@ -124,6 +124,9 @@ class AxisPort:
         drives: Torque records of the port.
         least_at_handle: Least sum of interaction and certain dissipation of the device after any hold [J]; None where
             no damping of the device is declared.
+        books_least: Whether the least that may have come in is booked, so that no resolution is taken off.
+        least_certain: Least sum of interaction less its resolution after any hold [J].
+        least_certain_at_handle: The same with that dissipation.
         contacts: Holds in contact.
         silent: Those of them whose next torque is zero.
         damping: Sum of the damping rendered in contact [N*s/m].
@@ -134,8 +137,9 @@ class AxisPort:
     """
 
     __slots__ = (
-        "_asks", "_controller", "_drive", "_floor", "_is_damped", "_lowest", "_meter", "activity", "asked", "contacts",
-        "damping", "drives", "least_at_handle", "rendered", "silent", "sizes_asked", "sizes_sent",
+        "_asks", "_controller", "_drive", "_floor", "_is_damped", "_lowest", "_meter", "activity", "asked",
+        "books_least", "contacts", "damping", "drives", "least_at_handle", "least_certain",
+        "least_certain_at_handle", "rendered", "silent", "sizes_asked", "sizes_sent",
     )  # fmt: skip
 
     def __init__(self, meter: AxisMeter, drive: HeldTorques, controller: object) -> None:
@@ -146,7 +150,8 @@ class AxisPort:
         self.contacts = self.silent = 0
         self.activity = Activity(active_limits([meter.accuracy], promise_of(controller).energy_allowance))
         self._floor = -inf if controller is None else self.activity.limits.floor  # of a group only the sum counts
-        self._is_damped = meter.is_damped
+        self.books_least = meter.books_least
+        self._is_damped, self.least_certain, self.least_certain_at_handle = meter.is_damped, 0.0, 0.0
         self.least_at_handle = 0.0 if self._is_damped else None
 
     def take(self, sample: Sample, balance: EnergyBalance, ledger: Ledger, sent: float) -> Measured:
@@ -181,6 +186,10 @@ class AxisPort:
             if not balance.torque:
                 self.silent += 1
         interaction, resolution = ledger.interaction, self._resolution()
+        if (certain := interaction - resolution) < self.least_certain:
+            self.least_certain = certain
+        if self._is_damped and certain + meter.dissipated < self.least_certain_at_handle:
+            self.least_certain_at_handle = certain + meter.dissipated
         if self._is_damped and interaction < self._lowest:
             self._lowest = interaction
             self.least_at_handle = _least(self.least_at_handle, interaction + meter.dissipated)
@@ -219,17 +228,25 @@ class GroupPort:
         activity: First times at which the group was active, by the sum of its axes, never by one of them.
         drives: Torque records, as given.
         least_at_handle: As for an axis, where damping is declared for every axis.
+        books_least: As for an axis.
+        least_certain: As for an axis.
+        least_certain_at_handle: As for an axis.
         contacts: As for an axis.
         silent: As for an axis.
     """
 
-    __slots__ = ("_group", "_lowest", "_meters", "activity", "contacts", "drives", "least_at_handle", "silent")
+    __slots__ = (
+        "_group", "_lowest", "_meters", "activity", "books_least", "contacts", "drives", "least_at_handle",
+        "least_certain", "least_certain_at_handle", "silent",
+    )  # fmt: skip
 
     def __init__(self, meters: Sequence[AxisMeter], drives: Sequence[HeldTorques], group: "AxisGroup") -> None:
         self._meters, self.drives, self._group = tuple(meters), tuple(drives), group
         allowance = promise_of(group.controller).energy_allowance
         self.activity = Activity(active_limits([meter.accuracy for meter in meters], allowance))
         self._lowest, self.contacts, self.silent = 0.0, 0, 0
+        self.least_certain = self.least_certain_at_handle = 0.0
+        self.books_least = all(meter.books_least for meter in self._meters)
         self.least_at_handle = 0.0 if all(meter.is_damped for meter in self._meters) else None
 
     def take(self, _sample: Sample, balance: EnergyBalance, ledger: Ledger, sent: float) -> Measured:
@@ -242,9 +259,13 @@ class GroupPort:
             self._lowest = lowest = ledger.interaction
             now = lowest + sum([meter.dissipated for meter in self._meters])
             self.least_at_handle = _least(self.least_at_handle, now)
-        most = ledger.interaction + self._resolution()
-        if most < self.activity.limits.floor:
-            self.activity.take(most, int(sent))
+        interaction, resolution = ledger.interaction, self._resolution()
+        self.least_certain = min(self.least_certain, interaction - resolution)
+        if self.least_at_handle is not None:
+            certain = interaction - resolution + sum([meter.dissipated for meter in self._meters])
+            self.least_certain_at_handle = min(self.least_certain_at_handle, certain)
+        if interaction + resolution < self.activity.limits.floor:
+            self.activity.take(interaction + resolution, int(sent))
         return self.measured()
 
     def _resolution(self) -> float:

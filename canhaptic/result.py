@@ -186,6 +186,7 @@ def port_account(port: AxisPort | GroupPort, ledger: Ledger, promise: Promise, s
     account: PortResult = {
         **ledger.summary().as_json(sample_time),
         "energy_resolution": measured.energy_resolution,
+        "least_certain": port.least_certain,
         "contact": {"holds": port.contacts, "without_torque": port.silent},
         "longest_hold": measured.longest_hold,
         "uncommanded_cycles": measured.uncommanded,
@@ -194,10 +195,13 @@ def port_account(port: AxisPort | GroupPort, ledger: Ledger, promise: Promise, s
     }
     if least is not None:
         account["least_at_handle"], account["device_dissipated"] = least, measured.device_dissipated
+        account["least_certain_at_handle"] = port.least_certain_at_handle
     if isinstance(port, AxisPort):
         account["contact"] |= {"asked": port.sizes_asked, "sent": port.sizes_sent}
         if (excess := port.friction_excess) is not None:
             account["friction_excess"] = excess
+    if port.books_least:
+        account["books_least"] = True
     if activity.limits.floor == -inf:
         account["resolution_is_estimated"] = True
     if activity.since is not None:

@@ -125,6 +125,7 @@ class PortRecord:
         self._damping_asked = log.number(f"{name}.damping_asked")
         self._is_group, self._is_dry = name in log.groups, log.dry_run
         self._is_measured, self._knows_active = "energy_resolution" in log.ports[name], "active" in log.ports[name]
+        self._books_least = log.ports[name].unit("torque_command") != log.ports[name].unit("torque_applied")
         self._sample_time, self._since = log.sample_time, dict[int, float]()
         limits = limits_of(log, name)
         self._is_estimate = limits is not None and limits.floor == -inf
@@ -135,6 +136,7 @@ class PortRecord:
         self._before = int(self._at(log, "active", before)) if start and self._knows_active else 0
         self._certificates = self._contacts = self._silent = self._uncommanded = 0
         self._interaction, self._least, self._at_handle = np.longdouble(0.0), 0.0, 0.0
+        self._certain = self._certain_at_handle = 0.0
         self._device = self._asked = self._given = self._damping = self._sizes_asked = self._sizes_sent = 0.0
         self._is_open, self._in = False, 0.0
         self._watch = _watch(log, f"{name}.{FRICTION_DECLARED}")
@@ -170,7 +172,10 @@ class PortRecord:
         dissipated = port.read("device_dissipated", start, stop) - self._dissipated
         self._device = float(dissipated[-1])
         self._at_handle = min(self._at_handle, float((running + dissipated).min()))
-        self._resolution = float(port.read("energy_resolution", stop - 1, stop)[0])
+        resolution = port.read("energy_resolution", start, stop)
+        self._resolution = float(resolution[-1])
+        self._certain = min(self._certain, float((running - resolution).min()))
+        self._certain_at_handle = min(self._certain_at_handle, float((running + dissipated - resolution).min()))
         self._longest_hold = int(port.read("longest_hold", stop - 1, stop)[0])
         self._uncommanded = int(port.read("uncommanded", stop - 1, stop)[0])
         asked = port.read("effort_asked", start, stop)
@@ -221,12 +226,14 @@ class PortRecord:
         }
         if self._is_measured:
             account["energy_resolution"] = self._resolution + self._unknown
+            account["least_certain"] = self._certain - self._unknown
             account["longest_hold"], account["uncommanded_cycles"] = self._longest_hold, self._uncommanded
             self._add_activity(account)
             if not self._is_group:
                 account["contact"] |= {"asked": self._sizes_asked, "sent": self._sizes_sent}
             if self._is_damped:
                 account["least_at_handle"], account["device_dissipated"] = self._at_handle, self._device
+                account["least_certain_at_handle"] = self._certain_at_handle - self._unknown
             if self._watch is not None:
                 account["friction_excess"] = self._watch.excess
             if not self._is_group:
@@ -238,6 +245,8 @@ class PortRecord:
         return account
 
     def _add_activity(self, account: PortResult) -> None:
+        if self._books_least:
+            account["books_least"] = True
         if self._is_estimate:
             account["resolution_is_estimated"] = True
         if self._before & ACTIVE_AT_MOTOR:

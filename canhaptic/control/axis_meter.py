@@ -33,7 +33,7 @@ follows at e. Between two of its turns no motion within e of p is shorter.
 
 from dataclasses import dataclass
 from math import inf
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 from canhaptic.control.environments.environment import Environment
 
@@ -94,7 +94,10 @@ class AxisMeter:
         damping_asked: Damping of the environment [N*s/m or N*m*s/rad].
         position: Last one that was booked [m or rad].
         asked: Effort of the storage of the environment at the last position; 0 out of contact [N or N*m].
+        books_least: Whether the algorithm books the least that may have come in.
     """
+
+    books_least: ClassVar[bool] = False
 
     __slots__ = (
         "_blur",
@@ -231,6 +234,8 @@ class AxisMeter:
 
 class SilentMeter(AxisMeter):
     """Meter of an admittance display: its algorithm itself subtracts the uncertainty of its sensors."""
+
+    books_least = True
 
     def leave_open(self, torque: float, time: int, booked: float) -> None:
         """No-op."""

@@ -7,6 +7,11 @@ At the motor this refutes every certificate, unless damping or friction of the d
 that at the handle, and it is refuted where booked + R + D < -A, with D the most that the device can have dissipated.
 An R that is an estimate, and no bound, refutes nothing.
 
+**Passive.** "Yes, measured" where booked - R >= -A after every hold: no more came out, be the declarations right or
+wrong. "Yes, by certificate" where every torque was certified, nothing refutes it, and R at the end is no more than a
+tenth of what came in, than A, or than 10 uJ: a certificate rests on the positions too. Of a spring pressed to a depth,
+R over what came in is 2 counts over the depth. Else "in doubt", with the reason.
+
 The account of a dry run, in which no torque was sent: a positive result proves nothing about the controller.
 """
 
@@ -30,7 +35,9 @@ ACTIVE_AT_MOTOR: Final = 1
 ACTIVE_AT_HANDLE: Final = 2
 """The same of the sum at the handle."""
 _LARGEST_DOUBT: Final = 0.1
-"""Resolution over the energy that came in beyond which a port without certificates gets no verdict."""
+"""Resolution over the energy that came in beyond which no certificate says yes."""
+_SMALLEST_DOUBT: Final = 1e-5
+"""Resolution that is never too large [J]."""
 _LEAST_RENDERED: Final = 0.1
 """Part of the requested torque in contact below which nothing counts as rendered."""
 _SUSPECTS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -145,34 +152,55 @@ class PortResult(_Flows, total=False):
     passive_at_sensor: Verdict  # of an admittance display while it is touched
     plant_passive: Verdict  # by the energy of the simulated plant
     plant_passive_at_handle: Verdict
+    books_least: bool  # no more than came in is booked, as of an admittance display
+    least_certain: float  # least sum of interaction less its resolution then: no less came in [J]
+    least_certain_at_handle: float
+    why: str  # grounds of the account's yes at motor or handle, or the reason of its doubt
     verdict: Headline
     advice: str  # where nothing was rendered: the cause and the remedy
 
 
 def passive_verdict(
     least: float, resolution: float = 0.0, *, energy_in: float = inf, is_promised: bool = False,
-    has_open_hold: bool = False, allowance: float = 0.0, is_estimated: bool = False,
-) -> Verdict:  # fmt: skip
-    """Return whether a sum of energy stayed at minus the allowance or above.
-
-    Without certificates it may have fallen by the resolution: "yes" only where that is small.
+    has_open_hold: bool = False, allowance: float = 0.0, is_estimated: bool = False, certain: float | None = None,
+    books_least: bool = False,
+) -> tuple[Verdict, str]:  # fmt: skip
+    """Return whether a sum of energy stayed at minus the allowance or above, and why that is said; see the module.
 
     Args:
         least: Its least value after any hold, as booked [J].
-        resolution: Largest difference of that from the true one [J].
+        resolution: Largest difference of that from the true one at the end [J].
         energy_in: Total energy that came in [J].
         is_promised: Whether certificates of every hold exclude less.
         has_open_hold: Whether the run ended in holds that are not booked, because no position came any more. What is
             promised is promised of them too: a torque that acts for longer than its certificate covers loses it.
         allowance: Energy that may be given out [J].
         is_estimated: Whether the resolution is an estimate, so that a sum below it proves nothing.
+        certain: Least value of the sum less its resolution then [J]; None: that of the end counts for all.
+        books_least: Whether what is booked is the least that may have come in, at any resolution.
     """
     floor = -(allowance + ROUNDING)
     if least + resolution < floor and not is_estimated:
-        return "no"
-    is_small = resolution <= max(PASSIVE_TOLERANCE, allowance, _LARGEST_DOUBT * energy_in)
-    is_sure = is_promised or (least >= floor and is_small and not has_open_hold)
-    return "yes" if is_sure else "in doubt"
+        return "no", ""
+    if books_least:
+        certain = least
+    certain = least - resolution if certain is None else certain
+    if certain >= floor and not has_open_hold and not is_estimated:
+        return "yes", "measured"
+    is_small = books_least or resolution <= max(_SMALLEST_DOUBT, allowance, _LARGEST_DOUBT * energy_in)
+    if is_promised:
+        return ("yes", "by certificate") if is_small else ("in doubt", _too_coarse(resolution, energy_in))
+    if has_open_hold:
+        return "in doubt", "it ended in holds without a position"
+    if is_estimated:
+        return "in doubt", "what is left open is an estimate"
+    return "in doubt", f"without a certificate, and as low as {certain:.3g} J within its resolution"
+
+
+def _too_coarse(resolution: float, energy_in: float) -> str:
+    """Return why a resolution [J] is too coarse, in counts of an encoder: see the module."""
+    deep, needed = 2.0 * energy_in / resolution, 2.0 / _LARGEST_DOUBT
+    return f"a contact as if {deep:.2g} counts deep, {needed:.0f} needed"
 
 
 def is_certified(account: PortResult) -> bool:
@@ -181,8 +209,8 @@ def is_certified(account: PortResult) -> bool:
     return bool(names) and "none" not in names
 
 
-def account_verdict(account: PortResult) -> Verdict:
-    """Whether a port was passive at the motor (eq. 3): the sum of the energy that came in against the motor's torque.
+def account_verdict(account: PortResult) -> tuple[Verdict, str]:
+    """Whether a port was passive at the motor (eq. 3), by the energy that came in against the motor's torque, and why.
 
     Where a damping of the device is declared, certificates promise the sum at the handle and not this one.
 
@@ -190,16 +218,16 @@ def account_verdict(account: PortResult) -> Verdict:
         account: Sums of `LedgerSummary.as_json`, with the port's other figures.
     """
     if "active_since" in account or account.get("active_before"):
-        return "no"
+        return "no", ""
     least, resolution = account["least_interaction"], account.get("energy_resolution")
     if resolution is None:  # of an older log, which does not hold it
         least, resolution = least + PASSIVE_TOLERANCE, account.get("unsure", 0.0)
     promised = is_certified(account) and account.get("least_at_handle") is None
-    return _verdict_of(account, least, resolution, promised)
+    return _verdict_of(account, least, resolution, promised, account.get("least_certain"))
 
 
-def handle_verdict(account: PortResult) -> Verdict | None:
-    """Return whether a port was passive at the handle: with what the device itself dissipated for certain.
+def handle_verdict(account: PortResult) -> tuple[Verdict, str] | None:
+    """Return whether a port was passive at the handle, with what the device itself dissipated for certain, and why.
 
     None without a declared damping of the device. It may have dissipated more: a sum below zero proves nothing.
 
@@ -210,13 +238,16 @@ def handle_verdict(account: PortResult) -> Verdict | None:
     if least is None:
         return None
     if "active_at_handle_since" in account:
-        return "no"
-    found = _verdict_of(account, least, account["energy_resolution"], is_certified(account))
-    return "in doubt" if found == "no" else found
+        return "no", ""
+    certain = account.get("least_certain_at_handle")
+    found, why = _verdict_of(account, least, account["energy_resolution"], is_certified(account), certain)
+    return ("in doubt", "the device may have dissipated more") if found == "no" else (found, why)
 
 
-def _verdict_of(account: PortResult, least: float, resolution: float, is_promised: bool) -> Verdict:
-    found = passive_verdict(
+def _verdict_of(
+    account: PortResult, least: float, resolution: float, is_promised: bool, certain: float | None
+) -> tuple[Verdict, str]:
+    found, why = passive_verdict(
         least,
         resolution,
         energy_in=account["in"],
@@ -224,9 +255,11 @@ def _verdict_of(account: PortResult, least: float, resolution: float, is_promise
         has_open_hold=account.get("open_hold", False),
         allowance=account.get("energy_allowance", 0.0),
         is_estimated=account.get("resolution_is_estimated", False),
+        certain=certain,
+        books_least=account.get("books_least", False),
     )
     is_other = account.get("uncommanded_cycles", 0) > 0  # the read-back may be of another hold than declared
-    return "in doubt" if is_other and found == "yes" else found
+    return ("in doubt", "torques were held that were not commanded") if is_other and found == "yes" else (found, why)
 
 
 def contradict(account: PortResult) -> None:
@@ -256,9 +289,12 @@ def add_verdicts(account: PortResult, plant: tuple[float, float] | None = None) 
         account: Account of a port without verdicts; changed.
         plant: Least sums at the motor and at the handle by the energy of a simulated plant [J]; None: unknown.
     """
-    account["passive"], at_handle = account_verdict(account), handle_verdict(account)
+    (account["passive"], why), at_handle = account_verdict(account), handle_verdict(account)
     if at_handle is not None:
-        account["passive_at_handle"] = at_handle
+        account["passive_at_handle"], why_there = at_handle
+        why = why if account["passive"] == "yes" else why_there
+    if why:
+        account["why"] = why
     if plant is not None:
         allowance = account.get("energy_allowance", 0.0)
         account["plant_passive"] = plant_verdict(plant[0], allowance)

@@ -70,6 +70,8 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
     found: list[tuple[str, str]] = []
     if word == "yes":
         allowance, at_handle = port.get("energy_allowance", 0.0), port["passive"] != "yes"
+        is_ours = "why" in port and "yes" in (port["passive"], port.get("passive_at_handle"))
+        found += [(", ", port["why"])] if is_ours else []
         found += [(", ", f"within {si(allowance, 'J', 3)}")] if allowance else []
         found += [(", ", "at the handle")] if at_handle and _is_at_handle(port) else []
     said = (port["passive"], port.get("passive_at_handle"))
@@ -83,6 +85,7 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
         found += [(", ", f"first below zero at {_first_active(port).strip()}")] if "first_active" in port else []
     if word == "in doubt":
         found.append((": ", f"the account is certain to +-{si(port.get('energy_resolution', 0.0), 'J', 3)}"))
+        found += [("; ", port["why"])] if "why" in port else []
     if word == "nothing rendered" and "advice" in port:
         found.append((": ", port["advice"]))
     if "contradicted" in port:

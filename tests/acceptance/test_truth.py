@@ -67,7 +67,7 @@ def test_what_was_mended_of_further_scenes_stays_mended(seed: int) -> None:
 
 def test_a_wall_that_moves_by_itself_counts_at_the_handle_too():
     _, outcome = judged(random_scene(3001843))
-    assert outcome.at_handle == "yes"
+    assert outcome.at_handle == "in doubt"  # without a certificate, and -2 mJ at the motors
     assert outcome.lost < 0.02  # of the motors alone 22 mJ
 
 
@@ -152,13 +152,13 @@ def test_faults_of_bus_drive_and_host_leave_no_false_claim_either():
 
 
 def test_losses_that_a_bus_makes_are_declared_and_a_yes_is_due_then():
-    scenes = [with_fault(random_scene(seed, further=False)) for seed in (5165, 5115)]  # TPDOs lost; RPDOs lost
+    scenes = [with_fault(random_scene(seed, further=False)) for seed in (5863, 5718)]  # any frame lost; RPDOs lost
     outcomes = [judged(scene)[1] for scene in scenes]
     assert all(0 < outcome.losses == outcome.declared_losses for outcome in outcomes)
     assert all(outcome.is_due and outcome.says_yes for outcome in outcomes)
-    ended_in_a_loss = judged(with_fault(random_scene(5417)))[1]
-    assert ended_in_a_loss.is_due
-    assert ended_in_a_loss.says_yes
+    coarse = judged(with_fault(random_scene(5311, further=False)))[1]  # the resolution is twice what came in
+    assert coarse.open_share > 2.0
+    assert (coarse.verdict, coarse.is_due) == ("in doubt", False)
     beyond = Outcome(**{**outcomes[0].as_json(), "declared_losses": outcomes[0].losses - 1})
     assert not beyond.is_due
 

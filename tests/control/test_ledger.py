@@ -13,6 +13,7 @@ from canhaptic.control.balance import AT_REST, Branch, Certificate, certificates
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.verdict import (
     account_verdict,
+    add_verdicts,
     contradict,
     handle_verdict,
     headline,
@@ -112,18 +113,26 @@ def hold_cached(h_i):
 
 @pytest.mark.parametrize(
     ("least", "resolution", "expected"),
-    [(-1e-3, 1e-2, "in doubt"), (-1e-2, 1e-3, "no"), (0.0, 1e-7, "yes"), (-1e-3, 0.0, "no"), (0.0, 1.0, "in doubt")],
+    [
+        (-1e-3, 1e-2, "in doubt"),
+        (-1e-2, 1e-3, "no"),
+        (0.0, 1e-9, "yes"),
+        (0.0, 1e-7, "in doubt"),
+        (-1e-3, 0.0, "no"),
+        (0.0, 1.0, "in doubt"),
+    ],
 )
 def test_a_sum_is_below_zero_for_certain_only_beyond_its_resolution(
     least: float, resolution: float, expected: str
 ) -> None:
-    assert passive_verdict(least, resolution, energy_in=1.0) == expected
+    assert passive_verdict(least, resolution, energy_in=1.0)[0] == expected
 
 
 @pytest.mark.parametrize(("least", "expected"), [(None, None), (0.0, "yes"), (-1.0, "in doubt")])
 def test_at_the_handle_a_sum_below_zero_is_a_doubt(least: float | None, expected: str | None) -> None:
     account = {"in": 1.0, "least_at_handle": least, "energy_resolution": 1e-9, "certificate": "none"}
-    assert handle_verdict(account) == expected  # type: ignore[arg-type]
+    found = handle_verdict(account)  # type: ignore[arg-type]
+    assert (found and found[0]) == expected
 
 
 def test_a_hold_without_torque_has_no_certificate_but_none_for_energy_that_nothing_bounded() -> None:
@@ -141,10 +150,35 @@ def test_a_run_ends_with_an_open_hold_where_the_last_was_held_on(branch: Branch)
     assert ledger.summary().has_open_hold is (branch is Branch.HELD)
 
 
-@pytest.mark.parametrize(("certificate", "expected"), [("hand_force", "yes"), ("none", "in doubt")])
-def test_what_a_certificate_promises_no_resolution_makes_a_doubt(certificate: str, expected: str) -> None:
-    account = {"in": 1.0, "least_interaction": -1e-3, "energy_resolution": 1.0, "certificates": [certificate]}
-    assert account_verdict({**account, "certificate": certificate}) == expected
+@pytest.mark.parametrize(
+    ("certificate", "given", "expected"),
+    [
+        ("hand_force", {}, ("yes", "by certificate")),
+        ("none", {}, ("in doubt", "without a certificate, and as low as -0.05 J within its resolution")),
+        ("hand_force", {"energy_resolution": 0.11}, ("in doubt", "a contact as if 18 counts deep, 20 needed")),
+        ("hand_force", {"energy_resolution": 0.11, "energy_allowance": 0.11, "least_certain": -0.2},
+         ("yes", "by certificate")),
+        ("hand_force", {"energy_resolution": 1e-5, "in": 1e-6}, ("yes", "by certificate")),
+        ("hand_force", {"energy_resolution": 1.1e-5, "in": 1e-6},
+         ("in doubt", "a contact as if 0.18 counts deep, 20 needed")),
+        ("hand_force", {"energy_resolution": 5.0, "books_least": True, "least_interaction": 0.0}, ("yes", "measured")),
+        ("none", {"least_certain": -1e-9}, ("yes", "measured")),
+        ("none", {"least_certain": -1e-9, "resolution_is_estimated": True},
+         ("in doubt", "what is left open is an estimate")),
+        ("none", {"least_certain": 0.0, "open_hold": True}, ("in doubt", "it ended in holds without a position")),
+        ("hand_force", {"open_hold": True}, ("yes", "by certificate")),
+        ("hand_force", {"uncommanded_cycles": 1}, ("in doubt", "torques were held that were not commanded")),
+        ("hand_force", {"least_certain": -1.0, "active_since": 0.5}, ("no", "")),
+    ],
+)  # fmt: skip
+def test_a_yes_is_measured_at_every_time_or_certified_with_a_fine_resolution(
+    certificate: str, given: Any, expected: Any
+) -> None:
+    account: Any = {"in": 1.0, "least_interaction": 0.0, "energy_resolution": 0.05, "certificates": [certificate]}
+    account |= {"certificate": certificate, "least_certain": -0.05} | given
+    assert account_verdict(account) == expected
+    add_verdicts(account)
+    assert account.get("why", "") == expected[1]
 
 
 def test_what_is_taken_out_beyond_the_store_and_when_the_margin_was_least_are_in_the_summary() -> None:
@@ -163,17 +197,19 @@ def test_what_is_taken_out_beyond_the_store_and_when_the_margin_was_least_are_in
 
 
 def test_a_verdict_changes_beyond_a_bound_and_not_on_it() -> None:
-    assert passive_verdict(-1e-9) == "yes"
-    assert passive_verdict(-1.1e-9) == "no"
-    assert passive_verdict(0.0, 0.2, energy_in=2.0) == "yes"
-    assert passive_verdict(0.0, 0.21, energy_in=2.0) == "in doubt"
-    assert passive_verdict(0.0, 0.0, has_open_hold=True) == "in doubt"
+    assert passive_verdict(-1e-9)[0] == "yes"
+    assert passive_verdict(-1.1e-9)[0] == "no"
+    assert passive_verdict(0.0, 0.2, energy_in=2.0, is_promised=True)[0] == "yes"
+    assert passive_verdict(0.0, 0.21, energy_in=2.0, is_promised=True)[0] == "in doubt"
+    assert passive_verdict(0.0, 1e-9)[0] == "yes"
+    assert passive_verdict(0.0, 1.1e-9)[0] == "in doubt"
+    assert passive_verdict(0.0, 0.0, has_open_hold=True)[0] == "in doubt"
 
 
 @pytest.mark.parametrize(("cycles", "least", "expected"), [(0, 0.0, "yes"), (1, 0.0, "in doubt"), (1, -1.0, "no")])
 def test_a_torque_that_was_not_commanded_is_a_doubt_and_no_excuse(cycles: int, least: float, expected: str) -> None:
     account = {"in": 1.0, "certificate": "none", "least_interaction": least, "uncommanded_cycles": cycles}
-    assert account_verdict(account) == expected  # type: ignore[arg-type]
+    assert account_verdict(account)[0] == expected  # type: ignore[arg-type]
 
 
 def test_every_flow_is_summed_under_its_name_and_the_surplus_at_its_largest() -> None:
@@ -196,15 +232,15 @@ def test_every_flow_is_summed_under_its_name_and_the_surplus_at_its_largest() ->
 
 def test_a_log_without_a_resolution_is_judged_by_counts_and_at_the_motor_no_damping_promises() -> None:
     account = {"in": 1.0, "certificate": "hand_force", "certificates": ["none"], "unsure": 0.0}
-    assert account_verdict({**account, "least_interaction": -5e-7}) == "yes"
-    assert account_verdict({**account, "least_interaction": -1e-5}) == "no"
+    assert account_verdict({**account, "least_interaction": -5e-7})[0] == "yes"
+    assert account_verdict({**account, "least_interaction": -1e-5})[0] == "no"
     del account["unsure"]
-    assert account_verdict({**account, "least_interaction": 0.0}) == "yes"
-    assert account_verdict({**account, "least_interaction": -1e-5}) == "no"
+    assert account_verdict({**account, "least_interaction": 0.0})[0] == "yes"
+    assert account_verdict({**account, "least_interaction": -1e-5})[0] == "no"
     promised = {**account, "certificates": ["hand_force"], "least_interaction": -1e-3, "energy_resolution": 1.0}
-    assert account_verdict({**promised}) == "yes"
-    assert account_verdict({**promised, "least_at_handle": 0.0}) == "in doubt"
-    assert account_verdict({**promised, "energy_allowance": 1e-3}) == "yes"
+    assert account_verdict({**promised})[0] == "in doubt"
+    assert account_verdict({**promised, "least_at_handle": 0.0})[0] == "in doubt"
+    assert account_verdict({**promised, "energy_allowance": 1.0})[0] == "yes"
 
 
 def test_a_hold_held_on_is_no_contact_without_damping() -> None:
@@ -215,15 +251,15 @@ def test_a_hold_held_on_is_no_contact_without_damping() -> None:
 
 
 def test_what_went_out_within_the_allowance_is_passive() -> None:
-    assert passive_verdict(-1e-4, allowance=1e-4) == "yes"
-    assert passive_verdict(-1.1e-4, allowance=1e-4) == "no"
-    assert passive_verdict(-1.1e-4, 2e-5, allowance=1e-4) == "in doubt"
-    assert passive_verdict(0.0, 1e-4, energy_in=1e-4, allowance=1e-4) == "yes"
+    assert passive_verdict(-1e-4, allowance=1e-4)[0] == "yes"
+    assert passive_verdict(-1.1e-4, allowance=1e-4)[0] == "no"
+    assert passive_verdict(-1.1e-4, 2e-5, allowance=1e-4)[0] == "in doubt"
+    assert passive_verdict(0.0, 1e-4, energy_in=1e-4, allowance=1e-4)[0] == "yes"
     assert (plant_verdict(-1e-4, 1e-4), plant_verdict(-1.1e-4, 1e-4)) == ("yes", "no")
 
 
 def test_an_estimate_refutes_nothing() -> None:
-    assert passive_verdict(-1.0, 1e-3, is_estimated=True) == "in doubt"
+    assert passive_verdict(-1.0, 1e-3, is_estimated=True)[0] == "in doubt"
 
 
 @given(least=st.floats(-1.0, 1.0), resolution=st.floats(0.0, 10.0), certificate=st.sampled_from(["hand_force", "none"]))
@@ -232,11 +268,11 @@ def test_a_port_that_was_active_is_active_whatever_comes_later(
 ) -> None:
     account: Any = {"in": 1.0, "least_interaction": least, "energy_resolution": resolution}
     account |= {"certificate": certificate, "certificates": [certificate]}
-    assert account_verdict({**account, "active_since": 0.5}) == "no"
-    assert account_verdict({**account, "active_before": True}) == "no"
+    assert account_verdict({**account, "active_since": 0.5})[0] == "no"
+    assert account_verdict({**account, "active_before": True})[0] == "no"
     damped: Any = {**account, "least_at_handle": least, "active_since": 0.5}
-    assert handle_verdict({**damped, "active_at_handle_since": 0.6}) == "no"
-    assert handle_verdict(damped) != "no"
+    assert handle_verdict({**damped, "active_at_handle_since": 0.6})[0] == "no"
+    assert handle_verdict(damped)[0] != "no"
 
 
 @pytest.mark.parametrize(

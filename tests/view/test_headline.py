@@ -14,6 +14,11 @@ CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
     ("port", "words"),
     [
         ({"passive": "yes", **CERTIFIED}, "passive: yes · guarantee rests on: hand force"),
+        ({"passive": "yes", "why": "by certificate", "energy_allowance": 1e-4, **CERTIFIED},
+         "passive: yes, by certificate, within 100 uJ · guarantee rests on: hand force"),
+        ({"passive": "no", "passive_at_handle": "yes", "why": "measured"}, "passive: yes, measured, at the handle"),
+        ({"passive": "in doubt", "energy_resolution": 0.5, "why": "a contact as if 4 counts deep, 20 needed"},
+         "passive: in doubt: the account is certain to +-500 mJ; a contact as if 4 counts deep, 20 needed"),
         ({"passive": "yes", "energy_allowance": 1e-4}, "passive: yes, within 100 uJ"),
         ({"passive": "no", "passive_at_handle": "yes", **CERTIFIED},
          "passive: yes, at the handle · guarantee rests on: hand force"),

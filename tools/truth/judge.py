@@ -37,6 +37,8 @@ _MOST_LOSSES: Final = 4
 _PROMISES_NO_YES: Final = frozenset(("timing:stall",))
 """A host that stalls makes a hold longer than is declared."""
 _TRIES: Final = 4
+_FINE: Final = 1.0 / 20.0
+"""Resolution over the energy that came in below which a yes is due."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,19 +65,20 @@ class Outcome:
     losses: int = 0  # most cycles in a row in which a bus lost process data
     declared_losses: int = 0  # of these that are declared
     skipped: int = 0  # SYNCs that the rig left out
+    open_share: float = 0.0  # resolution over the energy that came in, of the worst port
 
     @property
     def counts(self) -> bool:
-        """Whether it ran for long enough and touched."""
-        return self.status == "completed" and max(self.peak, self.asked) >= TOUCH
+        """Whether it ran for long enough and touched; without a torque it proves nothing."""
+        return self.status == "completed" and self.peak > 0.0 and max(self.peak, self.asked) >= TOUCH
 
     @property
     def is_due(self) -> bool:
         """Whether a yes is due; `tools/bench/truth.py` says when."""
         if _PROMISES_NO_YES.intersection(self.tags):
             return False
-        touched = self.status != "refused" and max(self.peak, self.asked) >= TOUCH
-        is_within = self.losses <= self.declared_losses and not self.skipped
+        touched = self.status != "refused" and self.peak > 0.0 and max(self.peak, self.asked) >= TOUCH
+        is_within = self.losses <= self.declared_losses and not self.skipped and self.open_share < _FINE
         return touched and is_within and self.declared and "algorithm:guarded" in self.tags and self.least >= -ROUNDING
 
     @property
@@ -91,7 +94,7 @@ class Outcome:
     @property
     def is_silent(self) -> bool:
         """Whether something asked for a force and none was rendered."""
-        return self.counts and self.peak < 0.1 * TOUCH
+        return self.status == "completed" and self.asked >= TOUCH and self.peak < 0.1 * TOUCH
 
     def as_json(self) -> dict[str, Any]:
         """Returns all fields as plain values."""
@@ -307,6 +310,7 @@ def _outcome(
         declared=declared,
         false_claims=tuple(claims),
         text=text,
+        open_share=max(_resolution(port) / (port["in"] + ROUNDING) for port in ports.values()),
         lost=max(_lost(port, account["truth"][name], section) for name, port in ports.items()),
     )
 

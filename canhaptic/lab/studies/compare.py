@@ -475,7 +475,7 @@ def _compiled(scene: Scene, name: str, cycles: int) -> ComparedGroup:
     account = cast("ComparedGroup", run.summary.as_json(scene.bus.sample_time))  # it has the keys of both
     account["status"], account["engine"] = run.ended or "completed", run.engine
     account["remark"] = "; ".join(text for text in (run.reason, run.engine.partition(": ")[2]) if text)
-    account["passive"] = passive_verdict(run.least_interaction)
+    account["passive"] = passive_verdict(run.least_interaction)[0]
     account["truth"] = {
         "interaction": float(run.interaction[-1]) if run.interaction.size else 0.0,
         "least_interaction": run.least_interaction,

@@ -264,7 +264,7 @@ class _SideView:
     def judge(self, status: TouchStatus) -> None:
         """Show whether the side gave out more than it took in so far."""
         least = status.least[self._number]
-        passive = passive_verdict(least + self._allowance + PASSIVE_TOLERANCE)
+        passive, _ = passive_verdict(least + self._allowance + PASSIVE_TOLERANCE)
         verdict = verdict_bar(
             {self._name: {"passive_at_sensor": passive} if self._is_display else {"passive": passive}}
         )
