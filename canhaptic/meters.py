@@ -188,14 +188,20 @@ class AxisPort:
         interaction, resolution = ledger.interaction, self._resolution()
         if (certain := interaction - resolution) < self.least_certain:
             self.least_certain = certain
-        if self._is_damped and certain + meter.dissipated < self.least_certain_at_handle:
-            self.least_certain_at_handle = certain + meter.dissipated
-        if self._is_damped and interaction < self._lowest:
-            self._lowest = interaction
-            self.least_at_handle = _least(self.least_at_handle, interaction + meter.dissipated)
+        if self._is_damped:
+            self._take_handle(interaction, certain)
         if interaction + resolution < self._floor:
             self.activity.take(interaction + resolution, int(sent))
         return self._measured(resolution)
+
+    def _take_handle(self, interaction: float, certain: float) -> None:
+        """Take the sum at the motor, and what of it is certain [J]."""
+        dissipated = self._meter.dissipated
+        if certain + dissipated < self.least_certain_at_handle:
+            self.least_certain_at_handle = certain + dissipated
+        if interaction < self._lowest:
+            self._lowest = interaction
+            self.least_at_handle = _least(self.least_at_handle, interaction + dissipated)
 
     @property
     def friction_excess(self) -> float | None:
