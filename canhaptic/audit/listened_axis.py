@@ -8,7 +8,7 @@ IEEE 754 has it, so that the audit may ask for equal bits.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.eds import read_dictionary
@@ -73,7 +73,7 @@ class ListenedAxis:
         self._rated_counts = 0
         self._per_torque_count = 0.0  # not known before the first sample
         self._counts = self._reported = 0
-        self._fields: dict[int, int] = {}
+        self._fields: dict[int, Any] = {}  # integers, or the REAL32 of a force sensor
         self._node = drive.force.node if drive.force else None
         self._impulse: int | None = None
         self._impulse_at = -1
@@ -90,9 +90,8 @@ class ListenedAxis:
             if access is not None and self._maps.learn(access):
                 self._tpdos = self._maps.tpdos()
         elif self._node is not None and frame.can_id == self._node.frame_id:
-            part = frame.data[self._node.first_byte : self._node.end]
-            value = int.from_bytes(part, self._node.order, signed=self._node.signed)
-            self._fields.setdefault(OF_A_NODE, value)
+            if len(frame.data) == self._node.frame_length:
+                self._fields.setdefault(OF_A_NODE, self._node.value_in(frame.data))
         elif frame.can_id in self._tpdos:
             fields = self._maps.fields(self._tpdos[frame.can_id], frame.data)
             for field in [] if isinstance(fields, str) else fields:

@@ -78,6 +78,8 @@ MAX_ACCELERATION: Final = 0x60C5
 MAX_DECELERATION: Final = 0x60C6
 TARGET_VELOCITY: Final = 0x60FF
 SUPPORTED_DRIVE_MODES: Final = 0x6502
+AUTOZERO: Final = 0x6125  # of a CiA 404 transducer
+ZERO_SIGNATURE: Final = int.from_bytes(b"zero", "little")  # value of 0x6125:01, for the same
 AUTOTARE: Final = 0x6139  # of a CiA 404 transducer
 TARE_SIGNATURE: Final = int.from_bytes(b"tara", "little")  # value of 0x6139:01 that takes the value of now for zero
 

@@ -483,6 +483,11 @@ def _drop_later(axis: dict[str, Any]) -> None:
     for key in ("acts_at_once", "syncs_late"):
         if not drive.get(key, True):
             del drive[key]
+    drive = (axis["simulation"] or {}).get("drive") or {}
+    for node in (axis.get("admittance", {}).get("force", {}).get("node"), drive.get("display", {}).get("force_node")):
+        for key, default in (("real", False), ("device_type", None)) if node else ():
+            if node[key] == default:
+                del node[key]
     _drop_later_of_guarded(axis["passivity"])
 
 

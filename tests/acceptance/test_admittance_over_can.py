@@ -2,15 +2,21 @@
 
 import json
 import math
+import struct
 from itertools import pairwise
 from pathlib import Path
+from typing import Literal
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from canhaptic.canopen.force_node import ForceNode
 from canhaptic.cli.main import main
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.control.admittance.group_environment import PathMass, nearest
 from canhaptic.cycle import run
+from canhaptic.drive.profile.admittance_parameters import ForceChannel, ForceParameters
 from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.errors import (
     ForceContradictedError,
@@ -203,14 +209,16 @@ _OFFSET = (
 )
 
 
-def test_a_transducer_is_tared_by_sdo_at_the_start() -> None:
-    node = "axes.0.admittance.force.node={node_id: 9, tare: true}"
+@pytest.mark.parametrize("how", ["tare: true", "tare: autozero", "tare: true, real: true, device_type: 404"])
+def test_a_transducer_is_tared_by_sdo_at_the_start(how: str) -> None:
+    node = f"axes.0.admittance.force.node={{node_id: 9, {how}}}"
     with build(load_scene(_NODE, [*_OFFSET, node])) as experiment:
         run(experiment.cycle, 1000)
         account = experiment_account(experiment, "completed", 1.0)
         first = -next(iter(experiment.rig.records)).samples[0].torque_applied
     assert account["truth"]["handle"]["least_interaction"] >= -1e-3
     assert abs(first) < 0.5
+    assert experiment.rig.drives[0].unrestored[-1] == "force sensor: 0x1800:02 = 1, 255 before"
 
 
 def test_a_sensor_that_shows_a_force_at_rest_ends_the_start() -> None:
@@ -225,8 +233,37 @@ def test_a_sensor_that_shows_a_force_at_rest_ends_the_start() -> None:
 def test_a_transducer_that_does_not_answer_the_tare_ends_the_start() -> None:
     dead = "simulation.bus={drop: 1.0, direction: to_master, ids: [0x589], bring_up: true}"
     node = "axes.0.admittance.force.node={node_id: 9, tare: true}"
-    with build(load_scene(_NODE, [*_OFFSET, node, dead])) as experiment, pytest.raises(StartError, match="tare"):
+    with (
+        build(load_scene(_NODE, [*_OFFSET, node, dead])) as experiment,
+        pytest.raises(StartError, match="force sensor"),
+    ):
         run(experiment.cycle, 5)
+
+
+def test_a_sensor_of_another_device_type_is_refused() -> None:
+    node = "axes.0.admittance.force.node={node_id: 9, device_type: 401}"
+    with build(load_scene(_NODE, [*_OFFSET, node])) as experiment, pytest.raises(StartError) as refused:
+        run(experiment.cycle, 5)
+    assert "force sensor: got 0x1000 has the low word 404, expected 401" in str(refused.value)
+
+
+@pytest.mark.parametrize("order", ["little", "big"])
+@given(value=st.floats(width=32, allow_nan=False), first=st.integers(0, 4))
+def test_a_real32_comes_out_of_its_frame_as_it_went_in(
+    order: Literal["little", "big"], value: float, first: int
+) -> None:
+    node = ForceNode(node_id=9, real=True, order=order, first_byte=first)
+    frame = node.frame_of(value)
+    assert frame[first:] == struct.pack(("<" if order == "little" else ">") + "f", value)
+    assert node.value_in(bytearray(frame)) == value
+
+
+def test_a_real32_that_is_no_number_is_no_force() -> None:
+    sensor = {"node": ForceNode(node_id=9, real=True), "per_count": 1.0, "range": 10.0, "slew": 1.0, "error": 0.1}
+    channel = ForceChannel(ForceParameters(**sensor), 1e-3)
+    channel.take(float("nan"))  # type: ignore[arg-type]
+    assert channel.is_wrong
+    assert channel.is_beyond_range
 
 
 @pytest.mark.parametrize(
@@ -250,6 +287,8 @@ def test_a_sensor_node_that_is_dead_stops_the_rig(begin: str, error: type[Except
         ("axes.0.admittance.force.node={cob_id: 0x300, first_byte: 6}", "the value ends at byte 10"),
         ("axes.0.admittance.force.node={cob_id: 0x300, tare: true}", "tare: got true without node_id"),
         ("axes.0.admittance.force.node={node_id: 9, tare: true}", "a sum has no zero"),
+        ("axes.0.admittance.force.node={node_id: 9, real: true}", "a sum wraps, as integers do"),
+        ("axes.0.admittance.force.node={node_id: 9, real: true, bits: 16}", "expected bits: 32"),
     ],
 )
 def test_a_force_sensor_has_one_source_and_a_place_in_its_frame(override: str, words: str) -> None:

@@ -120,6 +120,8 @@ def late_once(slave: OddSlave) -> None:
     slave.script = {20: sets(tpdo_after=7 * MILLISECOND), 21: sets(tpdo_after=200_000)}
 
 
+DRIVE = {(0x1000, 0): bytes.fromhex("92 01 02 00"), (0x1800, 2): b"\1"}
+INPUTS = {(0x1000, 0): bytes.fromhex("91 01 04 00"), (0x1800, 2): b"\1"}
 LATER = "as soon after SYNC as before: what comes may answer an older SYNC"
 HABITS = [
     # --- found before any torque ---
@@ -154,7 +156,12 @@ HABITS = [
         "TPDO 0x185: process data that answer no SYNC, or an older one",
         sets(tpdo_after=23 * MILLISECOND),
     ),
-    Habit("is not there", "refused", "no frame 0x1a1 of the force sensor", sensor(is_absent=True), "sensor"),
+    Habit("is not there", "refused", "force sensor of handle: read 0x1000:00", sensor(is_absent=True), "sensor"),
+    Habit("is a drive", "refused", "0x1000 has the low word 402", of_the_sensor(objects=DRIVE), "sensor"),
+    Habit("is no transducer", "refused", "0x1000 has the low word 401", of_the_sensor(objects=INPUTS), "sensor"),
+    Habit("keeps its transmission type", "refused", "write 0x1800:02", of_the_sensor(refuses=(0x1800,)), "sensor"),
+    Habit("refuses the tare", "refused", "write 0x6139:01", of_the_sensor(refuses=(0x6139,)), "sensor"),
+    Habit("sends nothing", "refused", "no frame 0x1a1 of the force sensor", of_the_sensor(inhibit=1 << 60), "sensor"),
     Habit(
         "sends every 4 ms by itself",
         "refused",
@@ -176,7 +183,13 @@ HABITS = [
         sensor(length=2),
         "sensor",
     ),
-    Habit("shows a force at rest", "refused", "let go of the handle", sensor(counts=200), "sensor"),
+    Habit(
+        "shows a force at rest",
+        "refused",
+        "let go of the handle",
+        of_the_sensor(counts=200, ignores_tare=True),
+        "sensor",
+    ),
     Habit("refuses the TPDO map", "refused", "PDO map", aborts("x1a00_2")),
     Habit("keeps its transmission type", "refused", "Transmission type", keeps("x1400_2")),
     Habit("keeps another torque limit", "refused", "0x6072", keeps("x6072_0")),

@@ -4,6 +4,7 @@ It shares no code with the simulated drive, so that a misreading of the standard
 runs in lock-step with the master by the virtual clock.
 """
 
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -289,13 +290,41 @@ class OddSensor:
     length: int = 4
     is_absent: bool = False
     counts: int = 0
+    ignores_tare: bool = False
+    is_real: bool = False  # its value is a REAL32
+    refuses: tuple[int, ...] = ()  # writes
+    objects: dict[tuple[int, int], bytes] = field(
+        default_factory=lambda: {
+            (0x1000, 0): bytes.fromhex("94 01 02 00"),
+            (0x1800, 2): b"\xff",
+            (0x6125, 1): bytes(4),
+            (0x6139, 1): bytes(4),
+        }
+    )
     due: int = _NEVER
     last: int = -_NEVER
 
+    def sdo(self, request: bytes) -> bytes:
+        place, head = (int.from_bytes(request[1:3], "little"), request[3]), request[1:4]
+        if place not in self.objects:
+            return b"\x80" + head + _ABSENT
+        value = self.objects[place]
+        if request[0] == 0x40:
+            return bytes([0x43 | 4 - len(value) << 2]) + head + value.ljust(4, b"\0")
+        if place[0] in self.refuses:
+            return b"\x80" + head + READ_ONLY
+        self.objects[place] = request[4 : 4 + len(value)]
+        if place[0] in (0x6125, 0x6139) and not self.ignores_tare:
+            self.counts = 0
+        return b"\x60" + head + bytes(4)
+
     def take(self, slave: OddSlave, message: can.Message) -> None:
+        if message.arbitration_id == 0x621 and not self.is_absent:
+            slave.later(300_000, 0x5A1, self.sdo(bytes(message.data)))
         if message.arbitration_id == 0x000 and message.data[0] == 1 and self.every and self.due == _NEVER:
             self.due = slave.now + self.every
-        if message.arbitration_id == 0x080 and not self.every and slave.now - self.last >= self.inhibit:
+        answers = not self.every and self.objects[0x1800, 2] == b"\x01"
+        if message.arbitration_id == 0x080 and answers and slave.now - self.last >= self.inhibit:
             self.last = slave.now
             self.show(slave, self.delay)
 
@@ -306,4 +335,5 @@ class OddSensor:
 
     def show(self, slave: OddSlave, delay: int) -> None:
         if not self.is_absent:
-            slave.later(delay, 0x1A1, self.counts.to_bytes(4, "little", signed=True)[: self.length])
+            value = self.counts.to_bytes(4, "little", signed=True)
+            slave.later(delay, 0x1A1, (struct.pack("<f", self.counts) if self.is_real else value)[: self.length])

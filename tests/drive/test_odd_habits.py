@@ -25,7 +25,9 @@ CYCLES = 200
 
 
 def display(kind: str) -> AxisParameters:
-    source = {"node": ForceNode(node_id=0x21)} if kind == "sensor" else {"object": "0x2205.1"}
+    source = (
+        {"node": ForceNode(node_id=0x21, device_type=404, tare=True)} if kind == "sensor" else {"object": "0x2205.1"}
+    )
     force = ForceParameters(per_count=0.01, range=300.0, slew=5e3, error=0.5, frozen_after=50, **source)
     parameters = AdmittanceParameters(mode="position", acceleration_limit=50.0, handle_acceleration=80.0, force=force)
     return axis(

@@ -82,7 +82,7 @@ class AdmittanceDrive(ServoDrive):
         """Handler of the frames of a sensor with a node of its own: one more part of the sample."""
         bit = self._all_tpdos + 1
         self._all_tpdos |= bit
-        begin, end, length = node.first_byte, node.end, node.frame_length
+        length, value_in = node.frame_length, node.value_in
 
         def take(data: bytearray) -> None:
             if len(data) != length:
@@ -91,7 +91,7 @@ class AdmittanceDrive(ServoDrive):
             if not self._pending & bit:
                 self._count_surplus(bit, is_same=False)
                 return
-            self._stage[2] = int.from_bytes(data[begin:end], node.order, signed=node.signed)
+            self._stage[2] = value_in(data)
             self._take_part(bit)
 
         return take
@@ -112,19 +112,12 @@ class AdmittanceDrive(ServoDrive):
         if self._sensor is not None and self._sensor.node_id is not None:
             self.link.send(od.NMT_COB_ID, bytes([command, self._sensor.node_id]))
 
-    def tare(self) -> None:
-        """Tare a CiA 404 transducer to its present force, where requested.
-
-        Raises:
-            SdoError: It did not answer, or refused.
-            LinkError: The bus failed.
-        """
-        node = self._sensor
-        if node is None or node.node_id is None or not node.tare:
-            return
+    def sensor_sdo(self) -> SdoChannel | None:
+        """Return the access to a sensor that is a CANopen node; None for another."""
+        if self._sensor is None or self._sensor.node_id is None:
+            return None
         timeout, name = round(self.axis.sdo_timeout * 1e9), f"force sensor of {self.axis.name}"
-        channel = SdoChannel(self.link, node.node_id, self.dictionary, name, timeout)
-        channel.write(od.AUTOTARE, 1, od.TARE_SIGNATURE, _TARE_SIZE)
+        return SdoChannel(self.link, self._sensor.node_id, self.dictionary, name, timeout)
 
     def leave_operational(self) -> None:
         """Command NMT pre-operational, of the sensor too; raise LinkError."""
@@ -219,6 +212,10 @@ def speed_quantum(axis: AxisParameters, bus: BusParameters) -> float:
 
 
 _SLOW_DOWN: Final = 2  # value of 0x605A: along the quick stop ramp, then switch on disabled
+_OF_THE_SENSOR: Final = (
+    "check power and node ID of the sensor; its TPDO 1 needs transmission type 1 and no inhibit time (0x1800:02, :03); "
+    "admittance.force.node.device_type names its 0x1000"
+)
 _NO_TARE: Final = "check power and node ID of the sensor, or leave admittance.force.node.tare out"
 _NOT_AT_REST: Final = (
     "let go of the handle; then correct force.offset_counts (canhaptic commission measures it), tare the sensor, or "
@@ -239,6 +236,7 @@ class AdmittanceBringUp(CanBringUp):
             "ramps": _REMEDY,
             "quick stop": _REMEDY,
             "tare": _NO_TARE,
+            "force sensor": _OF_THE_SENSOR,
             "force at rest": _NOT_AT_REST,
         }
 
@@ -266,11 +264,30 @@ class AdmittanceBringUp(CanBringUp):
 
     def command_operational(self) -> None:
         """Send NMT start to the drive and to a sensor with a node of its own, tared where asked; raise StartError."""
-        with self.step("tare"):
-            self._drive.tare()
+        node, channel = self._drive.display.force.node, self._drive.sensor_sdo()
+        if channel is not None and node is not None:
+            if self._drive.restores:  # an older master left the sensor alone
+                self._configure_sensor(channel, node.device_type)
+            if node.tare:
+                tare = (od.AUTOZERO, od.ZERO_SIGNATURE) if node.tare == "autozero" else (od.AUTOTARE, od.TARE_SIGNATURE)
+                with self.step("tare"):
+                    channel.write(tare[0], 1, tare[1], _TARE_SIZE)
         super().command_operational()
         with self.step("bus"):
             self._drive.command_sensor(od.NmtCommand.START)
+
+    def _configure_sensor(self, sensor: SdoChannel, device_type: int | None) -> None:
+        """Compare its 0x1000, and let its TPDO 1 answer each SYNC; raise StartError."""
+        step, place = "force sensor", (od.TPDO_COMMUNICATION, 2)
+        with self.step(step):
+            seen = sensor.read(od.DEVICE_TYPE) & 0xFFFF
+            if seen == od.CIA402_PROFILE if device_type is None else seen != device_type:
+                raise self.refusal(step, f"0x1000 has the low word {seen}", str(device_type or "that of no drive"))
+            before = sensor.read(*place)
+            if before != od.SYNCHRONOUS_EVERY_SYNC:
+                sensor.write(*place, od.SYNCHRONOUS_EVERY_SYNC, 1)
+                self.expect(step, "0x1800:02 read back", sensor.read(*place), od.SYNCHRONOUS_EVERY_SYNC)
+        self._drive.elsewhere = [f"force sensor: 0x1800:02 = 1, {before} before"] if before != 1 else []
 
     def check_rest(self) -> None:
         """Refuse a sensor that shows a force while nothing pushes: an offset would move the handle by itself."""

@@ -1,7 +1,7 @@
 """One axis on a CAN bus: its TPDOs in, its RPDO out, its heartbeat and EMCY."""
 
 from collections.abc import Callable, Mapping
-from typing import Final
+from typing import Any, Final
 
 from canopen import ObjectDictionary
 
@@ -81,7 +81,7 @@ class ServoDrive(TorqueAxis):
         """Forget everything received and commanded."""
         super().reset()
         self.nmt_state = None
-        self._stage = [0, 0, 0]  # statusword, position counts, torque per mille: of the SYNC that is open
+        self._stage: list[Any] = [0, 0, 0]  # statusword, position counts, torque per mille: of the SYNC that is open
         self._pending = 0  # one bit for each TPDO that may come now
         self._doubt = 0  # `_DOUBT` where the SYNC before was not answered
 

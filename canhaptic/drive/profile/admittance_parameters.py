@@ -68,8 +68,9 @@ class ForceParameters(Parameters):
     def _has_one_source(self) -> "ForceParameters":
         if (self.object is None) == (self.node is None):
             raise ValueError("expected either object (in the drive) or node (of its own)")
-        if self.node is not None and self.node.tare and self.sampling == "impulse":
-            raise ValueError("node.tare: got true with sampling: impulse, expected a force: a sum has no zero to take")
+        if self.node is not None and (self.node.tare or self.node.real) and self.sampling == "impulse":
+            key, why = ("tare", "has no zero to take") if self.node.tare else ("real", "wraps, as integers do")
+            raise ValueError(f"node.{key}: got true with sampling: impulse, expected a force: a sum {why}")
         return self
 
     @property

@@ -323,6 +323,7 @@ def disable(exchange: CyclicExchange, trust: Trust) -> list[str]:
     for drive in reachable:
         if drive.sdo.changes:
             restore(drive, problems.get(drive, ""))
+            drive.unrestored += drive.elsewhere
     return [f"{drive.axis.name}: {problem}" for drive, problem in problems.items() if problem]
 
 

@@ -106,6 +106,7 @@ class TorqueAxis(ABC):
         left_out: Objects that the start leaves out, as an older master did whose run is replayed.
         restores: Whether the stop puts back what the start wrote; False as an older master whose run is replayed.
         unrestored: What the stop did not put back, in words.
+        elsewhere: The same of other nodes, whose objects are not put back.
         controlword: Controlword sent with the next torque.
         unasked: Process data since the last `reset` that came in no window of a SYNC.
         culprit: The process data that came so, or did not come in the last window, in words.
@@ -153,6 +154,7 @@ class TorqueAxis(ABC):
         self.left_out: frozenset[int] = frozenset()
         self.restores = True
         self.unrestored: list[str] = []
+        self.elsewhere: list[str] = []
         self.is_foreign = False
         self.sample_time_ns = rules.sample_time_ns
         self._is_synchronous, self._silence = rules.is_synchronous, rules.silence

@@ -1,6 +1,7 @@
 """A simulated force sensor with a node of its own: it answers each SYNC with one frame, once it is operational."""
 
 from collections.abc import Callable
+from functools import partial
 
 from canopen import ObjectDictionary
 from canopen.objectdictionary import ODRecord, ODVariable
@@ -8,11 +9,15 @@ from canopen.objectdictionary import ODRecord, ODVariable
 from canhaptic.canopen.force_node import ForceNode
 from canhaptic.canopen.objects import (
     AUTOTARE,
+    AUTOZERO,
     DEVICE_TYPE,
     HEARTBEAT_BASE,
     SDO_REQUEST_BASE,
     SDO_RESPONSE_BASE,
+    SYNCHRONOUS_EVERY_SYNC,
     TARE_SIGNATURE,
+    TPDO_COMMUNICATION,
+    ZERO_SIGNATURE,
     DataType,
     NmtCommand,
     NmtState,
@@ -24,6 +29,7 @@ from canhaptic.sim.drive.can.sdo_server import SdoServer
 from canhaptic.sim.drive.profile.object_store import ObjectStore
 
 _DEVICE_TYPE = 404  # CiA profile of transducers
+_BY_ITSELF = 255  # its transmission type until a master writes another
 _STATES = {NmtCommand.START: NmtState.OPERATIONAL, NmtCommand.STOP: NmtState.STOPPED}
 
 
@@ -55,8 +61,10 @@ class SensorNode:
         self.state = NmtState.BOOT_UP
         store = ObjectStore(_transducer(), {})
         self._sdo = SdoServer(store)
-        autotare = store.entry(AUTOTARE, DataType.UNSIGNED32, 1)
-        autotare.check, autotare.changed = self._refuse_signature, self._tare
+        self._type = store.entry(TPDO_COMMUNICATION, DataType.UNSIGNED8, 2)
+        for index, signature in ((AUTOTARE, TARE_SIGNATURE), (AUTOZERO, ZERO_SIGNATURE)):
+            entry = store.entry(index, DataType.UNSIGNED32, 1)
+            entry.check, entry.changed = partial(_refuse_signature, signature), self._tare
 
     @property
     def request_cob_id(self) -> int | None:
@@ -68,10 +76,6 @@ class SensorNode:
         answer = None if self.state is NmtState.STOPPED else self._sdo.answer(bytes(content))
         if answer is not None and self._node.node_id is not None:
             self._send(SDO_RESPONSE_BASE + self._node.node_id, answer)
-
-    @staticmethod
-    def _refuse_signature(value: int) -> SdoAbort | None:
-        return None if value == TARE_SIGNATURE else SdoAbort.VALUE_RANGE
 
     def _tare(self) -> None:
         self._zero = self._read()
@@ -97,28 +101,33 @@ class SensorNode:
 
     def take_sync(self) -> None:
         """Send its value, modulo its bits: a running impulse wraps as a counter does, a force saturates first."""
-        if self.state is not NmtState.OPERATIONAL:
+        is_asked = self._node.node_id is None or self._type.number == SYNCHRONOUS_EVERY_SYNC
+        if self.state is not NmtState.OPERATIONAL or not is_asked:
             return
-        node = self._node
         try:
-            counts = round((self._read() - self._zero) / self._per_count + self._offset)
+            frame = self._node.frame_of((self._read() - self._zero) / self._per_count + self._offset)
         except (ValueError, OverflowError):  # no number: the frame stays away
             return
-        size = node.bits // 8
-        value = (counts % (1 << node.bits)).to_bytes(size, node.order)
-        self._send(node.frame_id, bytes(node.first_byte) + value + bytes(node.frame_length - node.end))
+        self._send(self._node.frame_id, frame)
 
 
 def _transducer() -> ObjectDictionary:
-    """Dictionary of the transducer: 0x1000 and 0x6139."""
+    """Dictionary of the transducer: 0x1000, 0x1800, 0x6125 and 0x6139."""
     dictionary = ObjectDictionary()  # type: ignore[no-untyped-call]
     device_type = ODVariable("Device type", DEVICE_TYPE)
     device_type.data_type, device_type.access_type, device_type.default = DataType.UNSIGNED32, "ro", _DEVICE_TYPE
     dictionary.add_object(device_type)
-    autotare = ODRecord("AI autotare", AUTOTARE)
-    for subindex, data_type, default in ((0, DataType.UNSIGNED8, 1), (1, DataType.UNSIGNED32, 0)):
-        member = ODVariable(f"Member {subindex}", AUTOTARE, subindex)
-        member.data_type, member.access_type, member.default = data_type, "ro" if subindex == 0 else "rw", default
-        autotare.add_member(member)
-    dictionary.add_object(autotare)
+    for index in (TPDO_COMMUNICATION, AUTOZERO, AUTOTARE):
+        record = ODRecord(f"Record {index:#06x}", index)
+        is_pdo = index == TPDO_COMMUNICATION
+        members = [(0, DataType.UNSIGNED8, 2 if is_pdo else 1), (1, DataType.UNSIGNED32, 0)]
+        for subindex, data_type, default in members + [(2, DataType.UNSIGNED8, _BY_ITSELF)] * is_pdo:
+            member = ODVariable(f"Member {subindex}", index, subindex)
+            member.data_type, member.access_type, member.default = data_type, "rw" if subindex else "ro", default
+            record.add_member(member)
+        dictionary.add_object(record)
     return dictionary
+
+
+def _refuse_signature(signature: int, value: int) -> SdoAbort | None:
+    return None if value == signature else SdoAbort.VALUE_RANGE
