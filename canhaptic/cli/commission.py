@@ -4,7 +4,7 @@ import argparse
 import os
 import select
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -144,6 +144,13 @@ class _Terminal:
             except ValueError:
                 write_note(f"  got {text!r}, expected a number in {unit}, or nothing")
         return None
+
+    def choose(self, question: str, answers: Sequence[str], truth: str) -> str:
+        """Ask until it is one of the answers; nothing typed, and the end of the input, is the last."""
+        while text := self._ask(f"{question} [{'/'.join(answers)}] ").lower():
+            if text in answers:
+                return text
+        return answers[-1]
 
     def until_ready(self, text: str, cycles: int) -> Callable[[], bool]:
         """Function that reports, without waiting, whether Enter was pressed."""

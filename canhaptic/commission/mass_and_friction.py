@@ -17,7 +17,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.axis_units import effort_unit
 from canhaptic.commission.session import OpenLoop, Session, StepVerdict, reversals
 from canhaptic.commission.which_hold import as_declared, report_hold, time_the_hold
 from canhaptic.scene.first_contact import ALLOWANCES, share_of_wall, with_declared
@@ -297,8 +296,8 @@ def time_the_torque(session: Session, axis: int, most: float, mass: float, known
     """
     friction = 0.5 * (known or {}).get("device_friction_bound", 0.0)
     torque, longest = _reversal(session, axis, most, mass, friction)
-    name, unit = session.axes[axis].parameters.name, effort_unit(session.axes[axis].parameters.unit)
-    if not session.agreed(f"{name}: hands off. Reversals of {torque:.3g} {unit}, now?", _ITEM, [axis]):
+    name = session.axes[axis].parameters.name
+    if not session.agreed(f"{name}: hands off. Reversals of {session.shown(axis, torque)}, now?", _ITEM, [axis]):
         return
     before: int | None = None  # the hold by the test before
     counts = [count for count in _DOUBLETS if 3 * longest * count * session.sample_time <= _LONGEST_TEST]

@@ -14,7 +14,8 @@ from typing import Final
 from canhaptic.axis_units import effort_unit
 from canhaptic.canopen import objects as od
 from canhaptic.commission.session import NO_TORQUE, OpenLoop, Session, StepVerdict
-from canhaptic.commission.torque_tests import identify_dynamics, pulse
+from canhaptic.commission.torque_scale import SCALE, verified_axes
+from canhaptic.commission.torque_tests import identify_dynamics
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.power_states import TORQUE_FREE, drive_state
@@ -225,8 +226,7 @@ def _judge(session: Session, axis: int, ratio: float) -> None:
     direction = parameters.direction if right else -parameters.direction
     text = "the encoder counts the other way"
     session.judged(axis, "encoder direction", str(parameters.direction), str(direction), good=right, text=text)
-    if not right:
-        session.propose(axis, "direction", direction)
+    session.propose(axis, "direction", None if right else direction, comment="by a distance moved by hand")
     counts = parameters.counts_per_unit * abs(ratio)
     same = abs(abs(ratio) - 1.0) <= _TOLERANCE
     text = f"every position is wrong by {abs(ratio):.4g}; gear, counts per turn or 0x608F"
@@ -235,6 +235,7 @@ def _judge(session: Session, axis: int, ratio: float) -> None:
     session.judged(axis, "encoder counts", configured, found, good=same, text=text)
     text = "agrees with a distance moved by hand" if same else "by a distance moved by hand; round it to the data"
     session.propose(axis, "counts_per_unit", None if same else counts, unit, text)
+    session.propose(axis, "unit", None, comment="that of a distance moved by hand")
 
 
 _LOST: Final[tuple[str, ...]] = ("missed_tpdos", "late", "error_frames")
@@ -337,7 +338,7 @@ def _words(counts: dict[str, float]) -> str:
     return ", ".join(f"{name.replace('_', ' ')} {count:g}" for name, count in counts.items() if count)
 
 
-REQUIRED: Final = (STANDSTILL, "torque sign", "moving mass", "mass on a shaft", "torque lag", "watchdog")
+REQUIRED: Final = (STANDSTILL, "torque sign", SCALE, "moving mass", "mass on a shaft", "torque lag", "watchdog")
 """What must have been verified of every axis before its scene is one to run."""
 
 
@@ -366,8 +367,12 @@ def commission(session: Session, timing_duration: float) -> None:
         for axis in range(len(session.axes)):
             if not session.stop_requested():
                 move_by_hand(session, axis)
+    tell("4 of 6: first torque")
+    firsts = verified_axes(session)
     with session.rig_of(with_hand=False):
-        _with_torque(session)
+        for axis, first in firsts.items():
+            if not session.stop_requested():
+                identify_dynamics(session, axis, first.mass)
         if session.stop_requested():
             return
         tell("5 of 6: the watchdog, by silence of the master (zero torque)")
@@ -391,13 +396,3 @@ def _stands_still(session: Session) -> bool:
     session.dialogue.tell("2 of 6: standing still at zero torque")
     still = [not session.stop_requested() and stand_still(session, axis) for axis in range(len(session.axes))]
     return all(still) and not session.stop_requested()
-
-
-def _with_torque(session: Session) -> None:
-    session.dialogue.tell("4 of 6: first torque")
-    for axis in range(len(session.axes)):
-        if session.stop_requested():
-            return
-        rough_mass = pulse(session, axis)
-        if rough_mass is not None and not session.stop_requested():
-            identify_dynamics(session, axis, rough_mass)

@@ -46,6 +46,9 @@ class Dialogue(Protocol):
     def number(self, question: str, unit: str, truth: float | None) -> float | None:
         """Number in `unit`, or None without an answer."""
 
+    def choose(self, question: str, answers: Sequence[str], truth: str) -> str:
+        """Return one of the answers; the last without one."""
+
     def until_ready(self, text: str, cycles: int) -> Callable[[], bool]:
         """Ask the person to do something; return a function, called once per cycle, that reports completion.
 
@@ -69,6 +72,11 @@ class Unattended:
     def number(self, question: str, unit: str, truth: float | None) -> float | None:
         """True value of the simulated plant."""
         self.tell(f"{question} {'unknown' if truth is None else f'{truth:.6g} {unit}'}")
+        return truth
+
+    def choose(self, question: str, answers: Sequence[str], truth: str) -> str:
+        """Answer of the simulated plant."""
+        self.tell(f"{question} {truth}")
         return truth
 
     def until_ready(self, text: str, cycles: int) -> Callable[[], bool]:
@@ -281,12 +289,16 @@ class OpenLoop:
         self.positions.append(position)
         self.applied.append(torque_applied)
         self._watch(position, displacement)
-        torque = 0.0
-        if self._next < len(self._torques) and not self.tripped:
-            torque = self._torques[self._next]
-            self._next += 1
+        torque = 0.0 if self.tripped else self.next_torque()
         self.sent.append(torque)
         return self._book(torque, -torque_applied * displacement)
+
+    def next_torque(self) -> float:
+        """Torque of the next hold [N or N*m]."""
+        if self._next == len(self._torques):
+            return 0.0
+        self._next += 1
+        return self._torques[self._next - 1]
 
     def _watch(self, position: float, displacement: float) -> None:
         if abs(position - self.positions[0]) > self._travel:
@@ -368,29 +380,40 @@ class Session:
     Attributes:
         report: Findings so far.
         encoder_ratios: Displacement by the configured encoder, as a part of the measured one, per axis.
+        quanta: Torque of one count of 0x6071 as the master has it, per axis; 0 until a drive tells it [N or N*m].
+        verified: Axes whose scale of the torque is verified.
     """
 
     def __init__(
         self, scene: Scene, dialogue: Dialogue, limits: CommissioningLimits, stop_requested: Callable[[], bool]
     ) -> None:
-        self.scene = scene
+        whole = (
+            (axis, axis.loop.model_copy(update={"torque_limit": axis.parameters.torque_limit})) for axis in scene.axes
+        )
+        axes = tuple(dataclasses.replace(axis, loop=loop) for axis, loop in whole)
+        self.scene = dataclasses.replace(scene, axes=axes)  # a torque that is not verified is bounded by each step
         self.dialogue = dialogue
         self.limits = limits
         self.report = Report()
         self.stop_requested = stop_requested
         self.sample_time = scene.bus.sample_time
         self.encoder_ratios = [1.0] * len(scene.axes)
+        self.quanta: Sequence[float] = [axis.loop.torque_quantum or 0.0 for axis in scene.axes]
+        self.verified: set[int] = set()
         self._experiment: Experiment | None = None
         self.truths: Sequence[Truth] = ()
+        self._efforts: Sequence[float] = ()
 
     @contextmanager
-    def rig_of(self, *, with_hand: bool) -> Iterator[None]:
+    def rig_of(self, *, with_hand: bool, hand: Callable[[AxisScene], object] | None = None) -> Iterator[None]:
         """Build the rig for the steps inside; nothing is sent before one of them does.
 
         Args:
             with_hand: Whether the simulated hand is on the handle; a person was asked to hold it, or to let go.
+            hand: Simulated hand of an axis, in place of its own.
         """
-        scene = self.scene if with_hand else _without_hand(self.scene)
+        replaced = hand or (None if with_hand else _no_hand)
+        scene = self.scene if replaced is None else _with_hands(self.scene, replaced)
         try:
             with build(scene) as self._experiment:
                 for drive in self.drives:
@@ -516,15 +539,27 @@ class Session:
 
         def read() -> Sequence[Truth]:
             self.truths = [drive.truth() for drive in far_side.drives] if far_side is not None else []
+            self._efforts = [drive.torque for drive in far_side.drives] if far_side is not None else []
             return self.truths
 
         cycle = Cycle(self.rig, laws, None, read if far_side is not None else None)
         run(cycle, cycles, lambda: self.stop_requested() or ready())
+        self.quanta = [drive.scaling.torque_quantum for drive in self.drives]
         return cycle
 
     def truth(self, axis: int) -> float | None:
         """Return the true position of a simulated axis at the last SYNC of the last run; None with a real one."""
         return self.truths[axis].position if self.truths else None
+
+    def effort(self, axis: int) -> float | None:
+        """Return the torque in force at a simulated axis at the last SYNC of the last run; None with a real one."""
+        return self._efforts[axis] if self._efforts else None
+
+    def shown(self, axis: int, torque: float) -> str:
+        """Torque [N or N*m] as text, in its unit and in per mille of the drive's own rated torque."""
+        parameters = self.axes[axis].parameters
+        per_mille = 1000.0 * self.drives[axis].quirks.torque_resolution * torque / self.quanta[axis]
+        return f"{torque:.3g} {effort_unit(parameters.unit)} ({per_mille:.3g} per mille)"
 
     def cycles(self, seconds: float) -> int:
         """Number of cycles in a time."""
@@ -574,10 +609,14 @@ class Session:
         self.report.propose(Value(self.axes[axis].parameters.name, key, value, unit, comment))
 
 
-def _without_hand(scene: Scene) -> Scene:
-    """Return the scene without a hand at its simulated handles."""
+def _no_hand(_: AxisScene) -> None:
+    """Return the hand at a handle that is let go."""
+
+
+def _with_hands(scene: Scene, hand: Callable[[AxisScene], Any]) -> Scene:
+    """Return the scene with other hands at its simulated handles."""
     axes = [
-        dataclasses.replace(axis, simulation=axis.simulation and dataclasses.replace(axis.simulation, user=None))
+        dataclasses.replace(axis, simulation=axis.simulation and dataclasses.replace(axis.simulation, user=hand(axis)))
         for axis in scene.axes
     ]
     return dataclasses.replace(scene, axes=tuple(axes))

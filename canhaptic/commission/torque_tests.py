@@ -1,7 +1,7 @@
 """First torque: a pulse that grows until something moves, then a sweep that identifies the moving mass."""
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,6 @@ from canhaptic.commission.mass_and_friction import (
 )
 from canhaptic.commission.session import OpenLoop, Session, StepVerdict, doublet, sweep
 
-_FIRST: Final = 0.01  # of the rated torque
 _PULSE: Final = 0.04  # [s]
 _REST: Final = 0.2  # [s] after a pulse
 _SEEN_COUNTS: Final = 20  # of motion in the first part of a pulse: enough to know its sign
@@ -33,8 +32,7 @@ _SHAKES: Final = 64  # of one sign or the other
 _RESOLVED_COUNTS: Final = 20  # of motion in one part of a shake: quantisation then changes the mass by 0.1 %
 _RIGID: Final = 0.1
 """Largest relative difference between the masses of a fast and of a slow motion on a stiff axis."""
-_SCALE_TOLERANCE: Final = 0.1
-_MASS_UNITS: Final = {"m": "kg", "rad": "kg*m^2"}
+MASS_UNITS: Final = {"m": "kg", "rad": "kg*m^2"}
 _UNDER: Final = 0.9
 _OVER: Final = 2.0
 _COMMENTS: Final = {
@@ -47,21 +45,22 @@ _COMMENTS: Final = {
 """Values of the device, and how far they are on the safe side."""
 
 
-def _largest_torque(session: Session, axis: int, part: float | None = None) -> float:
-    """Largest torque of commissioning [N or N*m].
-
-    Args:
-        session: Session with its limits.
-        axis: Index of the axis.
-        part: Share of the rated torque, or of the limit without one; None: the session's share.
-    """
+def largest_torque(session: Session, axis: int) -> float:
+    """Largest torque of commissioning [N or N*m]: a share of the rated torque, or of the limit without one."""
     parameters = session.axes[axis].parameters
     rated = parameters.rated_torque or parameters.torque_limit
-    return min((session.limits.torque if part is None else part) * rated, parameters.torque_limit)
+    return min(session.limits.torque * rated, parameters.torque_limit)
 
 
-def pulse(session: Session, axis: int) -> float | None:
-    """First estimate of the mass, or None when nothing more may be tried.
+class Pulse(NamedTuple):
+    """The first pulse that moved an axis."""
+
+    mass: float  # first estimate, as the encoder has it [kg or kg*m^2]
+    torque: float  # [N or N*m]
+
+
+def pulse(session: Session, axis: int) -> Pulse | None:
+    """Pulse from one count of 0x6071 on, doubled until motion is seen; None when nothing more may be tried.
 
     A motor that turns against its encoder makes every wall push inward: that ends the commissioning of the axis.
 
@@ -69,12 +68,14 @@ def pulse(session: Session, axis: int) -> float | None:
         RigError: Drive or link failed.
     """
     parameters = session.axes[axis].parameters
-    unit, most = effort_unit(parameters.unit), _largest_torque(session, axis)
-    asked = f"{parameters.name}: let go of the handle. Pulses of at most {most:.3g} {unit} and {4 * _PULSE:g} s now?"
+    torque, most = session.quanta[axis], max(session.quanta[axis], largest_torque(session, axis))
+    asked = (
+        f"{parameters.name}: let go of the handle. Pulses of {4 * _PULSE:g} s, from {session.shown(axis, torque)} to "
+        f"{session.shown(axis, most)} while nothing moves, now?"
+    )
     if not session.agreed(asked, "torque sign", [axis]):
         return None
     cycles = session.cycles(_PULSE)
-    torque = min(most, _largest_torque(session, axis, _FIRST))
     while True:
         session.coast(axis)
         law = session.play(axis, doublet(torque, cycles), 4 * cycles + session.cycles(_REST))
@@ -93,13 +94,15 @@ def pulse(session: Session, axis: int) -> float | None:
         return None
     if not seen:
         text = "more friction than torque, a brake, or no current; raise --torque with care"
-        session.found(axis, "torque sign", "+", f"no motion at {torque:.3g} {unit}", StepVerdict.UNKNOWN, text)
+        session.found(
+            axis, "torque sign", "+", f"no motion at {session.shown(axis, torque)}", StepVerdict.UNKNOWN, text
+        )
         return None
     right = moved > 0.0
     text = "torque and encoder disagree: every wall would pull in. Swap two motor phases, or 0x607E"
-    found = f"{moved:+.3g} {parameters.unit} at {torque:+.3g} {unit}"
+    found = f"{moved:+.3g} {parameters.unit} at {session.shown(axis, torque)}"
     session.judged(axis, "torque sign", "+", found, good=right, text=text, otherwise=StepVerdict.FAILED)
-    return torque * (cycles * session.sample_time) ** 2 / (2.0 * moved) if right else None  # as the encoder has it
+    return Pulse(torque * (cycles * session.sample_time) ** 2 / (2.0 * moved), torque) if right else None
 
 
 def _first_motion(law: OpenLoop, cycles: int) -> float:
@@ -110,7 +113,7 @@ def _first_motion(law: OpenLoop, cycles: int) -> float:
 
 
 def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
-    """Sweep a torque through frequencies and report mass, friction and the scale of the torque.
+    """Sweep a torque through frequencies and report mass and friction.
 
     Raises:
         RigError: Drive or link failed.
@@ -118,9 +121,9 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
     parameters = session.axes[axis].parameters
     lowest, highest, duration = _SWEEP
     swing = rough_mass * (2.0 * math.pi * lowest) ** 2 * session.limits.travel / 4.0
-    amplitude, limit = min((_largest_torque(session, axis), "--torque"), (swing, "--travel"))
-    unit = effort_unit(parameters.unit)
-    asked = f"{parameters.name}: hands off. A sweep of {amplitude:.3g} {unit}, {lowest:g} to {highest:g} Hz, now?"
+    amplitude, limit = min((largest_torque(session, axis), "--torque"), (swing, "--travel"))
+    sent = session.shown(axis, amplitude)
+    asked = f"{parameters.name}: hands off. A sweep of {sent}, {lowest:g} to {highest:g} Hz, now?"
     if not session.agreed(asked, "moving mass", [axis]):
         return
     for times in (1, 2, _LONGEST_SWEEP):
@@ -142,7 +145,6 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
         _report_mass(session, axis, rigid)
     _report_friction(session, axis, found)
     _report_least_friction(session, axis, found, curve)
-    _scale(session, axis, found)
     if not session.stop_requested():
         _declare(session, axis, rough_mass, None if rigid is None else declared_of(rigid, curve))
 
@@ -151,7 +153,7 @@ def _declare(session: Session, axis: int, rough_mass: float, values: dict[str, f
     """Propose measured values, then time the torque; None: without a mass, the hold alone is timed."""
     for key, value in (values or {}).items():
         session.propose(axis, f"passivity.{key}", value, _unit_of(session, axis, key), _COMMENTS[key])
-    time_the_torque(session, axis, _largest_torque(session, axis), rough_mass, values)
+    time_the_torque(session, axis, largest_torque(session, axis), rough_mass, values)
     if values is not None:
         propose_allowance(session, axis, values)
 
@@ -201,11 +203,11 @@ def _of_rotor(session: Session, axis: int, found: Dynamics) -> Dynamics | None:
     rotor (`mass_within`). Where it is neither, a resonance is near, and no mass is reported (None). A resonance far
     above a quarter of 1 / (that time) is not seen.
     """
-    parameters, torque = session.axes[axis].parameters, _largest_torque(session, axis)
-    item, unit = "mass on a shaft", _MASS_UNITS[parameters.unit]
+    parameters, torque = session.axes[axis].parameters, largest_torque(session, axis)
+    item, unit = "mass on a shaft", MASS_UNITS[parameters.unit]
     resolved = _RESOLVED_COUNTS / parameters.counts_per_unit * found.mass / torque
     holds = max(1, math.ceil(math.sqrt(resolved) / session.sample_time))
-    asked = f"{parameters.name}: hands off. A shake of {torque:.3g} {effort_unit(parameters.unit)}, now?"
+    asked = f"{parameters.name}: hands off. A shake of {session.shown(axis, torque)}, now?"
     if not session.agreed(asked, item, [axis]):
         return found
     signs = np.random.default_rng(1).choice([-1.0, 1.0], _SHAKES)
@@ -233,7 +235,7 @@ def _of_rotor(session: Session, axis: int, found: Dynamics) -> Dynamics | None:
 
 
 def _report_mass(session: Session, axis: int, found: Dynamics) -> None:
-    mass_unit = _MASS_UNITS[session.axes[axis].parameters.unit]
+    mass_unit = MASS_UNITS[session.axes[axis].parameters.unit]
     declared = session.axes[axis].loop.moving_mass
     text = f"+- {found.mass_error:.2g}"
     if declared is None:
@@ -263,7 +265,7 @@ def _report_friction(session: Session, axis: int, found: Dynamics) -> None:
 def _unit_of(session: Session, axis: int, key: str) -> str:
     """Return the unit of a value of `_COMMENTS`."""
     motion = session.axes[axis].parameters.unit
-    return _MASS_UNITS[motion] if "mass" in key else damping_unit(motion) if "damping" in key else effort_unit(motion)
+    return MASS_UNITS[motion] if "mass" in key else damping_unit(motion) if "damping" in key else effort_unit(motion)
 
 
 def _sure_damping(found: Dynamics) -> float:
@@ -285,23 +287,3 @@ def _report_least_friction(session: Session, axis: int, found: Dynamics, curve: 
     if declared is not None and declared > least:
         verdict, seen = StepVerdict.FAILED, f"{seen}; device_friction must be an under-estimate"
     session.found(axis, item, configured, f"{least:.3g} {unit}", verdict, seen)
-
-
-def _scale(session: Session, axis: int, found: Dynamics) -> None:
-    """Compare the mass found with a weighed one: the same ratio is wrong in every torque."""
-    axis_scene = session.axes[axis]
-    parameters, simulation = axis_scene.parameters, axis_scene.simulation
-    unit, mass_unit = effort_unit(parameters.unit), _MASS_UNITS[parameters.unit]
-    truth = None if simulation is None or simulation.effects else simulation.plant.mass
-    question = f"{parameters.name}: moving mass from a scale or a drawing (Enter when unknown)?"
-    known = session.dialogue.number(question, mass_unit, truth)
-    if not known or known <= 0.0 or parameters.rated_torque is None:
-        text = "hang a known weight or use a force gauge: rated_torque is as wrong as this is"
-        session.found(axis, "torque scale", "1", "not compared", StepVerdict.UNKNOWN, text)
-        return
-    ratio = found.mass / known
-    same = abs(ratio - 1.0) <= _SCALE_TOLERANCE
-    text = "every torque is wrong by this ratio"
-    session.judged(axis, "torque scale", "1", f"{1.0 / ratio:.4g}", good=same, text=text)
-    torque = None if same else parameters.rated_torque / ratio
-    session.propose(axis, "rated_torque", torque, unit, "by the mass that you gave")

@@ -60,7 +60,9 @@ def test_the_whole_scene_is_written_and_says_what_was_measured(
     assert "TO SET" not in out.read_text()
     assert {value["key"] for value in report["values"]} >= {"passivity.moving_mass", "passivity.current_lag"}
     kept = [line for line in scene.read_text().splitlines() if not set(line.split(":")) & {"  moving_mass"}]
-    assert len(set(kept) - set(out.read_text().splitlines())) <= 4  # node_id, counts_per_unit, rated_torque, bound
+    assert (
+        len(set(kept) - set(out.read_text().splitlines())) <= 5
+    )  # node_id, unit, counts_per_unit, rated_torque, bound
 
 
 @pytest.mark.parametrize(
@@ -108,7 +110,7 @@ def test_in_place_the_scene_before_is_kept(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "missing"),
     [
-        (["--speed", "1e-6"], "handle: moving mass: not verified"),
+        (["--speed", "1e-6"], "handle: torque sign: not verified"),
         (["--set", "axes.0.watchdog=false"], "handle: watchdog: OPERATION ENABLED"),
     ],
 )
@@ -203,11 +205,13 @@ ANSWERS = {
     "Enable the drives": "y",
     "press Enter": "",
     "how far was it": "0.1",
-    "Pulses of at most": "yes",
+    "Pulses of": "yes",
+    "by which means": "mass",
+    "moving mass, from a scale": "0.25 kg",
+    "Doublets of": "y",
     "A sweep of": "y",
     "A shake of": "y",
     "Reversals of": "y",
-    "moving mass from a scale": "0.25 kg",
     "A dither of": "y",
     "falls silent. Now": "y",
     "reset the faults": "y",

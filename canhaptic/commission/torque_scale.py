@@ -1,0 +1,217 @@
+"""Verification of the scale of the torque, before more than a few per mille of the drive's own are sent.
+
+A rated torque from a name plate, or a gear that was forgotten, makes every torque wrong by one ratio, `torque_limit` as
+well, and no certificate notices it: what is known must come from outside of the drive. Either the moved mass is known,
+and doublets of a torque measure it; or the drive lifts a known weight on an arm; or it pushes against a spring balance.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from canhaptic.axis_units import effort_unit
+from canhaptic.commission.mass_and_friction import SURE, estimate
+from canhaptic.commission.session import NO_TORQUE, OpenLoop, Session, StepVerdict, reversals
+from canhaptic.commission.torque_tests import MASS_UNITS, Pulse, largest_torque, pulse
+from canhaptic.scene.models import AxisScene
+
+SCALE: Final = "torque scale"
+"""Name of the step in the report."""
+_MEANS: Final = ("weight", "balance", "mass", "no")
+_TOLERANCE: Final = 0.1
+_SHARP: Final = 0.05  # part of a mass that its standard deviations may take, and it still verifies a scale
+_DOUBLETS: Final = 32
+_SHORTEST, _LONGEST = 4, 60  # cycles of their first part
+_PART: Final = 0.4  # of travel and speed that they may use
+_STEP: Final = 0.1  # [s] for which a rising torque keeps each value
+_SEEN: Final = 20  # counts of motion of a weight that was lifted
+_UNATTENDED: Final = 10  # steps after which a simulated balance is read
+_STIFF: Final = 100.0  # of a simulated balance: largest torques per travel
+
+
+class RisingTorque(OpenLoop):
+    """A torque that rises count by count; with `lifts` it falls again when the axis has moved, until that comes back.
+
+    Attributes:
+        up: Torque with which the axis was lifted, 0 before [N or N*m].
+        down: Torque with which it came back, 0 before [N or N*m].
+    """
+
+    def __init__(
+        self, quantum: float, most: float, holds: int, travel: float, largest_step: float, seen: float, *, lifts: bool
+    ) -> None:
+        self._quantum, self._most, self._holds, self._seen, self._lifts = quantum, most, holds, seen, lifts
+        super().__init__(NO_TORQUE, travel, largest_step)
+
+    def reset(self) -> None:
+        """Clear the record, and begin with one count."""
+        super().reset()
+        self.up = self.down = self._present = 0.0
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether no torque follows."""
+        is_over = self._lifts and not self.up and self._present > self._most
+        return bool(self.tripped or self.down or is_over)
+
+    def next_torque(self) -> float:
+        """Torque of the next hold [N or N*m]."""
+        moved = self.positions[-1] - self.positions[0]
+        if self._lifts and not self.up and moved >= self._seen:
+            self.up = self._present
+        elif self.up and max(self.positions) - self.positions[-1] >= self._seen:
+            self.down = max(self._present, self._quantum)
+        if (len(self.positions) - 1) % self._holds == 0:
+            self._present += -self._quantum if self.up else self._quantum
+        if self.has_ended:
+            return 0.0
+        return max(0.0, min(self._present, self._most))
+
+
+def verified_axes(session: Session) -> dict[int, Pulse]:
+    """Send the first torque to every axis and verify its scale; return the first pulses of the axes that agree.
+
+    Raises:
+        RigError: Drive or link failed.
+    """
+    firsts: dict[int, Pulse] = {}
+    means: dict[int, str] = {}
+    with session.rig_of(with_hand=False):
+        for axis, scene in enumerate(session.axes):
+            first = None if session.stop_requested() else pulse(session, axis)
+            if first is None:
+                continue
+            question = f"{scene.parameters.name}: by which means is the scale of the torque verified?"
+            firsts[axis], means[axis] = first, session.dialogue.choose(question, _MEANS, _means_of(scene))
+            if means[axis] == "mass":
+                _judge(session, axis, "mass", _by_mass(session, axis, first))
+    for axis, word in means.items():
+        if word == "no":
+            text = "no further torque: a wrong scale is wrong in torque_limit too"
+            session.found(axis, SCALE, "1", "not compared", StepVerdict.UNKNOWN, text)
+        elif word != "mass" and not session.stop_requested():
+            hand = _balance(session) if word == "balance" else None
+            with session.rig_of(with_hand=True, hand=hand):
+                _judge(session, axis, word, _by_force(session, axis, word))
+    return {axis: first for axis, first in firsts.items() if axis in session.verified}
+
+
+def _means_of(axis: AxisScene) -> str:
+    """Means that a simulated plant offers; its mass is known where nothing else moves with it."""
+    return "mass" if axis.simulation is None or not axis.simulation.effects else "balance"
+
+
+def _balance(session: Session) -> Callable[[AxisScene], object]:
+    """Hand at each simulated handle that holds it as a spring balance does."""
+
+    def hand(axis: AxisScene) -> object:
+        simulation = axis.simulation
+        if simulation is None or simulation.user is None:
+            return None
+        most = axis.parameters.rated_torque or axis.parameters.torque_limit
+        stiffness = _STIFF * session.limits.torque * most / session.limits.travel
+        damping = math.sqrt(stiffness * simulation.plant.mass)
+        rest = {"rest": simulation.plant.initial_position, "motion": None, "push": 0.0}
+        return simulation.user.model_copy(update={"stiffness": stiffness, "damping": damping, **rest})
+
+    return hand
+
+
+def _by_mass(session: Session, axis: int, first: Pulse) -> float | None:
+    """Ratio of the true torque to the assumed one, by the known mass and doublets; None where it stays unclear.
+
+    They begin with the torque of the first pulse that was seen, which is raised only while the axis moved too little.
+    """
+    scene = session.axes[axis]
+    name, simulation = scene.parameters.name, scene.simulation
+    truth = None if simulation is None or simulation.effects else simulation.plant.mass
+    question = f"{name}: moving mass, from a scale or a drawing?"
+    known = session.dialogue.number(question, MASS_UNITS[scene.parameters.unit], truth)
+    torque, most = first.torque, largest_torque(session, axis)
+    sent = f"{session.shown(axis, torque)}, and of {session.shown(axis, most)} at most"
+    asked = f"{name}: hands off. Doublets of {sent} while it moves too little, now?"
+    if not known or known <= 0.0 or not session.agreed(asked, SCALE, [axis]):
+        return None
+    while True:
+        law, longest = _doublets(session, axis, torque, torque / first.mass)
+        if law.tripped or session.stop_requested():
+            return None
+        positions = np.array(law.positions) / session.encoder_ratios[axis]  # a wrong encoder is not a wrong mass
+        found = estimate(positions, np.array(law.applied), session.sample_time, longest)
+        if found is not None and 0.0 < SURE * found.mass_error <= _SHARP * found.mass:
+            return known / found.mass
+        if torque >= most:
+            return None
+        torque = min(most, 2.0 * torque)
+
+
+def _doublets(session: Session, axis: int, torque: float, acceleration: float) -> tuple[OpenLoop, int]:
+    """Motion under doublets of a torque [N or N*m], and the cycles of the first part of the longest, within the limits.
+
+    The acceleration is an estimate [m/s^2 or rad/s^2], so that a part of the limits is used.
+    """
+    wanted = min(math.sqrt(_PART * session.limits.travel / acceleration), _PART * session.limits.speed / acceleration)
+    longest = max(_SHORTEST, min(_LONGEST, session.cycles(wanted)))
+    session.coast(axis)
+    torques = reversals(torque, longest, _DOUBLETS)
+    return session.play(axis, torques, len(torques) + 2), longest
+
+
+def _by_force(session: Session, axis: int, means: str) -> float | None:
+    """The same by a weight that is lifted, or by a spring balance that holds the handle; None where it is unclear."""
+    parameters = session.axes[axis].parameters
+    name, unit, most = parameters.name, effort_unit(parameters.unit), parameters.torque_limit
+    lifts, quantum, known = means == "weight", session.quanta[axis], None
+    if lifts:
+        known = session.dialogue.number(
+            f"{name}: torque of the weight (mass, times 9.81 m/s^2, times arm)?", unit, None
+        )
+    held = "the weight on its support, so that + lifts it" if lifts else "the handle held at rest by a spring balance"
+    asked = (
+        f"{name}: {held}. A torque that rises from {session.shown(axis, quantum)} to {session.shown(axis, most)}, now?"
+    )
+    if (lifts and not known) or not session.agreed(asked, SCALE, [axis]):
+        return None
+    holds, limits = session.cycles(_STEP), session.limits
+    seen = _SEEN / parameters.counts_per_unit
+    law = RisingTorque(quantum, most, holds, limits.travel, limits.speed * session.sample_time, seen, lifts=lifts)
+    pressed = _never if lifts else session.dialogue.until_ready(
+        f"{name}: press Enter at a reading of the balance that you can name", _UNATTENDED * holds
+    )  # fmt: skip
+    laws = [law if n == axis else OpenLoop(NO_TORQUE) for n in range(len(session.axes))]
+    cycles = 2 * holds * (2 + math.ceil(most / quantum))
+    session.run(laws, cycles, lambda: law.has_ended or pressed())
+    sent = 0.5 * (law.up + law.down) if law.up and law.down else 0.0
+    if not lifts:
+        sent = law.applied[-1] if law.applied and not law.tripped else 0.0
+        known = session.dialogue.number(f"{name}: reading of the balance, times its arm?", unit, session.effort(axis))
+    if not sent or not known or session.stop_requested():
+        session.dialogue.tell(f"  {name}: {SCALE}: {law.tripped or 'nothing was lifted, or read'}")
+        return None
+    return abs(known / sent)
+
+
+def _never() -> bool:
+    return False
+
+
+def _judge(session: Session, axis: int, means: str, ratio: float | None) -> None:
+    """Report a ratio of true to assumed torque, and propose what follows from it."""
+    parameters = session.axes[axis].parameters
+    if ratio is None:
+        text = "unclear; take another means, or raise --torque or --travel"
+        session.found(axis, SCALE, "1", "not compared", StepVerdict.UNKNOWN, text)
+        return
+    same = abs(ratio - 1.0) <= _TOLERANCE
+    text = "every torque is wrong by this ratio, torque_limit too; correct it, then commission again"
+    session.judged(axis, SCALE, "1", f"{ratio:.4g}", good=same, text=text)
+    key = "transmission" if parameters.rated_torque is None else "rated_torque"
+    if same:
+        session.verified.add(axis)
+        session.propose(axis, "torque_verified", means, comment="the scale of the torque agrees")
+        session.propose(axis, key, None, comment=f"agrees, by {means}")
+        return
+    unit = effort_unit(parameters.unit) if key == "rated_torque" else ""
+    session.propose(axis, key, getattr(parameters, key) * ratio, unit, f"by {means}")
