@@ -118,8 +118,7 @@ _SIMULATION_TEXT: Final = Template("""
 # The machine behind the simulated drive. Remove this section and name the real interface under `bus`.
 simulation:
   drive:
-    rated_torque: $rated N*m
-$objects  plant:
+$rated$objects  plant:
     mass: $mass kg*m^2
     damping: $bearings N*m*s/rad
 $between  user: # $hand
@@ -135,13 +134,13 @@ def number(value: float) -> str:
 
 
 def simulated_machine(
-    rated: float, objects: str, mass: float, bearings: float, limit: float, hand: str, between: str = "",
+    rated: str, objects: str, mass: float, bearings: float, limit: float, hand: str, between: str = "",
     motion: tuple[float, float] = (0.15, 0.5),
 ) -> str:  # fmt: skip
     """Return the section `simulation`.
 
     Args:
-        rated: Rated torque [N*m].
+        rated: Line with the rated torque; "" where 0x6076 tells it.
         objects: Lines of `simulation.drive`.
         mass: Moved inertia [kg*m^2].
         bearings: Damping of the bearings [N*m*s/rad].
@@ -151,7 +150,7 @@ def simulated_machine(
         motion: Amplitude [rad] and frequency [Hz] of the hand.
     """
     return _SIMULATION_TEXT.substitute(
-        rated=f"{rated:g}", objects=objects, mass=number(mass), bearings=number(bearings), between=between, hand=hand,
+        rated=rated, objects=objects, mass=number(mass), bearings=number(bearings), between=between, hand=hand,
         amplitude=motion[0], frequency=motion[1],
         stiffness=number(3.0 * limit), hand_damping=number(0.25 * limit),
     )  # fmt: skip
@@ -263,8 +262,8 @@ def display_rendered(display: AdmittanceParameters, limit: float, sample_time: f
     )
 
 
-def display_simulation(display: AdmittanceParameters, objects: str, rated: float, limit: float) -> str:
-    """Return the simulated rig; `objects` are lines of `simulation.drive`."""
+def display_simulation(display: AdmittanceParameters, objects: str, rated: str, limit: float) -> str:
+    """Return the simulated rig; `objects` and `rated` are lines of `simulation.drive`."""
     mass, gain = _INERTIA * limit, _gain(limit)
     between = _BETWEEN.substitute(
         gain=number(gain),
@@ -379,7 +378,7 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
         **_axis_values(found, drive, limit),
         limit=f"{limit:g}",
         rendered=_rendered(found, limit, simulate=simulate),
-        simulation=_simulation(found, rated, limit) if simulate else "",
+        simulation=_simulation(found, rated, limit, _resolution_of(drive)) if simulate else "",
     )
     return _aligned(text).replace(_EDS_TOKEN, json.dumps(path_for_scene(found.path, out), ensure_ascii=False))
 
@@ -568,14 +567,19 @@ def _scaled(limit: float) -> dict[str, str]:
     }
 
 
-def _simulation(found: Survey, rated: float, limit: float) -> str:
-    objects = missing_values(found, 1.0 / _rate(found))
+def _simulation(found: Survey, rated: float, limit: float, resolution: float) -> str:
+    """Return the section; `rated` [N*m] is the motor's, in 0x6076 where the drive has it, so that a gear may follow."""
+    objects, line = missing_values(found, 1.0 / _rate(found)), f"    rated_torque: {rated:g} N*m\n"
+    if od.RATED_TORQUE in found.dictionary:
+        line = ""
+        if not stated_value(found.dictionary, od.RATED_TORQUE):
+            objects[_key((od.RATED_TORQUE, 0))] = str(round(rated / resolution))
     lines = "".join(
         f"      {key}: {value}          # the dictionary gives none, or that of another rig\n"
         for key, value in objects.items()
     )
     given, display = f"    objects:\n{lines}" if objects else "", found.axis.admittance
     if display is not None:
-        return display_simulation(display, given, rated, limit)
+        return display_simulation(display, given, line, limit)
     hand = "a hand that follows a slow sine and meets the wall on the way"
-    return simulated_machine(rated, given, 0.0125 * limit, 0.005 * limit, limit, hand)
+    return simulated_machine(line, given, 0.0125 * limit, 0.005 * limit, limit, hand)

@@ -8,6 +8,7 @@ import pytest
 from tests.journeys.person import FIT, OURS, UNFIT, Person, dictionary
 
 MODES = {"CST": (), "CSV": ("--display", "velocity"), "CSP": ("--display", "position")}
+GEARED = ("--set", "axes.0.transmission=14")
 STATUSES = re.compile(r"Simulation: (?:ready|unfit|no section `simulation`)\. Hardware: (\d+ values to set|unfit)")
 
 
@@ -39,6 +40,8 @@ def test_check_eds_new_check_and_run_agree(
         assert len(checked["to_set"]) == int(said.split()[0])
         if simulate:
             person.runs(scene, "--duration", "0.02")
+            if "transmission:" in (person.folder / scene).read_text():  # the twin's motor has the gear too
+                person.runs(scene, "--duration", "0.02", *GEARED)
         else:
             person.types("run", scene, "--bus-log", "frames.log", status=2)
             assert hardware(person.errors) == said
