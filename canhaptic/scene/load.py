@@ -18,8 +18,9 @@ from canhaptic.scene.components import CodeUse, ComponentSpec
 from canhaptic.scene.cross_checks import cross_check
 from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation, mark_plain, parse_yaml, read_mapping
 from canhaptic.scene.layout import SECTIONS, laid_out
-from canhaptic.scene.models import AxisScene, Scene, SceneContext, scene_adapter
+from canhaptic.scene.models import AxisScene, AxisSimulation, Scene, SceneContext, scene_adapter
 from canhaptic.scene.timing import with_device_bounds, with_timing
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters, substeps_for
 
 MAX_BYTES: Final = 1_000_000
 _PROGRAM: Final = {"program": "canhaptic.control.passivity.asked_torque:Program"}
@@ -164,6 +165,16 @@ def _validated(
     return None
 
 
+def _accuracy_of(axis: AxisScene, simulation: AxisSimulation, scene: Scene) -> AccuracyParameters:
+    """Return the accuracy that the scene gives; substeps that it does not give follow from its effects."""
+    if "substeps" in scene.accuracy.model_fields_set:
+        return scene.accuracy
+    torque = axis.parameters.torque_limit or axis.parameters.rated_torque or 0.0
+    named = [getattr(effect.parameters, "fastest", None) for effect in simulation.effects]
+    rates = [fastest(simulation.plant.mass, torque) for fastest in named if fastest is not None]
+    return scene.accuracy.model_copy(update={"substeps": substeps_for(rates, scene.bus.sample_time)})
+
+
 def _completed(scene: Scene) -> Scene:
     """Scene whose simulated plants have the common seed and accuracy."""
     whole = scene.simulation
@@ -171,7 +182,7 @@ def _completed(scene: Scene) -> Scene:
         return scene
     axes = (
         axis if axis.simulation is None else replace(axis, simulation=replace(
-            axis.simulation, seed=whole.seed + index, accuracy=scene.accuracy
+            axis.simulation, seed=whole.seed + index, accuracy=_accuracy_of(axis, axis.simulation, scene)
         ))
         for index, axis in enumerate(scene.axes)
     )  # fmt: skip

@@ -27,12 +27,15 @@ from canhaptic.sim.plant.propagator import Array
 _PRODUCTS: Final = 6_000
 """Products of the plant that is timed: about 25 ms; the halved steps cost six times that."""
 _FEWEST, _MOST = 50, 1000  # periods
+_LOOKED_AT: Final = 300  # periods, for figures of many loops
 _BITS_COARSER: Final = 6
 _NS_PER_US: Final = 1e3
 _FLOOR: Final = 1e-9
 """Part of the travel below which differences show no order."""
 _COARSE: Final = 0.03
 """Part of the travel: at larger differences of halved steps no order can be relied on."""
+_DETENTS: Final = 6.0
+"""Detents in a substep from which halves and thirds of it may both be whole numbers of them."""
 _SUSPECT: Final = 1e3
 """Times the bracket of events: a difference of halved steps above it is no matter of brackets."""
 
@@ -134,15 +137,50 @@ def estimated_error(simulation: AxisSimulation, torques: Sequence[float], sample
     if plant.is_exact:
         doubt = _moved(step, travel) if step > _SUSPECT * max(bracket, _FLOOR * travel) else ""
         return ErrorEstimate(max(bracket, 2.0 * step), travel, doubt)
-    order = declared_order(simulation) or 1
+    order, passed = declared_order(simulation) or 1, 0.0
+    pitches = [float(of.parameters.pitch) for of in simulation.effects if hasattr(of.parameters, "pitch")]
+    if pitches:  # over whole detents halves show nothing: thirds do, up to six of them
+        step = max(step, runs.between(accuracy, 1, 3))
+        passed = float(np.abs(np.diff(runs.of(accuracy))).max(initial=0.0)) / accuracy.substeps / min(pitches)
     error = step * 2.0**order / (2.0**order - 1.0) + bracket
     slow = step > _FLOOR * travel and runs.between(accuracy, 2, 4) > step * 2.0 ** (-0.5 * order)
     doubt = f"{_moved(step, travel)}; raise accuracy.substeps" if slow or step > _COARSE * travel else ""
+    if passed >= _DETENTS:
+        doubt = f"a substep passes {passed:.2g} detents, in which no error shows; raise accuracy.substeps"
     return ErrorEstimate(error, travel, doubt)
 
 
 def _moved(step: float, travel: float) -> str:
     return f"halving the steps moves the position by {100.0 * step / travel:.2g} % of its travel"
+
+
+def plant_errors(scene: Scene) -> list[str]:
+    """Return one line for each plant that is not exact: its estimated error, or ERROR NOT KNOWN and why.
+
+    For commands that show figures of many loops of a scene: the error is that of the scene as it is given.
+    """
+    lines = []
+    for axis in scene.axes:
+        if scene.unread or axis.simulation is None or declared_order(axis.simulation) is None:
+            continue
+        lines.append(f"plant of {axis.parameters.name}: {_error_of(axis, axis.simulation, scene)}")
+    return lines
+
+
+def _error_of(axis: AxisScene, simulation: AxisSimulation, scene: Scene) -> str:
+    if axis.group or axis.parameters.admittance is not None:
+        return "not exact, ERROR NOT KNOWN: it is estimated for an axis that renders by itself"
+    whole = _MOST if scene.run.duration is None else round(scene.run.duration / scene.bus.sample_time)
+    holds = max(2, min(_LOOKED_AT, whole))
+    try:
+        torques = torque_history(axis, scene, holds, simulation.accuracy)
+        error = estimated_error(simulation, torques, scene.bus.sample_time_ns)
+    except CanHapticError as problem:
+        return f"not exact, ERROR NOT KNOWN: {problem}"
+    if error is None or error.doubt:
+        return f"not exact, ERROR NOT KNOWN over {holds} periods: {error.doubt if error else ''}"
+    share = f"{error.size / error.travel:.1g} of its travel"
+    return f"not exact, estimated error {error.size:.1g} {axis.parameters.unit}, {share}, over {holds} periods"
 
 
 class _Runs:

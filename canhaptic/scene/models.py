@@ -458,6 +458,10 @@ class Scene:
                 if getattr(axis.parameters, key) == default:
                     del resolved["axes"][axis.parameters.name][key]
             _drop_later(resolved["axes"][axis.parameters.name])
+            if axis.simulation is not None and "substeps" not in self.accuracy.model_fields_set:
+                resolved["axes"][axis.parameters.name]["simulation"]["accuracy"]["substeps"] = (
+                    1  # follows from the rest
+                )
             if self.auto_accuracy is not None and axis.simulation is not None:
                 del resolved["axes"][axis.parameters.name]["simulation"]["accuracy"]
         for group in self.groups:

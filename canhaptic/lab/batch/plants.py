@@ -50,7 +50,7 @@ from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.assembly import PlantModel, collect
 from canhaptic.sim.plant.effort_forces import RIPPLE, Bristle, Effort, bend, mean_force
 from canhaptic.sim.plant.hybrid_automaton import PRODUCTS_EACH, HybridAutomaton
-from canhaptic.sim.plant.mode_arrays import Books, flat_tables, move
+from canhaptic.sim.plant.mode_arrays import Books, move
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import TICKS, flow_changes
 from canhaptic.sim.plant.splitting import fixed_point, mean_torque
@@ -463,7 +463,7 @@ class EventModes:
         )
 
     def _tables(self) -> ModeTables:
-        tables = flat_tables(self._machine.modes, self._machine.targets, len(self._machine.scene.works))
+        tables = mode_arrays.flat_tables(self._machine.modes, self._machine.targets, len(self._machine.scene.works))
         size = len(self._machine.scene.names) if self._is_booked else 0
         return ModeTables(*map(self._form, tables._replace(works=tables.works[..., : 2 * size])))
 

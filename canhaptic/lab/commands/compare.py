@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, TypeVar
 
 from canhaptic.cli.long_command import run_progress
 from canhaptic.cli.options import check_picture, scene_of
-from canhaptic.cli.output import note_file, write_json
+from canhaptic.cli.output import note_file, write_json, write_note
 from canhaptic.errors import InputError
 from canhaptic.lab.loop.axis_loop import chosen_algorithms, cycles_of, own_algorithms
 from canhaptic.lab.studies.compare import compare
+from canhaptic.scene.method import plant_errors
 from canhaptic.scene.models import Scene
 from canhaptic.view.energy_table import make_console
 
@@ -27,6 +28,8 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: A scene, an algorithm or a picture that cannot be used.
     """
     scene = scene_of(arguments)
+    for line in plant_errors(scene):
+        write_note(f"  {line}")
     if all(axis.parameters.admittance is not None for axis in scene.axes):
         return _compare_displays(scene, arguments)
     if scene.groups:

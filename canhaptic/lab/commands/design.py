@@ -3,11 +3,12 @@
 import argparse
 
 from canhaptic.cli.options import scene_of
-from canhaptic.cli.output import write_json
+from canhaptic.cli.output import write_json, write_note
 from canhaptic.lab.commands.scene_progress import scene_progress
 from canhaptic.lab.render.design_report import design_report, snippet
 from canhaptic.lab.studies.design.wall import design_wall
 from canhaptic.lab.studies.sweep.run_sweep import Progress
+from canhaptic.scene.method import plant_errors
 from canhaptic.scene.models import Scene
 from canhaptic.view.energy_table import make_console
 
@@ -20,6 +21,8 @@ def execute(arguments: argparse.Namespace) -> int:
         CheckFailedError: No wall at all is rendered.
     """
     scene = scene_of(arguments)
+    for line in plant_errors(scene):
+        write_note(f"  {line}")
     if all(axis.parameters.admittance is not None for axis in scene.axes):
         return _design_displays(scene, arguments)
     with scene_progress("trying walls") as show:

@@ -3,7 +3,7 @@
 import argparse
 
 from canhaptic.cli.options import check_page, check_picture
-from canhaptic.cli.output import note_file, write_json, write_line
+from canhaptic.cli.output import note_file, write_json, write_line, write_note
 from canhaptic.lab.studies.map import Chosen, Lines, Panel, fields_of, panels_of, passing_share, usual_judgement
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.logs.repair import require_readable
@@ -25,6 +25,8 @@ def execute(arguments: argparse.Namespace) -> int:
         chosen = Chosen(arguments.x, arguments.y, arguments.metric, arguments.by)
         columns = panels_of(fields, chosen)
         caption = f"{table.note('source')}   {'  '.join(entry['given'] for entry in table.identity['varied'])}"
+        for line in table.note("plant_errors").splitlines():
+            write_note(f"  {line}; of the scenes that vary ERROR NOT KNOWN")
         shares = {one.algorithm: passing_share(one, arguments.by or usual_judgement(one)) for one in fields}
     if arguments.json:
         write_json({"file": str(arguments.file), "passing": shares, "lines": _lines(columns)})

@@ -46,12 +46,14 @@ def execute(arguments: argparse.Namespace) -> int:
                 **_options(arguments),
             )
         with SweepTable(out) as table:
-            found = summary(table)
+            found, errors = summary(table), table.note("plant_errors")
     found["file"] = None if arguments.out is None else found["file"]
     if arguments.json:
         write_json(found)
     else:
         make_console().print(summary_report(found))
+    for line in errors.splitlines():
+        write_note(f"  {line}; of the scenes that vary ERROR NOT KNOWN")
     _note(arguments.out, state, stop.requested())
     return stop.exit_status
 

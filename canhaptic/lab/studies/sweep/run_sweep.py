@@ -47,6 +47,7 @@ from canhaptic.lab.studies.sweep.chunk import (
 )
 from canhaptic.lab.studies.sweep.sweep_table import Columnset, SweepTable, create
 from canhaptic.lab.studies.sweep.vary import Points, Varied, make_points, parse_vary
+from canhaptic.scene.method import plant_errors
 from canhaptic.scene.models import Scene
 
 T = TypeVar("T")
@@ -434,6 +435,7 @@ def _hash(varied: Varied) -> str:
 def _columns(scene: Scene, asked: _Sweep) -> Columnset:
     figures = tuple(f"{axis}/{metric}" for axis in asked.recipe.axes for metric in asked.recipe.metrics)
     notes = {"scene": scene.text, "source": scene.source, "overrides": json.dumps(scene.overrides)}
+    notes["plant_errors"] = "\n".join(plant_errors(scene))
     return Columnset(figures, asked.identity, notes)
 
 

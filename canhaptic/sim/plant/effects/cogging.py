@@ -6,6 +6,7 @@ Energy: stored. Typical: 0.5..3 % of the rated torque, pitch = one turn / lcm(po
 Source: Hanselman, "Brushless Permanent Magnet Motor Design", 2nd ed., 2003, ch. 4.
 """
 
+import math
 from typing import Annotated, ClassVar, Literal
 
 from canhaptic.sim.plant.assembly import PlantModel
@@ -30,3 +31,7 @@ class Cogging(Parameters):
     def add_to(self, scene: PlantModel) -> None:
         """Add the effort."""
         scene.efforts.append(EffortForce(Effort(DETENT, self.amplitude, self.pitch, self.phase), None))
+
+    def fastest(self, mass: float, torque: float) -> float:
+        """Return the natural frequency of a mass [kg or kg*m^2] on the stiffness of a detent [rad/s]."""
+        return math.sqrt(2.0 * math.pi * self.amplitude / (self.pitch * mass))

@@ -11,6 +11,7 @@ Ortega, IEEE Trans. Automatic Control 45(7), 2000); beyond it `dissipated` may f
 Source: Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE Trans. Automatic Control 40(3), 1995.
 """
 
+import math
 from typing import Annotated, ClassVar, Literal
 
 from canhaptic.sim.plant.assembly import PlantModel
@@ -48,3 +49,7 @@ class LuGreFriction(DryFriction):
             viscous=self.viscous,
         )
         scene.efforts.append(EffortForce(effort, "dissipated"))
+
+    def fastest(self, mass: float, torque: float) -> float:
+        """Return the natural frequency of a mass [kg or kg*m^2] on the stiffness of the bristles [rad/s]."""
+        return math.sqrt(self.bristle_stiffness / mass)

@@ -33,3 +33,7 @@ class StribeckFriction(DryFriction):
         scene.parts.append(StickSlip(self.type, self, velocity))
         levels = {"kinetic": self.kinetic, "static": self.static, "stribeck_velocity": self.stribeck_velocity}
         scene.efforts.append(EffortForce(Effort(FALLING, **levels), "dissipated"))
+
+    def fastest(self, mass: float, torque: float) -> float:
+        """Return the rate at which the falling friction speeds a mass [kg or kg*m^2] up [1/s]."""
+        return (self.static - self.kinetic) / (self.stribeck_velocity * mass)

@@ -5,6 +5,7 @@ true motor work then differs from the one computed from the torque demand by at 
 Typical: 1..5 % at the 6th electrical harmonic. Source: Hanselman, "Brushless Permanent Magnet Motor Design", 2003.
 """
 
+import math
 from typing import Annotated, ClassVar, Literal
 
 from canhaptic.sim.plant.assembly import PlantModel
@@ -29,3 +30,7 @@ class TorqueRipple(Parameters):
     def add_to(self, scene: PlantModel) -> None:
         """Add the effort."""
         scene.efforts.append(EffortForce(Effort(RIPPLE, self.amplitude, self.pitch, self.phase), "motor"))
+
+    def fastest(self, mass: float, torque: float) -> float:
+        """Return the natural frequency of a mass [kg or kg*m^2] on the ripple of the largest torque [rad/s]."""
+        return math.sqrt(2.0 * math.pi * self.amplitude * torque / (self.pitch * mass))
