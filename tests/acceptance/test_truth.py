@@ -217,3 +217,14 @@ def test_a_torque_in_another_hold_is_booked_right_where_it_is_declared_and_wrong
     assert judge is not None
     error = judge.believed_error[0]
     assert error < 5e-5 if is_booked else error > 1e-2
+
+
+@pytest.mark.parametrize("seed", [30039, 30243])  # detents, and a slot whose hand pushes harder than was guessed
+def test_where_an_environment_turns_a_hand_keeps_its_words_by_where_the_handle_is(seed):
+    drawn = random_scene(seed)
+    scene, outcome = judged(drawn)
+    assert outcome.declared
+    assert outcome.false_claims == ()
+    assert outcome.says_yes
+    assert outcome.peak > 3.0
+    assert scene.passivity["hand_push"] > (1.2 if seed == 30243 else 0.99) * drawn.passivity["hand_push"]

@@ -30,8 +30,10 @@ class HandWatch:
         outward: Sign of the direction out of the wall, of each axis; 0 where it is that of the torque.
 
     Attributes:
-        pull: Largest force out of the wall while a torque points there; per axis [N or N*m].
-        push: Largest force into the wall while a torque points there; per axis [N or N*m].
+        pull: Largest force out of the wall while a torque points there; per axis [N or N*m]. Where an environment of
+            one axis turns: along the torque of its effort where the handle is, while any torque acts.
+        push: Largest force into the wall while a torque points there; per axis [N or N*m]. Where an environment turns:
+            against that torque, and either way without an effort.
         speed: Largest mean speed of a hold; per axis [m/s or rad/s].
     """
 
@@ -39,8 +41,13 @@ class HandWatch:
         self._rig = experiment.rig
         self._forces = _readers(experiment)
         self._outward = tuple(outward)
+        self._turning: list[Any] = [
+            None if side or axis.group else axis.environment.parameters
+            for side, axis in zip(outward, experiment.scene.axes, strict=True)
+        ]
         self._seen: list[deque[float]] = [deque(maxlen=_MEMORY) for _ in self._forces]
         self._torques: list[deque[float]] = [deque(maxlen=_MEMORY) for _ in self._forces]
+        self._words: list[deque[float]] = [deque(maxlen=_MEMORY) for _ in self._forces]
         self.pull = [0.0] * len(self._forces)
         self.push = [0.0] * len(self._forces)
         self.speed = [0.0] * len(self._forces)
@@ -57,9 +64,24 @@ class HandWatch:
         for axis, read in enumerate(self._forces):
             self._seen[axis].append(read())
             self._torques[axis].append(self._rig.drives[axis].scaling.torque(sent[axis]))
+            if self._turning[axis] is not None:
+                self._take_words(axis)
+                continue
             for sign in (1, -1):
                 if any(torque * sign > 0.0 for torque in self._torques[axis]):
                     self._take(axis, sign, max(force * sign for force in self._seen[axis]))
+
+    def _take_words(self, axis: int) -> None:
+        """Takes the force of the hand by the words that hold where the handle is."""
+        environment, position, force = self._turning[axis], self._motors[axis].position, self._seen[axis][-1]
+        effort = 0.0
+        if environment.contact(position):
+            effort = environment.effort(environment.true_state(position, 0.0, 0.0))
+        along = -force * math.copysign(1.0, effort) if effort else -abs(force)
+        self._words[axis].append(along)
+        if any(self._torques[axis]):
+            self.pull[axis] = max(self.pull[axis], _BETWEEN_SYNCS * max(self._words[axis]))
+            self.push[axis] = max(self.push[axis], -_BETWEEN_SYNCS * min(self._words[axis]))
 
     def _take(self, axis: int, sign: int, force: float) -> None:
         outward = self._outward[axis]

@@ -111,10 +111,22 @@ def random_scene(seed: int, *, further: bool = True) -> TruthScene:
         make_five_bar(np.random.default_rng([seed, 22]), values)
     if further:
         outward = add_further(seed, values, chance.tags, outward)
+    if outward == (0,) and "algorithm:guarded" in chance.tags:
+        _declare_push(np.random.default_rng([seed, 16]), values, chance.tags)
         outward = draw_program(seed, values, chance.tags, outward)
     _declare_falsely(chance, values)
     chance.tags.add(f"rate:{rate}")
     return TruthScene(seed, values, frozenset(chance.tags), outward, values["duration"])
+
+
+def _declare_push(random: np.random.Generator, values: dict[str, Any], tags: set[str]) -> None:
+    """Declares the push of the hand where an environment turns, and makes some slots narrow."""
+    section, environment = values["passivity"], values["environment"]
+    if section.get("hand_force") is not None:
+        section.setdefault("hand_push", float(f"{10.0 ** random.uniform(0.3, 1.3):.4g}"))
+        tags.add("declares:hand_push")
+    if environment["type"] == "two_sided_wall" and random.random() < 0.5:
+        environment["upper"] = float(f"{10.0 ** random.uniform(-4.0, -2.0):.4g}")
 
 
 def _declare_falsely(chance: _Chance, values: dict[str, Any]) -> None:
