@@ -5,7 +5,7 @@ all declarations true (`tools/truth`). `--runs N` runs N seeds from `--seed` on,
 in `truth_runs.jsonl`, so that the same command goes on where it was stopped. `--only SEED` runs one seed, says what is
 false of it and leaves it, made smaller, as a scene file. Faults that no frame can show are left out: a stuck encoder, a
 TPDO repeated to the bit, a motor whose sign turns in a run (docs/safety.md). A run counts when it lasted 1 s and
-something pushed or asked for 0.5 N. `--faults` lays a fault over every scene (`tools/truth/faults.py`): lost, doubled
+something pushed or asked for 0.5 N, and any torque was sent: without one it proves nothing. `--faults` lays a fault over every scene (`tools/truth/faults.py`): lost, doubled
 and late frames, bus and host that stop, drives that fail, another master, on one bus or two.
 
 A yes is due where
@@ -13,6 +13,7 @@ A yes is due where
 * the algorithm promises (`guarded`), something pushed or asked for 0.5 N, and the run ended or its fault stopped it;
 * the true sum of interaction never fell below zero, and hand and device were within what is declared, which allows no
   energy to be given out on purpose (`energy_allowance`);
+* more than 20 times the resolution came in: below that no certificate says yes for certain (`control.verdict`);
 * timing and losses were within it too: no SYNC was skipped, no host stalled beyond `sync_jitter`, and in no more cycles
   in a row than `max_consecutive_losses` was a frame lost, as the drives and the samples show it
   (`tools/truth/loss_watch.py`). A scene declares up to four losses as soon as its bus makes them, as it does with the
