@@ -330,7 +330,8 @@ class GuardedAdmittanceParameters(Parameters):
     hand_stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e8)] = 0.0
     """OVER-estimate of the stiffness of sensor, grip and hand: lighter masses, for such hands only. 0: not declared.
 
-    Not with an integral, lost commands or jitter; drive_mass too must then be at least 1 - spread of what is declared.
+    Constant while it touches: a hand that stiffens by dK at a stretch x gives dK x^2 / 2 more each time. Not with an
+    integral, lost commands or jitter; drive_mass too must then be at least 1 - spread of what is declared.
     """
     hand_speed: Annotated[float, quantity("m/s", "rad/s", ge=0.0, le=1e3)] = 0.0
     """OVER-estimate of the speed of the arm behind the grip; with hand_stiffness."""
