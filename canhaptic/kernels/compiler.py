@@ -40,7 +40,7 @@ from numba.extending import overload_method
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from canhaptic.errors import InputError
-from canhaptic.kernels import fields_of, new
+from canhaptic.kernels import fields_of, linking, new
 from canhaptic.kernels.records import Binding
 
 # numba states no types of its cache
@@ -218,6 +218,7 @@ class _Dispatcher(Protocol):
     """A function compiled by numba, with the place of its code."""
 
     _cache: object
+    _compile_for_args: Callable[..., object]
 
     def __call__(self, *args: object) -> object: ...
 
@@ -237,8 +238,9 @@ def compiled(
     instead: Mapping[object, object] | None = None,
     *,
     keep: bool = False,
-    parts: Iterable[type] = (),
+    parts: Collection[type] = (),
     calls: Collection[Callable[..., object]] | None = None,
+    units: Collection[Callable[..., object]] = (),
 ) -> _Function:
     """Return a kernel as a function that is compiled at its first call.
 
@@ -250,21 +252,30 @@ def compiled(
         calls: Functions that stay calls, because they are long and called from several places, while every other
             becomes a part of those that call it: that halves the time of a loop, for the arrays of a NamedTuple are
             some fifty words, which a call hands on. None leaves it to LLVM.
+        units: Functions, as reached after the replacements, that are kept on disk by themselves too, so that another
+            kernel that reaches one of them need not translate it again.
 
     Raises:
         InputError: A NamedTuple that it names has a field with the name of a method.
     """
-    compiling = _Compiling(instead or {}, calls)
+    compiling = _Compiling(instead or {}, calls, units, parts)
     rebound = compiling.rebound(function)
-    for kind in parts:
-        compiling.look_at(kind)
-    if not keep:
-        return cast(_Function, _njit(rebound, **_OPTIONS))
-    made = _njit(rebound, **_OPTIONS)
-    with kept_code(compiling.sources) as can_keep:
-        if can_keep:
-            made._cache = CheckedCache(function)  # noqa: SLF001 - as `enable_caching` does
+    made = _njit(rebound, **_OPTIONS, no_cfunc_wrapper=True)
+    _link(made)
+    if keep:
+        compiling.keep(made, function)
     return cast(_Function, made)
+
+
+def _link(made: _Dispatcher) -> None:
+    """Let a function compile with what it calls linked into it."""
+    of_numba = made._compile_for_args  # noqa: SLF001
+
+    def compile_for(*args: object, **named: object) -> object:
+        with linking.linked():
+            return of_numba(*args, **named)
+
+    made._compile_for_args = compile_for  # noqa: SLF001
 
 
 class _Compiling(Binding):
@@ -274,15 +285,30 @@ class _Compiling(Binding):
         sources: Determinants of the machine code: the code of every function, and the constants that they name.
     """
 
-    def __init__(self, instead: Mapping[object, object], calls: Collection[Callable[..., object]] | None) -> None:
-        codes = {cast(FunctionType, function).__code__ for function in calls or ()}
-
-        def wrap(function: FunctionType) -> object:
-            return _njit(function, **_INNER, forceinline=calls is not None and function.__code__ not in codes)
-
-        super().__init__(instead, wrap, {new: _made})
-        self.sources: list[str] = [repr(_OPTIONS), Path(__file__).read_text(encoding="utf-8")]
+    def __init__(
+        self,
+        instead: Mapping[object, object],
+        calls: Collection[Callable[..., object]] | None = None,
+        units: Collection[Callable[..., object]] = (),
+        parts: Collection[type] = (),
+    ) -> None:
+        self._instead_of, self._calls, self._parts = instead, calls, parts
+        self._codes, self._units = ({cast(FunctionType, one).__code__ for one in some} for some in (calls or (), units))
+        super().__init__(instead, self._wrapped, {new: _made})
+        self.sources: list[str] = [repr(_OPTIONS), *map(Path.read_text, (Path(__file__), Path(linking.__file__)))]
         self.sources.append(repr(calls and sorted(cast(FunctionType, function).__name__ for function in calls)))
+        for kind in parts:
+            self.look_at(kind)
+
+    def _wrapped(self, function: FunctionType) -> _Dispatcher:
+        inlined = self._calls is not None and function.__code__ not in self._codes
+        return _njit(function, **_INNER, forceinline=inlined)
+
+    def keep(self, made: _Dispatcher, function: Callable[..., object]) -> None:
+        """Keep the code of a function on disk, where that can be."""
+        with kept_code(self.sources) as can_keep:
+            if can_keep:
+                made._cache = CheckedCache(function)  # noqa: SLF001 - as `enable_caching` does
 
     def rebound(self, function: Callable[..., object]) -> FunctionType:
         """Return the same code with compiled functions in the place of its global names."""
@@ -299,11 +325,23 @@ class _Compiling(Binding):
 
     def of(self, name: str, value: object) -> object:
         """Replacement of a function or class; adds a class's content to the sources."""
-        if value not in self._known and isinstance(value, type):
+        if value in self._known:
+            return self._known[value]
+        if isinstance(value, type):
             self.look_at(value)
         elif not isinstance(value, FunctionType):
             self.sources.append(f"{name}={getattr(value, '__name__', name)}")
+        elif value.__code__ in self._units:
+            self._take_unit(value)
         return super().of(name, value)
+
+    def _take_unit(self, function: FunctionType) -> None:
+        """Compile a function by itself, so that what is kept of it depends on nothing else."""
+        unit = _Compiling(self._instead_of, self._calls, parts=self._parts)
+        made = self._wrapped(unit.rebound(function))
+        unit.keep(made, function)
+        self.sources += unit.sources
+        self._known = {**unit._known, **self._known, function: made}
 
     def look_at(self, kind: type) -> None:
         """Add the fields of a class and the code of its methods to the sources.
@@ -332,7 +370,7 @@ def _make(kind: Callable[..., object], values: Iterable[object]) -> object:
     return kind(*values)
 
 
-_made: Final = _njit(_make, **_OPTIONS, forceinline=True)
+_made: Final = _njit(_make, **_INNER, forceinline=True)
 
 
 class _NumbaTuple(Protocol):
@@ -344,7 +382,8 @@ class _NumbaTuple(Protocol):
 def _overload(name: str) -> None:
     @overload_method(types.BaseNamedTuple, name)
     def method(self: object, *args: object) -> Callable[..., object]:  # numba asks that both be annotated alike
-        function = compiled(getattr(cast(_NumbaTuple, self).instance_class, name))
+        kind = cast(_NumbaTuple, self).instance_class
+        function = _njit(_Compiling({}, None).rebound(getattr(kind, name)), **_INNER)
 
         def call(self: object, *args: object) -> object:
             return function(self, *args)

@@ -221,3 +221,47 @@ def test_what_was_not_used_for_30_days_is_deleted_once_in_a_process(
     os.utime(folder / "young", (0.0, 0.0))
     with kept_code(["source"]):
         assert (folder / "young").exists()
+
+
+UNITS = """
+import sys
+import numpy as np
+from inner_kernel import inner
+from canhaptic.kernels import compiler, linking
+from canhaptic.kernels.compiler import compiled
+
+if sys.argv[1:] == ["unknown"]:
+    linking._KNOWN = ((0, 1), (0, 2))
+
+def other(values):
+    for i in range(len(values)):
+        values[i] = inner(values[i]) + 1.0
+
+kept = []
+before = compiler._Compiling.keep
+compiler._Compiling.keep = lambda self, made, function: (before(self, made, function), kept.append(made))[0]
+run = compiled(other, keep=True, units=(inner,))
+values = np.array([1.0, 2.0])
+run(values)
+print(values.tolist(), [sum(made.stats.cache_hits.values()) for made in kept])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("version", [[], ["unknown"]], ids=["a known numba", "a numba of another version"])
+def test_another_kernel_loads_a_unit_that_is_kept_and_sees_that_it_changed(tmp_path: Path, version: list[str]) -> None:
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}", "XDG_CACHE_HOME": str(tmp_path / "c")}
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"
+
+    def ran(factor: float, added: float) -> str:
+        (tmp_path / "inner_kernel.py").write_text(INNER.format(factor=factor))
+        (tmp_path / "units.py").write_text(UNITS.replace("+ 1.0", f"+ {added}"))
+        command = [sys.executable, str(tmp_path / "units.py"), *version]
+        found = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert found.returncode == 0, found.stderr
+        return found.stdout.strip()
+
+    assert ran(3.0, 1.0) == "[4.0, 7.0] [0, 0]"
+    assert ran(3.0, 1.0) == "[4.0, 7.0] [0, 1]"  # the whole is loaded, and its unit is not needed
+    assert ran(3.0, 2.0) == "[5.0, 8.0] [1, 0]"  # the unit is linked into another
+    assert ran(5.0, 2.0) == "[7.0, 12.0] [0, 0]"

@@ -339,15 +339,10 @@ def force(settings: ReferenceSettings, memory: ReferenceMemory) -> float:
     return 0.0
 
 
-def length_of(state: Buffer) -> int:
-    """Return the length k of y; compiled it is a constant, so that loops over it are unrolled."""
-    return len(state)
-
-
 def move_step(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
     """Move by one step, and again in pieces where an event may lie in it."""
     state, moved, mode = memory.state, memory.moved, reference.mode
-    size, flow = length_of(state), memory.flows[mode]
+    size, flow = len(state), memory.flows[mode]
     for row in range(size - 1):
         factors, total = flow[row], 0.0
         for column in range(size):
@@ -737,15 +732,10 @@ def hand_over(loop: LoopSettings, place: CycleState) -> None:
         place.held = command
 
 
-def states_in(moved: Buffer) -> int:
-    """Return the number of states; compiled it is a constant, so that loops over them are unrolled."""
-    return len(moved)
-
-
 def move_plant(plant: LinearPlant, torque: float, cycle: int) -> int:
     """Move a linear plant to a SYNC under a constant torque [N or N*m]; return MOVED."""
     flow, state, moved = plant.flow, plant.state, plant.moved
-    states = states_in(moved)
+    states = len(moved)
     state[states] = torque
     for row in range(states):
         factors, total = flow[row], 0.0

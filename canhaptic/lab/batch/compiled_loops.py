@@ -41,20 +41,21 @@ from canhaptic.lab.batch.cases import (
 from canhaptic.lab.batch.closed_loop import (
     MOVED,
     TERMS,
+    AxisRun,
     CycleState,
     LinearPlants,
     Meter,
     MeterSettings,
     ReferenceMemory,
+    ReferenceSettings,
     ReferenceState,
     begin_plant,
     compare,
     diverge,
-    length_of,
+    follow,
     miss,
     plant_at,
     run_loop,
-    states_in,
     step,
     take,
 )
@@ -62,19 +63,42 @@ from canhaptic.lab.batch.group_loop import GroupCase, GroupMeter, LinearMotors, 
 from canhaptic.lab.batch.group_loop import step as step_group
 from canhaptic.lab.batch.plants import CALLS, Interrupted, Plants, loop_replacements, run_event_plants, uninterrupted
 from canhaptic.lab.loop.axis_loop import Array, DivergedError, LoopCase, LoopRun, Recorder
+from canhaptic.sim.plant import stepper
 from canhaptic.sim.plant.effects.encoder_noise import gaussian, noise, uniform
 
 Numbers = NDArray[np.int64]
 _GAMMA: Final = np.uint64(0x9E3779B97F4A7C15)  # as in `encoder_noise`
 _WHOLE: Final = 2.0**64
 
-WIDTH = STATES = LENGTH = 0
-"""Numbers of an environment, states of a plant and of a continuous run; bound anew for each kind of loop."""
+WIDTH = 0
+"""Numbers of an environment; bound anew for each kind of loop."""
 
 
 def new_environment(*_numbers: float) -> Environment:
     """Placeholder of the NamedTuple of an environment."""
     raise NotImplementedError
+
+
+def own_step(environment: Environment, run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
+    """Placeholder of the kernel of an algorithm."""
+    raise NotImplementedError
+
+
+def step_with(environment: Any, run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
+    """Replace `step`: the NamedTuple of an environment is of this process alone, its numbers are of any."""
+    return step_of_numbers(environment[0:], run, position, torque_applied)
+
+
+def step_of_numbers(numbers: tuple[float, ...], run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
+    """Take a step of the algorithm in an environment of these numbers; what is kept on disk of a controller."""
+    return own_step(new_environment(*numbers), run, position, torque_applied)
+
+
+def follow_nothing(
+    settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory, cycle: int
+) -> float:
+    """Replace `follow` where no scene is compared with a continuous run: a third of what there is to optimise."""
+    return 0.0
 
 
 def run_loops(
@@ -110,35 +134,20 @@ def run_loops(
     return len(table)
 
 
-def known_states(_moved: Buffer) -> int:
-    """Replace `states_in`."""
-    return STATES
-
-
-def known_length(_state: Buffer) -> int:
-    """Replace `length_of`."""
-    return LENGTH
-
-
 @lru_cache(maxsize=64)
-def compiled_loops(
-    kind: Any, kernel: Kernel, states: int, length: int, replaced: tuple[tuple[object, object], ...]
-) -> Any:
+def compiled_loops(kind: Any, kernel: Kernel, replaced: tuple[tuple[object, object], ...]) -> Any:
     """Return `run_loops` compiled.
 
     Args:
         kind: Tuple type of the environment.
         kernel: Kernel of the algorithm.
-        states: Number of states of the plant, if it is linear.
-        length: Length of the state of the continuous run.
         replaced: Functions of the loop, each with its replacement.
     """
     instead = {
-        new_environment: kind, "WIDTH": len(kind._fields), step: kernel.step, states_in: known_states, "STATES": states,
-        length_of: known_length, "LENGTH": length, noise: compiled_noise, uniform: compiled_uniform,
-        **dict(replaced),
+        new_environment: kind, "WIDTH": len(kind._fields), step: step_with, own_step: kernel.step,
+        noise: compiled_noise, uniform: compiled_uniform, **dict(replaced),
     }  # fmt: skip
-    return compiled(run_loops, instead, keep=True, calls=CALLS)
+    return compiled(run_loops, instead, keep=True, calls=CALLS, units=(step_of_numbers, follow, stepper.run))
 
 
 class CompiledLoops:
@@ -165,7 +174,8 @@ class CompiledLoops:
         self._kind = tuple_type(rows[0].environment)
         numbers = attrgetter(*self._kind._fields)
         self._table = np.array([numbers(row.environment) for row in rows], dtype=float).reshape(len(rows), -1)
-        self._instead = tuple(instead.items())
+        without = {} if np.any(modes.exist) else {follow: follow_nothing}
+        self._instead = (*instead.items(), *without.items())
         size = modes.starts.shape[1]
         self._state, self._moved, self._series = np.empty(size), np.empty(size), np.zeros((TERMS, size))
 
@@ -178,9 +188,7 @@ class CompiledLoops:
         memory, zeros = _memory(self._kernel, self._rows[some[0]].settings)
         meters, references, modes = self.meters[some], self.references[some], self._modes
         states, places, outcomes = self._rest.copy(), self._place.copy(), np.zeros(3, dtype=np.int64)
-        linear = 0
         if isinstance(plants, LinearPlants):
-            linear = len(plants.moved)
             plants = plants._replace(flows=_of(plants.flows, numbers), starts=_of(plants.starts, numbers))
         fixed = (
             self._table[some], self._settings[some], self._loops[some], self._rest, states, memory, zeros, meters,
@@ -191,7 +199,7 @@ class CompiledLoops:
         )  # fmt: skip
         while True:
             try:
-                run = compiled_loops(self._kind, self._kernel, linear, len(self._state), self._instead)
+                run = compiled_loops(self._kind, self._kernel, self._instead)
                 over = run(*fixed, plants, self._place, places, *compared)
             except (InputError, NumbaError) as error:
                 raise NotBatchableError(
@@ -294,7 +302,7 @@ def run_records(
 def _compiled_loop(kernel: GroupKernel, parts: tuple[type, ...], replaced: tuple[tuple[object, object], ...]) -> Any:
     """Return `run_records` compiled once in a process for each size of group."""
     instead = {step_group: kernel.step, noise: compiled_noise, uniform: compiled_uniform, **dict(replaced)}
-    return compiled(run_records, instead, keep=True, parts=parts)
+    return compiled(run_records, instead, keep=True, parts=parts, units=(kernel.step, stepper.run))
 
 
 def _motors(motors: Any) -> tuple[Any, dict[object, object]]:

@@ -319,15 +319,10 @@ def shares(meter: GroupMeter) -> tuple[float, float]:
     return (meter.held_spring * meter.damper_damper - meter.held_damper * meter.spring_damper) / apart, damper
 
 
-def states_of(moved: Buffer) -> int:
-    """Return the number of states; compiled it is a constant, so that loops over them are unrolled."""
-    return len(moved)
-
-
 def move_motors(motors: Any, room: GroupRoom, cycle: int) -> float:
     """Move the motors to a SYNC; return the work that they did in that hold [J], NaN where they cannot move."""
     flow, state, moved = motors.flow, motors.state, motors.moved
-    states, work, count = states_of(moved), 0.0, len(room.held)
+    states, work, count = len(moved), 0.0, len(room.held)
     if cycle:
         for i in range(count):
             state[states + i] = room.acting[i]
