@@ -35,12 +35,13 @@ _COMMANDS: Final = {
     "accuracy": "show what accuracy costs in time: methods, settings, effects, rate, delay, resolution; with advice",
     "sweep": "judge many scenes that differ in some keys, on one core, several or a cluster",
     "map": "draw a sweep: largest wall stiffness, rendered share, and the borders of theory",
+    "warm": "compile the loops of a scene, so that the first sweep finds them, as in an image of a CI",
     "arena": "compare every passivity algorithm, and your own, on scenes that are hard, as one page",
     "drive": "simulate the drives of a scene alone, on a bus that another process uses",
     "schema": "print the JSON Schema of scene files, for editors",
 }
 """In the order of a user: a scene, its check, a rig, a run, its log; then studies."""
-_LABORATORY: Final = frozenset({"accuracy", "arena", "compare", "design", "map", "sweep", "touch"})
+_LABORATORY: Final = frozenset({"accuracy", "arena", "compare", "design", "map", "sweep", "touch", "warm"})
 """Commands in `canhaptic.lab.commands`; the others are in `canhaptic.cli`."""
 _STOP_IN_ORDER: Final = frozenset({"commission", "run", "drive", "scope", "touch"})
 """Commands that take Ctrl-C as the operator's stop, and need time for it."""

@@ -74,6 +74,27 @@ class _CheckedFiles(caching.IndexDataCacheFile):
         return super()._load_data(name)
 
 
+class NotKeptError(Exception):
+    """Machine code is not on the disk, and may not be made now."""
+
+
+_may_compile = True
+
+
+@contextmanager
+def only_kept() -> Iterator[None]:
+    """Within the context, a kernel whose code is not on the disk raises `NotKeptError` instead of compiling.
+
+    Where the disk keeps nothing, it compiles.
+    """
+    global _may_compile
+    _may_compile = False
+    try:
+        yield
+    finally:
+        _may_compile = True
+
+
 class CheckedCache(caching.FunctionCache):
     """The code of one function on disk; where it is damaged or cannot be written, the function is compiled anew."""
 
@@ -81,6 +102,17 @@ class CheckedCache(caching.FunctionCache):
         super().__init__(function)
         locator = self._impl.locator
         self._cache_file = _CheckedFiles(locator.get_cache_path(), self._impl.filename_base, locator.get_source_stamp())
+
+    def load_overload(self, sig: object, target_context: object) -> object:
+        """The code from the disk, None where it is not there.
+
+        Raises:
+            NotKeptError: It is not, and nothing may be compiled now.
+        """
+        found: object = super().load_overload(sig, target_context)
+        if found is None and not _may_compile:
+            raise NotKeptError
+        return found
 
     def save_overload(self, sig: object, data: object) -> None:
         """Store the code; a full disk does not prevent a run."""

@@ -139,6 +139,17 @@ def _map(parser: argparse.ArgumentParser) -> None:
     add_json(parser)
 
 
+def _judged(parser: argparse.ArgumentParser) -> None:
+    """Declare the algorithms and the figures by which scenes are judged."""
+    parser.add_argument("--controllers", metavar="A,B,...", type=names, default=[], help="judge each scene under these")
+    parser.add_argument(
+        "--metrics",
+        metavar="A,B,...",
+        type=names,
+        help="fewer are faster; by default all that need no continuous run; a wrong name lists all",
+    )
+
+
 def _sweep(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `sweep`."""
     add_scene(parser)
@@ -150,7 +161,7 @@ def _sweep(parser: argparse.ArgumentParser) -> None:
         help="LOW:HIGH:N, LOW:HIGH:log:N or A,B,C of any key of the scene, as in environment.stiffness=1e2:1e6:log:40 "
         "(every axis) or axes.0.torque_limit=5,10; repeatable",
     )
-    parser.add_argument("--controllers", metavar="A,B,...", type=names, default=[], help="judge each scene under these")
+    _judged(parser)
     parser.add_argument(
         "--sample", metavar="lhs:N", type=samples, default=0, help="N points of a Latin hypercube, no grid"
     )
@@ -158,12 +169,6 @@ def _sweep(parser: argparse.ArgumentParser) -> None:
     length = parser.add_mutually_exclusive_group()
     length.add_argument("--duration", metavar="S", type=seconds, help="length of every run [s]; by default the scene's")
     length.add_argument("--cycles", metavar="N", type=_SOME, help="SYNCs of every scene, at any rate")
-    parser.add_argument(
-        "--metrics",
-        metavar="A,B,...",
-        type=names,
-        help="fewer are faster; by default all that need no continuous run; a wrong name lists all",
-    )
     parser.add_argument(
         "--engine", choices=("auto", "numba", "python"), default="auto", help="engine of batched scenes"
     )
@@ -193,6 +198,13 @@ def _touch(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--open", action="store_true", help="open the page in a browser")
 
 
+def _warm(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `warm`."""
+    add_scene(parser)
+    _judged(parser)
+    add_json(parser)
+
+
 OPTIONS: Final[dict[str, Callable[[argparse.ArgumentParser], None]]] = {
     "accuracy": _accuracy,
     "arena": _arena,
@@ -201,5 +213,6 @@ OPTIONS: Final[dict[str, Callable[[argparse.ArgumentParser], None]]] = {
     "map": _map,
     "sweep": _sweep,
     "touch": _touch,
+    "warm": _warm,
 }
 """Subcommand -> what declares its arguments."""

@@ -3,12 +3,15 @@
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Final
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from canhaptic.drive.clock import WallClock
 from canhaptic.lab.studies.sweep.run_sweep import Progress as Scenes
+
+_NOTE: Final = "compiling the loop, once for this kind of scene, about 15 s"
 
 
 @contextmanager
@@ -24,6 +27,7 @@ def scene_progress(what: str = "scenes") -> Iterator[Callable[[Scenes], None]]:
         MofNCompleteColumn(),
         TextColumn("{task.fields[rate]} /s"),
         TimeRemainingColumn(elapsed_when_finished=True),
+        TextColumn("{task.fields[note]}"),
     )
     clock = WallClock()
     begin, unseen = clock.now(), not sys.stderr.isatty()
@@ -31,8 +35,10 @@ def scene_progress(what: str = "scenes") -> Iterator[Callable[[Scenes], None]]:
 
         def show(scenes: Scenes) -> None:
             if not bar.tasks:
-                bar.add_task(what, total=scenes.total, completed=scenes.begun, rate="")
+                bar.add_task(what, total=scenes.total, completed=scenes.begun, rate="", note="")
             rate = (scenes.done - scenes.begun) / max((clock.now() - begin) * 1e-9, 1e-9)
-            bar.update(bar.task_ids[0], completed=scenes.done, rate=f"{rate:.3g}")
+            bar.update(
+                bar.task_ids[0], completed=scenes.done, rate=f"{rate:.3g}", note=_NOTE if scenes.compiles else ""
+            )
 
         yield show

@@ -40,7 +40,7 @@ def execute(arguments: argparse.Namespace) -> int:
                 resume=arguments.resume,
                 force=arguments.force,
                 in_flight=in_flight,
-                pool_if_long=arguments.workers is None,
+                processes=arguments.workers is None,
                 progress=progress,
                 stop_requested=stop.requested,
                 **_options(arguments),

@@ -105,3 +105,31 @@ def test_the_tool_is_the_same_command(capsys: Captured, monkeypatch: pytest.Monk
         runpy.run_path(tool, run_name="__main__")
     assert ended.value.code == 2
     assert "got -1" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)  # compiling, on a busy machine
+def test_warm_compiles_what_a_sweep_needs_and_says_what_python_runs(
+    capsys: Captured, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    pytest.importorskip("numba", reason="needs numba (the extra fast)")
+    from canhaptic.kernels.compiler import only_kept
+    from canhaptic.lab.batch.compiled_loops import compiled_loops
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    compiled_loops.cache_clear()
+    assert main(["warm", DEMO, "--controllers", "unprotected", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["loops"] == {"unprotected": {"engine": "numba", "remark": ""}}
+    compiled_loops.cache_clear()
+    out = tmp_path / "swept.h5"
+    with only_kept():
+        words = ["--vary", "environment.stiffness=300:3000:8", "--controllers", "unprotected", "--cycles", "40"]
+        assert main(["sweep", DEMO, *words, "--engine", "numba", "--out", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["engines"] == {"numba": 8}
+    compiled_loops.cache_clear()
+
+
+def test_warm_fails_where_python_runs_a_scene(capsys: Captured) -> None:
+    pytest.importorskip("numba", reason="needs numba (the extra fast)")
+    assert main(["warm", str(REPOSITORY / "configs/admittance/virtual_mass.yaml"), "--json"]) == 1
+    assert "Python runs of the scene" in capsys.readouterr().out

@@ -117,9 +117,9 @@ def test_a_long_sweep_that_python_runs_gets_a_process_a_core(demo, tmp_path, ser
 
     monkeypatch.setattr("canhaptic.lab.studies.sweep.run_sweep.Pool", Watched)
     monkeypatch.setattr("canhaptic.lab.studies.sweep.run_sweep.os.cpu_count", lambda: 2)
-    sweep(demo, VARY, tmp_path / "short.h5", pool_if_long=True, **OPTIONS)
+    sweep(demo, VARY, tmp_path / "short.h5", processes=True, **OPTIONS)
     assert made == []
     monkeypatch.setattr("canhaptic.lab.studies.sweep.run_sweep._WORTH_A_POOL", 32 * 40.0)
-    sweep(demo, VARY, tmp_path / "long.h5", pool_if_long=True, **OPTIONS)
+    sweep(demo, VARY, tmp_path / "long.h5", processes=True, **OPTIONS)
     assert made == [2]
     assert (tmp_path / "long.h5").read_bytes() == serial

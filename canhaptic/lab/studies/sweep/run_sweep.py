@@ -57,13 +57,20 @@ _CONNECT: Final = 10.0
 
 
 class SerialExecutor(Executor):
-    """Runs what is submitted at once, in this thread."""
+    """Runs what is submitted at once, in this thread.
+
+    Args:
+        instead: Function -> the one that runs in its place.
+    """
+
+    def __init__(self, instead: Mapping[Callable[..., Any], Callable[..., Any]] | None = None) -> None:
+        self._instead = instead or {}
 
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
         """Return a future that is done."""
         future: Future[T] = Future()
         try:
-            future.set_result(fn(*args, **kwargs))
+            future.set_result(self._instead.get(fn, fn)(*args, **kwargs))
         except Exception as error:
             future.set_exception(error)
         return future
@@ -156,13 +163,14 @@ _MOST_LOSSES: Final = 3
 """Pools lost in a row without a chunk finished in between."""
 
 
-class _Sweep(NamedTuple):
+class Asked(NamedTuple):
     """A sweep that can be begun, or gone on with."""
 
     recipe: Recipe
     points: Points
     chunk: int
     identity: dict[str, Any]
+    is_auto: bool  # whether the engine was chosen here
 
 
 class Progress(NamedTuple):
@@ -171,6 +179,7 @@ class Progress(NamedTuple):
     done: int  # scenes whose results are in the file
     total: int
     begun: int  # scenes that an earlier run had finished
+    compiles: bool = False  # whether their loop is being compiled while Python runs some
 
 
 def sweep(
@@ -182,7 +191,7 @@ def sweep(
     resume: bool = False,
     force: bool = False,
     in_flight: int = 4,
-    pool_if_long: bool = False,
+    processes: bool = False,
     progress: Callable[[Progress], None] = lambda _: None,
     stop_requested: Callable[[], bool] = lambda: False,
     **options: Any,
@@ -197,17 +206,18 @@ def sweep(
         resume: Whether to go on with a file that is there; one that is not there is made.
         force: Whether to replace a file that is there.
         in_flight: Chunks submitted and not yet written, at most.
-        pool_if_long: Whether a long sweep that Python runs gets a process on each core where no executor is given.
+        processes: Whether, where no executor is given, a long sweep that Python runs gets a process on each core, and
+            a loop that is not compiled yet is compiled in a process of its own while Python runs scenes.
         progress: Called now and then with how far it is.
         stop_requested: Asked now and then; True ends the sweep after the chunks under way.
-        options: As for `_make_sweep`.
+        options: As for `make_sweep`.
 
     Raises:
         InputError: Bad input, or a file of another sweep.
         LogWriteError: The file cannot be written.
         WorkersLostError: The workers die again and again.
     """
-    asked, path = _make_sweep(scene, vary, **options), Path(out)
+    asked, path = make_sweep(scene, vary, **options), Path(out)
     if resume and path.exists():
         with SweepTable(path) as table:
             _check_same(table, asked)
@@ -216,17 +226,23 @@ def sweep(
     with ExitStack() as stack:
         table = stack.enter_context(SweepTable(path, writable=True))
         cores = os.cpu_count() or 1
-        if executor is None and pool_if_long and cores > 1 and _is_long(asked):
+        if executor is None and processes and cores > 1 and _is_long(asked):
             pool = Pool(cores)
             executor, in_flight = pool, 2 * cores
             stack.callback(pool.close)
         run = _Run(asked, table, progress)
+        if executor is None and processes and cores > 1 and asked.is_auto and asked.recipe.engine == "numba":
+            from canhaptic.lab.studies.sweep.first_use import FirstUse  # numba is installed
+
+            first = FirstUse(run.report, _begin_worker)
+            stack.callback(first.close)
+            executor, in_flight = SerialExecutor({run_chunk: first.run}), 1
         run.run(executor or SerialExecutor(), 1 if executor is None else in_flight, stop_requested)
         table.merge()
         return run.state
 
 
-def _make_sweep(
+def make_sweep(
     scene: Scene,
     vary: Sequence[str | Varied],
     *,
@@ -240,7 +256,7 @@ def _make_sweep(
     chunk: int | None = None,
     beyond_bus: bool = False,
     allow_code: bool = False,
-) -> _Sweep:
+) -> Asked:
     """Return a sweep, everything checked that can be before a scene runs.
 
     Args:
@@ -281,7 +297,7 @@ def _make_sweep(
     chunk = chunk or min(most, max(least, -(-len(points) // _FEWEST_CHUNKS)))
     pays = _pays(scene, len(points), recipe.cycles or cycles_of(scene, duration))
     recipe = replace(recipe, engine=chosen_engine(engine, pays))
-    return _Sweep(recipe, points, chunk, _identity(scene, recipe, points))
+    return Asked(recipe, points, chunk, _identity(scene, recipe, points), engine == "auto")
 
 
 def _check(metrics: Sequence[str] | None, duration: float | None, cycles: int | None) -> None:
@@ -300,7 +316,7 @@ def _pays(scene: Scene, scenes: int, cycles: int) -> bool:
     return scenes * cycles >= WORTH_COMPILING
 
 
-def _is_long(asked: _Sweep) -> bool:
+def _is_long(asked: Asked) -> bool:
     """Return whether Python runs so many cycles that starting processes is a small part of the time."""
     cycles = asked.recipe.cycles or cycles_of(scene_of(asked.recipe, ()).permitted(), asked.recipe.duration)
     return asked.recipe.engine == "python" and len(asked.points) * cycles >= _WORTH_A_POOL
@@ -309,7 +325,7 @@ def _is_long(asked: _Sweep) -> bool:
 class _Run:
     """A sweep on its way: which chunks are out, which are in the file."""
 
-    def __init__(self, asked: _Sweep, table: SweepTable, progress: Callable[[Progress], None]) -> None:
+    def __init__(self, asked: Asked, table: SweepTable, progress: Callable[[Progress], None]) -> None:
         self._asked, self._table, self._progress = asked, table, progress
         done = table.done()
         self._waiting = np.flatnonzero(~done).tolist()[::-1]
@@ -333,6 +349,10 @@ class _Run:
         for future in [*self._out]:
             if not future.cancelled():  # what is under way is not thrown away
                 self._take(future, executor)
+
+    def report(self, scenes: int) -> None:
+        """Show how many scenes of the chunk under way are done while their loop is being compiled."""
+        self._progress(self.state._replace(done=self.state.done + scenes, compiles=True))
 
     def _submit(self, executor: Executor | Pool, in_flight: int) -> None:
         target = executor.executor if isinstance(executor, Pool) else executor
@@ -432,14 +452,14 @@ def _hash(varied: Varied) -> str:
     return hashlib.sha256(json.dumps(varied.values).encode()).hexdigest()
 
 
-def _columns(scene: Scene, asked: _Sweep) -> Columnset:
+def _columns(scene: Scene, asked: Asked) -> Columnset:
     figures = tuple(f"{axis}/{metric}" for axis in asked.recipe.axes for metric in asked.recipe.metrics)
     notes = {"scene": scene.text, "source": scene.source, "overrides": json.dumps(scene.overrides)}
     notes["plant_errors"] = "\n".join(plant_errors(scene))
     return Columnset(figures, asked.identity, notes)
 
 
-def _check_same(table: SweepTable, asked: _Sweep) -> None:
+def _check_same(table: SweepTable, asked: Asked) -> None:
     """Refuse to go on with a file of something else.
 
     Raises:

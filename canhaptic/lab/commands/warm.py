@@ -1,0 +1,44 @@
+"""`canhaptic warm CONFIG`: compile the loops of a scene, so that the first sweep finds them; for images of a CI."""
+
+import argparse
+from dataclasses import replace
+
+from canhaptic.cli.options import scene_of
+from canhaptic.cli.output import write_json
+from canhaptic.errors import CheckFailedError
+from canhaptic.lab.studies.sweep.chunk import ENGINES, run_chunk
+from canhaptic.lab.studies.sweep.run_sweep import make_sweep
+from canhaptic.lab.studies.sweep.vary import listed
+from canhaptic.view.energy_table import make_console
+
+_SYNCS = 2
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Run two SYNCs of the scene under each algorithm, compiled, and print what runs them; return 0.
+
+    Raises:
+        InputError: numba is not installed, or the scene cannot be swept.
+        CheckFailedError: A loop cannot be compiled; names the reason.
+    """
+    scene = scene_of(arguments)
+    asked = make_sweep(
+        scene, [listed("bus.rate", [scene.bus.rate])], controllers=arguments.controllers, cycles=_SYNCS,
+        metrics=arguments.metrics, engine="numba",
+    )  # fmt: skip
+    columns = asked.points.columns(0, len(asked.points))
+    result = run_chunk(replace(asked.recipe, alone=""), 0, columns)
+    names = [str(name) for name in columns.get("controller", ["of the scene"])]
+    found = {
+        name: {"engine": ENGINES[engine], "remark": ("", *result.texts)[remark]}
+        for name, engine, remark in zip(names, result.engine.tolist(), result.remark.tolist(), strict=True)
+    }
+    if arguments.json:
+        write_json({"scene": scene.source, "loops": found})
+    else:
+        for name, of in found.items():
+            make_console().print(f"  {of['engine']:11} {name}  {of['remark']}")
+    missed = [f"{name}: {of['remark']}" for name, of in found.items() if of["engine"] != "numba"]
+    if missed:
+        raise CheckFailedError(f"{scene.source}: Python runs " + "; ".join(missed))
+    return 0

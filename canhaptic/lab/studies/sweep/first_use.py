@@ -1,0 +1,84 @@
+"""The first use of a loop that is not compiled yet: Python runs scenes while a process of its own compiles it."""
+
+import multiprocessing
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from multiprocessing.process import BaseProcess
+from time import perf_counter
+from typing import Final
+
+import numpy as np
+
+from canhaptic.kernels.compiler import NotKeptError, only_kept
+from canhaptic.lab.studies.sweep.chunk import SLOTS, ChunkResult, Recipe, run_chunk
+from canhaptic.lab.studies.sweep.vary import Column
+
+_FIRST: Final = 4
+"""Scenes that Python runs before it is known how long one takes."""
+_SLICE: Final = 0.5
+"""Time after which the end of compiling is looked for [s]."""
+
+
+class FirstUse:
+    """Runs chunks; the loop of a kind of scene that is met for the first time is compiled elsewhere meanwhile.
+
+    Both ways give the same bits, so that it does not matter which scenes Python has run.
+
+    Args:
+        report: Called with the scenes of a chunk that are done while its loop is being compiled.
+        begin: Called in the process that compiles.
+    """
+
+    def __init__(self, report: Callable[[int], None], begin: Callable[[], None]) -> None:
+        self._report, self._begin = report, begin
+        self._compiling: BaseProcess | None = None
+
+    def run(self, recipe: Recipe, start: int, columns: Mapping[str, Column]) -> ChunkResult:
+        """Return the figures of a chunk; see `run_chunk`."""
+        with suppress(NotKeptError), only_kept():
+            return run_chunk(recipe, start, columns)
+        context = multiprocessing.get_context("spawn")
+        self._compiling = context.Process(target=_compile, args=(self._begin, recipe, start, columns), daemon=True)
+        self._compiling.start()
+        count, done, size = len(next(iter(columns.values()))), 0, _FIRST
+        parts: list[ChunkResult] = []
+        while done < count:
+            compiles = self._compiling.is_alive()
+            size = size if compiles else count - done
+            began = perf_counter()
+            rows = {key: values[done : done + size] for key, values in columns.items()}
+            chosen = replace(recipe, engine="python") if compiles else recipe
+            parts.append(run_chunk(chosen, start + done, rows))
+            done = min(count, done + size)
+            size = max(1, int(size * min(4.0, _SLICE / (perf_counter() - began))))
+            self._report(done)
+        return joined(parts)
+
+    def close(self) -> None:
+        """End the process that compiles: what is left to do takes less time than it."""
+        if self._compiling is not None:
+            self._compiling.terminate()
+            self._compiling.join()
+
+
+def _compile(begin: Callable[[], None], recipe: Recipe, start: int, columns: Mapping[str, Column]) -> None:
+    """Run two SYNCs of every scene, which compiles their loops; what fails here fails again where it counts."""
+    begin()
+    with suppress(Exception):
+        run_chunk(replace(recipe, cycles=2, duration=None), start, columns)
+
+
+def joined(parts: list[ChunkResult]) -> ChunkResult:
+    """Return consecutive results as one."""
+    texts = list(dict.fromkeys(text for part in parts for text in part.texts))
+    slots = [[0, *(min(texts.index(text) + 1, SLOTS) for text in part.texts)] for part in parts]
+    remarks = [np.array(of, dtype=np.uint8)[part.remark] for of, part in zip(slots, parts, strict=True)]
+    return ChunkResult(
+        {name: np.concatenate([part.figures[name] for part in parts]) for name in parts[0].figures},
+        np.concatenate([part.status for part in parts]),
+        np.concatenate([part.engine for part in parts]),
+        np.concatenate(remarks),
+        tuple(texts[:SLOTS]),
+        next((part.of_plant for part in parts if part.of_plant), ""),
+    )

@@ -1,0 +1,89 @@
+"""The first sweep of a kind of scene: Python runs scenes while their loop is compiled, and the bits are the same."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from canhaptic.lab.studies.sweep.chunk import ENGINES, SLOTS, ChunkResult, run_chunk
+from canhaptic.lab.studies.sweep.run_sweep import Asked, SerialExecutor, _begin_worker, make_sweep
+from tests.lab.sweep.conftest_sweep import VARY
+
+
+def asked_of(demo) -> Asked:
+    metrics = ["travel", "margin", "torque_peak"]
+    return make_sweep(demo, VARY, controllers=["unprotected"], cycles=40, metrics=metrics, engine="numba")
+
+
+@pytest.fixture
+def first_use(tmp_path, monkeypatch):
+    """The module, where no loop is compiled yet."""
+    pytest.importorskip("numba", reason="needs numba (the extra fast)")
+    from canhaptic.lab.batch.compiled_loops import compiled_loops
+    from canhaptic.lab.studies.sweep import first_use
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    compiled_loops.cache_clear()
+    yield first_use
+    compiled_loops.cache_clear()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_python_runs_scenes_until_their_loop_is_compiled_and_the_bits_are_the_same(demo, first_use):
+    asked, reported = asked_of(demo), []
+    columns = asked.points.columns(0, len(asked.points))
+
+    def report(scenes):
+        reported.append(scenes)
+        first._compiling.join()
+
+    first = first_use.FirstUse(report, _begin_worker)
+    found = first.run(asked.recipe, 0, columns)
+    first.close()
+    expected = run_chunk(replace(asked.recipe, engine="python"), 0, columns)
+    for name, values in expected.figures.items():
+        assert found.figures[name].tobytes() == values.tobytes()
+    python, numba = ENGINES.index("python"), ENGINES.index("numba")
+    assert found.engine.tolist() == [python] * 4 + [numba] * (len(asked.points) - 4)
+    assert reported == [4, len(asked.points)]
+    again = first_use.FirstUse(pytest.fail, pytest.fail).run(asked.recipe, 0, columns)
+    assert set(again.engine.tolist()) == {numba}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_what_cannot_be_compiled_elsewhere_is_compiled_here(demo, first_use):
+    asked = asked_of(demo)
+    columns = asked.points.columns(0, len(asked.points))
+    first = first_use.FirstUse(lambda _: first._compiling.join(), None)  # the process ends with an error
+    found = first.run(asked.recipe, 0, columns)
+    assert found.engine.tolist()[4:] == [ENGINES.index("numba")] * (len(asked.points) - 4)
+
+
+def result(texts: tuple[str, ...], remarks: list[int], of_plant: str = "") -> ChunkResult:
+    count = len(remarks)
+    numbers = np.arange(count, dtype=np.uint8)
+    return ChunkResult({"a/b": np.arange(count) * 0.5}, numbers, numbers, np.array(remarks, np.uint8), texts, of_plant)
+
+
+def test_results_of_slices_are_one_with_every_remark_at_its_scene():
+    joined = pytest.importorskip("canhaptic.lab.studies.sweep.first_use").joined
+    whole = joined([result(("x", "y"), [0, 2, 1]), result(("y", "z"), [1, 2], "mass"), result((), [0])])
+    assert [("", *whole.texts)[at] for at in whole.remark] == ["", "y", "x", "y", "z", ""]
+    assert whole.figures["a/b"].tolist() == [0.0, 0.5, 1.0, 0.0, 0.5, 0.0]
+    assert whole.status.tolist() == whole.engine.tolist() == [0, 1, 2, 0, 1, 0]
+    assert whole.of_plant == "mass"
+
+
+def test_more_remarks_than_a_chunk_keeps_share_the_last_one():
+    joined = pytest.importorskip("canhaptic.lab.studies.sweep.first_use").joined
+    parts = [result((f"{i}", f"{i}b"), [1, 2]) for i in range(SLOTS)]
+    whole = joined(parts)
+    assert len(whole.texts) == SLOTS == whole.remark.max()
+
+
+def test_a_serial_executor_runs_another_function_in_the_place_of_one():
+    executor = SerialExecutor({abs: lambda number: number + 1})
+    assert executor.submit(abs, -3).result() == -2
+    assert executor.submit(max, -3, 2).result() == 2
