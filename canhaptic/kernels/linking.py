@@ -6,10 +6,10 @@ and no more. Where numba is of another version than those below, its own way is 
 """
 
 import gc
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import Any, Final
+from typing import Final, Protocol, cast
 
 import numba
 from llvmlite import binding
@@ -22,8 +22,22 @@ from numba.core.registry import cpu_target
 _KNOWN: Final = ((0, 60), (0, 69))
 """Versions of numba from the first up to, but not including, the second, whose `finalize` is as here."""
 _LEVEL: Final = 2
-"""Of LLVM's optimisation: a loop is as fast with it as with the highest."""
+"""Optimisation by LLVM; a loop is as fast with it as with the highest."""
 _under_way = False
+
+
+class _Engine(Protocol):
+    def is_symbol_defined(self, name: str) -> bool: ...
+
+
+class _CodeGenerator(Protocol):
+    """Parts of numba's code generator."""
+
+    _engine: _Engine
+    _library_class: type
+    set_env: Callable[[str, object], None]
+
+    def create_library(self, name: str) -> "_Library": ...
 
 
 class _Library(codegen.JITCodeLibrary):
@@ -39,7 +53,7 @@ class _Library(codegen.JITCodeLibrary):
         """Link what it calls; as numba does where Python calls it, or outside of `linked`."""
         if not (_under_way and self._object_caching_enabled) or self._is_called_from_python():
             super().finalize()
-            _set_environments(self._codegen)
+            _set_environments(cast(_CodeGenerator, self._codegen))
             return
         for library in dict.fromkeys(self._linking_libraries):
             self._reload_init.update(library._reload_init)  # noqa: SLF001 - as numba's own does
@@ -50,18 +64,18 @@ class _Library(codegen.JITCodeLibrary):
     def _is_called_from_python(self) -> bool:
         return any(function.name.startswith("_ZN7cpython") for function in self._final_module.functions)
 
-    def serialize_using_object_code(self) -> tuple[str, str, Any]:
+    def serialize_using_object_code(self) -> tuple[str, str, object]:
         """Its content for the disk."""
         if not self.is_linked:
-            found: tuple[str, str, Any] = super().serialize_using_object_code()
+            found: tuple[str, str, object] = super().serialize_using_object_code()
             return found
         return self.name, "linked", self._final_module.as_bitcode()
 
     @classmethod
-    def _unserialize(cls, owner: Any, state: tuple[str, str, Any]) -> Any:
+    def _unserialize(cls, owner: "_CodeGenerator", state: tuple[str, str, object]) -> "_Library":
         name, kind, data = state
         if kind != "linked":
-            return super()._unserialize(owner, state)
+            return cast(_Library, super()._unserialize(owner, state))
         library = owner.create_library(name)
         library._final_module = binding.parse_bitcode(data)  # noqa: SLF001
         library.is_linked = library._finalized = True  # noqa: SLF001
@@ -101,7 +115,7 @@ def _installed() -> bool:
     """Let numba make its libraries of this kind; return whether its version is known."""
     if not _KNOWN[0] <= tuple(map(int, numba.__version__.split(".")[:2])) < _KNOWN[1]:
         return False
-    owner: Any = cpu_target.target_context.codegen()
+    owner = cast(_CodeGenerator, cpu_target.target_context.codegen())
     owner._library_class, owner.set_env = _Library, _set_environment(owner)  # noqa: SLF001
     return True
 
@@ -110,7 +124,7 @@ _waiting: Final[dict[str, object]] = {}
 """By name: environments (what numba calls so) of functions that have no machine code yet."""
 
 
-def _set_environment(owner: Any) -> Any:
+def _set_environment(owner: _CodeGenerator) -> Callable[[str, object], None]:
     """Numba's `set_env`, where a function without machine code waits for that of a caller."""
     of_numba = owner.set_env
 
@@ -123,7 +137,7 @@ def _set_environment(owner: Any) -> Any:
     return set_env
 
 
-def _set_environments(owner: Any) -> None:
+def _set_environments(owner: _CodeGenerator) -> None:
     """Give machine code that was made the environments of the functions in it."""
     for name in [name for name in _waiting if owner._engine.is_symbol_defined(name)]:  # noqa: SLF001
         owner.set_env(name, _waiting.pop(name))

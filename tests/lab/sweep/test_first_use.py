@@ -1,6 +1,7 @@
 """The first sweep of a kind of scene: Python runs scenes while their loop is compiled, and the bits are the same."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,6 +33,7 @@ def first_use(tmp_path, monkeypatch):
 @pytest.mark.timeout(300)
 def test_python_runs_scenes_until_their_loop_is_compiled_and_the_bits_are_the_same(demo, first_use):
     asked, reported = asked_of(demo), []
+    first: Any
     columns = asked.points.columns(0, len(asked.points))
 
     def report(scenes):
@@ -56,7 +58,12 @@ def test_python_runs_scenes_until_their_loop_is_compiled_and_the_bits_are_the_sa
 def test_what_cannot_be_compiled_elsewhere_is_compiled_here(demo, first_use):
     asked = asked_of(demo)
     columns = asked.points.columns(0, len(asked.points))
-    first = first_use.FirstUse(lambda _: first._compiling.join(), None)  # the process ends with an error
+    first: Any = None
+
+    def report(scenes):
+        first._compiling.join()
+
+    first = first_use.FirstUse(report, None)  # the process ends with an error
     found = first.run(asked.recipe, 0, columns)
     assert found.engine.tolist()[4:] == [ENGINES.index("numba")] * (len(asked.points) - 4)
 
@@ -64,7 +71,9 @@ def test_what_cannot_be_compiled_elsewhere_is_compiled_here(demo, first_use):
 def result(texts: tuple[str, ...], remarks: list[int], of_plant: str = "") -> ChunkResult:
     count = len(remarks)
     numbers = np.arange(count, dtype=np.uint8)
-    return ChunkResult({"a/b": np.arange(count) * 0.5}, numbers, numbers, np.array(remarks, np.uint8), texts, of_plant)
+    return ChunkResult(
+        {"a/b": 0.5 * np.arange(count, dtype=float)}, numbers, numbers, np.array(remarks, np.uint8), texts, of_plant
+    )
 
 
 def test_results_of_slices_are_one_with_every_remark_at_its_scene():

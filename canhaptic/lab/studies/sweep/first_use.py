@@ -5,19 +5,19 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.process import BaseProcess
-from time import perf_counter
 from typing import Final
 
 import numpy as np
 
+from canhaptic.drive.clock import WallClock
 from canhaptic.kernels.compiler import NotKeptError, only_kept
 from canhaptic.lab.studies.sweep.chunk import SLOTS, ChunkResult, Recipe, run_chunk
 from canhaptic.lab.studies.sweep.vary import Column
 
 _FIRST: Final = 4
 """Scenes that Python runs before it is known how long one takes."""
-_SLICE: Final = 0.5
-"""Time after which the end of compiling is looked for [s]."""
+_SLICE: Final = 500_000_000
+"""Time after which the end of compiling is looked for [ns]."""
 
 
 class FirstUse:
@@ -41,17 +41,17 @@ class FirstUse:
         context = multiprocessing.get_context("spawn")
         self._compiling = context.Process(target=_compile, args=(self._begin, recipe, start, columns), daemon=True)
         self._compiling.start()
-        count, done, size = len(next(iter(columns.values()))), 0, _FIRST
+        clock, count, done, size = WallClock(), len(next(iter(columns.values()))), 0, _FIRST
         parts: list[ChunkResult] = []
         while done < count:
             compiles = self._compiling.is_alive()
             size = size if compiles else count - done
-            began = perf_counter()
+            began = clock.now()
             rows = {key: values[done : done + size] for key, values in columns.items()}
             chosen = replace(recipe, engine="python") if compiles else recipe
             parts.append(run_chunk(chosen, start + done, rows))
             done = min(count, done + size)
-            size = max(1, int(size * min(4.0, _SLICE / (perf_counter() - began))))
+            size = max(1, int(size * min(4.0, _SLICE / max(1, clock.now() - began))))
             self._report(done)
         return joined(parts)
 

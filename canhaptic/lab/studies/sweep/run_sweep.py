@@ -63,14 +63,15 @@ class SerialExecutor(Executor):
         instead: Function -> the one that runs in its place.
     """
 
-    def __init__(self, instead: Mapping[Callable[..., Any], Callable[..., Any]] | None = None) -> None:
+    def __init__(self, instead: Mapping[object, Callable[..., Any]] | None = None) -> None:
         self._instead = instead or {}
 
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
         """Return a future that is done."""
         future: Future[T] = Future()
         try:
-            future.set_result(self._instead.get(fn, fn)(*args, **kwargs))
+            run: Callable[..., T] = self._instead.get(fn, fn)
+            future.set_result(run(*args, **kwargs))
         except Exception as error:
             future.set_exception(error)
         return future
