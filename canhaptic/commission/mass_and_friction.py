@@ -270,7 +270,7 @@ def propose_allowance(session: Session, axis: int, known: Mapping[str, float]) -
 
 _TIMES: Final = ("sync_jitter", "torque_window", "current_lag")
 _ITEM: Final = "torque lag"
-_SHORTEST: Final = 24  # cycles of the first part of the longest doublet
+_SHORTEST: Final = 16  # cycles of the first part of the longest doublet
 _LONGEST: Final = 60
 _DOUBLETS: Final = (32, 64, 128, 256, 512)
 """Lengths of the tests, one after the other until the hold is known and the wall can be judged."""

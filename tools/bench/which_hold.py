@@ -44,7 +44,7 @@ def _drawn(seed: int) -> tuple[dict[str, Any], int, float, float]:
     def decades(low: float, high: float) -> float:
         return float(f"{10.0 ** generator.uniform(math.log10(low), math.log10(high)):.4g}")
 
-    hold, rate = int(generator.choice([-1, 0, 1, 2])), int(generator.choice([250, 500, 1000, 1000, 1000]))
+    hold, rate = int(generator.choice([-1, 0, 1, 2])), int(generator.choice([500, 1000, 1000, 1000]))
     mass, torque = decades(0.05, 0.6), decades(0.5, 5.0)
     drive = {"acts_at_once": hold < 0, "syncs_late": max(0, hold), "objects": {"0x6502": 0x200}}
     if generator.random() < 0.4:
@@ -56,7 +56,7 @@ def _drawn(seed: int) -> tuple[dict[str, Any], int, float, float]:
     if friction:
         effects.append({"type": str(friction), "kinetic": kinetic, "static": 1.3 * kinetic})
         if friction == "stribeck_friction":
-            effects[-1]["stribeck_velocity"] = decades(5e-3, 5e-2)
+            effects[-1]["stribeck_velocity"] = decades(2e-2, 1e-1)
     load = 0.0
     if generator.random() < 0.25:
         load = decades(0.03, 0.3)

@@ -153,8 +153,10 @@ def acted(declared: Declared, bound: TorqueBound, sign: float) -> float:
     return sign * bound.torque
 
 
-def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displacement: float, torque: float) -> float:
-    """Take the hold that ended: displacement [m or rad] and the torque held in it [N or N*m].
+def end_hold(
+    declared: Declared, bound: TorqueBound, memory: BoundMemory, displacement: float, torque: float, lasted: float = 1.0
+) -> float:
+    """Take the hold that ended: displacement [m or rad], the torque held in it [N or N*m], its length [sample times].
 
     Returns:
         Largest shortfall of the energy that came in against the booked one, because the torque came late [J].
@@ -167,7 +169,7 @@ def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displa
     if declared.friction and not count:
         dissipate(bound, declared.friction * abs(displacement))
     if late:
-        doubt = doubt_of_late(declared, bound, displacement, torque)
+        doubt = doubt_of_late(declared, bound, displacement, torque, lasted)
         take_late(declared, bound, torque)
     if count:
         pass_within_count(bound, count, declared.friction, displacement, torque)
@@ -266,7 +268,9 @@ def take_late(declared: Declared, bound: TorqueBound, torque: float) -> None:
         bound.lowest -= left * below
 
 
-def doubt_of_late(declared: Declared, bound: TorqueBound, displacement: float, torque: float) -> float:
+def doubt_of_late(
+    declared: Declared, bound: TorqueBound, displacement: float, torque: float, lasted: float = 1.0
+) -> float:
     """Largest shortfall of the energy that came in against the booked one, in a hold whose torque came late [J].
 
     See `hold_timing`. The hand's force is used in the direction out of the contact alone. Dry friction alone bounds no
@@ -279,6 +283,7 @@ def doubt_of_late(declared: Declared, bound: TorqueBound, displacement: float, t
         bound: State of the axis's torque bound before the hold; `resolution` and `dissipated` change.
         displacement: Displacement in the hold [m or rad].
         torque: Torque held in it [N or N*m].
+        lasted: Its length [sample times].
     """
     change = torque - bound.torque
     rest = max(bound.highest - bound.torque, bound.torque - bound.lowest)
@@ -293,7 +298,7 @@ def doubt_of_late(declared: Declared, bound: TorqueBound, displacement: float, t
         damped = differs * path + differs * differs * declared.late / (4.0 * declared.damping)
     if declared.by_hand_force:
         sign = -1.0 if bound.out < 0.0 else 1.0
-        up, down = reach_of_late(declared, bound, sign, displacement, torque)
+        up, down = reach_of_late(declared, bound, sign, displacement, torque, lasted)
         change *= sign
         less, more = (change * down, change * up) if change > 0.0 else (-change * up, -change * down)
         further = rest * max(up, down)
@@ -310,11 +315,13 @@ def doubt_of_late(declared: Declared, bound: TorqueBound, displacement: float, t
 
 
 def reach_of_late(
-    declared: Declared, bound: TorqueBound, sign: float, displacement: float, torque: float
+    declared: Declared, bound: TorqueBound, sign: float, displacement: float, torque: float, lasted: float
 ) -> tuple[float, float]:
     """Largest displacement of older torques along `sign`, and against it, in the hold that ended.
 
-    In [m or rad].
+    In [m or rad]. In a hold of n sample times torque and hand have n times as long to move the axis there and back
+    before it ends where it was seen, so that the way back grows n times; s of `hold_timing` grows no faster than
+    1 + 2 n times what it is beyond 1 in one sample time.
 
     Args:
         declared: Declared properties of axis and hand.
@@ -322,6 +329,7 @@ def reach_of_late(
         sign: Direction in which the hand's force is bounded, 1 or -1.
         displacement: Displacement in the hold [m or rad].
         torque: Torque held in it [N or N*m].
+        lasted: Its length [sample times].
     """
     response, count, hand = declared.response, declared.encoder_count, hand_along(declared, bound, sign)
     if hand == inf:  # no run begins so
@@ -330,10 +338,11 @@ def reach_of_late(
     start = sign * bound.displacement + count + bound.position_uncertainty
     up = tail_reach(start, acted(declared, bound, sign), acting, response, hand)
     back = count - sign * displacement
-    down = response.tail_before * acting + response.tail_hand * hand
+    down = lasted * (response.tail_before * acting + response.tail_hand * hand)
     if back > 0.0:
         down += response.share * back
-    return up, response.swing * down
+    swing = response.swing if lasted == 1.0 else 1.0 + 2.0 * lasted * (response.swing - 1.0)
+    return up, swing * down
 
 
 def end_gap(

@@ -114,7 +114,7 @@ def end(
         axis.lasted = 1.0
         return displacement, 0.0, 0.0, end_several(settings, state, memory, displacement, torque_applied)
     bound.first = oldest - declared.delay
-    uncertainty = end_hold(declared, bound, memory.bound, displacement, torque_applied)
+    uncertainty = end_hold(declared, bound, memory.bound, displacement, torque_applied, axis.lasted)
     if axis.lasted > 1.0:
         shorten(declared, bound, axis.lasted)
         observe_mean(state.motion, displacement / axis.lasted)
