@@ -5,6 +5,7 @@ import itertools
 import os
 import subprocess
 import sys
+import tracemalloc
 from collections import Counter
 from pathlib import Path
 from types import FrameType
@@ -13,6 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from canhaptic.cycle import run as run_cycles
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant import effects as effects_package
 from canhaptic.sim.plant.plant import Plant
 from tests.executed_bytecodes import executed_bytecodes as operations
@@ -30,6 +34,7 @@ LUGRE = {
 TREMOR = {"type": "tremor", "amplitude": 1e-3}
 SATURATION = {"type": "torque_saturation", "limit": 1.0}
 FAR_STOP = {**STOP, "position": 0.5}
+FAR_GRASP = {"type": "grasp_change", "time": 100.0, "stiffness": 500, "damping": 5}
 VISCOUS = {"type": "viscous_friction", "damping": 0.2}
 THERMAL = {"type": "thermal_derating", "torque_limit": 2, "copper_loss": 1, "thermal_resistance": 9, "time_constant": 1}
 BARE = ("position", "velocity", "motion_sine", "motion_cosine", "torque", "one")
@@ -132,7 +137,10 @@ def test_a_bare_scene_executes_the_same_bytecodes_when_every_effect_is_gone(monk
     assert {file for file, _ in without} == {"plant.py", "hybrid_automaton.py"}
 
 
-@pytest.mark.parametrize("effects", [[SATURATION], [FAR_STOP], [FAR_STOP, SATURATION], [COULOMB]])
+@pytest.mark.parametrize(
+    "effects",
+    [[SATURATION], [FAR_STOP], [FAR_STOP, SATURATION], [COULOMB], [FAR_GRASP], [FAR_GRASP, FAR_STOP, SATURATION]],
+)
 def test_a_clip_or_a_guard_that_this_hold_cannot_reach_adds_no_bytecode(effects):
     """The torque is 0, the hand sets out slowly, and what breaks away is far from its level."""
     assert executed(make_plant(*effects), 60) == executed(make_plant(), 60)
@@ -205,3 +213,63 @@ def test_a_plant_repeats_itself_bit_for_bit_after_reset(effect):
     plant.reset()
     assert run(plant, torques).tobytes() == first.tobytes()
     assert plant.energy() == energy
+
+
+@pytest.mark.parametrize("holds", [9.0, 70.0003, 130.9999, 192.0])
+def test_a_grasp_that_changes_after_holds_without_a_look_changes_at_its_tick(holds):
+    """The other plant is stopped inside every hold, so that none of its holds is taken ahead."""
+    grasp = {**FAR_GRASP, "time": holds * 1e-3, "stiffness": 50}
+    ahead, slow = make_plant(grasp, FAR_STOP), make_plant(grasp, FAR_STOP)
+    ahead.begin(0)
+    slow.begin(0)
+    for k in range(1, 220):
+        ahead.advance_to(k * MS, 0.3)
+        slow.advance_to(k * MS - MS // 2, 0.3)
+        slow.advance_to(k * MS, 0.3)
+        assert ahead.position == pytest.approx(slow.position, rel=1e-10, abs=1e-15)
+    assert ahead.products < slow.products
+
+
+WHOLE = {
+    "configs/demo.yaml": set(),
+    "configs/two_handles.yaml": set(),
+    "configs/hard/sim_stop_1khz.yaml": {"hard_stop.py", "contact.py"},
+    "configs/hard/sim_lugre_presliding.yaml": {
+        "splitting.py",
+        "effort_forces.py",
+        "lugre_friction.py",
+        "dry_friction.py",
+    },
+    "configs/five_bar_sphere.yaml": {"five_bar_linkage.py", "shared_mechanism.py", "task_hand.py", "sample_clock.py"},
+}
+"""Scene -> files of effects and mechanisms that a whole run executes, all of them named by it."""
+
+
+@pytest.mark.slow_but("*sim_stop_1khz*")
+@pytest.mark.parametrize("scene", WHOLE)
+def test_a_whole_run_executes_and_allocates_in_no_file_of_an_effect_that_it_does_not_name(scene):
+    top = str(Path(effects_package.__file__).parents[1])
+    common = {"plant.py", "hybrid_automaton.py", "stepper.py", "assembly.py", "propagator.py", "user.py", "__init__.py"}
+    seen: set[str] = set()
+
+    def trace(frame: FrameType, _event: str, _argument: object) -> None:
+        if frame.f_code.co_filename.startswith(top):
+            seen.add(Path(frame.f_code.co_filename).name)
+
+    tracemalloc.start()
+    previous = sys.getprofile()
+    sys.setprofile(trace)
+    try:
+        with build(load_scene(REPOSITORY / scene)) as experiment:
+            run_cycles(experiment.cycle, 25)
+            states = [set(plant.state_names) for plant in experiment.plants]
+            held = tracemalloc.take_snapshot().filter_traces([tracemalloc.Filter(True, f"{top}/*")])
+    finally:
+        sys.setprofile(previous)
+        tracemalloc.stop()
+    allocated = {Path(statistic.traceback[0].filename).name for statistic in held.statistics("filename")}
+    assert seen - common <= WHOLE[scene] | {"accuracy_parameters.py"}
+    assert allocated - common <= WHOLE[scene] | {"accuracy_parameters.py"}
+    assert WHOLE[scene] <= seen
+    named = {"upper_stop_depth", "travel", "effort", "bristle_deflection"} if WHOLE[scene] else set()
+    assert all(names <= set(BARE) | named for names in states)

@@ -162,9 +162,7 @@ class Plant:
         self._is_linear = self._hold == self._linear_hold
         self._is_flat = self._is_linear or self._hold == self._commanded_hold
         self._passing = min((command.passes for command in self.scene.commands), default=math.inf)
-        self._looks_ahead = self._passing >= 0.0 and not (
-            compiled or self._is_flat or self.scene.efforts or self.scene.schedule
-        )
+        self._looks_ahead = self._passing >= 0.0 and not (compiled or self._is_flat or self.scene.efforts)
         kept = [name for command in self.scene.commands for name in command.state_names]
         kept += [name for effort in self.scene.efforts for name in effort.state_names]
         self.state_names = (*self.scene.names, *kept)
@@ -336,6 +334,8 @@ class Plant:
         if self._looks_ahead:
             largest = min(2.0 * self._largest, self._passing)
             holds = self._machine.holds_without_events(largest) if self._next_period >= 0 else 0
+            if self._timetable:
+                holds = min(holds, self._timetable.holds_from(self._tick))
             if holds >= _WORTH_LOOKING:
                 self._free_torque, self._wait = largest, 1
             else:
@@ -422,6 +422,8 @@ class Plant:
                     self.position = machine.period(torque)
                     return
                 self._expect(ticks, torque)
+            if self._timetable:
+                self._timetable.tick = self._tick - ticks
             machine.state[-2] = torque
             machine.allow_events(self._tick - ticks, self._tick)
             self._run(ticks)

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 
-from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
+from canhaptic.sim.plant.hybrid_automaton import HOLDS, HybridAutomaton
+from canhaptic.sim.plant.propagator import TICKS
 
 
 class Timetable:
@@ -11,6 +12,9 @@ class Timetable:
     Args:
         machine: Automaton whose parts change mode.
         run: Moves the machine by some ticks without scheduled changes.
+
+    Attributes:
+        tick: Where the machine is; set before a run by one who moved it without a change on the way.
     """
 
     def __init__(self, machine: HybridAutomaton, run: Callable[[int], object]) -> None:
@@ -21,17 +25,23 @@ class Timetable:
 
     def reset(self) -> None:
         """Return to tick 0."""
-        self._tick = self._done = 0
+        self.tick = self._done = 0
+
+    def holds_from(self, tick: int) -> int:
+        """Return the number of whole sample times from a tick on without a change; `HOLDS` at most."""
+        if self._done == len(self._entries):
+            return HOLDS
+        return min(HOLDS, max(0, self._entries[self._done][0] - tick) // TICKS)
 
     def run(self, ticks: int) -> None:
         """Move by `ticks`, changing modes on the way."""
-        end = self._tick + ticks
+        end = self.tick + ticks
         while self._done < len(self._entries) and self._entries[self._done][0] < end:
             tick, part, mode = self._entries[self._done]
-            if tick > self._tick:
-                self._run(tick - self._tick)
-                self._tick = tick
+            if tick > self.tick:
+                self._run(tick - self.tick)
+                self.tick = tick
             self._machine.set_part_mode(part, mode)
             self._done += 1
-        self._run(end - self._tick)
-        self._tick = end
+        self._run(end - self.tick)
+        self.tick = end
