@@ -33,7 +33,7 @@ def execute(arguments: argparse.Namespace) -> int:
     scene = scene_of(arguments)
     limits = CommissioningLimits(torque=arguments.torque, travel=arguments.travel, speed=arguments.speed)
     place = _place(scene, arguments)
-    dialogue = _dialogue(scene, yes=arguments.yes)
+    dialogue = dialogue_of(scene, yes=arguments.yes)
     with StopSignal() as stop:
         session = Session(scene, dialogue, limits, stop.requested)
         missing, error = _walk(session, arguments.duration)
@@ -106,7 +106,8 @@ def _write(scene: Scene, report: Report, place: Path, arguments: argparse.Namesp
     write_file(place, text)
 
 
-def _dialogue(scene: Scene, *, yes: bool) -> Dialogue:
+def dialogue_of(scene: Scene, *, yes: bool) -> Dialogue:
+    """Return the person at the terminal, or, of simulated drives, one who agrees; raise InputError without one."""
     if yes:
         if not scene.simulated:
             raise InputError(
@@ -115,7 +116,7 @@ def _dialogue(scene: Scene, *, yes: bool) -> Dialogue:
             )
         return Unattended(write_note)
     if not sys.stdin.isatty():
-        raise InputError("commission asks before every torque and needs a terminal; --yes is for simulated drives")
+        raise InputError("this asks before every step and needs a terminal; --yes is for simulated drives")
     return _Terminal()
 
 

@@ -37,6 +37,7 @@ _COMMANDS: Final = {
     "map": "draw a sweep: largest wall stiffness, rendered share, and the borders of theory",
     "warm": "compile the loops of a scene, so that the first sweep finds them, as in an image of a CI",
     "arena": "compare every passivity algorithm, and your own, on scenes that are hard, as one page",
+    "lss": "give one node on the bus its node ID (LSS), asking before it is stored",
     "drive": "simulate the drives of a scene alone, on a bus that another process uses",
     "schema": "print the JSON Schema of scene files, for editors",
 }

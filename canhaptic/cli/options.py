@@ -384,6 +384,18 @@ def _new(parser: argparse.ArgumentParser) -> None:
     _add_display(parser)
 
 
+def _lss(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `lss`."""
+    add_scene(parser, runs=False)
+    parser.add_argument("node", metavar="NODE", type=int, help="node ID to give, 1 to 127")
+    parser.add_argument(
+        "--identity", nargs=4, type=lambda text: int(text, 0), metavar=("VENDOR", "PRODUCT", "REVISION", "SERIAL"),
+        help="the four numbers of its 0x1018; without them it is alone on the bus",
+    )  # fmt: skip
+    parser.add_argument("--bus", metavar="NAME", help="bus of a scene with several")
+    parser.add_argument("--yes", action="store_true", help="answer yes to everything: for simulated drives alone")
+
+
 def _preflight(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `preflight`."""
     add_scene(parser, runs=False)
@@ -459,6 +471,7 @@ OPTIONS: Final[dict[str, Callable[[argparse.ArgumentParser], None]]] = {
     "decode": _decode,
     "drive": _drive,
     "inspect": _inspect,
+    "lss": _lss,
     "new": _new,
     "preflight": _preflight,
     "replay": _replay,

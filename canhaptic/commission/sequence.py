@@ -18,7 +18,7 @@ from canhaptic.commission.torque_scale import SCALE, verified_axes
 from canhaptic.commission.torque_tests import identify_dynamics
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
-from canhaptic.drive.profile.power_states import TORQUE_FREE, drive_state
+from canhaptic.drive.profile.power_states import TORQUE_FREE
 from canhaptic.errors import InputError, RigError, SdoError, StartError
 
 _NODES: Final = range(1, 128)
@@ -270,7 +270,7 @@ def _judge_watchdog(session: Session, axis: int) -> None:
     drive = session.drives[axis]
     limit = f"within {_SILENCES * session.rig.bus.master_silence_ns / 1e6:g} ms"
     try:
-        state = drive_state(drive.sdo.read(od.STATUSWORD))
+        state = drive.read_state()
     except SdoError as error:
         session.found(axis, "watchdog", limit, "no answer", StepVerdict.FAILED, str(error))
         return

@@ -263,6 +263,7 @@ HABITS = [
     Habit("counts over the end of 0x6064", "runs", "", sets(position=(1 << 31) - 60, speed=1)),
     Habit("shows bit 12 never", "runs", "", sets(statusword=0x0210)),
     Habit("shows its limit (bit 11), with 0x6074", "runs", "", in_motion(sets(statusword=0x1A10))),
+    Habit("shows never that the bus commands it (bit 9)", "runs", "", sets(statusword=0x1010)),
     Habit("shows a warning and vendor bits", "runs", "", in_motion(sets(statusword=0xD290))),
     Habit("left an offset in 0x60B1", "runs", "", objects(x60b1_0="c8 00 00 00"), "display"),
     # --- ends while it runs ---
@@ -281,6 +282,7 @@ HABITS = [
     Habit("sends an EMCY of two bytes", "ended", "EMCY 0x3210", in_motion(sends(0x085, "10 32"))),
     Habit("sends a boot-up and goes on", "ended", "left NMT OPERATIONAL", in_motion(sends(0x705, "00"))),
     Habit("stops quickly by itself", "ended", "left OPERATION ENABLED", in_motion(sets(state="quick stop"))),
+    Habit("is commanded by the bus no more", "ended", "no more (bit 9", in_motion(sets(statusword=0x1010))),
     Habit("falls back to SWITCHED ON", "ended", "left OPERATION ENABLED", in_motion(sets(state="on"))),
     Habit("falls silent", "ended", "heartbeat stopped", in_motion(sets(has_heartbeat=False))),
     Habit("sends no more TPDOs", "ended", "no TPDO for too many SYNCs", in_motion(sets(tpdo_every=1 << 60))),

@@ -23,9 +23,7 @@ _REMEDIES: Final = {
     "bus": "check the interface, cable and termination",
 }
 
-_NO_NODE_ID: Final = "give it its node ID with the vendor's tool, and store it"
-_LSS_REQUEST, _LSS_ANSWER, _LSS_IDENTIFY = 0x7E5, 0x7E4, 0x4C  # identify non-configured remote slave
-_LSS_TIMEOUT: Final = 100_000_000  # [ns]
+_NO_NODE_ID: Final = "give it its node ID (canhaptic lss, or the vendor's tool), and store it"
 
 
 class CanBringUp(BringUp):
@@ -49,13 +47,9 @@ class CanBringUp(BringUp):
 
     def _explain_absence(self) -> None:
         """Ask for nodes without a node ID (LSS, CiA 305, 6.4.6), which take no SDO."""
-        link = self._drive.link
-        found: list[object] = []
-        link.subscribe(_LSS_ANSWER, found.append)
-        link.send(_LSS_REQUEST, bytes([_LSS_IDENTIFY]) + bytes(7))
-        link.wait_for(lambda: bool(found), _LSS_TIMEOUT)
-        link.unsubscribe(_LSS_ANSWER)
-        if found:
+        from canhaptic.drive.can.lss import LssMaster
+
+        if LssMaster(self._drive.link).has_unconfigured():
             wanted = f"node {self._drive.axis.node_id}"
             raise self.refusal("presence", "a node without a node ID (LSS)", wanted, _NO_NODE_ID)
 

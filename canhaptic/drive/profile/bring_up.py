@@ -260,7 +260,7 @@ class BringUp(ABC):
         self._drive.emergency = None
 
     def _state(self) -> PowerState:
-        return drive_state(self._sdo.read(od.STATUSWORD))
+        return self._drive.read_state()
 
     def fault_text(self) -> str:
         """Return the state with the drive's own error code, where it has one."""

@@ -96,7 +96,9 @@ STOP_TABLE: Final[dict[StopReason, _StopRule]] = {
         "the drive is in FAULT", errors.DriveStateFaultError, "look its error code (0x603F) up and remove the cause"
     ),
     StopReason.STATE_LEFT: _StopRule(
-        "the drive left OPERATION ENABLED", errors.StateLeftError, "check enable input, supply and limits of the drive"
+        "the drive left OPERATION ENABLED, or the bus commands it no more (bit 9 of the statusword)",
+        errors.StateLeftError,
+        "check enable input, supply and limits of the drive, and what else may command it",
     ),
     StopReason.NMT_STATE_LEFT: _StopRule(
         "the drive left NMT OPERATIONAL",

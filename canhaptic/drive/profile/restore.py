@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from canhaptic.canopen import objects as od
-from canhaptic.drive.profile.power_states import PowerState, drive_state
+from canhaptic.drive.profile.power_states import PowerState
 from canhaptic.drive.profile.torque_axis import TorqueAxis, Written
 from canhaptic.errors import SdoError
 
@@ -27,7 +27,7 @@ def restore(drive: TorqueAxis, problem: str = "") -> None:
     for change in changes:
         firsts.setdefault(change.place, change)
     try:
-        state = problem or drive_state(drive.sdo.read(od.STATUSWORD)).value
+        state = problem or drive.read_state().value
         if state != PowerState.SWITCH_ON_DISABLED.value:
             raise SdoError(f"left as it is, the drive shows {state}", od.STATUSWORD, 0)
         for change in reversed(changes):

@@ -17,9 +17,9 @@ from itertools import count
 from typing import Final, Protocol
 
 from canhaptic.canopen.code_texts import emcy_remedy
-from canhaptic.canopen.objects import CONTROLWORD, POSITION_ACTUAL, STATUSWORD, Controlword, StatusBit
+from canhaptic.canopen.objects import CONTROLWORD, POSITION_ACTUAL, Controlword, StatusBit
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
-from canhaptic.drive.profile.power_states import FAULTED, TORQUE_FREE, PowerState, drive_state, next_controlword
+from canhaptic.drive.profile.power_states import FAULTED, TORQUE_FREE, PowerState, next_controlword
 from canhaptic.drive.profile.restore import restore
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.errors import LinkError, RigError
@@ -382,7 +382,7 @@ def _confirm_disabled(drive: TorqueAxis) -> str:
     """Error of a drive that should be disabled; asks by SDO, for its TPDO did not show it."""
     try:
         drive.sdo.write(CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
-        state = drive_state(drive.sdo.read(STATUSWORD))
+        state = drive.read_state()
     except RigError as error:
         return str(error)
     return "" if state in TORQUE_FREE else f"state {state.value}"

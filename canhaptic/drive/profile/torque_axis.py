@@ -61,6 +61,7 @@ _tuple: Final = tuple.__new__  # makes a sample at half the cost of calling its 
 _NO_REASON: Final = StopReason.NONE  # bound once: to look a member up in its enum takes as long as all of `fault`
 _LIMITED: Final = int(od.StatusBit.INTERNAL_LIMIT)
 _FOLLOWS: Final = int(od.StatusBit.FOLLOWS_COMMAND)
+_REMOTE: Final = int(od.StatusBit.REMOTE)
 
 
 class ReceivedEmergency(NamedTuple):
@@ -397,13 +398,17 @@ class TorqueAxis(ABC):
             return False
         return min(commanded, 0) - tolerance <= applied <= max(commanded, 0) + tolerance
 
+    def read_state(self) -> PowerState:
+        """Ask the drive for its power state, outside the process data; raise SdoError."""
+        return drive_state(self.sdo.read(od.STATUSWORD))
+
     def watch_statusword(self) -> None:
         """Watch more than the state from now on, the rig being enabled.
 
-        A drive that shows that it follows its target (bit 12) must go on to do so. One whose torque is not read back
-        must not begin to limit it (bit 11).
+        A drive that shows that it follows its target (bit 12), or that the bus commands it (bit 9), must go on to do
+        so. One whose torque is not read back must not begin to limit it (bit 11).
         """
-        follows = self.statusword & _FOLLOWS
+        follows = self.statusword & (_FOLLOWS | _REMOTE)
         limits = 0 if not self._reads_nothing or self.statusword & _LIMITED else _LIMITED
         self._watched, self._expected = ENABLED_MASK | follows | limits, ENABLED_VALUE | follows
 
@@ -432,6 +437,8 @@ class TorqueAxis(ABC):
             return StopReason.STATE_LEFT
         if not self.is_operational:
             return StopReason.NMT_STATE_LEFT
+        if self._watched & _REMOTE and not self.statusword & _REMOTE:
+            return StopReason.STATE_LEFT
         return self._deviation()
 
     def _deviation(self) -> StopReason:

@@ -1,0 +1,28 @@
+"""`canhaptic lss CONFIG NODE`: gives one node on the bus of a scene its node ID, asking before each step."""
+
+import argparse
+
+from canhaptic.cli.commission import dialogue_of
+from canhaptic.cli.options import scene_of
+from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.lss import give_node_id
+from canhaptic.drive.clock import WallClock
+from canhaptic.errors import InputError
+from canhaptic.scene.build import open_bus
+
+_LARGEST_NODE_ID = 127
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Return 0 where the node has its node ID, 1 where somebody said no or it did not boot."""
+    scene = scene_of(arguments)
+    if not 1 <= arguments.node <= _LARGEST_NODE_ID:
+        raise InputError(f"NODE: got {arguments.node}, expected 1 to {_LARGEST_NODE_ID}")
+    buses = [bus.parameters for bus in scene.buses if arguments.bus in (None, bus.name)]
+    if len(buses) != 1:
+        raise InputError(f"--bus: got {arguments.bus}, expected one of: {', '.join(bus.name for bus in scene.buses)}")
+    dialogue = dialogue_of(scene, yes=arguments.yes)
+    with open_bus(buses[0], buses[0].channel) as bus:
+        link = Link(bus, WallClock())
+        given = give_node_id(link, arguments.node, arguments.identity, dialogue.confirm, dialogue.tell)
+    return 0 if given else 1
