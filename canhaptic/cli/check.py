@@ -28,7 +28,7 @@ from canhaptic.drive.profile.fitness import Finding, Verdict
 from canhaptic.drive.survey import survey
 from canhaptic.host.realtime import GRANTED, Realtime
 from canhaptic.scene.build import build, require_buildable
-from canhaptic.scene.first_contact import advice, slowest_felt
+from canhaptic.scene.first_contact import advice, halves_rendered, slowest_felt
 from canhaptic.scene.hints import Hint, display_hints, group_hints, guarantee, stability_hints
 from canhaptic.scene.method import dear_holds
 from canhaptic.scene.models import Guess, Scene, refused_values, status_text, values_to_set
@@ -149,6 +149,10 @@ def _objects_of_drives(scene: Scene) -> dict[str, list[Finding]]:
         return {axis.parameters.name: experiment.rig.read_objects(n) for n, axis in enumerate(scene.axes)}
 
 
+_USUAL: Final = 0.01
+"""Part of the largest speed of an axis at which the halves of a detent are judged."""
+
+
 class _CheckFindings(NamedTuple):
     """Findings of `check`."""
 
@@ -169,7 +173,10 @@ class _CheckFindings(NamedTuple):
         axis, at = self.scene.axis(name), "" if len(self.scene.axes) == 1 else f" at {name}"
         if self.felt[name] == inf:
             return f"{NO_WALL}{at}: {advice(axis)}"
-        return f"felt from {self.felt[name]:.2g} {axis.parameters.unit}/s{at}"
+        speed, unit = _USUAL * axis.parameters.largest_speed, f"{axis.parameters.unit}/s"
+        halves = halves_rendered(axis, speed)
+        both = f" ({halves[0]:.2f} up to a crest and {halves[1]:.2f} behind it at {speed:.2g} {unit})" if halves else ""
+        return f"felt from {self.felt[name]:.2g} {unit}{at}{both}"
 
     @property
     def refused(self) -> bool:

@@ -336,9 +336,9 @@ def _require_push(scene: Scene, controllers: Sequence[object]) -> None:
         if getattr(controller, "lacks_push", False) and axis.environment.name != "free_space":
             raise InputError(
                 f"{scene.source}: passivity of {axis.parameters.name}: hand_push: not declared, expected the largest "
-                f"force with which the hand pushes against the effort: {axis.environment.name} has more than one way "
-                "out, and where they meet the hand pushes out of one contact into the next; declare it (hand_push: "
-                "20 N), or hand_force: null with another certificate"
+                f"force with which the hand pushes against the effort: environment {axis.environment.name!r} has more "
+                "than one way out, and where they meet the hand pushes out of one contact into the next; declare it "
+                "(hand_push: 20 N), or hand_force: null with another certificate"
             )
 
 

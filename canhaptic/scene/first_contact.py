@@ -101,6 +101,24 @@ def rendered_share(axis: AxisScene, speed: float) -> float:
     return sent / asked if asked else 0.0
 
 
+def halves_rendered(axis: AxisScene, speed: float) -> tuple[float, float] | None:
+    """Return the parts rendered of the effort against a motion and along it, 0 to 1; None where none is along it.
+
+    Behind a crest the effort pulls the handle on: that half of a detent is felt as its snap.
+
+    Args:
+        axis: One that can be tried.
+        speed: Speed of the handle, constant, > 0 [m/s or rad/s].
+    """
+    found = _inward(_environment(axis))
+    asked, sent = [0.0, 0.0], [0.0, 0.0]
+    for effort, torque in _contact(axis, speed) if found else ():
+        half = int(effort * found[1] < 0.0) if found else 0
+        asked[half] += abs(effort)
+        sent[half] += min(max(0.0, -torque if effort > 0.0 else torque), abs(effort))
+    return (sent[0] / asked[0], sent[1] / asked[1]) if all(asked) else None
+
+
 def with_declared(axis: AxisScene, declared: Mapping[str, float]) -> AxisScene:
     """Return the axis with other values of its section `passivity`, in SI."""
     of_loop = {key: value for key, value in declared.items() if key in type(axis.loop).model_fields}

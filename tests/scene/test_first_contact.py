@@ -11,6 +11,7 @@ from canhaptic.scene.first_contact import (
     advice,
     can_be_tried,
     enough_allowance,
+    halves_rendered,
     is_felt,
     remedies,
     rendered_share,
@@ -139,3 +140,21 @@ def test_check_says_on_which_declaration_the_guarantee_rests_and_what_the_encode
     kept = next(hint for hint in stability_hints(rough) if hint.what.startswith("stiffness kept"))
     assert (kept.limit, kept.asked) == (pytest.approx(2000.0), 100.0)
     assert "counts up to 0.002 m keep the wall asked, here 0.0001 m" in kept.text
+
+
+SNAPS = ["environment={type: detents, peak: 5, pitch: 4 mm}"]
+SNAPS += ["passivity={algorithm: guarded, moving_mass: 0.2, hand_force: 5, hand_push: 20, device_damping: 0.4, "
+          "device_damping_bound: 0.6, sync_jitter: 0.02, current_lag: 0.1 ms}"]  # fmt: skip
+
+
+def test_both_halves_of_a_detent_are_rendered_and_check_says_how_much(capsys: pytest.CaptureFixture[str]) -> None:
+    halves = halves_rendered(axis(*SNAPS), 0.1)
+    assert halves is not None
+    assert min(halves) >= 0.7
+    lacking = halves_rendered(axis(*SNAPS, "passivity.hand_push=null", "passivity.device_damping=null"), 0.1)
+    assert lacking is not None
+    assert max(lacking) < 0.7
+    assert halves_rendered(axis(), 0.1) is None  # a wall has no crest
+    assert main(["check", str(CONFIGS / "demo.yaml"), *(word for text in SNAPS for word in ("--set", text))]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"({halves[0]:.2f} up to a crest and {halves[1]:.2f} behind it at 0.1 m/s)" in said
