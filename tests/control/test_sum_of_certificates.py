@@ -30,8 +30,8 @@ from canhaptic.control.passivity.guarded import Guarded
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import list_of_zeros
-from canhaptic.lab.batch.closed_loop import Meter, MeterSettings, take
 from canhaptic.lab.figures.figures import metrics_of
+from canhaptic.lab.figures.meter import Meter, MeterSettings, take
 from tests.control.guarded_users import MASS, guarded, run
 
 T = 1e-3

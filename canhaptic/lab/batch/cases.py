@@ -26,7 +26,7 @@ from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.kernels import Kernel
-from canhaptic.lab.batch.closed_loop import LinearPlants, LoopSettings, Losses, MeterSettings, ReferenceSettings
+from canhaptic.lab.batch.closed_loop import LinearPlants, LoopSettings, Losses, ReferenceSettings
 from canhaptic.lab.batch.plants import (
     PlantValues,
     SignalEffects,
@@ -37,6 +37,7 @@ from canhaptic.lab.batch.plants import (
 )
 from canhaptic.lab.batch.varied import scene_with, split_key
 from canhaptic.lab.figures.figures import CONTINUOUS, last_rows
+from canhaptic.lab.figures.meter import MeterSettings
 from canhaptic.lab.loop.axis_loop import FURTHEST, Array, LoopCase, loop_case
 from canhaptic.lab.reference import readings_per_hold
 from canhaptic.registry import load

@@ -44,24 +44,19 @@ from canhaptic.lab.batch.closed_loop import (
     AxisRun,
     CycleState,
     LinearPlants,
-    Meter,
-    MeterSettings,
     ReferenceMemory,
     ReferenceSettings,
     ReferenceState,
     begin_plant,
-    compare,
-    diverge,
     follow,
-    miss,
     plant_at,
     run_loop,
     step,
-    take,
 )
 from canhaptic.lab.batch.group_loop import GroupCase, GroupMeter, LinearMotors, run_group
 from canhaptic.lab.batch.group_loop import step as step_group
 from canhaptic.lab.batch.plants import CALLS, Interrupted, Plants, loop_replacements, run_event_plants, uninterrupted
+from canhaptic.lab.figures.meter import Meter, MeterSettings, compare, diverge, miss, take
 from canhaptic.lab.loop.axis_loop import Array, DivergedError, LoopCase, LoopRun, Recorder
 from canhaptic.sim.plant import stepper
 from canhaptic.sim.plant.effects.encoder_noise import gaussian, noise, uniform

@@ -54,17 +54,7 @@ from canhaptic.errors import ControlError
 from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, new
 from canhaptic.kernels.records import arrays_of, records_of
 from canhaptic.lab.batch import plants as event_plant
-from canhaptic.lab.batch.closed_loop import (
-    MOVED,
-    LoopSettings,
-    Meter,
-    acting,
-    commanded,
-    count_branch,
-    measured,
-    read,
-    take_energy,
-)
+from canhaptic.lab.batch.closed_loop import MOVED, LoopSettings, acting, commanded, measured, read
 from canhaptic.lab.batch.plants import (
     EventModes,
     EventPlant,
@@ -81,6 +71,7 @@ from canhaptic.lab.batch.plants import (
     why_not_in_loop,
     works_are_booked,
 )
+from canhaptic.lab.figures.meter import Meter, count_branch, take_energy
 from canhaptic.lab.loop.axis_loop import FURTHEST, DivergedError, LoopRun, Recorder, mechanism_of_group
 from canhaptic.registry import load
 from canhaptic.scene.models import AxisScene, MechanismScene, Scene

@@ -26,11 +26,9 @@ from canhaptic.lab.batch.cases import (
     why_not_continuous,
 )
 from canhaptic.lab.batch.closed_loop import (
-    BRIEF,
     MOVED,
     TERMS,
     CycleState,
-    Meter,
     ReferenceMemory,
     ReferenceState,
     begin_plant,
@@ -41,6 +39,7 @@ from canhaptic.lab.batch.closed_loop import (
 from canhaptic.lab.batch.engine import WORTH_COMPILING, Engine, chosen_engine
 from canhaptic.lab.batch.plants import Interrupted, Plants, loop_replacements, run_event_plants, uninterrupted
 from canhaptic.lab.figures.figures import last_rows, metrics_of, sums_of
+from canhaptic.lab.figures.meter import BRIEF, Meter
 from canhaptic.lab.loop.axis_loop import Array
 
 

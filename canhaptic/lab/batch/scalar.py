@@ -28,7 +28,7 @@ from canhaptic.errors import CanHapticError, ControlError
 from canhaptic.kernels import Matrix, new, with_quick_fields
 from canhaptic.kernels.records import bound
 from canhaptic.lab.batch.cases import NotBatchableError, why_not_compiled
-from canhaptic.lab.batch.closed_loop import LoopSettings, Meter, MeterSettings, Signals, compare, take
+from canhaptic.lab.batch.closed_loop import LoopSettings, Signals
 from canhaptic.lab.batch.engine import ChosenEngine
 from canhaptic.lab.batch.group_loop import (
     GroupCase,
@@ -48,7 +48,8 @@ from canhaptic.lab.batch.group_loop import (
     take_group,
 )
 from canhaptic.lab.batch.plants import PlantValues
-from canhaptic.lab.figures.figures import CONTINUOUS, METRICS, last_rows, metrics_of, sums_of
+from canhaptic.lab.figures.figures import CONTINUOUS, METRICS, last_rows, metrics_of, sums_of, sums_of_continuous
+from canhaptic.lab.figures.meter import Meter, MeterSettings, compare, take
 from canhaptic.lab.loop.axis_loop import (
     FURTHEST,
     Array,
@@ -262,21 +263,11 @@ def run_case(
     """Return the figures of one loop by the names of `METRICS`; see `run_scalar`."""
     meter = _metered(case, cycles, continuous)
     names = list(METRICS if metrics is None else metrics)
-    found = asdict(meter) | _sums_of_continuous(continuous, case.sample_time_ns)
+    found = asdict(meter)
+    if continuous is not None:
+        found |= sums_of_continuous(continuous, len(continuous.position), case.sample_time_ns * 1e-9)
     sums = {name: np.array([found[name]]) for name in sums_of(names)}
     return {name: float(values[0]) for name, values in metrics_of(names, sums).items()}
-
-
-def _sums_of_continuous(continuous: ContinuousReference | None, sample_time_ns: int) -> dict[str, float]:
-    if continuous is None:
-        return {}
-    position = continuous.position
-    rest = float(np.ptp(position[last_rows(len(position), sample_time_ns * 1e-9)]))
-    return {
-        "continuous_travel": continuous.travel,
-        "continuous_rest": rest,
-        "continuous": continuous.variation,
-    }
 
 
 def _metered(case: LoopCase, cycles: int, continuous: ContinuousReference | None = None) -> Meter:

@@ -1,19 +1,21 @@
 """The figures of a run: each is defined here once, by name, unit and its sums.
 
-Sums come from a run that kept its rows (`_sums_of_run`) or are accumulated during a run (`canhaptic.lab.batch`).
+The sums are those of `meter`, taken during a run, or from the rows that a run kept.
 Energies [J] are those of the plant unless named as accounted ones (`believed_...`).
 
 The figures of an admittance display in a sweep, by name; a name of impedance displays means the same here.
 """
 
 from collections.abc import Mapping, Sequence
-from math import nan
+from dataclasses import asdict
+from math import isnan, nan
 from typing import Any, Final
 
 import numpy as np
 
 from canhaptic.control.balance import WEAKEST_LAST
 from canhaptic.control.environments.environment import Environment
+from canhaptic.lab.figures.meter import Meter, compare, take_contact, take_last_part
 from canhaptic.lab.loop.admittance_loop import AdmittanceRun, felt, run_display
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
 from canhaptic.lab.reference import REST, ContinuousReference
@@ -25,6 +27,7 @@ _LONGEST_LAST: Final = 2.0
 _LEAST_EFFORT: Final = 1e-9
 """Effort below which there is nothing to be rendered [N or N*m]."""
 _LAST: Final = ("diverged", "continuous_travel", "continuous_rest")
+_ERRORS: Final = ("position_squares", "position_worst", "force_squares", "force_worst")
 _NO_REFERENCE: Final = "NaN in a batch without a continuous run in closed form"
 
 METRICS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
@@ -64,7 +67,7 @@ METRICS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "branches.depleted": ("holds that took more than was stored", ("depleted",)),
     "branches.exit": ("holds that ended a contact", ("exit",)),
 }  # fmt: skip
-"""Name -> (meaning, the sums that it is made of, see `_sums_of_run`)."""
+"""Name -> (meaning, the sums that it is made of, see `meter.Meter`)."""
 
 CONTINUOUS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "position_error.rms": (f"against the continuous environment, {_NO_REFERENCE} [m or rad]",
@@ -158,61 +161,30 @@ def _sums_of_run(
         reference: The continuous run of the same user; None leaves out the comparison with it.
         sample_time: Sample time [s].
     """
-    damping, touching = run.damping[np.isfinite(run.damping)], np.isfinite(run.damping)
-    sums = {
-        "diverged": float(bool(run.ended)),
-        "cycles": float(len(run.position)),
-        "variation": run.variation,
-        "contacts": float(damping.size),
-        "damping": float(damping.sum()),
-        "damping_least": float(damping.min(initial=np.inf)),
-        "damping_most": float(damping.max(initial=0.0)),
-        **_forces(environment, run.position[touching], run.torque[touching]),
-    }
+    meter = Meter(cycles=float(len(run.position)), diverged=float(bool(run.ended)), variation=run.variation)
+    last_from = last_rows(len(run.position), sample_time).start
+    columns = (run.position, run.true_position, run.torque, run.damping)
+    for row, (position, true_position, torque, damping) in enumerate(
+        zip(*map(np.ndarray.tolist, columns), strict=True)
+    ):
+        if not isnan(damping):
+            take_contact(environment, meter, position, torque, damping)
+        if row >= last_from:
+            take_last_part(environment, meter, true_position, torque)
     if reference is None:
-        return sums
-    at_rest = {} if run.ended else _in_last_part(environment, run, reference, sample_time)
-    return sums | _errors(run, reference) | at_rest
+        return {name: value for name, value in asdict(meter).items() if name not in _ERRORS}
+    columns = (run.true_position, run.torque, reference.position, reference.torque)
+    for values in zip(*map(np.ndarray.tolist, columns), strict=False):  # a run that diverged is shorter
+        compare(meter, *values)
+    return asdict(meter) | sums_of_continuous(reference, len(run.position), sample_time)
 
 
-def _errors(run: LoopRun, reference: ContinuousReference) -> dict[str, float]:
-    shown = min(len(run.position), len(reference.position))
-    moved = run.true_position[:shown] - reference.position[:shown]
-    force = run.torque[:shown] - reference.torque[:shown]
-    return {
-        "cycles": float(shown),
-        "position_squares": float(np.sum(moved * moved)),
-        "position_worst": float(np.abs(moved).max(initial=0.0)),
-        "force_squares": float(np.sum(force * force)),
-        "force_worst": float(np.abs(force).max(initial=0.0)),
-        "continuous": reference.variation,
-    }
-
-
-def _in_last_part(
-    environment: Environment, run: LoopRun, reference: ContinuousReference, sample_time: float
-) -> dict[str, float]:
-    rows = last_rows(len(run.position), sample_time)
-    position = run.true_position[rows]
+def sums_of_continuous(reference: ContinuousReference, cycles: int, sample_time: float) -> dict[str, float]:
+    """Return the sums of a continuous run over some SYNCs, by the names in `ALL`."""
     return {
         "continuous_travel": reference.travel,
-        "continuous_rest": float(np.ptp(reference.position[rows])),
-        "last_highest": float(position.max()),
-        "last_lowest": float(position.min()),
-        "last": float(len(position)),
-        **{f"last_{name}": value for name, value in _forces(environment, position, run.torque[rows]).items()},
-    }
-
-
-def _forces(environment: Environment, position: Array, torque: Array) -> dict[str, float]:
-    """Sums of force, state and requested effort; zeros where the state relaxes, which has no stiffness."""
-    if environment.relaxes:
-        return {"force": 0.0, "state": 0.0, "asked": 0.0}
-    states = [environment.true_state(q, 0.0, 0.0) for q in position.tolist() if environment.contact(q)]
-    return {
-        "force": -float(torque.sum()),
-        "state": float(sum(states)),
-        "asked": float(sum(environment.effort(state) for state in states)),
+        "continuous_rest": float(np.ptp(reference.position[last_rows(cycles, sample_time)])),
+        "continuous": reference.variation,
     }
 
 

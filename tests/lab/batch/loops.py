@@ -7,9 +7,10 @@ import numpy as np
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.environments.environment import plain
 from canhaptic.lab.batch.cases import BatchCase, loop_in_arrays
-from canhaptic.lab.batch.closed_loop import Meter, commanded, measured, take
+from canhaptic.lab.batch.closed_loop import commanded, measured
 from canhaptic.lab.batch.scalar import loop_settings
 from canhaptic.lab.figures.figures import METRICS, metrics_of, sums_of
+from canhaptic.lab.figures.meter import Meter, take
 from canhaptic.lab.loop.axis_loop import LoopCase
 from canhaptic.registry import load
 from canhaptic.sim.plant.plant import PlantParameters

@@ -7,8 +7,8 @@ import pytest
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.lab.batch.closed_loop import MeterSettings
 from canhaptic.lab.batch.scalar import render_by, work_of
+from canhaptic.lab.figures.meter import MeterSettings
 from canhaptic.lab.loop.axis_loop import Recorder, loop_case
 from canhaptic.lab.studies.accuracy.loop_sensitivity import engines_of, variants
 from canhaptic.lab.studies.compare import compare
