@@ -24,8 +24,8 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
     "kinematics": ("control.mechanisms.",),
     "mechanism": ("sim.plant.mechanism.",),
     "display": (
-        *("control.admittance.", "drive.can.display_", "drive.profile.display_"),
-        *("scene.display_", "sim.drive.profile.display_", "sim.plant.velocity_drive"),
+        *("control.admittance.", "drive.can.admittance_", "drive.profile.admittance_"),
+        *("scene.admittance_checks", "sim.drive.profile.admittance_", "sim.plant.velocity_drive"),
     ),
     "force node": ("canopen.force_node", "sim.drive.can.sensor_node"),
     "impedance algorithm": ("control.passivity.guarded", "control.certificates.torque_bound"),
