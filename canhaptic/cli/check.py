@@ -32,7 +32,7 @@ from canhaptic.scene.first_contact import advice, halves_rendered, slowest_felt
 from canhaptic.scene.hints import Hint, display_hints, group_hints, guarantee, stability_hints
 from canhaptic.scene.method import dear_holds
 from canhaptic.scene.models import Guess, Scene, refused_values, status_text, values_to_set
-from canhaptic.view.energy_table import make_console
+from canhaptic.view.run_lines import make_console
 from canhaptic.view.table import Cell, Styled, Table
 
 _UNLIMITED = "unlimited"

@@ -18,7 +18,7 @@ from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import status_text
 from canhaptic.scene.profiles import profile_of_vendor, profile_values
 from canhaptic.scene.starter import starter_scene
-from canhaptic.view.energy_table import make_console
+from canhaptic.view.run_lines import make_console
 from canhaptic.view.table import Cell, Styled, Table
 
 _COLOURS: Final = {Suitability.FIT: "green", Suitability.CONDITIONAL: "yellow", Suitability.UNFIT: "red"}

@@ -17,7 +17,7 @@ from canhaptic.cli.interrupt import say_interrupted
 from canhaptic.cli.long_command import SHELL_OFFSET
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
-from canhaptic.view.energy_table import make_console
+from canhaptic.view.run_lines import make_console
 
 _HOST: Final = "127.0.0.1"  # no other computer may read, or load, what runs here
 _NAMES: Final = (_HOST, "localhost")

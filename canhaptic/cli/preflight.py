@@ -6,7 +6,7 @@ from typing import Final
 from canhaptic.cli.options import scene_of
 from canhaptic.cli.output import write_json
 from canhaptic.host.socketcan_state import PreflightFinding, preflight
-from canhaptic.view.energy_table import make_console
+from canhaptic.view.run_lines import make_console
 from canhaptic.view.table import Cell, Styled, Table
 
 _REFUSED: Final = 1

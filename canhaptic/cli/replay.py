@@ -12,7 +12,8 @@ from canhaptic.logs.bus_reader import describe_skipped
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.repair import require_readable
 from canhaptic.replay import FrameWords, ReplayResult, replay_bus_log
-from canhaptic.view.energy_table import energy_report, make_console
+from canhaptic.view.energy_table import energy_report
+from canhaptic.view.run_lines import make_console
 
 
 def execute(arguments: argparse.Namespace) -> int:

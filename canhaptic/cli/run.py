@@ -114,7 +114,7 @@ def _withheld(result: RunResult) -> str:
 
 def _fails(result: RunResult) -> bool:
     """Report a port that is not shown as passive, if there is one; no contact is no failure."""
-    from canhaptic.view.energy_table import headline_text
+    from canhaptic.view.run_lines import headline_text
 
     for name, account in result["ports"].items():
         if account.get("verdict", "yes") not in _KEPT:
@@ -150,7 +150,7 @@ def _report(result: RunResult, error: CanHapticError | None, arguments: argparse
     if arguments.json:
         write_json(result if error is None else {**failure(error), "result": result})
     elif result["cycles"]:
-        from canhaptic.view.energy_table import print_energy
+        from canhaptic.view.run_lines import print_energy
 
         if result.get("dry_run"):
             write_line(_withheld(result))

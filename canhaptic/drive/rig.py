@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
-from canhaptic.canopen.code_texts import emcy_remedy
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.bus_budget import budget_of, has_room_for_sdo, own_frames
 from canhaptic.drive.can.can_bring_up import CanBringUp
@@ -363,6 +362,8 @@ class Rig:
     def _emergency_remedy(self, drive: ServoDrive) -> str:
         """Remedy for the drive's EMCY; "" where its code belongs to the drive's own manual."""
         code = 0 if drive.emergency is None else drive.emergency.code
+        from canhaptic.canopen.code_texts import emcy_remedy
+
         return emcy_remedy(code, self.bus.master_silence_ns * 1e-9, self.skipped_syncs)
 
     def reset_faults(self) -> None:

@@ -576,11 +576,12 @@ def refused_values(scene: Scene, run: "Runner | None" = None) -> list[Guess]:
     """
     if scene.simulated:
         return []
+    unset = guesses_left(scene) if _is_simulated_elsewhere(scene) else values_to_set(scene)
+    if not unset:
+        return []
     from canhaptic.host.socketcan_state import all_links_are_virtual
 
-    if all_links_are_virtual(scene, run):
-        return []
-    return guesses_left(scene) if _is_simulated_elsewhere(scene) else values_to_set(scene)
+    return [] if all_links_are_virtual(scene, run) else unset
 
 
 def status_text(scene: Scene) -> str:

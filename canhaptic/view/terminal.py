@@ -1,4 +1,4 @@
-"""Texts of files and drives on a terminal: what would steer the terminal is shown, not sent."""
+"""The terminal: what would steer it in texts of files and drives is shown, not sent."""
 
 from itertools import chain
 from typing import Final

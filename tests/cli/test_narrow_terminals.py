@@ -9,7 +9,7 @@ from rich.console import Console
 
 from canhaptic.cli.main import main
 from canhaptic.commission.session import Report, StepFinding, StepVerdict
-from canhaptic.view.energy_table import make_console
+from canhaptic.view.run_lines import make_console
 
 ROOT = Path(__file__).parents[2]
 CONFIGS = ROOT / "configs"

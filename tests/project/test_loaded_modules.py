@@ -10,7 +10,7 @@ from tests.acceptance.two_processes import Listener, canhaptic, shared_bus  # no
 from tools.count_structure import code_of, loaded_modules
 
 ROOT: Final = Path(__file__).resolve().parents[2]
-CODE_OF_A_REAL_AXIS: Final = 11_150
+CODE_OF_A_REAL_AXIS: Final = 11_300
 """Most lines of code that one real axis may load, on a bus that is not SocketCAN and without its preflight (170)."""
 KINDS: Final[dict[str, tuple[str, ...]]] = {
     "simulation": (
@@ -33,6 +33,8 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
     "log": ("logs.bus_", "logs.columns", "logs.energy_", "logs.ring", "logs.writer", "scene.log_writers"),
     "fault of the bus": ("sim.bus.faulty_bus",),
     "drive profile": ("scene.profiles",),
+    "fault of the drive": ("canopen.code_texts",),
+    "every figure": ("view.energy_table", "view.table"),
     "fault of the scene": ("scene.explain", "scene.first_contact"),
     "override": ("scene.overrides",),
     "friction": ("control.friction_watch",),
@@ -115,8 +117,10 @@ def test_a_real_axis_loads_no_simulation_and_no_more_code_than_can_be_read(
     shared_bus: tuple[Listener, list[str]],  # noqa: F811
 ) -> None:
     listener, words = shared_bus
+    verified = ["torque_verified=balance", "position_reference=absolute"]
     declared = ["sync_jitter=5 %", "torque_window=100 us", "current_lag=500 us", "device_friction_bound=2 N"]
     words_of_master = [word for key in declared for word in ("--set", f"passivity.{key}")]
+    words_of_master += [word for key in verified for word in ("--set", f"axes.0.{key}")]
     with canhaptic("drive", str(ROOT / "configs/demo.yaml"), *words) as drive:
         assert drive.stderr is not None
         listener.wait_for(lambda frame: frame.can_id == 0x701)

@@ -7,8 +7,9 @@ from rich.console import Console
 
 from canhaptic.audit.inspection import LoggedEvent
 from canhaptic.control.verdict import add_verdicts
-from canhaptic.view.energy_table import energy_report, make_console, print_energy
+from canhaptic.view.energy_table import energy_report
 from canhaptic.view.inspect_table import _events_table
+from canhaptic.view.run_lines import make_console, print_energy
 from canhaptic.view.si import si
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from canhaptic.control.verdict import headline
-from canhaptic.view.energy_table import headline_text
+from canhaptic.view.run_lines import headline_text
 
 CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
 

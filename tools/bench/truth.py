@@ -5,8 +5,10 @@ all declarations true (`tools/truth`). `--runs N` runs N seeds from `--seed` on,
 in `truth_runs.jsonl`, so that the same command goes on where it was stopped. `--only SEED` runs one seed, says what is
 false of it and leaves it, made smaller, as a scene file. Faults that no frame can show are left out: a stuck encoder, a
 TPDO repeated to the bit, a motor whose sign turns in a run (docs/safety.md). A run counts when it lasted 1 s and
-something pushed or asked for 0.5 N, and any torque was sent: without one it proves nothing. `--faults` lays a fault over every scene (`tools/truth/faults.py`): lost, doubled
-and late frames, bus and host that stop, drives that fail, another master, on one bus or two.
+something pushed or asked for 0.5 N, and any torque was sent: without one it proves nothing. `--faults` adds a fault to
+every scene (`tools/truth/faults.py`): lost, doubled and late frames, bus and host that stop, drives that fail,
+another master, on one bus or
+two.
 
 A yes is due where
 

@@ -16,7 +16,6 @@ from functools import partial
 from itertools import count
 from typing import Final, Protocol
 
-from canhaptic.canopen.code_texts import emcy_remedy
 from canhaptic.canopen.objects import CONTROLWORD, POSITION_ACTUAL, Controlword, StatusBit
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
 from canhaptic.drive.profile.power_states import FAULTED, TORQUE_FREE, PowerState, next_controlword
@@ -236,6 +235,8 @@ def _enable_time(drive: TorqueAxis) -> int:
 def _refuse_fault(exchange: CyclicExchange, drive: TorqueAxis, bring_up: BringUp) -> None:
     if drive.state in FAULTED or drive.emergency is not None:
         code = 0 if drive.emergency is None else drive.emergency.code
+        from canhaptic.canopen.code_texts import emcy_remedy
+
         remedy = emcy_remedy(code, exchange.silence * 1e-9, exchange.skipped)
         raise bring_up.refusal("enable", bring_up.fault_text(), PowerState.OPERATION_ENABLED.value, remedy)
 

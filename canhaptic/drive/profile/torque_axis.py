@@ -10,7 +10,6 @@ from collections import deque
 from typing import Final, NamedTuple, Protocol
 
 from canhaptic.canopen import objects as od
-from canhaptic.canopen.code_texts import emcy_text
 from canhaptic.canopen.objects import Dictionary
 from canhaptic.drive.profile.limiter import DryRunLimiter, TorqueLimiter
 from canhaptic.drive.profile.link_policy import LinkPolicy, StopReason
@@ -73,6 +72,8 @@ class ReceivedEmergency(NamedTuple):
 
     def __str__(self) -> str:
         numbers = f"error register {self.register:#04x}, vendor {self.vendor.hex(' ') or 'none'}"
+        from canhaptic.canopen.code_texts import emcy_text
+
         return f"EMCY {self.code:#06x} {emcy_text(self.code)}, {numbers}"
 
 

@@ -11,7 +11,7 @@ from canhaptic.cli.output import note_file, write_file, write_json, write_note
 from canhaptic.lab.studies.accuracy.study import UNITS, AccuracyStudy, length_of
 from canhaptic.scene.method import dear_holds
 from canhaptic.scene.models import Scene
-from canhaptic.view.energy_table import make_console
+from canhaptic.view.run_lines import make_console
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -15,8 +15,8 @@ from canhaptic.lab.render.arena_page import write_arena_page
 from canhaptic.lab.render.arena_picture import pictures_of
 from canhaptic.lab.studies.arena import ArenaPlan, ArenaStore, run_arena, scenes_named
 from canhaptic.lab.studies.sweep.run_sweep import Pool
-from canhaptic.view.energy_table import make_console
 from canhaptic.view.picture_style import require_matplotlib
+from canhaptic.view.run_lines import make_console
 from canhaptic.view.table import Table
 
 STORE: Final = "cases.jsonl"

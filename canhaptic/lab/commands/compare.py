@@ -13,7 +13,7 @@ from canhaptic.lab.loop.axis_loop import chosen_algorithms, cycles_of, own_algor
 from canhaptic.lab.studies.compare import compare
 from canhaptic.scene.method import plant_errors
 from canhaptic.scene.models import Scene
-from canhaptic.view.energy_table import make_console
+from canhaptic.view.run_lines import make_console
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

@@ -10,7 +10,7 @@ from canhaptic.lab.studies.design.wall import design_wall
 from canhaptic.lab.studies.sweep.run_sweep import Progress
 from canhaptic.scene.method import plant_errors
 from canhaptic.scene.models import Scene
-from canhaptic.view.energy_table import make_console
+from canhaptic.view.run_lines import make_console
 
 
 def execute(arguments: argparse.Namespace) -> int:

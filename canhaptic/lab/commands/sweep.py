@@ -14,7 +14,7 @@ from canhaptic.lab.commands.scene_progress import scene_progress
 from canhaptic.lab.studies.sweep.run_sweep import Pool, Progress, dask_executor, sweep
 from canhaptic.lab.studies.sweep.summary import summary, summary_report
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
-from canhaptic.view.energy_table import make_console
+from canhaptic.view.run_lines import make_console
 
 
 def execute(arguments: argparse.Namespace) -> int:

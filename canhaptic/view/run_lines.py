@@ -1,0 +1,217 @@
+"""The lines of a run that a terminal shows first: a word and figures of each port, how it ended, what is amiss."""
+
+import os
+from collections.abc import Iterator, Mapping
+from typing import IO, Any, Final
+
+from rich.console import Console, ConsoleOptions, Group, RenderableType
+from rich.padding import Padding
+from rich.segment import Segment
+from rich.table import Table as TerminalTable
+from rich.text import Text
+
+from canhaptic.control.verdict import Headline, PortResult
+from canhaptic.view.si import si
+from canhaptic.view.terminal import visible
+
+_PLAIN_WIDTH: Final = 100  # columns, where there is no terminal to ask
+Result = Mapping[str, Any]
+"""The account of a run, as `run --json` prints it."""
+_SHOWN_AT_ZERO: Final = frozenset({"deadlines_missed", "missing", "missed_tpdos", "skipped_syncs", "success_rate"})
+_WHOLE: Final = 0.995
+"""Rendered share of a stiffness above which the wall is whole; a damper adds to the effort while the hand goes in."""
+_LOSSES: Final = ("skipped_syncs", "missed_tpdos", "missing")
+"""What is amiss on a link where it is not zero."""
+STYLES: Final[dict[Headline, str]] = {
+    "yes": "bold green",
+    "no contact": "bold",
+    "dry run": "bold",
+    "in doubt": "bold yellow",
+    "nothing rendered": "bold red",
+    "no": "bold red",
+}
+_WORDS: Final[dict[Headline, str]] = {
+    "no": "NO",
+    "nothing rendered": "NOTHING RENDERED",
+    "dry run": "dry run, no torque was sent",
+}
+
+
+class SafeConsole(Console):
+    """A console that shows every text with `visible`; its own colours and styles go through."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        """Yield the parts of what is shown."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else Segment(visible(segment.text), segment.style)
+
+
+def make_console(file: IO[str] | None = None) -> Console:
+    """Return a console on standard output, as wide as COLUMNS says, else the terminal; 100 columns without either."""
+    console = SafeConsole(highlight=False, file=file)
+    if console.is_terminal or os.environ.get("COLUMNS", "").isdecimal():
+        return console
+    return SafeConsole(highlight=False, width=_PLAIN_WIDTH, file=file)
+
+
+def headline_text(name: str, port: PortResult) -> Text:
+    """Return the first line of a port that has an account of its own.
+
+    Args:
+        name: Name of the port.
+        port: Its account, with verdicts.
+    """
+    word = port["verdict"]
+    text = Text(f" {name}: ")
+    text.append(f"passive: {_WORDS.get(word, word)}" if word in ("yes", "no", "in doubt") else _WORDS.get(word, word),
+                style=STYLES[word])  # fmt: skip
+    text.append("".join(f"{separator}{reason}" for separator, reason in _reasons(port)))
+    return text.append("".join(f" · {figure}" for figure in _first_figures(port)))
+
+
+def _first_figures(port: PortResult) -> list[str]:
+    """Return the figures of the first line: energies, the part of a wall that was there, and what guarantees them."""
+    if port["verdict"] in ("no contact", "dry run"):
+        return []
+    found = [f"{si(port['in'], 'J', 3)} in, {si(port['out'], 'J', 3)} out"] if "in" in port else []
+    share = port["rendered"]["stiffness"] if "rendered" in port else None
+    if share is not None:
+        found.append("stiffness as requested" if share > _WHOLE else f"stiffness {100.0 * share:.3g} % of requested")
+    certificate = port.get("certificate", "none")
+    if port["verdict"] == "yes" and certificate not in ("none", "exact"):
+        found.append(f"guarantee rests on: {certificate.replace('_', ' ')}")
+    return found
+
+
+def _reasons(port: PortResult) -> list[tuple[str, str]]:
+    """Return what follows the word, each with what separates it from the words before."""
+    word, plant = port["verdict"], port.get("plant_passive")
+    found: list[tuple[str, str]] = []
+    if word == "yes":
+        allowance, at_handle = port.get("energy_allowance", 0.0), port["passive"] != "yes"
+        is_ours = "why" in port and "yes" in (port["passive"], port.get("passive_at_handle"))
+        found += [(", ", port["why"])] if is_ours else []
+        found += [(", ", f"within {si(allowance, 'J', 3)}")] if allowance else []
+        found += [(", ", "at the handle")] if at_handle and _is_at_handle(port) else []
+    said = (port["passive"], port.get("passive_at_handle"))
+    if word in ("yes", "no") and plant is not None and word not in said:
+        is_misled = word == "no" and "yes" in said
+        known = "the account says yes, so that a declaration is false" if is_misled else "the account alone cannot tell"
+        found.append((", ", f"by the plant; {known}"))
+    if word == "no":
+        found += [(", ", f"for certain from {port['active_since']:.4g} s on")] if "active_since" in port else []
+        found += [(", ", "before this part already")] if port.get("active_before") else []
+        found += [(", ", f"first below zero at {first_active(port).strip()}")] if "first_active" in port else []
+    if word == "in doubt":
+        found.append((": ", f"the account is certain to +-{si(port.get('energy_resolution', 0.0), 'J', 3)}"))
+        found += [("; ", port["why"])] if "why" in port else []
+    if word == "nothing rendered" and "advice" in port:
+        found.append((": ", port["advice"]))
+    if "contradicted" in port:
+        names = " and ".join(name.replace("_", " ") for name in port["contradicted"])
+        found.append(("; ", f"contradicts its certificates ({names}): one of {', '.join(port['suspects'])} is wrong"))
+    return found
+
+
+def _is_at_handle(port: PortResult) -> bool:
+    return "yes" in (port.get("passive_at_handle"), port.get("plant_passive_at_handle"))
+
+
+def print_energy(result: Result, console: Console | None = None, *, full: bool = False) -> None:
+    """Print the account of a run.
+
+    Args:
+        result: As `run --json` prints it.
+        console: Where to; standard output by default.
+        full: Whether to print every figure.
+    """
+    if full:
+        from canhaptic.view.energy_table import energy_report
+
+        (console or make_console()).print(energy_report(result))
+    else:
+        (console or make_console()).print(brief_report(result))
+
+
+def brief_report(result: Result) -> RenderableType:
+    """Return the first line of each port, how the run ended, and what went wrong on the link or is not exact."""
+    parts: list[RenderableType] = [*headlines(result), heading(result)]
+    link, method = result.get("link") or {}, result.get("method", "")
+    amiss = [_words(key, value) for key, value in link.items() if key in _LOSSES and value]
+    late = (result.get("timing") or {}).get("deadlines_missed", 0)
+    if amiss or late:
+        parts.append(line("link", ", ".join([*amiss, *([f"deadlines missed {late}"] if late else [])])))
+    if " order " in method or " error" in method.lower():
+        parts.append(line("method", method))
+    return Group(*parts, Text(" every figure: --full, or `canhaptic inspect` of an energy log", style="dim"))
+
+
+def headlines(result: Result) -> list[RenderableType]:
+    """First line of each port that has an account of its own."""
+    ports = {name: result["ports"][name] for name in ordered(result.get("ports", {}))}
+    return [headline_text(name, of) for name, of in ports.items() if "verdict" in of]
+
+
+def ordered(ports: Mapping[str, PortResult]) -> list[str]:
+    """Return the names of the ports, each group before its axes."""
+    names: dict[str, None] = {}
+    for name, port in ports.items():
+        if port.get("group") in ports:
+            names[port["group"]] = None
+        names[name] = None
+    return list(names)
+
+
+def heading(result: Result) -> Text:
+    """How the run ended, its cycles and its configuration."""
+    status = str(result.get("status", "unknown"))
+    text = Text(" ")
+    text.append(status, style="bold green" if status in {"ok", "complete", "completed"} else "bold yellow")
+    if "cycles" in result:
+        text.append(f"   {result['cycles']} cycles")
+    if result.get("config_hash"):
+        text.append(f"   configuration {str(result['config_hash'])[:12]}", style="dim")
+    return text
+
+
+def line(name: str, content: Mapping[str, object] | str) -> Padding:
+    """One part of the result in words: nested mappings are quantiles of durations [s]."""
+    table = TerminalTable.grid(padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True, style="bold", width=7)
+    if not isinstance(content, Mapping):
+        table.add_column()
+        table.add_row(name, str(content))
+        return Padding(table, (0, 1))
+    nested = {key: value for key, value in content.items() if isinstance(value, Mapping)}
+    shown = {key: value for key, value in content.items() if key not in nested and (value or key in _SHOWN_AT_ZERO)}
+    words = [_words(key, value) for key, value in sorted(shown.items(), key=lambda item: item[0] != "success_rate")]
+    table.add_column()
+    label = name
+    if words:
+        table.add_row(label, ", ".join(words))
+        label = ""
+    for key, values in nested.items():
+        quantiles = "   ".join(f"{quantile} {_value(key, value):>9}" for quantile, value in values.items())
+        table.add_row(label, f"{key.replace('_', ' '):<17}  {quantiles}")
+        label = ""
+    return Padding(table, (0, 1))
+
+
+def _words(name: str, value: object) -> str:
+    return f"{name.replace('_', ' ')} {_value(name, value)}"
+
+
+def _value(name: str, value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if not isinstance(value, float):
+        return str(value)
+    if name.endswith(("rate", "ratio", "share", "load")):
+        return f"{100.0 * value:.6g} %" if value <= 1.0 else f"{value:.4g}"
+    return f"{value:.6g}" if "per_second" in name or abs(value) >= 1000.0 else si(value, "s", 3)
+
+
+def first_active(port: PortResult) -> str:
+    """First time at which the net energy of a port was below zero, with its contact where that is known."""
+    contact = f" (contact {port['first_active_contact']})" if port.get("first_active_contact") else ""
+    return f"{port['first_active']:.4g} s{contact}   "
