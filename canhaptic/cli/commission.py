@@ -19,7 +19,8 @@ from canhaptic.commission.session import CommissioningLimits, Dialogue, Report, 
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.scene.edited_text import edited_scene
 from canhaptic.scene.models import Scene
-from canhaptic.view.run_lines import make_console, visible
+from canhaptic.view.run_lines import make_console
+from canhaptic.view.terminal import visible
 
 _TO_CORRECT: Final = 1  # exit status: the configuration differs from the rig, or the rig must not be used
 _LONGEST_LINE: Final = 4096  # bytes; a terminal hands over one line at a time
