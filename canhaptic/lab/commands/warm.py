@@ -9,7 +9,7 @@ from canhaptic.errors import CheckFailedError
 from canhaptic.lab.studies.sweep.chunk import ENGINES, run_chunk
 from canhaptic.lab.studies.sweep.run_sweep import make_sweep
 from canhaptic.lab.studies.sweep.vary import listed
-from canhaptic.view.energy_table import make_console
+from canhaptic.view.run_lines import make_console
 
 _SYNCS = 2
 
