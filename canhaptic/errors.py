@@ -266,6 +266,10 @@ class BusFailedError(LinkError):
     """The interface refused a frame twice, or could not be read."""
 
 
+class OwnCodeLateError(ControlError):
+    """Own code in a process of its own did not answer for too many holds."""
+
+
 class SyncsSkippedError(RigError):
     """This computer was too late for more SYNCs than it sent."""
 

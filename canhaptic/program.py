@@ -31,8 +31,7 @@ from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.errors import CanHapticError, InputError, RigError
 from canhaptic.registry import nearest
 from canhaptic.replay import OpenReplay, ReplayOverError, ReplayResult
-from canhaptic.scene.build import Experiment, build, logs_elsewhere
-from canhaptic.scene.experiment_account import experiment_account
+from canhaptic.scene.build import Experiment, build, experiment_account, logs_elsewhere
 from canhaptic.scene.load import for_program, says_none
 from canhaptic.scene.models import AxisScene, RunParameters, Scene, require_no_guesses
 from canhaptic.signals import Sample

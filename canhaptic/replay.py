@@ -608,6 +608,10 @@ class OpenReplay:
         groups, known = build_axis_groups(scene), build_axis_meters(scene)
         meters = build_loss_meters(scene)
         self.cycle = Cycle(rig, build_axis_controllers(scene), groups=groups, axis_meters=known, loss_meters=meters)
+        if scene.run.code_runs_in == "process":
+            from canhaptic.scene.code_process import ask_in_cycle
+
+            ask_in_cycle(scene, self.cycle)
 
     def _rig(self, links: list[Link], dry_run: bool) -> Rig:
         scene = self._scene

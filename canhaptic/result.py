@@ -59,6 +59,7 @@ class RunResult(TypedDict):
     method: str
     plants: NotRequired[dict[str, dict[str, int]]]
     bus_effects: NotRequired[Mapping[str, object]]
+    own_code: NotRequired[Mapping[str, int]]  # holds without an answer of its process, and the most in a row
     logs: NotRequired[dict[str, int]]
     unrestored: NotRequired[dict[str, list[str]]]  # axis -> objects that the start wrote and the stop did not put back
     error: NotRequired[Mapping[str, object]]

@@ -32,8 +32,7 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import RunResult
-from canhaptic.scene.build import Experiment, build
-from canhaptic.scene.experiment_account import experiment_account
+from canhaptic.scene.build import Experiment, build, experiment_account
 from canhaptic.scene.load import load_scene, scene_from_mapping
 from canhaptic.scene.models import RunParameters, Scene
 from canhaptic.units import shown

@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple, TypedDict
 
@@ -66,7 +67,7 @@ def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControlle
     inputs = [logged_rows(log, name, _INPUTS) for name in axes]
     outputs = [logged_rows(log, name, _OUTPUTS) for name in names]
     rows = zip(periods_of(log), zip(*inputs, strict=True), zip(*outputs, strict=True), strict=False)
-    programs = list(zip(controllers.programs, (efforts_asked(log, name) for name in axes), strict=False))
+    programs = [(program, efforts_asked(log, axes[axis])) for axis, program in controllers.programs]
     for row, (periods, seen, expected) in enumerate(rows):
         controllers.lasted(periods)
         for program, asked in programs:
@@ -196,6 +197,10 @@ def scene_of(log: EnergyLog, config: Path | None = None, *, allow_code: bool = F
     scene = load_scene(path, overrides, allow_code=allow_code)
     resolved = log.decoded("config_resolved", dict[str, dict[str, str]]())
     require_same_code(scene.own_code, resolved.get("own_code", {}), str(log.path))
+    if resolved.get("run", {}).get("code_runs_in") == "process":
+        from canhaptic.scene.code_process import apart
+
+        scene = apart(replace(scene, run=scene.run.model_copy(update={"code_runs_in": "process"})))
     if log.attributes.get("config_hash") not in [scene.config_hash(release, resolved) for release in (None, *RELEASES)]:
         raise InputError(
             f"{path}: is not the scene of {log.path}, or was changed since; name the right one with --config"

@@ -163,13 +163,14 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
 
 
 def _asked(
-    programs: Sequence[Any], scene: Scene, log: EnergyLog | None, bus_log: str | Path
+    programs: Sequence[tuple[int, Any]], scene: Scene, log: EnergyLog | None, bus_log: str | Path
 ) -> list[tuple[Any, Iterator[float]]]:
     """Return the controllers of a program with the efforts it asked for, which are in no frame."""
-    if programs and log is None:
+    if not programs:
+        return []
+    if log is None:
         raise InputError(f"{bus_log}: a program asked for its torques; name the energy log of the run as well")
-    names = [axis.parameters.name for axis in scene.axes]
-    return [(each, efforts_asked(log, name)) for each, name in zip(programs, names, strict=False) if log is not None]
+    return [(each, efforts_asked(log, scene.axes[axis].parameters.name)) for axis, each in programs]
 
 
 class _Derivation:
@@ -178,7 +179,7 @@ class _Derivation:
     Attributes:
         units: Name and unit of each axis, then of each group.
         cycles: SYNCs taken.
-        programs: Controllers whose torques a program asks for.
+        programs: Axes whose torques a program asks for, and their controllers.
     """
 
     def __init__(self, scene: Scene, *, dry_run: bool) -> None:

@@ -29,7 +29,7 @@ from canhaptic.drive.survey import survey
 from canhaptic.host.realtime import GRANTED, Realtime
 from canhaptic.scene.build import build, require_buildable
 from canhaptic.scene.first_contact import advice, halves_rendered, slowest_felt
-from canhaptic.scene.hints import Hint, display_hints, group_hints, guarantee, stability_hints
+from canhaptic.scene.hints import Hint, display_hints, group_hints, guarantee, later_hints, stability_hints
 from canhaptic.scene.method import dear_holds
 from canhaptic.scene.models import Guess, Scene, refused_values, status_text, values_to_set
 from canhaptic.view.run_lines import make_console
@@ -128,7 +128,8 @@ def execute(arguments: argparse.Namespace) -> int:
     }
     if not scene.unread:
         require_buildable(scene)
-    hints = [hint for axis in scene.axes for hint in stability_hints(axis)] + group_hints(scene)
+    hints = [hint for axis in scene.axes for hint in stability_hints(axis)]
+    hints += group_hints(scene) + later_hints(scene)
     hints += display_hints(scene)
     tried = ((axis.parameters.name, slowest_felt(axis)) for axis in scene.axes)
     felt = {name: speed for name, speed in tried if speed is not None}

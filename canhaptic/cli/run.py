@@ -15,8 +15,7 @@ from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError, ParameterError
 from canhaptic.result import RunResult
-from canhaptic.scene.build import Experiment, build, logs_elsewhere
-from canhaptic.scene.experiment_account import experiment_account
+from canhaptic.scene.build import Experiment, build, experiment_account, logs_elsewhere
 from canhaptic.scene.models import Scene, require_no_guesses
 
 _NOT_PASSIVE: Final = 1  # exit status of --strict

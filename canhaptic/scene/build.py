@@ -10,6 +10,8 @@ Opens the CAN buses of a scene through python-can, and wraps them in the effects
 Limit of the energy that each port of a scene may give out beyond the declared energy, before the rig stops.
 
 Log paths of a scene: those outside its own folder and the current one are reported and overwrite nothing.
+
+Account of a completed experiment: the energies of each port, and method and cost of the computation.
 """
 
 import itertools
@@ -23,6 +25,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Self
 import can
 
 from canhaptic.control.ledger import EnergyLossMeter
+from canhaptic.control.verdict import PortResult
 from canhaptic.cycle import Cycle
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link, Recorder
@@ -31,6 +34,7 @@ from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.host.interfaces import opening_error
 from canhaptic.registry import load
+from canhaptic.result import RunResult, run_result
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import (
     build_axis_controllers,
@@ -48,6 +52,7 @@ from canhaptic.signals import SimulatedPeer, Truth
 if TYPE_CHECKING:
     from canhaptic.logs.bus_log import BusLogWriter
     from canhaptic.logs.energy_log import EnergyLogWriter
+    from canhaptic.scene.code_process import CodeProcess
     from canhaptic.sim.bus.faulty_bus import FaultyBus
     from canhaptic.sim.drive.can.drive_node import DriveGroup, Drives
     from canhaptic.sim.plant.plant import Plant
@@ -194,6 +199,7 @@ class Experiment:
         cycle: Rig, controllers and accounts, ready for `canhaptic.cycle.run`.
         energy_log: Energy log, with every cycle; None without one.
         bus_log: Bus log, with every frame; None without one.
+        code: Process in which own code runs; None where it runs in the cycle, or there is none.
     """
 
     def __init__(
@@ -226,6 +232,7 @@ class Experiment:
             self.cycle = Cycle(
                 self.rig, controllers, self.energy_log, truths, groups_of_axes, meters, losses, _jitters(scene, pace)
             )
+            self.code = _code_process(scene, pace, self.cycle, stack)
             if self._log_failure:  # before the cycle existed
                 self.cycle.fail_log(self._log_failure)
             self._stack = stack.pop_all()
@@ -322,6 +329,10 @@ def build(
     for axis in scene.axes if no_torque else ():
         require_torque_axis(axis)  # before a log is made
     logs = (None if path is None else Path(path) for path in (energy_log, bus_log))
+    if scene.own_code:
+        from canhaptic.scene.code_process import apart
+
+        scene = apart(scene)
     return Experiment(_with_accuracy(scene), chosen, *logs, no_torque=no_torque)
 
 
@@ -389,6 +400,18 @@ def _with_accuracy(scene: Scene) -> Scene:
         return scene
     chosen: Scene = load(_CHOICES, "auto", "choice of accuracy")(scene)
     return chosen
+
+
+def _code_process(scene: Scene, pace: _Pace, cycle: Cycle, stack: ExitStack) -> "CodeProcess | None":
+    """Return the process of own code, ready to be asked; None where the cycle runs it, or there is none."""
+    if scene.run.guard is not None or scene.run.code_runs_in != "process" or not any(a.guard for a in scene.axes):
+        return None
+    from canhaptic.scene.code_process import CodeProcess
+
+    code = CodeProcess(scene, cycle, pace)
+    stack.callback(code.close)
+    cycle.turn = code.turn
+    return code
 
 
 def _jitters(scene: Scene, pace: str) -> list[float] | None:
@@ -468,3 +491,64 @@ def _truths(far_side: "Drives | None") -> Callable[[], Sequence[Truth]] | None:
         [read] = readers
         return lambda: (read(),)
     return lambda: [read() for read in readers]
+
+
+def experiment_account(experiment: Experiment, status: str, elapsed: float) -> RunResult:
+    """Return what `canhaptic run --json` prints; energies in [J], times in [s].
+
+    Args:
+        experiment: The experiment after its run, completed or not.
+        status: "completed", "stopped" or the reason of a stop.
+        elapsed: Duration of the run [s].
+    """
+    scene, cycle = experiment.scene, experiment.cycle
+    account = run_result(
+        cycle,
+        [(axis.parameters.name, axis.parameters.unit) for axis in scene.axes],
+        status=status,
+        config_hash=scene.config_hash(),
+        sample_time=scene.bus.sample_time,
+        method=_method(experiment),
+    )
+    names = [axis.parameters.name for axis in scene.axes if axis.simulation is not None]  # with a plant of its own
+    for axis in scene.axes:
+        port = account["ports"][axis.parameters.name]
+        if port.get("verdict") == "nothing rendered":
+            _advise(axis, port)
+    account["plants"] = {
+        name: {"events": plant.events, "products": plant.products}
+        for name, plant in zip(names, experiment.plants, strict=False)
+    }
+    # In lock-step virtual time does not pass within a cycle: its durations say nothing.
+    durations = account["timing"] if experiment.pace == "real" else {}
+    account["timing"] = {
+        "pace": experiment.pace,
+        "cycles_per_second": cycle.cycles / elapsed if elapsed else 0.0,
+        **durations,
+        **{f"realtime_{name}": answer for name, answer in experiment.rig.realtime.report.items()},
+    }
+    totals = {name: bus.totals() for name, bus in experiment.faulty_buses.items()}
+    if totals:
+        account["bus_effects"] = totals.get("", totals)  # the only bus may have no name
+    if experiment.code is not None:
+        account["own_code"] = {"late_holds": experiment.code.late, "longest": experiment.code.longest}
+    account["logs"] = {"dropped": sum(log.dropped for log in (experiment.energy_log, experiment.bus_log) if log)}
+    return account
+
+
+def _method(experiment: Experiment) -> str:
+    """Return how the far side was computed, with its price; empty with real drives, which load nothing of it."""
+    scene, plants, cycles = experiment.scene, experiment.plants, experiment.cycle.cycles
+    if not scene.simulated:
+        return ""
+    from canhaptic.scene.method import method_line, plant_prices
+
+    return method_line(scene, plants, cycles, plant_prices(scene, plants, cycles))
+
+
+def _advise(axis: AxisScene, port: PortResult) -> None:
+    """Add what keeps a wall away that was not felt."""
+    from canhaptic.scene.first_contact import advice, can_be_tried
+
+    if can_be_tried(axis):
+        port["advice"] = advice(axis)

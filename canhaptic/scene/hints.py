@@ -101,6 +101,22 @@ def stability_hints(axis: AxisScene) -> list[Hint]:
     return [*_stiffness_hints(axis), _quantisation_hint(axis), *_damping_hints(axis), *_certificate_hints(axis)]
 
 
+def later_hints(scene: Scene) -> list[Hint]:
+    """Return what the hold costs by which own code answers later in a process of its own than in the cycle."""
+    if (scene.run.code_runs_in or ("cycle" if scene.simulated else "process")) == "cycle":
+        return []
+    hints = []
+    for axis in scene.axes:
+        if axis.group or axis.parameters.admittance is not None or not (axis.is_own or not axis.is_read):
+            continue
+        later = replace(axis, loop=axis.loop.model_copy(update={"delay": axis.loop.delay + 1}))
+        held = [{h.certificate: h for h in _certificate_hints(each) if h.certificate} for each in (axis, later)]
+        for name, hint in held[1].items():
+            text = f"own code in a process of its own, one hold later (code_runs_in: cycle: {held[0][name].limit:.4g})"
+            hints.append(hint._replace(what=f"{hint.what}, one hold later", text=text, certificate=""))
+    return hints
+
+
 def group_hints(scene: Scene) -> list[Hint]:
     """Return what the certificates of each group hold on each of its axes, alone, in motor coordinates.
 

@@ -210,6 +210,11 @@ class RunParameters(Parameters):
     """The scene is for a program (`canhaptic.open_rig`), which asks for the torques in place of environment and
     algorithm, and this is their guard. `none` lets a real rig give them as they are only where the call says so too.
     None: the environment is rendered."""
+    code_runs_in: Literal["process", "cycle"] | None = None
+    """Whether own environments and algorithms run in a process of their own, one hold later, or in the cycle, which
+    they may stall. None: the process where the drives are real, the cycle in a simulation."""
+    late_holds: Annotated[int, quantity("count", ge=1, le=100_000)] = 20
+    """Holds in a row without an answer of that process after which the run ends."""
 
 
 class AutoAccuracy(Parameters):
@@ -300,6 +305,11 @@ class AxisScene:
         """Whether environment, algorithm and effects are known: False where own code was left unread."""
         parts = (self.environment, self.passivity, *(self.simulation.effects if self.simulation else ()))
         return not any(isinstance(part.parameters, UnreadParameters) for part in parts)
+
+    @property
+    def is_own(self) -> bool:
+        """Whether its environment or its algorithm is own code that was read."""
+        return self.environment.own is not None or self.passivity.own is not None
 
     def dictionary_hash(self) -> str:
         """Return the SHA-256 of the drive's EDS or DCF."""
@@ -451,7 +461,11 @@ class Scene:
         """
         resolved = self.resolved()
         del resolved["log"]
-        resolved["run"] = {key: value for key, value in resolved["run"].items() if key == "duration" or value}
+        resolved["run"] = {
+            key: value
+            for key, value in resolved["run"].items()
+            if key == "duration" or value not in (RunParameters.model_fields[key].default, "cycle")
+        }
         for axis in self.axes:
             resolved["axes"][axis.parameters.name]["eds"] = axis.dictionary_hash()
             for key, default in _LATER_KEYS:

@@ -203,7 +203,9 @@ def build_axis_controller(axis: AxisScene) -> Controller:
             axis.environment.parameters, axis.passivity.name, axis.passivity.parameters, display_properties(axis)
         )
     if axis.guard:
-        program: Controller = load(_PROGRAMS, axis.guard, "guard")(axis.passivity.parameters, loop_as_known(axis))
+        kind, known = load(_PROGRAMS, axis.guard, "guard"), axis.passivity.parameters
+        is_known = isinstance(known, kind.parameters_type)
+        program: Controller = kind(known if is_known else kind.parameters_type(), loop_as_known(axis))
         return program
     environment = cast(Environment, axis.environment.parameters)  # every class of ENVIRONMENTS is one
     if axis.passivity.own is not None:

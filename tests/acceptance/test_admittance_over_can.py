@@ -29,8 +29,7 @@ from canhaptic.errors import (
 )
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import RunResult
-from canhaptic.scene.build import Experiment, build
-from canhaptic.scene.experiment_account import experiment_account
+from canhaptic.scene.build import Experiment, build, experiment_account
 from canhaptic.scene.hints import display_hints
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import require_no_guesses

@@ -22,6 +22,7 @@ SAYS = {
     "own_hand.py": r"startled .* passive yes",
     "lossy_bus.py": r"drop.* link +9\d",
     "own_program.py": r"passive: yes; in [\d.]+ mJ",
+    "code_in_a_process.py": r"\d+ cycles, .* [1-9]\d* holds without an answer",
     "stop_when_deep.py": r"stopped after \d+ cycles at -8",
     "read_a_log.py": "in the wall for",
     "replay_a_recording.py": "identical",

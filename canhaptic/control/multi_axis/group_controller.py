@@ -206,9 +206,9 @@ class GroupedControllers:
         self._balances: list[EnergyBalance] = [_axis_balance(0.0, 0.0, _GROUP, 0)] * self.axes
 
     @property
-    def programs(self) -> list[Any]:
-        """Controllers whose torques a program asks for, in the order of the axes: all or none."""
-        return [controller for _, controller in self._singles if hasattr(controller, "ask")]
+    def programs(self) -> list[tuple[int, Any]]:
+        """Axes whose torques a program asks for, and their controllers."""
+        return [(axis, controller) for axis, controller in self._singles if hasattr(controller, "ask")]
 
     def lasted(self, periods: int) -> None:
         """Record that SYNCs were skipped: the hold that ends next lasted this number of sample times."""

@@ -39,6 +39,7 @@ class StopReason(IntEnum):
     EXCEPTION = 31
     ENERGY_LOST = 32
     FORCE_CONTRADICTED = 33
+    OWN_CODE_LATE = 34
 
 
 class Action(Enum):
@@ -143,6 +144,11 @@ STOP_TABLE: Final[dict[StopReason, _StopRule]] = {
         errors.EnergyLostError,
         "look for SYNCs skipped, frames lost, and a wrong moving_mass or hand_force; raise energy_loss_limit "
         "of the axis only where a person may be given that energy",
+    ),
+    StopReason.OWN_CODE_LATE: _StopRule(
+        "own code in its process did not answer",
+        errors.OwnCodeLateError,
+        "look for what it waits for, or raise late_holds; a torque that is not answered for is zero",
     ),
     StopReason.FORCE_CONTRADICTED: _StopRule(
         "encoder and commands contradict the force sensor",

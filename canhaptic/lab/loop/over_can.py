@@ -13,8 +13,7 @@ from canhaptic.cycle import Cycle, run
 from canhaptic.errors import CanHapticError, InputError, ParameterError, RigError
 from canhaptic.lab.loop.axis_loop import LoopRun, Recorder
 from canhaptic.registry import load
-from canhaptic.scene.build import build
-from canhaptic.scene.experiment_account import experiment_account
+from canhaptic.scene.build import build, experiment_account
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_axis_controllers
 from canhaptic.signals import CycleTiming, Sample, Truth

@@ -11,8 +11,7 @@ from canhaptic.cycle import run
 from canhaptic.lab.figures.figures import DISPLAY_METRICS, display_figures
 from canhaptic.lab.loop.admittance_loop import AdmittanceRun, felt, run_display
 from canhaptic.lab.loop.axis_loop import parts_of
-from canhaptic.scene.build import build
-from canhaptic.scene.experiment_account import experiment_account
+from canhaptic.scene.build import build, experiment_account
 from canhaptic.scene.load import load_scene
 
 SCENES = Path(__file__).parents[3] / "configs" / "admittance"

@@ -1,0 +1,365 @@
+"""Own code of a scene in a process of its own: it answers one hold later, and cannot stall the cycle.
+
+What stalls a loop of Python is the lock of its interpreter, and a second interpreter has none of it. The sample of each
+SYNC goes out and the torques for the hold after the next come back, each in one slot of memory that both map: a
+sequence lock, no pickling, nothing to wait for. To the cycle they are torques that a program asks for, so that its own
+guard and account go on, however late the answers are and if none comes any more.
+"""
+
+import json
+import mmap
+import os
+import resource
+import select
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from canhaptic.cycle import Cycle
+from canhaptic.drive.clock import WallClock
+from canhaptic.drive.profile.link_policy import StopReason
+from canhaptic.errors import InputError, OwnCodeError
+from canhaptic.logs.ring import allocate
+from canhaptic.registry import load
+from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.parts import build_axis_controller
+from canhaptic.signals import Sample
+
+_BUILD: Final = {"scene": "canhaptic.scene.load:scene_from_text"}
+_START: Final = 30.0  # [s] that the start of the process may take
+_FREE_WAIT: Final = 10.0  # [s] for an answer at free pace, the only one that may be late there
+_GOING: Final = 1.0  # [s] from the end of its pipe to its own
+_PRINTED: Final = 1_000_000  # characters that the code may print
+_SLOT: Final = 8192  # [bytes] from one slot to the next; the third has the text of an error
+_TRIES: Final = 3  # of reading a slot that is being written
+_PROGRAM: Final = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import canhaptic
+del sys.path[0]
+from canhaptic.scene.code_process import main
+main()
+"""
+
+
+def apart(scene: Scene) -> Scene:
+    """Scene whose own environments and algorithms run in a process of their own; unchanged where they run in the cycle.
+
+    The cycle asks for what they answer, under the certificates of `guarded` where that is their algorithm. It runs
+    them itself in a simulation, unless `code_runs_in` says otherwise.
+    """
+    where = scene.run.code_runs_in or ("cycle" if scene.simulated else "process")
+    axes = tuple(replace(axis, guard=_guard_of(axis)) if axis.is_own else axis for axis in scene.axes)
+    if where == "cycle" or scene.run.guard is not None or axes == scene.axes:
+        return scene
+    if not scene.text:
+        raise InputError(f"{scene.source}: code_runs_in: process: needs a scene file; a mapping runs it in the cycle")
+    return replace(scene, axes=axes, run=scene.run.model_copy(update={"code_runs_in": "process"}))
+
+
+def _guard_of(axis: AxisScene) -> str:
+    return "certificates" if axis.passivity.name == "guarded" else "none"
+
+
+class LaterLaw:
+    """Own environments and algorithms of a scene, whose torques act a hold later than in the cycle.
+
+    Attributes:
+        places: Their axes among those of the scene.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.places = [place for place, axis in enumerate(scene.axes) if axis.is_own]
+        axes = [scene.axes[place] for place in self.places]
+        later = [axis.loop.model_copy(update={"delay": axis.loop.delay + 1}) for axis in axes]
+        self._controllers: list[Any] = [
+            build_axis_controller(replace(axis, guard="", loop=loop)) for axis, loop in zip(axes, later, strict=True)
+        ]
+        self._torques = [0.0] * len(axes)
+
+    def step(self, periods: int, missed: int, reports: Sequence[float]) -> list[float]:
+        """Return the torque of each axis for the hold after the next [N or N*m].
+
+        Args:
+            periods: Sample times since the SYNC before.
+            missed: SYNCs since the last step whose samples were not seen.
+            reports: Position, torque applied and whether both are fresh, of each axis in turn.
+        """
+        for number, controller in enumerate(self._controllers):
+            for _ in range(missed):
+                controller.sample_lost()
+            if periods > 1 and hasattr(controller, "lasted"):
+                controller.lasted(float(periods))
+            position, torque, fresh = reports[3 * number : 3 * number + 3]
+            balance = controller.step(position, torque) if fresh else controller.sample_lost()
+            self._torques[number] = balance.torque
+        return self._torques
+
+
+def ask_in_cycle(scene: Scene, cycle: Cycle) -> None:
+    """Let a cycle run the law itself, as late as the process did: for replays."""
+    law, controllers = LaterLaw(scene), askers(scene, cycle.controllers)
+    due = [0.0] * len(controllers)
+
+    def turn(samples: Sequence[Sample]) -> None:
+        for controller, torque in zip(controllers, due, strict=True):
+            controller.ask(torque)
+        due[:] = law.step(cycle.rig.periods, 0, reports_of(samples, law.places))
+
+    cycle.turn = turn
+
+
+def askers(scene: Scene, controllers: Sequence[Any]) -> list[Any]:
+    """Return those of the controllers outside groups that ask own code for their torques."""
+    alone = [axis for axis in scene.axes if not axis.group]
+    return [controller for axis, controller in zip(alone, controllers, strict=True) if axis.is_own]
+
+
+def reports_of(samples: Sequence[Sample], places: Sequence[int]) -> list[float]:
+    """Return position, torque applied and freshness of some axes, one behind the other."""
+    return [value for place in places for value in (samples[place][1], samples[place][2], samples[place][4])]
+
+
+class _Slot:
+    """One record in shared memory under a sequence lock: odd while it is written. No reader or writer ever waits.
+
+    Args:
+        memory: Shared memory.
+        start: Place of the slot in it [bytes].
+        values: Numbers of a record behind its index and its periods.
+    """
+
+    def __init__(self, memory: mmap.mmap, start: int, values: int) -> None:
+        self._memory, self._start = memory, start + 8
+        self._cell, self._sequence = memoryview(memory)[start : start + 8].cast("Q"), 0
+        self._record = struct.Struct(f"=qq{values}dq")  # the index at both ends
+
+    def write(self, index: int, periods: int, values: Sequence[float]) -> None:
+        """Replace the record."""
+        self._sequence += 2
+        self._cell[0] = self._sequence - 1
+        self._record.pack_into(self._memory, self._start, index, periods, *values, index)
+        self._cell[0] = self._sequence
+
+    def read(self) -> tuple[Any, ...] | None:
+        """Return (index, periods, values ..., index); None where it was never written, or is being written."""
+        for _ in range(_TRIES):
+            before = self._cell[0]
+            record = self._record.unpack_from(self._memory, self._start)
+            if before and not before & 1 and before == self._cell[0] and record[0] == record[-1]:
+                return record
+        return None
+
+    @property
+    def sequence(self) -> int:
+        """Number that grows by two with every record."""
+        return self._cell[0]
+
+    def let_go(self) -> None:
+        """Release the memory so that it can be unmapped."""
+        self._cell.release()
+
+
+class CodeProcess:
+    """Own code of a scene in a process of its own: the sample of a SYNC goes out, its torques come a hold later.
+
+    Where no answer has come the torque asked for is zero, and the hold is counted.
+
+    Args:
+        scene: From `apart`.
+        cycle: The cycle that asks.
+        pace: At free pace the cycle waits for each answer.
+
+    Attributes:
+        late: Holds without an answer.
+        longest: The most of them in a row.
+
+    Raises:
+        InputError: The code did not become ready.
+    """
+
+    def __init__(self, scene: Scene, cycle: Cycle, pace: str) -> None:
+        self._rig, self._waits, self._most = cycle.rig, pace == "free", scene.run.late_holds
+        self._names = ", ".join(scene.own_code)
+        self._places = [place for place, axis in enumerate(scene.axes) if axis.is_own]
+        self._controllers = askers(scene, cycle.controllers)
+        self.late = self.longest = self._in_a_row = 0
+        self._asked = -1  # index of the sample whose answer is due
+        with ExitStack() as stack:
+            shared = allocate(3 * _SLOT)
+            stack.callback(os.close, shared)
+            self._memory = mmap.mmap(shared, 3 * _SLOT)
+            self._samples = _Slot(self._memory, 0, 3 * len(self._places))
+            self._answers = _Slot(self._memory, _SLOT, len(self._places))
+            ends, answers = os.pipe(), os.pipe()
+            self._wake, self._answered = ends[1], answers[0]
+            os.set_blocking(self._wake, False)
+            self._process = _spawned(scene, shared, ends[0], answers[1], pace)
+            for descriptor in (ends[0], answers[1]):
+                os.close(descriptor)
+            if not self._await_answer(_START):
+                reason = self._text() or f"was not ready within {_START:g} s"
+                self.close()
+                raise InputError(f"{self._names}: in a process of its own: {reason}; correct the program")
+
+    def turn(self, samples: Sequence[Sample]) -> None:
+        """Ask for what was answered to the sample before, and hand over this one.
+
+        Raises:
+            OwnCodeError: The code raised, or returned what is no number.
+            OwnCodeLateError: Too many holds in a row without an answer.
+        """
+        if self._waits and self._asked >= 0:
+            self._await_answer(_FREE_WAIT)
+        answer = self._answers.read()
+        in_time = answer is not None and answer[0] == self._asked
+        for number, controller in enumerate(self._controllers):
+            controller.ask(answer[2 + number] if in_time and answer is not None else 0.0)
+        index = samples[0].sync_index
+        if self._asked >= 0:
+            self._count(in_time, index)
+        self._asked = index
+        self._samples.write(index, self._rig.periods, reports_of(samples, self._places))
+        with suppress(BlockingIOError, BrokenPipeError):
+            os.write(self._wake, b"\0")
+
+    def _count(self, in_time: bool, index: int) -> None:
+        if in_time:
+            self._in_a_row = 0
+            return
+        self.late += 1
+        self._in_a_row += 1
+        self.longest = max(self.longest, self._in_a_row)
+        if failure := self._text():
+            raise OwnCodeError(self._names, failure, f"at SYNC {index}")
+        if self._in_a_row >= self._most or self._waits:
+            code = self._process.poll()
+            how = "" if code is None else f"; its process {f'was ended by signal {-code}' if code < 0 else 'has ended'}"
+            raise self._rig.end(StopReason.OWN_CODE_LATE, f"{self._names}: {self._in_a_row} holds in a row{how}")
+
+    def _text(self) -> str:
+        """Why the code failed; empty while it has not."""
+        size = int.from_bytes(self._memory[2 * _SLOT : 2 * _SLOT + 8], "little")
+        return self._memory[2 * _SLOT + 8 : 2 * _SLOT + 8 + size].decode("utf-8", "replace")
+
+    def _await_answer(self, seconds: float) -> bool:
+        """Return whether an answer has come, waiting for it."""
+        if not select.select([self._answered], [], [], seconds)[0]:
+            return False
+        if os.read(self._answered, 1):
+            return True
+        with suppress(subprocess.TimeoutExpired):  # it has gone, and will soon say how
+            self._process.wait(_GOING)
+        return False
+
+    def close(self) -> None:
+        """End the process; a second call does nothing."""
+        if self._memory.closed:
+            return
+        self._process.kill()
+        with suppress(BrokenPipeError):
+            self._process.communicate()  # and closes the pipe by which it would see that the cycle is gone
+        for descriptor in (self._wake, self._answered):
+            os.close(descriptor)
+        for slot in (self._samples, self._answers):
+            slot.let_go()
+        self._memory.close()
+
+
+def _spawned(scene: Scene, shared: int, wake: int, answers: int, pace: str) -> "subprocess.Popen[bytes]":
+    """Return the process, started; it ends with this one."""
+    job = {
+        "text": scene.text, "source": scene.source, "overrides": scene.overrides, "path": sys.path,
+        "pace": pace, "spin": scene.bus.spin_margin, "period": scene.bus.sample_time_ns,
+    }  # fmt: skip
+    words = [sys.executable, "-I", "-c", _PROGRAM, str(Path(__file__).resolve().parents[2])]
+    process = subprocess.Popen(
+        [*words, str(shared), str(wake), str(answers)],
+        stdin=subprocess.PIPE,
+        pass_fds=(shared, wake, answers),
+        start_new_session=True,  # Ctrl-C in the terminal is for the cycle, which ends in order
+    )
+    if process.stdin is not None:
+        with suppress(BrokenPipeError):  # it has ended already
+            process.stdin.write(json.dumps(job).encode() + b"\n")
+            process.stdin.flush()
+    return process
+
+
+class _Printed:
+    """Standard output of the code, as far as it is read: what comes behind is left out."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream, self._left = stream, _PRINTED
+
+    def write(self, text: str) -> int:
+        """Print a text, or the beginning of it."""
+        if self._left > 0:
+            self._stream.write(text[: self._left])
+            self._left -= len(text)
+            if self._left <= 0:
+                self._stream.write("\ncanhaptic: own code has printed too much; the rest is left out\n")
+        return len(text)
+
+    def flush(self) -> None:
+        """Print what waits."""
+        self._stream.flush()
+
+
+def main() -> None:
+    """Run the code in this process, until the cycle's ends."""
+    shared, wake, answers = map(int, sys.argv[2:5])
+    memory = mmap.mmap(shared, 3 * _SLOT)
+    job = json.loads(sys.stdin.readline())
+    threading.Thread(target=_end_with_the_cycle, daemon=True).start()
+    most = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2
+    resource.setrlimit(resource.RLIMIT_DATA, (most, most))  # what leaks is a MemoryError here, and none of the cycle's
+    sys.path[:] = job["path"]
+    sys.stdout, sys.stderr = _Printed(sys.stdout), _Printed(sys.stderr)
+    try:
+        scene = load(_BUILD, "scene", "reader")(job["text"], job["source"], job["overrides"], allow_code=True)
+        law = LaterLaw(scene)
+        os.write(answers, b"\0")
+        _answer(law, memory, wake, answers if job["pace"] == "free" else -1, job)
+    except BaseException as error:  # own code may raise anything
+        text = (str(error) if isinstance(error, OwnCodeError) else f"{type(error).__name__}: {error}").encode()[:1000]
+        memory[2 * _SLOT + 8 : 2 * _SLOT + 8 + len(text)] = text
+        memory[2 * _SLOT : 2 * _SLOT + 8] = len(text).to_bytes(8, "little")
+        os._exit(1)
+
+
+def _end_with_the_cycle() -> None:
+    while sys.stdin.read(1):
+        pass
+    os._exit(0)
+
+
+def _answer(law: LaterLaw, memory: mmap.mmap, wake: int, answers: int, job: Mapping[str, Any]) -> None:
+    """Answer each sample, until the cycle has gone."""
+    count = len(law.places)
+    samples, answered = _Slot(memory, 0, 3 * count), _Slot(memory, _SLOT, count)
+    clock, seen, due, index = WallClock(), 0, 0, -1
+    many = hasattr(os, "sched_getaffinity") and len(os.sched_getaffinity(0)) > 1
+    margin = round(job["spin"] * 0.5e9) if many and answers < 0 else 0
+    while True:
+        while samples.sequence == seen:  # spins shortly before the next one is due, where another processor is free
+            left = due - margin - clock.now()
+            if not margin or left > 0 or left < -2 * margin:
+                wait = left * 1e-9 if margin and left > 0 else None
+                if select.select([wake], [], [], wait)[0] and not os.read(wake, 4096):
+                    return
+        record = samples.read()
+        if record is None or record[0] == index:
+            continue
+        seen, due = samples.sequence, clock.now() + job["period"]
+        torques = law.step(record[1], max(0, record[0] - index - 1), record[2:-1])
+        index = record[0]
+        answered.write(index, 1, torques)
+        if answers >= 0:
+            os.write(answers, b"\0")
