@@ -35,6 +35,7 @@
        |- SyncsSkippedError                  3   this computer was late for more SYNCs than it sent
        `- ControlError                       3   the controller raised or produced a non-finite torque
           |- EnergyLostError                 3   a port gave out more energy than was declared
+          |- OwnCodeLateError                3   own code in a process of its own did not answer
           |- ForceContradictedError          3   encoder and commands prove more energy than the force sensor shows
           |- TorqueNotFiniteError            3   the controller's torque is no number
           `- CycleFailedError                3   anything else was raised in the cycle; it is the cause

@@ -1,4 +1,4 @@
-"""Own code in a process of its own: the same law a hold later, and a cycle that goes on whatever it does."""
+"""Own code in a process of its own: the same law a hold later, and a cycle that goes on in any case."""
 
 import io
 import json
