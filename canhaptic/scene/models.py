@@ -573,7 +573,11 @@ def values_to_set(scene: Scene) -> list[Guess]:
             and "torque_verified" not in {key for _, key, *_ in marked}
         ):
             missing.append(f"{given.name}.torque_verified")  # a drive that holds a velocity takes the torque it needs
-    return [*marked, *(Guess(0, key, "", "missing") for key in (*missing, *scene.undeclared))]
+    return [
+        *marked,
+        *(Guess(0, key, "", "missing") for key in missing),
+        *(Guess(0, key, "", "missing, or 0") for key in scene.undeclared),
+    ]
 
 
 def _missing_of_bus(scene: Scene) -> list[str]:

@@ -84,6 +84,8 @@ NO_LAG: Final = 1.0
 """Lag of a torque whose own is not bounded [s]: the largest that is accepted, with which nothing is certified."""
 GUESSES: Final = {"sync_jitter": 0.05, "torque_window": 100e-6, "current_lag": 500e-6}
 """Taken for real drives until it is declared, with the time that event RPDOs take; no real drive runs on them."""
+_NEVER_ZERO: Final = ("torque_window", "current_lag")
+"""Keys of which 0 is no declaration of a real drive: no frame shows how late a torque acts."""
 _MOST_JITTER: Final = 0.5
 """Part of a sample time: a SYNC later than that is a SYNC skipped."""
 
@@ -91,6 +93,11 @@ _MOST_JITTER: Final = 0.5
 def undeclared(loop: LoopProperties) -> list[str]:
     """Undeclared timing keys of an axis."""
     return [key for key in GUESSES if getattr(loop, key) is None]
+
+
+def _unknown(loop: LoopProperties) -> list[str]:
+    """Timing keys of an axis with a real drive that are undeclared, or 0 where none is."""
+    return [key for key in GUESSES if getattr(loop, key) is None or (key in _NEVER_ZERO and not getattr(loop, key))]
 
 
 def with_timing(scene: Scene) -> Scene:
@@ -119,7 +126,7 @@ def _with_guesses(scene: Scene) -> Scene:
     axes = []
     for axis in scene.axes:
         values = {**GUESSES, "torque_window": windows[axis.bus]}
-        missing = {key: values[key] for key in undeclared(axis.loop)}
+        missing = {key: values[key] for key in _unknown(axis.loop)}
         axes.append(replace(axis, loop=axis.loop.model_copy(update=missing)))
     return replace(scene, axes=tuple(axes))
 
@@ -130,7 +137,7 @@ def _needed(scene: Scene, axis: AxisScene) -> list[str]:
     The bound of dry friction is one: nothing can be guessed of it.
     """
     is_open = axis.loop.device_friction_bound is None and rests_on_hand_force(scene, axis)
-    timing = [key for key in undeclared(axis.loop) if key in _rests_on(scene, axis)]
+    timing = [key for key in _unknown(axis.loop) if key in _rests_on(scene, axis)]
     return timing + (["device_friction_bound"] if is_open else [])
 
 

@@ -404,3 +404,22 @@ def test_the_hash_ignores_comments_order_and_folder_but_no_value(tmp_path: Path)
     assert load_scene(path, ["environment.damping=11"]).config_hash() != first
     (tmp_path / "cia402_servo.eds").write_bytes(SHIPPED_EDS.read_bytes() + b"\n; another file\n")
     assert load_scene(path).config_hash() != first
+
+
+_DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
+
+
+@pytest.mark.parametrize("key", ["torque_window", "current_lag"])
+def test_no_real_drive_runs_on_a_torque_that_is_declared_never_late(key: str) -> None:
+    """No frame shows how late a torque acts; in simulation 0 is what it says, and hardware still asks for the value."""
+    real = ("bus.interface=socketcan", "bus.channel=can0", "simulation=null", "bus.rpdo=synchronous")
+    guarded = "{algorithm: guarded, moving_mass: 0.2, hand_force: 1, sync_jitter: 0.01, device_friction_bound: 0.1, "
+    for value, is_open in (("0", True), ("20 us", False)):
+        loop = (
+            f"passivity={guarded}device_damping_bound: 0.1, torque_window: 10 us, current_lag: 10 us, {key}: {value}}}"
+        )
+        loop = loop.replace(f"{key}: 10 us, ", "", 1)
+        scene = load_scene(_DEMO, [*real, loop])
+        assert (f"{scene.axes[0].parameters.name}.passivity.{key}" in scene.undeclared) is is_open
+        assert getattr(scene.axes[0].loop, key) > 0.0
+    assert getattr(load_scene(_DEMO, [f"passivity={guarded}{key}: 0}}"]).axes[0].loop, key) == 0.0

@@ -206,7 +206,7 @@ def on_bus(channel: str) -> list[str]:
     values = ["bus.interface=socketcan", f"bus.channel={channel}", f"bus.rate={RATE} Hz"]
     values += ["bus.spin_margin=0 s", "bus.tpdo_timeout=0.8"]  # one processor of 10^9 instructions a second for both
     values += ["bus.realtime.priority=20", "bus.realtime.freeze_garbage=true"]
-    values += ["passivity.sync_jitter=0.05", "passivity.torque_window=0.1 ms", "passivity.current_lag=0 s"]
+    values += ["passivity.sync_jitter=0.05", "passivity.torque_window=0.1 ms", "passivity.current_lag=10 us"]
     values += ["passivity.device_friction_bound=0 N"]
     return [word for value in values for word in ("--set", value)]
 
