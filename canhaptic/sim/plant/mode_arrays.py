@@ -1,7 +1,9 @@
 """All modes of a plant as arrays of one shape, and the products of the stepper as loops over them.
 
 The loops take lists of lists as they take arrays: Python and machine code add the same numbers in the same order, so
-that both give the same bits. Matrices are stored by columns: the inner loop runs over rows, and no sum is reordered.
+that these loops give the same bits in both. The interpreted plant takes NumPy's products instead, which add in another
+order: it differs from the compiled one by rounding, below 1e-9 of the travel where the motion is not chaotic. Matrices
+are stored by columns: the inner loop runs over rows, and no sum is reordered.
 """
 
 from collections.abc import Sequence
