@@ -1,9 +1,8 @@
 """`canhaptic compare CONFIG`: every passivity algorithm on one scene, compared with the continuous environment."""
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
 
 from canhaptic.cli.long_command import run_progress
 from canhaptic.cli.options import check_picture, scene_of
@@ -14,11 +13,6 @@ from canhaptic.lab.studies.compare import compare
 from canhaptic.scene.method import plant_errors
 from canhaptic.scene.models import Scene
 from canhaptic.view.run_lines import make_console
-
-if TYPE_CHECKING:
-    from rich.console import RenderableType
-
-_Compared = TypeVar("_Compared")
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -50,12 +44,7 @@ def execute(arguments: argparse.Namespace) -> int:
             engine=arguments.engine,
             progress=progress,
         )
-    if arguments.json:
-        write_json(comparison.result)
-    else:
-        from canhaptic.lab.render.compare_table import comparison_report
-
-        make_console().print(comparison_report(comparison.result))
+    _print(comparison.result, arguments)
     if arguments.png is not None:
         from canhaptic.lab.render.compare_picture import draw_comparison
 
@@ -65,15 +54,15 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _compare_displays(scene: Scene, arguments: argparse.Namespace) -> int:
-    from canhaptic.lab.studies.compare import compare_displays, display_algorithms, display_comparison_report
+    from canhaptic.lab.studies.compare import compare_displays, display_algorithms
 
     if arguments.rate is not None or arguments.png is not None:
         raise InputError("--rate, --png: for impedance displays; for admittance displays use --set bus.rate=...")
-    return _over_can(scene, arguments, display_algorithms, compare_displays, display_comparison_report)
+    return _over_can(scene, arguments, display_algorithms, compare_displays)
 
 
 def _compare_groups(scene: Scene, arguments: argparse.Namespace) -> int:
-    from canhaptic.lab.studies.compare import compare_groups, group_algorithms, group_comparison_report
+    from canhaptic.lab.studies.compare import compare_groups, group_algorithms
 
     if not all(axis.group for axis in scene.axes):
         alone = ", ".join(axis.parameters.name for axis in scene.axes if not axis.group)
@@ -85,21 +74,26 @@ def _compare_groups(scene: Scene, arguments: argparse.Namespace) -> int:
     if arguments.png is not None:
         raise InputError("--png: draws axes with their continuous run; draw a group with canhaptic run --png")
     compared = partial(compare_groups, engine="python" if arguments.can else arguments.engine)
-    return _over_can(scene, arguments, group_algorithms, compared, group_comparison_report)
+    return _over_can(scene, arguments, group_algorithms, compared)
 
 
 def _over_can(
     scene: Scene,
     arguments: argparse.Namespace,
     names_of: Callable[[Sequence[str] | None], list[str]],
-    compared: Callable[..., _Compared],
-    report: Callable[[_Compared], "RenderableType"],
+    compared: Callable[..., Mapping[str, object]],
 ) -> int:
     total = cycles_of(scene, arguments.duration) * len(names_of(arguments.algorithms))
     with run_progress(total, scene.bus.sample_time, "free") as progress:
         result = compared(scene, arguments.algorithms, duration=arguments.duration, progress=progress)
+    _print(result, arguments)
+    return 0
+
+
+def _print(result: Mapping[str, object], arguments: argparse.Namespace) -> None:
     if arguments.json:
         write_json(result)
-    else:
-        make_console().print(report(result))
-    return 0
+        return
+    from canhaptic.lab.render.compare_table import comparison_report
+
+    make_console().print(comparison_report(result))

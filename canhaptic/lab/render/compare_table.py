@@ -1,12 +1,15 @@
-"""A comparison as tables for a terminal: one column per algorithm, one row per figure, the best of a row in bold."""
+"""A comparison as tables for a terminal: one column per algorithm, one row per figure, the best of a row in bold.
 
-from collections.abc import Callable, Mapping
-from typing import Any, Final
+Axes, groups and admittance displays differ in their rows alone.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final, NamedTuple
 
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from canhaptic.axis_units import effort_unit
+from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.view.si import si
 from canhaptic.view.table import Cell, Styled, Table
@@ -21,10 +24,20 @@ def comparison_report(result: _Account) -> RenderableType:
         result: Plain values, as `compare --json` prints them.
     """
     parts: list[RenderableType] = [_heading(result)]
-    for name, axis in result["axes"].items():
-        parts.append(Text(f" {name}: {axis['environment']}   continuous: {axis['reference']['method']}"))
-        parts += [_table(axis), *_remarks(axis)]
+    for title, part, rows in _parts(result):
+        parts += [Text(f" {title}"), _table(part, rows), *_remarks(part)]
     return Group(*parts)
+
+
+def _parts(result: _Account) -> Iterator[tuple[str, _Account, tuple["_Row", ...]]]:
+    """Yield (title, accounts, rows) of each axis, group or display."""
+    for name, group in result.get("groups", {}).items():
+        yield f"{name}: {group['network']} on {', '.join(group['axes'])}", group, _GROUP_ROWS
+    for name, axis in result.get("axes", {}).items():
+        if "algorithms" in axis:
+            yield f"{name}: {axis['environment']}   continuous: {axis['reference']['method']}", axis, _ROWS
+        else:
+            yield name, {"algorithms": axis, "unit": ""}, _DISPLAY_ROWS
 
 
 def _heading(result: _Account) -> Text:
@@ -37,27 +50,37 @@ def _heading(result: _Account) -> Text:
 
 def _engines(result: _Account) -> list[str]:
     """Return what computed the runs: python, numba."""
-    every = (account["engine"] for axis in result["axes"].values() for account in axis["algorithms"].values())
+    every = (account.get("engine") for _, part, _ in _parts(result) for account in part["algorithms"].values())
     return sorted({engine.partition(":")[0] for engine in every if engine}) or ["python"]
 
 
-def _table(axis: _Account) -> Table:
+class _Row(NamedTuple):
+    """A figure of a comparison."""
+
+    label: str
+    read: Callable[[_Account, _Account], Any]  # (account, part) -> value
+    show: Callable[[Any, str], str] = lambda value, _unit: str(value)  # (value, unit) -> text
+    better: Callable[[float], float] | None = None  # least of the best value
+    is_bounded: bool = False  # whether a value below zero is a fault
+
+
+def _table(part: _Account, of: tuple[_Row, ...]) -> Table:
     rows: list[list[Cell]] = []
-    for label, read, show, better in _ROWS:
-        values = [_value(read, axis, account) for account in axis["algorithms"].values()]
+    for row in of:
+        values = [_value(row.read, part, account) for account in part["algorithms"].values()]
         if any(value is not None for value in values):
-            best, is_below = _best(values, better), label in _ENERGIES_BELOW
-            rows.append([label, *(_cell(value, show, axis["unit"], best, is_below=is_below) for value in values)])
-    return Table("", ["", *(name.replace("_", "\n") for name in axis["algorithms"])], rows, keys=1)
+            best = _best(values, row.better)
+            rows.append([row.label, *(_cell(value, row, part["unit"], best) for value in values)])
+    return Table("", ["", *(name.replace("_", "\n") for name in part["algorithms"])], rows, keys=1)
 
 
-def _cell(
-    value: float | str | None, show: Callable[[Any, str], str], unit: str, best: float | None, *, is_below: bool
-) -> Styled:
+def _cell(value: float | str | None, row: _Row, unit: str, best: float | None) -> Styled:
     if value is None:
         return Styled("-")
-    bad = is_below and isinstance(value, float) and value < -PASSIVE_TOLERANCE
-    return Styled(show(value, unit), "red" if bad else "bold" if value == best else "")
+    if isinstance(value, str):
+        return Styled(row.show(value, unit), {"yes": "green", "in doubt": "yellow", "no": "red"}.get(value, ""))
+    bad = row.is_bounded and value < -PASSIVE_TOLERANCE
+    return Styled(row.show(value, unit), "red" if bad else "bold" if value == best else "")
 
 
 def _value(read: Callable[[_Account, _Account], Any], axis: _Account, account: _Account) -> float | str | None:
@@ -76,7 +99,7 @@ def _best(values: list[float | str | None], better: Callable[[float], float] | N
 def _remarks(axis: _Account) -> list[Text]:
     lines = []
     for name, account in axis["algorithms"].items():
-        words = [account["remark"]] if account["remark"] else []
+        words = [account["remark"]] if account.get("remark") else []
         if account.get("diverged") is not None:
             words.append(f"diverged at {account['diverged']:.4g} s")
         if words:
@@ -104,35 +127,58 @@ def _plain(value: float, _unit: str) -> str:
     return f"{value:.3g}"
 
 
-def _status(account: _Account, _axis: _Account) -> str:
-    return str(account["status"])
-
-
-def _word(value: str, _unit: str) -> str:
-    return value
-
-
 def _asked_damping(account: _Account, _axis: _Account) -> float | None:
     damping = account["damping_rendered"]
     return float(damping["mean"] / damping["asked"]) if damping["asked"] and damping["mean"] is not None else None
 
 
-_ENERGIES_BELOW: Final = ("least true sum(h_i)", "least margin of (4)")
-_ROWS: Final[tuple[tuple[str, Callable[[_Account, _Account], Any], Callable[[Any, str], str], Any], ...]] = (
-    ("", _status, _word, None),
-    ("position error, rms", lambda a, _: a["position_error"]["rms"], _length, abs),
-    ("position error, most", lambda a, _: a["position_error"]["max"], _length, abs),
-    ("force error, rms", lambda a, _: a["force_error"]["rms"], _force, abs),
-    ("force error, most", lambda a, _: a["force_error"]["max"], _force, abs),
-    ("force variation, ratio", lambda a, _: a["force_variation"]["ratio"], _plain, lambda v: abs(v - 1.0)),
-    ("stiffness rendered", lambda a, _: a["stiffness_rendered"]["share"], _share, lambda v: abs(v - 1.0)),
-    ("stiffness at rest", lambda a, _: a["stiffness_at_rest"]["share"], _share, lambda v: abs(v - 1.0)),
-    ("damping rendered", _asked_damping, _share, lambda v: abs(v - 1.0)),
-    ("limit cycle", lambda a, _: a["limit_cycle"], _length, abs),
-    ("least true sum(h_i)", lambda a, _: a["least_interaction"], _joule, None),
-    ("least margin of (4)", lambda a, _: a["margin"]["value"], _joule, None),
-    ("believed - true", lambda a, _: a["believed_error"], _joule, None),
-    ("residual of account", lambda a, _: a["residual"], _plain, None),
-    ("weakest certificate", lambda a, _: a["certificate"].replace("_", " ").removeprefix("device "), _word, None),
-    ("time of a step", lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us", None),
+def _damping(account: _Account, group: _Account) -> str:
+    rendered = account["damping_rendered"]
+    return f"{rendered['least']:.3g}..{rendered['most']:.3g} {damping_unit(group['unit'])}"
+
+
+def _from_one(value: float) -> float:
+    return abs(value - 1.0)
+
+
+_ROWS: Final = (
+    _Row("", lambda a, _: a["status"]),
+    _Row("position error, rms", lambda a, _: a["position_error"]["rms"], _length, abs),
+    _Row("position error, most", lambda a, _: a["position_error"]["max"], _length, abs),
+    _Row("force error, rms", lambda a, _: a["force_error"]["rms"], _force, abs),
+    _Row("force error, most", lambda a, _: a["force_error"]["max"], _force, abs),
+    _Row("force variation, ratio", lambda a, _: a["force_variation"]["ratio"], _plain, _from_one),
+    _Row("stiffness rendered", lambda a, _: a["stiffness_rendered"]["share"], _share, _from_one),
+    _Row("stiffness at rest", lambda a, _: a["stiffness_at_rest"]["share"], _share, _from_one),
+    _Row("damping rendered", _asked_damping, _share, _from_one),
+    _Row("limit cycle", lambda a, _: a["limit_cycle"], _length, abs),
+    _Row("least true sum(h_i)", lambda a, _: a["least_interaction"], _joule, is_bounded=True),
+    _Row("least margin of (4)", lambda a, _: a["margin"]["value"], _joule, is_bounded=True),
+    _Row("believed - true", lambda a, _: a["believed_error"], _joule),
+    _Row("residual of account", lambda a, _: a["residual"], _plain),
+    _Row("weakest certificate", lambda a, _: a["certificate"].replace("_", " ").removeprefix("device ")),
+    _Row("time of a step", lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us"),
+)
+_GROUP_ROWS: Final = (
+    _Row("", lambda a, _: a["status"]),
+    _Row("passive (eq. 3)", lambda a, _: a["passive"]),
+    _Row("least true sum(h_i)", lambda a, _: a["truth"]["least_interaction"], _joule, is_bounded=True),
+    _Row("least margin of (4)", lambda a, _: a["margin"]["value"], _joule, is_bounded=True),
+    _Row("believed - true", lambda a, _: a["truth"]["believed_error"], _joule),
+    _Row("in", lambda a, _: a["in"], _joule),
+    _Row("out", lambda a, _: a["out"], _joule),
+    _Row("dissipated", lambda a, _: a["dissipated"], _joule),
+    _Row("surplus at most", lambda a, _: a["surplus"]["max"], _joule),
+    _Row("damping rendered", _damping),
+    _Row("weakest certificate", lambda a, _: a["certificate"].replace("_", " ")),
+)
+_DISPLAY_ROWS: Final = (
+    _Row("", lambda a, _: a["status"]),
+    _Row("energy in", lambda a, _: a["account"]["in"], _joule),
+    _Row("energy out", lambda a, _: a["account"]["out"], _joule),
+    _Row("energy resolution", lambda a, _: a["account"]["energy_resolution"], _joule),
+    _Row("passive (eq. 3)", lambda a, _: a["account"]["passive"]),
+    _Row("weakest certificate", lambda a, _: a["account"]["certificate"].replace("_", " ")),
+    _Row("true interaction", lambda a, _: a["truth"]["interaction"], _joule),
+    _Row("least true interaction", lambda a, _: a["truth"]["least_interaction"], _joule, is_bounded=True),
 )

@@ -19,13 +19,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, TypedDict, cast
 
-from rich.console import Group, RenderableType
-from rich.text import Text
-
-from canhaptic.axis_units import damping_unit
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
-from canhaptic.control.verdict import PASSIVE_TOLERANCE, PortResult, passive_verdict
+from canhaptic.control.verdict import PortResult, passive_verdict
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
 from canhaptic.lab.batch.group_loop import GroupRecorder
@@ -61,8 +57,6 @@ from canhaptic.lab.loop.over_can import (
 from canhaptic.lab.reference import ContinuousReference, continuous_reference
 from canhaptic.result import TruthResult
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.view.si import si
-from canhaptic.view.table import Cell, Styled, Table
 
 _BATCH: Final = 64  # cycles between two reports of progress
 
@@ -272,18 +266,6 @@ class DisplaysCompared(Heading):
     axes: dict[str, dict[str, AdmittanceRunCompared]]
 
 
-_ROWS: Final[tuple[tuple[str, Callable[[AdmittanceRunCompared], str]], ...]] = (
-    ("status", lambda of: of["status"]),
-    ("energy in", lambda of: si(of["account"]["in"], "J")),
-    ("energy out", lambda of: si(of["account"]["out"], "J")),
-    ("energy resolution", lambda of: si(of["account"]["energy_resolution"], "J")),
-    ("passive (eq. 3)", lambda of: of["account"]["passive"]),
-    ("weakest certificate", lambda of: of["account"]["certificate"].replace("_", " ")),
-    ("true interaction", lambda of: si(of["truth"]["interaction"], "J")),
-    ("least true interaction", lambda of: si(of["truth"]["least_interaction"], "J")),
-)
-
-
 def display_algorithms(algorithms: Sequence[str] | None) -> list[str]:
     """Return the names asked for; see `known_algorithms`."""
     return known_algorithms(DISPLAY_ALGORITHMS, "admittance algorithm", algorithms)
@@ -330,29 +312,6 @@ def _of_axis(axis: str, found: Mapping[str, Any]) -> AdmittanceRunCompared:
         return {"status": found["status"], "remark": found["remark"]}
     status = f"{found['status']}: {found['remark']}" if found["remark"] else found["status"]
     return {"status": status, "account": found["ports"][axis], "truth": found["truth"][axis]}
-
-
-def display_comparison_report(result: DisplaysCompared) -> RenderableType:
-    """Return one table for each axis, one column for each algorithm."""
-    parts: list[RenderableType] = [
-        Text(f" {result['cycles']} cycles over CAN at {result['rate']:g} Hz, delay {result['delay']} hold(s)")
-    ]
-    for axis, found in result["axes"].items():
-        rows = [[label, *(_cell(cell, of) for of in found.values())] for label, cell in _ROWS]
-        parts.append(Table("", [axis, *(name.replace("_", " ") for name in found)], rows, keys=1))
-        refused = {name: of["remark"] for name, of in found.items() if "account" not in of}
-        parts += [Text(f" {name}: {remark}") for name, remark in refused.items()]
-    return Group(*parts)
-
-
-def _cell(cell: Callable[[AdmittanceRunCompared], str], of: AdmittanceRunCompared) -> str:
-    try:
-        return cell(of)
-    except KeyError:
-        return "-"
-
-
-_NOTHING: Final = "-"
 
 
 class TrueEnergies(TypedDict):
@@ -482,70 +441,3 @@ def _compiled(scene: Scene, name: str, cycles: int) -> ComparedGroup:
         "believed_error": run.believed_error,
     }
     return account
-
-
-# --- the table ----------------------------------------------------------------------------------------------------
-
-
-def group_comparison_report(result: GroupsCompared) -> RenderableType:
-    """Return one table per group: a column per algorithm, a row per figure."""
-    heading = Text(" ")
-    heading.append(str(result["scene"]), style="bold")
-    path = "over the CAN path" if result["path"] == "can" else "without a bus, compiled"
-    heading.append(f"   {si(result['rate'], 'Hz', 3)}, delay {result['delay']}, {result['duration']:.4g} s, {path}")
-    parts: list[RenderableType] = [heading]
-    for name, group in result["groups"].items():
-        parts.append(Text(f" {name}: {group['network']} on {', '.join(group['axes'])}"))
-        parts.append(_table(group))
-        parts += [
-            Text(f" {algorithm}: {account['remark']}", style="yellow")
-            for algorithm, account in group["algorithms"].items()
-            if account["remark"]
-        ]
-    return Group(*parts)
-
-
-def _table(group: GroupCompared) -> Table:
-    rows: list[list[Cell]] = []
-    for label, read in _GROUP_ROWS.items():
-        cells = [_group_cell(read, account, group["unit"]) for account in group["algorithms"].values()]
-        if any(cell.text != _NOTHING for cell in cells):
-            rows.append([label, *cells])
-    return Table("", ["", *(name.replace("_", "\n") for name in group["algorithms"])], rows, keys=1)
-
-
-def _group_cell(read: Callable[[ComparedGroup, str], str | float], account: ComparedGroup, unit: str) -> Styled:
-    try:
-        value = read(account, unit)
-    except (KeyError, TypeError):  # refused, or nothing to measure
-        return Styled(_NOTHING)
-    if isinstance(value, str):
-        return Styled(value, {"yes": "green", "in doubt": "yellow", "no": "red"}.get(value, ""))
-    return Styled(si(value, "J", 3), "red" if value < -PASSIVE_TOLERANCE else "")
-
-
-def _truth(account: ComparedGroup) -> TrueEnergies:
-    truth = account["truth"]
-    if truth is None:
-        raise KeyError("truth")
-    return truth
-
-
-def _damping(account: ComparedGroup, unit: str) -> str:
-    rendered = account["damping_rendered"]
-    return f"{rendered['least']:.3g}..{rendered['most']:.3g} {damping_unit(unit)}"
-
-
-_GROUP_ROWS: Final[dict[str, Callable[[ComparedGroup, str], str | float]]] = {
-    "": lambda account, _: account["status"],
-    "passive (eq. 3)": lambda account, _: account["passive"],
-    "least true sum(h_i)": lambda account, _: _truth(account)["least_interaction"],
-    "least margin of (4)": lambda account, _: account["margin"]["value"],
-    "believed - true": lambda account, _: _truth(account)["believed_error"],
-    "in": lambda account, _: account["in"],
-    "out": lambda account, _: account["out"],
-    "dissipated": lambda account, _: account["dissipated"],
-    "surplus at most": lambda account, _: account["surplus"]["max"],
-    "damping rendered": _damping,
-    "weakest certificate": lambda account, _: account["certificate"].replace("_", " "),
-}
