@@ -5,10 +5,11 @@ import os
 import select
 import sys
 from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from canhaptic.cli.long_command import StopSignal
+from canhaptic.cli.long_command import StopSignal, check_list
 from canhaptic.cli.options import check_place, scene_of
 from canhaptic.cli.output import failure, note_file, write_failure, write_file, write_json, write_note
 from canhaptic.commission.admittance_tests import REQUIRED as OF_DISPLAYS
@@ -17,8 +18,8 @@ from canhaptic.commission.sequence import REQUIRED as OF_TORQUES
 from canhaptic.commission.sequence import commission
 from canhaptic.commission.session import CommissioningLimits, Dialogue, Report, Session, Unattended
 from canhaptic.errors import CanHapticError, InputError
-from canhaptic.scene.edited_text import edited_scene
-from canhaptic.scene.models import Scene
+from canhaptic.scene.edited_text import Change, edited_scene
+from canhaptic.scene.models import CHECK_LIST, CheckItem, Scene
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.terminal import visible
 
@@ -36,13 +37,15 @@ def execute(arguments: argparse.Namespace) -> int:
     dialogue = dialogue_of(scene, yes=arguments.yes)
     with StopSignal() as stop:
         session = Session(scene, dialogue, limits, stop.requested)
-        missing, error = _walk(session, arguments.duration)
+        missing, error = walk(session, arguments.duration)
         report, is_written = session.report, False
+        confirmed: dict[CheckItem, str] = {} if scene.simulated or missing or error else _confirmed(dialogue)
         if stop.requested():
             missing.insert(0, "stopped")
         if place is not None and not missing and error is None:
             try:
-                _write(scene, report, place, arguments)
+                changes = [Change(("confirmed", item), f'"{moment}"') for item, moment in confirmed.items()]
+                _write(scene, [*report.changes(scene), *changes], place, arguments)
                 is_written = True
             except CanHapticError as raised:
                 error = raised
@@ -53,7 +56,7 @@ def execute(arguments: argparse.Namespace) -> int:
         return stop.exit_status or (_TO_CORRECT if is_to_correct and not is_written else 0)
 
 
-def _walk(session: Session, duration: float) -> tuple[list[str], CanHapticError | None]:
+def walk(session: Session, duration: float) -> tuple[list[str], CanHapticError | None]:
     """Walk the steps; return what is missing or failed, and the error that ended them."""
     scene, error = session.scene, None
     displays = any(axis.parameters.admittance is not None for axis in scene.axes)
@@ -92,13 +95,22 @@ def _backup(place: Path) -> Path:
     return place.with_name(f"{place.name}.bak")
 
 
-def _write(scene: Scene, report: Report, place: Path, arguments: argparse.Namespace) -> None:
+def _confirmed(dialogue: Dialogue) -> dict[CheckItem, str]:
+    """Return the items of the check list that a person confirms, and when."""
+    moment = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
+    confirmed = {item: moment for item, text in CHECK_LIST.items() if dialogue.confirm(f"check list: {text}?")}
+    for text in check_list(confirmed):
+        dialogue.tell(f"  {text}")
+    return confirmed
+
+
+def _write(scene: Scene, changes: Sequence[Change], place: Path, arguments: argparse.Namespace) -> None:
     """Write the scene with the measured values.
 
     Raises:
         InputError: It cannot be written, or would not express the measured values.
     """
-    text = edited_scene(scene, report.changes(scene), str(place), allow_code=arguments.allow_code)
+    text = edited_scene(scene, changes, str(place), allow_code=arguments.allow_code)
     if arguments.in_place:
         write_file(_backup(place), scene.text)
     elif place.exists():

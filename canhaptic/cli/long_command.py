@@ -6,21 +6,28 @@ Progress on standard error, only on a terminal and only for tasks longer than a 
 
 At real pace the terminal must not delay the cycle: one short line twice a second, and only if it can be written
 without waiting. No thread is started.
+
+What a person reads before a real rig gives any torque: limits, check list, and where the walls lie.
 """
 
 import os
 import select
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
+from canhaptic.axis_units import effort_unit
+from canhaptic.cli.output import write_note
 from canhaptic.drive.clock import WallClock
+from canhaptic.scene.models import CHECK_LIST, AxisScene, CheckItem, Scene
 
 if TYPE_CHECKING:
     from rich.progress import Progress
+
+    from canhaptic.scene.build import Experiment
 
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 SHELL_OFFSET: Final = 128  # exit status of a process ended by signal n is 128 + n
@@ -151,3 +158,58 @@ def _write_if_free(text: str) -> None:
     descriptor = sys.stderr.fileno()
     if select.select([], [descriptor], [], 0.0)[1]:
         os.write(descriptor, text.encode())
+
+
+def notes(scene: Scene) -> Iterator[str]:
+    """Notes on axes that are sent less than their limit because its scale is not verified, and the check list."""
+    for axis in scene.axes:
+        given, limit = axis.parameters, axis.loop.torque_limit or 0.0
+        if limit < given.torque_limit and given.admittance is None:
+            yield (
+                f"{given.name}: torque_verified: no: at most {limit:.3g} {effort_unit(given.unit)} are sent, a "
+                "hundredth of torque_limit; canhaptic commission verifies the scale"
+            )
+    if scene.simulation is None:
+        yield from check_list(scene.run.confirmed)
+
+
+def check_list(confirmed: Mapping[CheckItem, str]) -> Iterator[str]:
+    """Lines of the check list: what was confirmed and when, and what was not."""
+    for key, text in CHECK_LIST.items():
+        yield f"{'x' if key in confirmed else ' '} {key}: {text}; {confirmed.get(key, 'not confirmed')}"
+
+
+def walls_first(experiment: "Experiment", stop_requested: Callable[[], bool]) -> Callable[[], bool]:
+    """Return `stop_requested`, which first shows where walls lie: drives are enabled then, and no torque was sent."""
+    if all(axis.parameters.position_reference != "at_start" for axis in experiment.scene.axes):
+        return stop_requested
+    waiting = [experiment]
+
+    def requested() -> bool:
+        if waiting:
+            for text in _walls(waiting.pop()):
+                write_note(f"  {text}")
+        return stop_requested()
+
+    return requested
+
+
+def _walls(experiment: "Experiment") -> Iterator[str]:
+    for axis, drive in zip(experiment.scene.axes, experiment.rig.drives, strict=True):
+        if axis.parameters.position_reference != "at_start":
+            continue
+        at, unit = drive.scaling.position(drive.position_counts), axis.parameters.unit
+        ways = [f"{key} at {place:.4g} {unit}, {place - at:+.4g} from here" for key, place in _places(axis)]
+        where = f"the handle is at {at:.4g} {unit} from where power came on"
+        yield f"{axis.parameters.name}: {'; '.join([where, *ways])}"
+
+
+def _places(axis: AxisScene) -> Iterator[tuple[str, float]]:
+    """Walls and limits of an axis, by their keys."""
+    for of, keys in (
+        (axis.environment.parameters, ("position", "lower_wall", "upper_wall")),
+        (axis.parameters.admittance, ("position_low", "position_high")),
+    ):
+        for key in keys:
+            if isinstance(place := getattr(of, key, None), float):
+                yield key, place

@@ -25,6 +25,7 @@ _COMMANDS: Final = {
     "preflight": "check the SocketCAN interfaces of a scene: bit rate, state, queue, restart after bus-off",
     "commission": "walk a new rig from zero torque to a measured configuration, asking before every torque",
     "run": "run a scene: bring the drives up, render, print the energy account",
+    "evidence": "fill a folder that shows how a drive did: commissioning, dry run, a run at a tenth, a page to sign",
     "scope": "show an energy log in a browser while it is written",
     "inspect": "read an energy log: account, checks, comparison, pictures, export, recomputation",
     "replay": "replay a recorded bus against today's master and controllers, and compare every frame they send",
@@ -44,7 +45,7 @@ _COMMANDS: Final = {
 """In the order of a user: a scene, its check, a rig, a run, its log; then studies."""
 _LABORATORY: Final = frozenset({"accuracy", "arena", "compare", "design", "map", "sweep", "touch", "warm"})
 """Commands in `canhaptic.lab.commands`; the others are in `canhaptic.cli`."""
-_STOP_IN_ORDER: Final = frozenset({"commission", "run", "drive", "scope", "touch"})
+_STOP_IN_ORDER: Final = frozenset({"commission", "evidence", "run", "drive", "scope", "touch"})
 """Commands that take Ctrl-C as the operator's stop, and need time for it."""
 _BROKEN_PIPE: Final = 1
 _COMPLETION: Final = "_ARGCOMPLETE"

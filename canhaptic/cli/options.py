@@ -317,6 +317,16 @@ def _drive(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", metavar="S", type=seconds, help="duration [s]; by default until stopped")
 
 
+def _evidence(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `evidence`."""
+    add_scene(parser)
+    parser.add_argument("--out", metavar="FOLDER", type=Path, required=True, help="new folder for the evidence")
+    parser.add_argument("--duration", metavar="S", type=seconds, default=5.0, help="length of each run [s]")
+    parser.add_argument("--travel", metavar="X", type=float, default=TRAVEL, help="as for `commission`")
+    parser.add_argument("--anonymous", action="store_true", help="leave out comments, names and serial numbers")
+    parser.add_argument("--yes", action="store_true", help="agree to every step; only with simulated drives")
+
+
 def _inspect(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `inspect`."""
     parser.add_argument("log", type=Path, help="an energy log (.h5), or a bus log together with --config")
@@ -470,6 +480,7 @@ OPTIONS: Final[dict[str, Callable[[argparse.ArgumentParser], None]]] = {
     "configs": _configs,
     "decode": _decode,
     "drive": _drive,
+    "evidence": _evidence,
     "inspect": _inspect,
     "lss": _lss,
     "new": _new,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from canhaptic.axis_units import effort_unit
-from canhaptic.cli.long_command import StopSignal, run_progress
+from canhaptic.cli.long_command import StopSignal, notes, run_progress, walls_first
 from canhaptic.cli.options import check_picture, require_new, scene_of
 from canhaptic.cli.output import failure, note_file, write_failure, write_json, write_line, write_note
 from canhaptic.cycle import run
@@ -37,13 +37,13 @@ def execute(arguments: argparse.Namespace) -> int:
                 energy_log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.h5"
         require_no_guesses(scene)
         _require_allowed(scene, most=inf if arguments.large_allowance else _LARGE)
-        for text in (*elsewhere, *_unverified(scene)):
+        for text in elsewhere:
             write_note(f"  {text}")
         if any(bus.parameters.interface == "socketcan" for bus in scene.buses):
             _preflight(scene)
         stop = stack.enter_context(StopSignal())
         experiment = build(scene, arguments.pace, energy_log, bus_log, no_torque=arguments.no_torque)
-        for text in _dear_holds(scene):
+        for text in (*notes(scene), *_dear_holds(scene)):
             write_note(f"  {text}")
         stack.callback(experiment.close, "interrupted")  # by then closed already, unless a second signal came
         result, error = _run(experiment, arguments.duration or scene.run.duration, stop)
@@ -86,17 +86,6 @@ def _require_allowed(scene: Scene, most: float) -> None:
             )
 
 
-def _unverified(scene: Scene) -> list[str]:
-    """Notes on axes that are sent less than their limit because its scale is not verified."""
-    sent = [(axis.parameters, axis.loop.torque_limit or 0.0) for axis in scene.axes]
-    return [
-        f"{axis.name}: torque_verified: no: at most {limit:.3g} {effort_unit(axis.unit)} are sent, a hundredth of "
-        "torque_limit; canhaptic commission verifies the scale"
-        for axis, limit in sent
-        if limit < axis.torque_limit and axis.admittance is None
-    ]
-
-
 def _preflight(scene: Scene) -> None:
     from canhaptic.host.socketcan_state import require_preflight
 
@@ -129,7 +118,7 @@ def _run(experiment: Experiment, duration: float | None, stop: StopSignal) -> tu
     begin = clock.now()
     try:
         with run_progress(cycles, scene.bus.sample_time, experiment.pace) as progress:
-            run(experiment.cycle, cycles, stop.requested, progress)
+            run(experiment.cycle, cycles, walls_first(experiment, stop.requested), progress)
     except CanHapticError as raised:
         error = raised
     elapsed = (clock.now() - begin) * 1e-9

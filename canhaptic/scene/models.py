@@ -201,11 +201,27 @@ class SceneContext(UnitContext):
         return self._code
 
 
+CheckItem = Literal["motor_data", "dry_run", "torque", "zero", "limits", "brake", "sto", "emergency_stop"]
+CHECK_LIST: Final[Mapping[CheckItem, str]] = {
+    "motor_data": "motor data and current limit are set with the vendor's tool",
+    "dry_run": "a dry run (--no-torque) was moved by hand, and what it withheld was read",
+    "torque": "the scale of the torque is verified",
+    "zero": "the counts begin where position_reference says, and the walls lie where they should",
+    "limits": "torque_limit and speed_limit are what the hand may meet",
+    "brake": "the brake holds, and lets go before a torque; or there is none",
+    "sto": "STO takes the torque away",
+    "emergency_stop": "the emergency stop is in reach and takes the power away",
+}
+"""Items that a person confirms before a real rig is used."""
+
+
 class RunParameters(Parameters):
     """Top-level values of a scene that belong to no section."""
 
     duration: Annotated[float, quantity("s", gt=0.0, le=1e6)] | None = None
     """How long a run lasts; None: until it is stopped."""
+    confirmed: dict[CheckItem, PrintableText] = Field(default_factory=dict)
+    """Items of the check list of a real rig that a person confirmed, and when (`canhaptic commission`)."""
     guard: Literal["certificates", "none"] | None = None
     """The scene is for a program (`canhaptic.open_rig`), which asks for the torques in place of environment and
     algorithm, and this is their guard. `none` lets a real rig give them as they are only where the call says so too.
@@ -460,7 +476,7 @@ class Scene:
         the first release, where they are absent.
         """
         resolved = self.resolved()
-        del resolved["log"]
+        del resolved["log"], resolved["run"]["confirmed"]
         resolved["run"] = {
             key: value
             for key, value in resolved["run"].items()

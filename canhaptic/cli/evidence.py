@@ -1,0 +1,144 @@
+"""`canhaptic evidence CONFIG --out FOLDER`: what shows to others how a drive did, in one folder.
+
+The folder has the scene and its dictionaries, the report of a commissioning, a dry run and a run at a tenth of the
+torque limit with both logs each, versions, and a page to sign with the hashes of all of it.
+"""
+
+import argparse
+import hashlib
+import json
+import platform
+import re
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+from canhaptic.cli.commission import dialogue_of, walk
+from canhaptic.cli.long_command import StopSignal, check_list
+from canhaptic.cli.options import scene_of
+from canhaptic.cli.output import note_file, write_file
+from canhaptic.commission.session import CommissioningLimits, Dialogue, Session
+from canhaptic.cycle import run
+from canhaptic.errors import CanHapticError, InputError
+from canhaptic.scene.build import build
+from canhaptic.scene.edited_text import Change, edited_text
+from canhaptic.scene.experiment_account import experiment_account
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import Scene, require_no_guesses
+
+_TENTH: Final = 0.1
+_PACKAGES: Final = ("canhaptic", "python-can", "canopen", "numpy", "pydantic", "h5py")
+_NAMES: Final = re.compile(r"(?im)^(FileName|CreatedBy|ModifiedBy|LastEDS|NodeName|NetworkName|Description)=.*$")
+_SERIAL: Final = re.compile(r"(?ims)^(\[1018sub4\].*?^(?:ParameterValue|DefaultValue)=)[^\r\n]*")
+_PAGE: Final = """# Evidence
+
+Drive: ____________________  Firmware: ____________  Motor: ____________________  Date: ____________
+
+This folder was written by `canhaptic evidence`. `{status}`
+
+| file | SHA-256 |
+|---|---|
+{rows}
+
+Check list:
+
+{check_list}
+
+I watched these runs at the rig, and the values of `rig.yaml` are those of the rig.
+
+Name and signature (a pseudonym will do): ______________________________
+"""
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Fill the folder; return 0, or 130 or 143 after a signal.
+
+    Raises:
+        InputError: The folder exists, values are still to be set, or a person did not agree to a run.
+        CanHapticError: A run failed; what was recorded until then stays in the folder.
+    """
+    scene, out = scene_of(arguments), arguments.out
+    require_no_guesses(scene)
+    dialogue = dialogue_of(scene, yes=arguments.yes)
+    if out.exists():
+        raise InputError(f"{out} already exists; name another folder")
+    out.mkdir(parents=True)
+    path = _copied(scene, out, anonymous=arguments.anonymous)
+    limits = CommissioningLimits(travel=arguments.travel)
+    with StopSignal() as stop:
+        own = load_scene(path)
+        session = Session(own, dialogue, limits, stop.requested)
+        missing, error = walk(session, 1.0)
+        _write_json(out / "commissioning.json", {**session.report.as_json(), "unfinished": missing})
+        if error is not None:
+            raise error
+        if session.report.failed:
+            raise InputError(f"{out}: the commissioning failed: {'; '.join(missing)}; no run follows")
+        if all(axis.parameters.admittance is None for axis in own.axes):
+            _run(own, out, "dry_run", arguments.duration, dialogue, stop, no_torque=True)
+        tenth = [f"axes.{n}.torque_limit={_TENTH * axis.parameters.torque_limit}" for n, axis in enumerate(own.axes)]
+        _run(load_scene(path, tenth), out, "tenth", arguments.duration, dialogue, stop)
+    _write_json(out / "versions.json", _versions())
+    rows = "\n".join(
+        f"| {file.name} | {hashlib.sha256(file.read_bytes()).hexdigest()} |" for file in sorted(out.iterdir())
+    )
+    listed = "\n".join(f"- [{text[0]}] {text[2:]}" for text in check_list(own.run.confirmed))
+    status = "simulated drive: evidence of the software alone" if own.simulated else "real drive"
+    write_file(out / "sign.md", _PAGE.format(rows=rows, check_list=listed, status=status))
+    note_file("evidence", out)
+    return stop.exit_status or 0
+
+
+def _copied(scene: Scene, out: Path, *, anonymous: bool) -> Path:
+    """Copy scene and dictionaries into a folder; return the path of the scene there."""
+    changes: list[Change] = []
+    for number, axis in enumerate(scene.axes):
+        name = f"drive{number}{axis.parameters.eds.suffix}"
+        content = axis.parameters.eds.read_bytes().decode("latin-1")
+        if anonymous:
+            content = _SERIAL.sub(r"\g<1>0", _NAMES.sub(lambda found: f"{found[1]}=", content))
+        (out / name).write_bytes(content.encode("latin-1"))
+        changes.append(Change(("axes", str(number), "eds"), name))
+    overrides = [
+        Change(tuple(where.split(".")), value) for where, _, value in (o.partition("=") for o in scene.overrides)
+    ]
+    text = edited_text(scene.text, [*overrides, *changes])
+    if anonymous:
+        text = "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("#")) + "\n"
+    write_file(out / "rig.yaml", text)
+    return out / "rig.yaml"
+
+
+def _run(
+    scene: Scene,
+    out: Path,
+    name: str,
+    duration: float,
+    dialogue: Dialogue,
+    stop: StopSignal,
+    *,
+    no_torque: bool = False,
+) -> None:
+    """Run a scene with both logs, and write its account."""
+    torque = "without torque" if no_torque else "at a tenth of torque_limit"
+    if not dialogue.confirm(f"a run of {duration:g} s {torque}: hand on the handle. Now?"):
+        raise InputError(f"{name}: was not agreed to; the folder {out} is not complete")
+    with build(scene, None, out / f"{name}.h5", out / f"{name}.log", no_torque=no_torque) as experiment:
+        status, failure = "completed", None
+        try:
+            run(experiment.cycle, round(duration / scene.bus.sample_time), stop.requested)
+        except CanHapticError as error:
+            status, failure = f"failed: {error}", error
+        _write_json(out / f"{name}.json", experiment_account(experiment, status, duration))
+        if failure is not None:
+            raise failure
+
+
+def _write_json(path: Path, value: Any) -> None:
+    write_file(path, json.dumps(value, indent=1, default=str, sort_keys=True) + "\n")
+
+
+def _versions() -> dict[str, str]:
+    """Versions of what ran, without the name of the computer."""
+    found = {"python": platform.python_version(), "system": f"{platform.system()} {platform.release()}"}
+    return found | {name: version(name) for name in _PACKAGES}
