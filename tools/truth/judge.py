@@ -2,7 +2,8 @@
 
 A claim is false when
 
-    error         |believed - true| sum of interaction is larger than the energy resolution that is stated
+    error         |believed - true| sum of interaction is larger than the energy resolution that is stated, or twice
+                  one that the account calls an estimate
     passive yes   and the true sum fell below minus that resolution and the allowance
     passive no    and the true sum never fell below minus the allowance, or a later account says something else
     certificate   is named that the scene does not declare, or with a true sum below minus that resolution
@@ -13,6 +14,7 @@ after any hold, by the resolution of that hold: the account is judged at every m
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from math import inf
 from typing import Any, Final
 
 from canhaptic.cycle import Cycle, run
@@ -37,6 +39,8 @@ _MOST_LOSSES: Final = 4
 _PROMISES_NO_YES: Final = frozenset(("timing:stall",))
 """A host that stalls makes a hold longer than is declared."""
 _TRIES: Final = 4
+_ESTIMATE: Final = 2.0
+"""Factor within which a resolution that the account calls an estimate has to be right."""
 _FINE: Final = 1.0 / 20.0
 """Resolution over the energy that came in below which a yes is due."""
 
@@ -228,7 +232,8 @@ class _Moments:
         for place in self._places:
             port, name = self._cycle.meters.ports[place], self._names[place]
             resolution = port.measured().energy_resolution
-            if judge.believed_error[place] > max(self._error[place], resolution + ROUNDING):
+            most = resolution * (_ESTIMATE if port.activity.limits.floor == -inf else 1.0)
+            if judge.believed_error[place] > max(self._error[place], most + ROUNDING):
                 claim = f"error {judge.believed_error[place]:.3g} J, resolution {resolution:.3g} J"
                 self._claim(name, "error", claim)
             self._error[place] = judge.believed_error[place]
@@ -342,7 +347,7 @@ def _false_claims(
     resolution, least, error = _resolution(port), truth["least_interaction"], truth["believed_error"]
     allowance = section.get("energy_allowance", 0.0)
     claims = []
-    if error > resolution + ROUNDING:
+    if error > resolution * (_ESTIMATE if port.get("resolution_is_estimated") else 1.0) + ROUNDING:
         claims.append(f"{name}: error {error:.3g} J, resolution {resolution:.3g} J")
     if port["passive"] == "yes" and least < -resolution - allowance - ROUNDING:
         claims.append(f"{name}: passive yes, true least {least:.3g} J, resolution {resolution:.3g} J")
