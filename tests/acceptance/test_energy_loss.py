@@ -2,6 +2,7 @@
 
 import json
 import random
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -32,9 +33,15 @@ def stalls(duration: float, every: float) -> str:
     return f"simulation.bus={{stall: [{{begin: 1.0, duration: {duration}, every: {every}}}]}}"
 
 
-def ran(capsys: pytest.CaptureFixture[str], *values: str, scene: Path = DEMO, seconds: float = 6.0) -> dict[str, Any]:
+def ran(
+    capsys: pytest.CaptureFixture[str],
+    *values: str,
+    scene: Path = DEMO,
+    seconds: float = 6.0,
+    options: Sequence[str] = (),
+) -> dict[str, Any]:  # fmt: skip
     """Exit status, account and truth of a run."""
-    words = [word for value in values for word in ("--set", value)]
+    words = [*options, *(word for value in values for word in ("--set", value))]
     status = main(["run", str(scene), "--duration", str(seconds), "--json", *words])
     answer: dict[str, Any] = json.loads(capsys.readouterr().out)
     return {
@@ -75,7 +82,7 @@ def test_a_port_that_goes_on_giving_out_energy_is_stopped(
 
 def test_what_was_declared_may_be_given_out(capsys: pytest.CaptureFixture[str]) -> None:
     allowed = TOO_HEAVY.replace("}", ", energy_allowance: 0.5 J}")
-    result = ran(capsys, allowed, *ACTIVE, "axes.0.energy_loss_limit=1 mJ")
+    result = ran(capsys, allowed, *ACTIVE, "axes.0.energy_loss_limit=1 mJ", options=["--large-allowance"])
     assert "limit 0.001 J beyond the 0.5 J declared" in result["message"]
     assert result["ports"]["handle"]["least_interaction"] < -0.5
 

@@ -87,8 +87,10 @@ def test_the_start_writes_the_limit_and_takes_the_offsets_away() -> None:
     with build(load_scene(SCENE, [*given, "simulation.admittance.loop.torque_limit=500 N"])) as experiment:
         assert experiment.far_side is not None
         drive, plant = experiment.far_side.drives[0], experiment.plants[0]
-        run(experiment.cycle, 20)
+        offsets = [drive.store.entry(0x60B2, 0x03), drive.store.entry(0x60B1, 0x04)]
+        seen: set[object] = set()
+        run(experiment.cycle, 20, progress=lambda _: seen.update(offset.value for offset in offsets))
+        assert seen == {0}
+        assert [offset.value for offset in offsets] == [50, 1000]  # put back at the end
         assert isinstance(plant, AdmittancePlant)
         assert plant.display.loop.torque_limit == 30.0
-        assert drive.store.entry(0x60B2, 0x03).value == 0
-        assert drive.store.entry(0x60B1, 0x04).value == 0
