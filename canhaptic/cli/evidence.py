@@ -20,9 +20,8 @@ from canhaptic.cli.output import note_file, write_file
 from canhaptic.commission.session import CommissioningLimits, Dialogue, Session
 from canhaptic.cycle import run
 from canhaptic.errors import CanHapticError, InputError
-from canhaptic.scene.build import build
+from canhaptic.scene.build import build, experiment_account
 from canhaptic.scene.edited_text import Change, edited_text
-from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene, require_no_guesses
 
