@@ -76,6 +76,7 @@ TORQUE_OFFSET: Final = 0x60B2
 INTERPOLATION_PERIOD: Final = 0x60C2
 MAX_ACCELERATION: Final = 0x60C5
 MAX_DECELERATION: Final = 0x60C6
+DIGITAL_OUTPUTS: Final = 0x60FE  # subindex 1: the outputs; 2: which of them may be written
 TARGET_VELOCITY: Final = 0x60FF
 SUPPORTED_DRIVE_MODES: Final = 0x6502
 AUTOZERO: Final = 0x6125  # of a CiA 404 transducer

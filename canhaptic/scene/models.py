@@ -372,6 +372,7 @@ def _known_bus(bus: BusParameters, info: Info[SceneContext]) -> BusParameters:
 _LATER_KEYS: Final[tuple[tuple[str, object], ...]] = (
     ("energy_loss_limit", None),
     ("start_timeout", 5.0),
+    ("brake", None),
     ("drive_objects", {}),
     ("restore_limits", False),
     *((key, None) for key in _REQUIRED),

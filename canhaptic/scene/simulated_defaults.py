@@ -47,6 +47,8 @@ def _twin_of(axis: Mapping[str, Any]) -> dict[str, Any]:
             twin[key] = _joined(twin.get(key), value)
     if axis.get("demand_reported") == "after":
         twin["torque_read_back"] = "after_update"
+    if isinstance(axis.get("brake"), Mapping):
+        twin["brake"] = axis["brake"]
     ratio = _ratio(axis.get("transmission"))
     if ratio is not None:  # 0x6076 counts the motor's torque
         twin["rated_torque_resolution"] = ratio * twin.get("rated_torque_resolution", _MILLI)

@@ -133,6 +133,14 @@ class ServoDrive(TorqueAxis):
         """
         self.link.send(od.SDO_REQUEST_BASE + self.axis.node_id, _DISABLE_BY_SDO)
 
+    def command_brake(self, *, is_open: bool) -> None:
+        """Open or set a brake that the host works, and await no answer; raise LinkError."""
+        brake = self.axis.brake
+        if brake is not None and brake.output is not None:
+            value = self.outputs | is_open << brake.output
+            frame = next(download(od.DIGITAL_OUTPUTS, 1, value.to_bytes(4, "little")))
+            self.link.send(od.SDO_REQUEST_BASE + self.axis.node_id, frame)
+
     def command_nmt(self, command: od.NmtCommand) -> None:
         """Send an NMT command to this node alone.
 

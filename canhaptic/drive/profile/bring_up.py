@@ -25,6 +25,7 @@ _REMEDIES: Final = {
     "torque limit": "raise torque_limit where the drive calls it too low, reduce it where too high, or change the "
     "drive's own limit with the vendor's tool (quirks: max_torque_absent)",
     "drive objects": "correct drive_objects of the axis",
+    "brake": "correct brake.output of the axis, or let the drive work its brake (brake.by: drive)",
     "watchdog": "see the quirks abort_... for 0x6007; watchdog: false only if a killed master may leave the torque on",
     "interpolation period": "use a rate whose period the drive accepts, or quirks: [no_interpolation_period]",
     "mode of operation": "the drive refuses the cyclic synchronous mode; check its licence, firmware and settings",
@@ -90,6 +91,7 @@ class BringUp(ABC):
         self._rated_torque()
         self._torque_limit()
         self._drive_objects()
+        self._set_brake()
         self._watchdog()
         self._interpolation_period()
         self._map()
@@ -332,6 +334,20 @@ class BringUp(ABC):
     def _drive_objects(self) -> None:
         for place, value in self._drive.axis.written_objects.items():
             self._write_confirmed("drive objects", *place, value)
+
+    def _set_brake(self) -> None:
+        """Set a brake that the host works, and let its output be written."""
+        drive, outputs = self._drive, od.DIGITAL_OUTPUTS
+        if drive.axis.brake is None or drive.axis.brake.output is None:
+            return
+        bit = 1 << drive.axis.brake.output
+        with self.step("brake"):
+            drive.outputs = self._sdo.read(outputs, 1) & ~bit
+        self._write_confirmed("brake", outputs, 1, drive.outputs)
+        if is_writable(drive.dictionary, outputs, 2):
+            with self.step("brake"):
+                mask = self._sdo.read(outputs, 2)
+            self._write_confirmed("brake", outputs, 2, mask | bit)
 
     def _watchdog(self) -> None:
         """Make the drive detect a dead master: 0x6007 selects its reaction, the fieldbus arms it."""

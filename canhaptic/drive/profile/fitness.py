@@ -317,9 +317,11 @@ def _drive_objects(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[F
     uses = [
         ObjectUse(*place, reads=True, writes=True, values=(value,)) for place, value in axis.written_objects.items()
     ]
+    if axis.brake is not None and axis.brake.output is not None:
+        uses.append(ObjectUse(od.DIGITAL_OUTPUTS, 1, DataType.UNSIGNED32, reads=True, writes=True))
     found = [(use, text) for use in uses if (text := objection(dictionary, use)) is not None]
     return [
-        Finding(f"{use.index:#06x}:{use.subindex:02x} drive_objects", Verdict.REFUSED, f"{text}; leave it out")
+        Finding(f"{use.index:#06x}:{use.subindex:02x}", Verdict.REFUSED, f"{text}; correct drive_objects, or brake")
         for use, text in found
     ]
 

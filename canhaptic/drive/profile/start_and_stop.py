@@ -16,7 +16,7 @@ from functools import partial
 from itertools import count
 from typing import Final, Protocol
 
-from canhaptic.canopen.objects import CONTROLWORD, POSITION_ACTUAL, Controlword, StatusBit
+from canhaptic.canopen.objects import CONTROLWORD, DIGITAL_OUTPUTS, POSITION_ACTUAL, Controlword, StatusBit
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
 from canhaptic.drive.profile.power_states import FAULTED, TORQUE_FREE, PowerState, next_controlword
 from canhaptic.drive.profile.restore import restore
@@ -181,10 +181,10 @@ def _require_order(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> No
             raise bring_up.refusal("PDO exchange", f"{drive.culprit}: {seen}", wanted, _ORDER)
 
 
-def _read(exchange: CyclicExchange, drive: TorqueAxis, index: int) -> int:
+def _read(exchange: CyclicExchange, drive: TorqueAxis, index: int, subindex: int = 0) -> int:
     """Read an object while the drives' watchdogs of the master run: no heartbeat goes out until the answer."""
     exchange.beat(at_once=True)
-    value = drive.sdo.read_within(exchange.silence // 2, index)
+    value = drive.sdo.read_within(exchange.silence // 2, index, subindex)
     exchange.beat(at_once=True)
     return value
 
@@ -205,6 +205,7 @@ def _enable(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
     """Walk every drive through 0x06, 0x07, 0x0F, each confirmed by the statusword before the next."""
     begin = dict.fromkeys(exchange.drives, exchange.now())
     states = {drive: drive.state for drive in exchange.drives}
+    opening = -1
     while True:
         for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
             _refuse_fault(exchange, drive, bring_up)
@@ -215,10 +216,27 @@ def _enable(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
                 raise bring_up.refusal("enable", _state_text(drive), _expected_after(drive))
             drive.controlword = int(next_controlword(state) or Controlword.DISABLE_VOLTAGE)
         if all(_is_enabled(drive) and drive.is_complete for drive in exchange.drives):
-            return
+            opening = _open_brakes(exchange, bring_ups) if opening < 0 else opening
+            if exchange.now() >= opening:
+                return
         with bring_ups[0].step("bus"):
             exchange.write_zero()
             exchange.sync()
+
+
+def _open_brakes(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> int:
+    """Open every brake; return when the slowest is open [ns]: until then the drives hold zero torque."""
+    longest = 0.0
+    for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
+        brake = drive.axis.brake
+        if brake is not None:
+            with bring_up.step("brake"):
+                drive.command_brake(is_open=True)
+                if brake.output is not None:
+                    seen = _read(exchange, drive, DIGITAL_OUTPUTS, 1)
+                    bring_up.expect("brake", "0x60FE:01", seen, drive.outputs | 1 << brake.output)
+            longest = max(longest, brake.release_time)
+    return exchange.now() + round(longest * 1e9)
 
 
 def _is_enabled(drive: TorqueAxis) -> bool:
@@ -269,7 +287,7 @@ class Trust(Enum):
 
 
 def ramp_down(exchange: CyclicExchange, duration: float) -> None:
-    """Take the torque of every axis to zero along a straight line, through the limiter.
+    """Take the torque of every axis to zero along a straight line, through the limiter; behind its brake if it has one.
 
     Args:
         exchange: The cycle.
@@ -281,13 +299,25 @@ def ramp_down(exchange: CyclicExchange, duration: float) -> None:
     """
     ramp = min(round(duration * 1e9), _LONGEST_RAMP)
     cycles = max(1, ramp // exchange.sample_time_ns)
-    begin = [drive.limiter.last for drive in exchange.drives]
-    for cycle in range(1, cycles + 1):
+    begin = [(drive, drive.limiter.last, _set_brake(drive, exchange.sample_time_ns)) for drive in exchange.drives]
+    for cycle in range(1, cycles + max(wait for _, _, wait in begin) + 1):
         exchange.sync()
-        for drive, torque in zip(exchange.drives, begin, strict=True):
+        for drive, torque, wait in begin:
             drive.sample(0, exchange.periods)
-            drive.write(drive.command_per_mille(torque * (1.0 - cycle / cycles)))
+            share = 1.0 - (cycle - wait) / cycles
+            drive.write(drive.command_per_mille(torque * min(1.0, max(0.0, share))))
         exchange.beat()
+
+
+def _set_brake(drive: TorqueAxis, sample_time_ns: int) -> int:
+    """Let the brake of an axis be set; return the cycles until it holds, for which the axis keeps its torque."""
+    brake = drive.axis.brake
+    if brake is None:
+        return 0
+    drive.command_brake(is_open=False)
+    if brake.by == "drive":
+        drive.controlword = int(Controlword.SWITCH_ON)  # disable operation: the drive holds until its brake does
+    return -(-round(brake.set_time * 1e9) // sample_time_ns) + 2  # an RPDO acts a SYNC later
 
 
 def disable(exchange: CyclicExchange, trust: Trust) -> list[str]:
@@ -306,6 +336,7 @@ def disable(exchange: CyclicExchange, trust: Trust) -> list[str]:
     reachable = [drive for drive in exchange.drives if drive.answers]
     if not reachable:
         return []
+    _try_each(partial(drive.command_brake, is_open=False) for drive in reachable if drive.axis.brake is not None)
     if trust is Trust.NONE:
         _try_each(drive.disable_unconfirmed for drive in reachable)
     operational = [drive for drive in reachable if drive.is_operational]

@@ -108,6 +108,7 @@ class TorqueAxis(ABC):
         left_out: Objects that the start leaves out, as an older master did whose run is replayed.
         restores: Whether the stop puts back what the start wrote; False as an older master whose run is replayed.
         unrestored: What the stop did not put back, in words.
+        outputs: Digital outputs of the drive (0x60FE:01) with the brake set.
         elsewhere: The same of other nodes, whose objects are not put back.
         controlword: Controlword sent with the next torque.
         unasked: Process data since the last `reset` that came in no window of a SYNC.
@@ -157,6 +158,7 @@ class TorqueAxis(ABC):
         self.restores = True
         self.unrestored: list[str] = []
         self.elsewhere: list[str] = []
+        self.outputs = 0
         self.is_foreign = False
         self.sample_time_ns = rules.sample_time_ns
         self._is_synchronous, self._silence = rules.is_synchronous, rules.silence
@@ -235,6 +237,10 @@ class TorqueAxis(ABC):
     @abstractmethod
     def disarm(self) -> None:
         """Switch the drive's watchdog off, so that the end of the master is no fault; raise SdoError."""
+
+    @abstractmethod
+    def command_brake(self, *, is_open: bool) -> None:
+        """Open or set a brake that the host works, and await no answer; raise LinkError."""
 
     # --- in ---------------------------------------------------------------------------------------------------------
 

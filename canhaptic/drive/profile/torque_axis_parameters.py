@@ -10,8 +10,10 @@ from canhaptic.errors import ParameterError
 from canhaptic.units import Name, OnDemand, Parameters, PrintablePath, quantity
 
 if TYPE_CHECKING:
+    from canhaptic.canopen.brake import Brake
     from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
-else:  # an impedance display loads nothing of it
+else:  # an impedance display without a brake loads nothing of them
+    Brake = Any
     AdmittanceParameters = Any
 
 _LARGEST_SPEED: Final = {"m": 10.0, "rad": 100.0}  # [m/s or rad/s]
@@ -85,6 +87,8 @@ class TorqueAxisParameters(Parameters):
     """Arms the drive's own watchdog of the master's heartbeat (0x1016, 0x6007)."""
     reset_fault: bool = False
     """Whether start may reset a fault of the drive before it begins; never done in the cycle."""
+    brake: Annotated[Brake, OnDemand("canhaptic.canopen.brake:Brake")] | None = None
+    """Holding brake of the axis; None: it has none."""
     drive_objects: Annotated[dict[str, int], BeforeValidator(_by_place)] = Field(default_factory=dict)
     """Values of the drive's own limits, ramps and reactions, in its units, written by the start: `{0x6065: 2000}`.
     0x6065, 0x6066, 0x605A, 0x605E, 0x607D.1, 0x607D.2, 0x607F, 0x6080, 0x6083 to 0x6085, 0x60C5, 0x60C6."""

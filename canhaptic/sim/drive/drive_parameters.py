@@ -8,8 +8,10 @@ from pydantic import Field, field_validator
 from canhaptic.units import OnDemand, Parameters, quantity
 
 if TYPE_CHECKING:
+    from canhaptic.canopen.brake import Brake
     from canhaptic.canopen.force_node import ForceNode
-else:  # a sensor that is no node of its own loads nothing of it
+else:  # a sensor that is no node of its own, and an axis without a brake, load nothing of it
+    Brake = Any
     ForceNode = Any
 
 _PLACE: Final = re.compile(r"(?:0x)?([0-9a-f]{1,4})(?:(?:\.|sub)(?:0x)?([0-9a-f]{1,2}))?", re.IGNORECASE)
@@ -80,6 +82,7 @@ class SimulatedDriveParameters(Parameters):
         follow_delay: Time in OPERATION ENABLED until the torque follows; bit 12 of the statusword is 0 until then.
         sdo_size_indicated: False for a drive that leaves out the length of expedited answers.
         sync_losses_to_fault: Communication cycle periods (0x1006) without SYNC until the drive faults.
+        brake: A brake that holds the motor; by default that of the axis.
         display: Scales of an admittance display; by default those of the axis.
     """
 
@@ -106,6 +109,7 @@ class SimulatedDriveParameters(Parameters):
     sdo_size_indicated: bool = True
     sync_losses_to_fault: Annotated[int, quantity("1", ge=1, le=1000)] = 3
     display: AdmittanceScaling | None = None
+    brake: Annotated[Brake, OnDemand("canhaptic.canopen.brake:Brake")] | None = None
 
     @field_validator("objects", "absent", "refused")
     @classmethod

@@ -8,13 +8,14 @@ Torque measurement of the simulated drive (0x6077): the motor's torque, through 
 import math
 from collections.abc import Callable
 from operator import attrgetter
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from canhaptic.canopen.objects import (
     CONTROLWORD,
     CURRENT_ACTUAL,
     CYCLIC_SYNC_TORQUE,
     CYCLIC_SYNC_TORQUE_BIT,
+    DIGITAL_OUTPUTS,
     MAX_TORQUE,
     MODES_OF_OPERATION,
     MODES_OF_OPERATION_DISPLAY,
@@ -38,6 +39,9 @@ from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
 from canhaptic.sim.drive.profile.state_machine import STATUSWORD as STATUSWORDS
 from canhaptic.sim.drive.profile.state_machine import DriveState, PowerCommand, StateMachine, command_of
+
+if TYPE_CHECKING:
+    from canhaptic.sim.drive.profile.braked_motor import BrakedMotor
 
 
 class TorqueStage:
@@ -218,6 +222,14 @@ class Motor(Protocol):
         """True energies since the start."""
 
 
+def _brake_of(motor: Motor, parameters: SimulatedDriveParameters) -> "BrakedMotor | None":
+    if parameters.brake is None:
+        return None
+    from canhaptic.sim.drive.profile.braked_motor import BrakedMotor
+
+    return BrakedMotor(motor, parameters.brake)
+
+
 class Servo:
     """Power stage and motor.
 
@@ -236,7 +248,10 @@ class Servo:
     """
 
     def __init__(self, store: ObjectStore, motor: Motor, parameters: SimulatedDriveParameters) -> None:
-        self.motor = motor
+        self._brake = _brake_of(motor, parameters)
+        self._brake_output = None if parameters.brake is None else parameters.brake.output
+        self._outputs = store.find(DIGITAL_OUTPUTS, 1)
+        self.motor = motor if self._brake is None else self._brake
         self.machine = StateMachine()
         self.now = 0
         self.is_running = False
@@ -346,6 +361,8 @@ class Servo:
         if state is not _ENABLED:
             word = STATUSWORDS[state]
             self._enabled_since = -1
+            if self._brake is not None and state is DriveState.SWITCHED_ON and not self._brake.holds(self.now):
+                demand = self.demand  # a drive that works its brake holds the axis until the brake does
         else:
             word = _ENABLED_WORD
             if self._mode_display.value == CYCLIC_SYNC_TORQUE and (not self._follow_delay or self._follows()):
@@ -386,6 +403,8 @@ class Servo:
     def sample(self) -> None:
         """Measure at a SYNC; the first one that finds operation enabled starts the motor's clock."""
         motor, now, encoder = self.motor, self.now, self._read_encoder
+        if self._brake is not None:
+            self._brake.command(now, is_open=self._opens_brake())
         if self.is_running:
             motor.advance_to(now, self.torque)
         elif self.machine.state is _ENABLED:
@@ -396,6 +415,11 @@ class Servo:
         if self.measures_velocity:
             self._count(self.velocity_entry, motor.velocity)
         self.show_torque()
+
+    def _opens_brake(self) -> bool:
+        if self._brake_output is None or self._outputs is None:
+            return self.machine.state is _ENABLED
+        return bool(self._outputs.number >> self._brake_output & 1)
 
     def show_torque(self) -> None:
         """Update 0x6074 from the demand in force, 0x6077 and 0x6078 from the measurement; current equals torque."""

@@ -1,0 +1,120 @@
+"""An axis that hangs does not sink: its brake holds before the torque goes, and opens before a torque counts."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from canhaptic.canopen.brake import Brake
+from canhaptic.errors import DictionaryError
+from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.drive.drive_bench import OUR_EDS, Bench, FreeMass, MakeBench, axis
+
+WEIGHT = 5.0  # [N] of 1 kg in a field of 5 N/kg, so that 8 N hold it
+TIMES = {"release_time": 0.03, "set_time": 0.05}
+
+
+class HungMass(FreeMass):
+    """A mass of 1 kg with a weight, which sinks without a torque."""
+
+    def advance_to(self, now: int, torque: float) -> None:
+        super().advance_to(now, torque - WEIGHT)
+
+
+def with_outputs(folder: Path, access: str = "rw") -> Path:
+    path = folder / "outputs.eds"
+    text = OUR_EDS.read_text(encoding="utf-8") + "\n[60FE]\nParameterName=Outputs\nObjectType=0x8\nSubNumber=3\n"
+    for sub, kind, right in ((0, "0x0005", "ro"), (1, "0x0007", access), (2, "0x0007", access)):
+        text += f"[60FEsub{sub}]\nParameterName=Part {sub}\nObjectType=0x7\nDataType={kind}\nAccessType={right}\n"
+        text += f"DefaultValue={2 if sub == 0 else 0}\nPDOMapping=0\n"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def hung(bench: MakeBench, brake: Brake | None, **values: Any) -> Bench:
+    b = bench([axis(brake=brake, **values)], drive_values={"brake": brake})
+    servo = b.drives[0].servo
+    if brake is None:
+        servo.motor = HungMass()
+    else:
+        servo.motor._motor = HungMass()
+    return b
+
+
+def brakes(folder: Path) -> list[tuple[Brake | None, dict[str, Any]]]:
+    return [
+        (Brake(**TIMES), {}),
+        (Brake(by="host", output=16, **TIMES), {"eds": with_outputs(folder)}),
+    ]
+
+
+@pytest.mark.parametrize("by", [0, 1], ids=["by the drive", "by the host"])
+def test_a_hung_axis_sinks_neither_at_the_start_nor_at_the_stop(bench: MakeBench, tmp_path: Path, by: int) -> None:
+    brake, values = brakes(tmp_path)[by]
+    b = hung(bench, brake, **values)
+    b.rig.start()
+    begun = b.drives[0].servo.motor.position
+    assert begun == pytest.approx(0.01, abs=2e-5)  # [m] not more than in one or two sample times after it opened
+    b.run(300, WEIGHT)
+    before = b.drives[0].servo.motor.position
+    b.rig.stop()
+    b.links[0].pump(b.clock.now() + 1_000_000_000)
+    b.drives[0].servo.sample()
+    assert b.drives[0].servo.motor.position == pytest.approx(before, abs=1e-3)  # its speed goes on until it is held
+    assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED
+    assert b.torques_sent()[-1] == 0
+    assert b.rig.drives[0].unrestored[1:] == []
+
+
+def test_without_a_brake_it_sinks(bench: MakeBench) -> None:
+    b = hung(bench, None)
+    b.rig.start()
+    b.run(300, WEIGHT)
+    before = b.drives[0].servo.motor.position
+    b.rig.stop()
+    b.drives[0].servo.now = b.clock.now() + 1_000_000_000
+    b.drives[0].servo.sample()
+    assert b.drives[0].servo.motor.position < before - 1.0
+
+
+def test_no_torque_of_the_controller_counts_before_the_brake_is_open(bench: MakeBench) -> None:
+    b = hung(bench, Brake(**TIMES))
+    b.rig.start()
+    enabled = next(time for time, can_id, data, is_rx in b.frames if can_id == 0x185 and data[0] & 0x6F == 0x27)
+    assert b.clock.now() - enabled >= 30_000_000
+    assert set(b.torques_sent()) == {0}
+
+
+def test_the_torque_is_kept_until_the_brake_holds(bench: MakeBench, tmp_path: Path) -> None:
+    b = hung(bench, Brake(by="host", output=16, **TIMES), eds=with_outputs(tmp_path))
+    b.rig.start()
+    b.run(100, WEIGHT)
+    begin = len(b.frames)
+    b.rig.stop()
+    sent = [(time, can_id, data) for time, can_id, data, is_rx in b.frames[begin:] if not is_rx]
+    set_at = next(time for time, can_id, data in sent if can_id == 0x605 and data.hex().startswith("23fe6001"))
+    kept = [time for time, can_id, data in sent if can_id == 0x205 and data[2:4] == b"\xf4\x01"]  # 500 per mille
+    assert kept[-1] - set_at >= 50_000_000
+
+
+def test_a_fault_takes_the_torque_at_once_and_sets_the_brake(bench: MakeBench, tmp_path: Path) -> None:
+    b = hung(bench, Brake(by="host", output=16, **TIMES), eds=with_outputs(tmp_path))
+    b.rig.start()
+    b.run(100, WEIGHT)
+    begin = len(b.frames)
+    b.rig.stop(ramp=False)
+    sent = [(can_id, data.hex()) for _, can_id, data, is_rx in b.frames[begin:] if not is_rx]
+    assert sent[0][0] == 0x205
+    assert sent[0][1].endswith("0000")
+    assert (0x605, "23fe600100000000") in sent
+
+
+def test_outputs_that_cannot_be_written_are_refused(bench: MakeBench, tmp_path: Path) -> None:
+    with pytest.raises(DictionaryError, match="0x60fe:01: ro, but it must be written"):
+        hung(bench, Brake(by="host", output=16, **TIMES), eds=with_outputs(tmp_path, "ro"))
+
+
+@pytest.mark.parametrize("wrong", [{"by": "host"}, {"output": 3}, {"by": "host", "output": 32}])
+def test_who_works_the_brake_and_how_is_stated_once(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="output"):
+        Brake(**TIMES, **wrong)
