@@ -129,6 +129,7 @@ class PortResult(_Flows, total=False):
     friction_excess: float
     rendered: RenderedShares
     read_back: str
+    hold: str  # whether a commissioning of this very drive found the hold in which its torques act
     read_back_bound: float | None
     peak_torque: float
     limited_cycles: int

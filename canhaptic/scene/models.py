@@ -375,6 +375,7 @@ _LATER_KEYS: Final[tuple[tuple[str, object], ...]] = (
     ("brake", None),
     ("drive_objects", {}),
     ("restore_limits", False),
+    ("hold_checked", None),
     *((key, None) for key in _REQUIRED),
 )
 """Keys of an axis that logs of the first release do not have, with their defaults."""

@@ -202,6 +202,7 @@ _PORT_ROWS: Final[tuple[tuple[str, Callable[[PortResult], str | Styled]], ...]] 
     ("cycles not as commanded", _uncommanded),
     ("beyond declared friction and hand", _friction),
     ("guarantee rests on", _certificates),
+    ("hold of a torque", lambda port: f"{port['hold']}   "),
 )
 _TRUTH_ROWS: Final[tuple[tuple[str, Callable[[TruthResult], str]], ...]] = (
     ("net energy, from the plant", _true("interaction")),

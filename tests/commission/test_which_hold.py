@@ -7,12 +7,15 @@ from hypothesis import strategies as st
 
 from canhaptic.commission.session import Report, StepVerdict, reversals
 from canhaptic.commission.which_hold import TorqueDelay, _age, _response, estimate_delay
+from canhaptic.cycle import run
+from canhaptic.scene.build import build, experiment_account
+from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.effects.current_loop import CurrentLoop
 from canhaptic.sim.plant.effects.shaft_compliance import ShaftCompliance
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from tests.commission.test_commissioning import commissioned, row, value
+from tests.commission.test_commissioning import DEMO, commissioned, row, value
 from tests.commission.test_torque_lag import timed
 from tools.bench.which_hold import outcome_of
 
@@ -154,7 +157,9 @@ def test_motion_is_timed_against_the_commands_and_the_read_back_separately(
     session, _ = timed(*overrides)
     report = session.report
     assert verdicts(report) == expected
-    assert {v.key: v.value for v in report.values if v.value is not None and "passivity" not in v.key} == proposed
+    found = {v.key: v.value for v in report.values if v.value is not None and "passivity" not in v.key}
+    assert ("hold_checked" in found) is (expected[0] is AGREES)
+    assert {key: value for key, value in found.items() if key != "hold_checked"} == proposed
     if expected[0] is FAILED and "acts_at_once" in overrides[0]:
         assert "declare rpdo: event" in row(report, "command to motion").text
         assert not [v for v in report.values if v.key.startswith("passivity")]
@@ -187,3 +192,18 @@ def test_of_random_twins_no_hold_is_wrong(seed: int) -> None:
 
 def test_a_torque_too_small_for_its_encoder_tells_no_hold() -> None:
     assert delay_of([], 0, count=1e-4, doublets=12).hold(0.25) is None
+
+
+@pytest.mark.parametrize(("serial", "is_checked"), [(7, True), (8, False)])
+def test_a_check_of_the_hold_is_of_the_drive_that_was_tried(serial: int, *, is_checked: bool) -> None:
+    objects = "simulation.drive.objects={{0x6502: 0x200, '0x1018.4': {}}}"
+    with build(load_scene(DEMO, [objects.format(7)])) as experiment:
+        run(experiment.cycle, 2)
+        signature = experiment.rig.drives[0].signature()
+        assert "hold" not in experiment_account(experiment, "completed", 1.0)["ports"]["handle"]
+    for rate, expected in (("1 kHz", is_checked), ("500 Hz", False)):
+        values = [objects.format(serial), f"axes.0.hold_checked={signature}", f"bus.rate={rate}"]
+        with build(load_scene(DEMO, values)) as experiment:
+            run(experiment.cycle, 2)
+            said = experiment_account(experiment, "completed", 1.0)["ports"]["handle"]["hold"]
+        assert said == ("checked at commissioning" if expected else "not checked")

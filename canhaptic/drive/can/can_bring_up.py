@@ -96,6 +96,9 @@ class CanBringUp(BringUp):
         self._sync_period()
         drive = self._drive
         rpdo_type = rpdo_transmission_type(drive.bus, drive.axis)
+        if drive.axis.hold_checked:
+            with self.step("identity"):
+                drive.hold_is_checked = drive.axis.hold_checked == drive.signature()
         with self.step("PDO map"):
             write_map(drive.sdo, drive.map, rpdo_type, partial(self.expect, "PDO map"), self._rpdo_deadline())
 

@@ -1,5 +1,6 @@
 """One axis on a CAN bus: its TPDOs in, its RPDO out, its heartbeat and EMCY."""
 
+import zlib
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
@@ -12,6 +13,7 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan, choose_map, codec
 from canhaptic.drive.can.sdo import SdoChannel, download
 from canhaptic.drive.profile.torque_axis import CycleRules, ReceivedEmergency, TorqueAxis
+from canhaptic.errors import SdoError
 
 _SLOTS: Final = {od.STATUSWORD: 0, od.POSITION_ACTUAL: 1, od.TORQUE_DEMAND: 2, od.TORQUE_ACTUAL: 2}
 _DOUBT: Final = 1 << 30  # of the frames awaited: order after SYNC is not sure
@@ -49,6 +51,7 @@ class ServoDrive(TorqueAxis):
     Attributes:
         map: PDOs of the drive.
         nmt_state: NMT state in its last heartbeat; None before the first.
+        hold_is_checked: Whether a commissioning of this very drive found the hold in which its torques act.
         window: Window of the present SYNC, shared by the drives of a bus; the exchange sets it.
 
     Raises:
@@ -69,6 +72,7 @@ class ServoDrive(TorqueAxis):
         sdo = SdoChannel(link, axis.node_id, dictionary, axis.name, round(axis.sdo_timeout * 1e9))
         super().__init__(axis, dictionary, sdo, _rules(bus), self.map.read_back, dry_run)
         self.window = SyncWindow()
+        self.hold_is_checked = False
         self._statistics = link.statistics
         self._rpdo_cob_id = self.map.rpdo.cob_id
         pack = self._packer(self.map.rpdo, axis.target)
@@ -76,6 +80,30 @@ class ServoDrive(TorqueAxis):
         place = axis.admittance.force.place if axis.admittance else None
         self._listen({**_SLOTS, **({place[0]: 2} if place else {})})
         self.reset()
+
+    def signature(self) -> str:
+        """Return drive, serial number, process data and rate in one word: a check of the hold is of these alone.
+
+        Raises:
+            SdoError: The drive does not answer.
+        """
+        parts = []
+        for subindex in range(1, 5):  # vendor, product, revision, serial number
+            try:
+                parts.append(f"{self.sdo.probe(od.IDENTITY, subindex):x}")
+            except SdoError as error:
+                if error.code is None:
+                    raise
+                parts.append("0")  # not there
+        plans = (self.map.rpdo, *self.map.tpdos)
+        mapped = repr([(plan.cob_id, [(entry.index, entry.subindex) for entry in plan.entries]) for plan in plans])
+        parts += [
+            f"{zlib.crc32(mapped.encode()):x}",
+            f"{self.bus.rate:g}Hz",
+            self.bus.rpdo,
+            str(self.quirks.syncs_late),
+        ]
+        return "-".join(parts)
 
     def reset(self) -> None:
         """Forget everything received and commanded."""

@@ -7,7 +7,7 @@ from pydantic import BeforeValidator, Field, field_validator
 from canhaptic.canopen import objects as od
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import ParameterError
-from canhaptic.units import Name, OnDemand, Parameters, PrintablePath, quantity
+from canhaptic.units import Name, OnDemand, Parameters, PrintablePath, PrintableText, quantity
 
 if TYPE_CHECKING:
     from canhaptic.canopen.brake import Brake
@@ -74,6 +74,9 @@ class TorqueAxisParameters(Parameters):
     """Largest difference of a measured torque (0x6077) from its command, as a part of the rated torque."""
     demand_reported: Literal["before", "after"] = "before"
     """Whether the TPDO of a SYNC carries the torque held before that SYNC or the one that begins with it."""
+    hold_checked: PrintableText | None = None
+    """Drive, firmware, process data and rate with which `canhaptic commission` found a torque to act in the declared
+    hold. None, or with another drive: the account says that its holds were not checked."""
     admittance: (
         Annotated[AdmittanceParameters, OnDemand("canhaptic.drive.profile.admittance_parameters:AdmittanceParameters")]
         | None
