@@ -208,6 +208,11 @@ class CodeProcess:
                 self.close()
                 raise InputError(f"{self._names}: in a process of its own: {reason}; correct the program")
 
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
     def turn(self, samples: Sequence[Sample]) -> None:
         """Ask for what was answered to the sample before, and hand over this one.
 

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """
 import ctypes, os, signal, sys
 import canhaptic
-scene = canhaptic.load_scene(sys.argv[1], [*sys.argv[2:], "guard=none"])
+scene = canhaptic.load_scene(sys.argv[1], [*sys.argv[2:], "guard=none", "axes.0.energy_loss_limit=none"])
 with canhaptic.open_rig(scene, guard="none") as rig:
     for sample in rig:
         rig["handle"].torque = 3.0

@@ -107,12 +107,11 @@ def main() -> None:
     for (where, deed), runs in found.items():
         p99, skipped, late = (statistics.median(values) for values in zip(*runs, strict=True))
         note = f"skipped SYNCs {skipped:g}, late holds {late:g}"
-        is_ours = where == "process"
-        rows.append(Row(f"{where}: {deed}, p99 of the computation", 1e6 * p99, "us", "no own code", 1e6 * base, p99 / base,
-                        target="<= 1.2" if is_ours else "", met=p99 <= 1.2 * base if is_ours else None, note=note))  # fmt: skip
-        rows.append(
-            Row(f"{where}: {deed}, skipped SYNCs", skipped, "", "no own code", found[cases[0]][0][1], note=note)
-        )
+        target, met = ("<= 1.2", p99 <= 1.2 * base) if where == "process" else ("", None)
+        figure = f"{where}: {deed}, p99 of the computation"
+        rows.append(Row(figure, 1e6 * p99, "us", "no own code", 1e6 * base, p99 / base, target, met, note))
+        figure = f"{where}: {deed}, skipped SYNCs"
+        rows.append(Row(figure, skipped, "", "no own code", found[cases[0]][0][1], note=note))
     policy = f"cores {os.cpu_count()}, scheduler {os.sched_getscheduler(0)}, load {os.getloadavg()[0]:.1f}"
     print(policy)
     publish("user_code", rows, ["canhaptic"])
