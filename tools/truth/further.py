@@ -66,7 +66,26 @@ def add_further(seed: int, values: dict[str, Any], tags: set[str], outward: tupl
         values["simulation"]["drive"].update(torque_ripple=ripple, torque_ripple_pitch=pitch)
         tags.add("drive:torque_ripple")
     _act_in_another_hold(chance, values, tags)
+    if "algorithm:guarded" in tags and "groups" not in values:
+        _near_the_bounds(chance, values, tags)
     return outward
+
+
+def _near_the_bounds(chance: _Chance, values: dict[str, Any], tags: set[str]) -> None:
+    """Takes encoders too coarse for the wall, against the friction declared, and an allowance by the law of `new`."""
+    passivity, wall, axis = values["passivity"], values["environment"], values["axes"][0]
+    coarse, allowed, count = chance.drawn(0.25), chance.drawn(0.15), chance.decades(3e-6, 1e-4)
+    ratio, share = chance.decades(0.5, 8.0), chance.decades(0.1, 3.0)
+    if coarse and passivity.get("device_friction") and "stiffness" in wall:
+        axis["counts_per_unit"] = 1.0 / count
+        wall["stiffness"] = float(f"{min(1e5, ratio * passivity['device_friction'] / count):.4g}")
+        tags.add("encoder:coarse")
+    if allowed and passivity.get("hand_force") is not None and "moving_mass" in passivity:
+        pull = passivity["hand_force"] + passivity.get("device_friction_bound", 0.0)
+        late = 3.0 if values["bus"]["rpdo"] == "synchronous" else 1.0
+        h = late / values["bus"]["rate"] ** 2 / passivity["moving_mass"]
+        passivity["energy_allowance"] = float(f"{min(1e-3, share * h * pull**2 / 4.0):.4g}")
+        tags.add("declares:allowance_by_law")
 
 
 def _act_in_another_hold(chance: _Chance, values: dict[str, Any], tags: set[str]) -> None:
