@@ -6,7 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, WINDOW, displacement_response, hold_timing
+from canhaptic.control.certificates.scalar_bounds import (
+    NO_RESPONSE,
+    WINDOW,
+    HoldTiming,
+    displacement_response,
+    hold_timing,
+)
 from canhaptic.control.certificates.torque_bound import (
     BoundMemory,
     Declared,
@@ -268,13 +274,16 @@ def test_a_longer_hold_counts_by_its_last_sample_time_give_or_take_what_forces_g
 
 
 def acting_in(known: Declared, before: TorqueBound, torque: float, sent: float, differ: float) -> tuple[float, float]:
-    """The largest torque that may have acted in a lost hold, and the most by which one differs from the last."""
+    """The largest torque that may have acted in a lost hold, and the most by which one differs from the last.
+
+    Of late torques the width of the range of all that may have acted.
+    """
     largest, apart = sent, differ
     if known.losses:
         largest, apart = max(largest, abs(before.torque)), max(apart, abs(before.torque - torque))
     if known.late:
-        largest = max(largest, before.highest, -before.lowest)
-        apart = max(apart, before.highest - torque, torque - before.lowest, largest + abs(torque))
+        acting = [torque - apart, torque + apart, before.torque, before.highest, before.lowest]
+        largest, apart = max(largest, max(acting), -min(acting)), max(acting) - min(acting)
     return largest, apart
 
 
@@ -288,9 +297,11 @@ def test_lost_samples_leave_in_doubt_the_difference_of_torques_over_the_farthest
         differ, r, count, before = draw.uniform(0.0, 3.0), known.response, known.encoder_count, replace(bound)
         found = end_gap(known, bound, moved, torque, holds, sent, differ)
         largest, apart = acting_in(known, before, torque, sent, differ)
-        uncertain = holds if known.late else holds - 1
+        uncertain = holds + 2 if known.late else holds - 1
         if known.late:
-            assert (bound.most, bound.highest, bound.least, bound.lowest) == (largest, largest, -largest, -largest)
+            assert (bound.most, bound.least) == (bound.highest, bound.lowest)
+            assert close(bound.highest - bound.lowest, apart)
+            assert bound.lowest <= min(before.lowest, before.torque, torque - differ)
         for_all, earned, b = 0.0, 0.0, known.damping / known.sample_time
         if b:
             earned = b * max(0.0, abs(moved) - count) ** 2 / holds
@@ -414,3 +425,45 @@ def test_what_the_device_dissipated_is_kept_as_far_as_it_is_enough(energy: float
     bound = TorqueBound(dissipated=4.0)
     keep(bound, energy, 5.0)
     assert bound.dissipated == left
+
+
+def lagging(state: list[float], before: float, torque: float, hand: float, tim: HoldTiming, lag: float) -> None:
+    """Move a mass through a hold whose torque comes late and lags; state: position, speed, torque, energy in."""
+    parts, window = 40, tim.late - lag
+    step = T / parts
+    for part in range(parts):
+        demand = before if part * step < window else torque
+        state[2] += (demand - state[2]) * -math.expm1(-step / lag)
+        moved = state[1] * step + 0.5 * (state[2] + hand) / MASS * step * step
+        state[1] += (state[2] + hand) / MASS * step
+        state[0], state[3] = state[0] + moved, state[3] - state[2] * moved
+
+
+def test_no_motion_in_lost_holds_with_late_torques_gives_more_than_is_booked_with_its_resolution() -> None:
+    tightest = math.inf
+    for seed in range(150):
+        draw = random.Random(seed)
+        lag, window, lost = draw.choice([5e-5, 2e-4, 5e-4]), draw.choice([0.0, 2e-4]), draw.choice([2, 3, 5])
+        tim = hold_timing(T, 0.0, window, lag)
+        response = displacement_response(T, MASS, PULL, 0.0, 0.5, 9.0, tim)
+        known = Declared(
+            T, 1, draw.choice([0, 2]), True, response, 0.0, 0.0, 0.0, tim.late, tim.late / tim.shortest, tim.left
+        )
+        bound, memory = TorqueBound(out=1.0), bound_memory(known, list_of_zeros(3), list_of_zeros)
+        state, booked, before = [0.0, draw.uniform(-0.1, 0.1), 0.0, 0.0], 0.0, 0.0
+        near = draw.choice([0.05, 3.0])
+        for hold, holds in enumerate((1, 1, 1, lost, 1, 1)):  # the first has no torque, and shows the speed
+            torques = [2.0 + draw.uniform(-near, near) if hold else 0.0 for _ in range(holds)]
+            place = state[0]
+            for torque in torques:
+                lagging(state, before, torque, draw.choice([PULL, -9.0]), tim, lag)
+                before = torque
+            moved, apart = state[0] - place, max(abs(torque - before) for torque in torques)
+            booked -= before * moved
+            if holds == 1:
+                booked -= end_hold(known, bound, memory, moved, before)
+            else:
+                booked -= end_gap(known, bound, moved, before, holds, max(map(abs, torques)), apart)
+            assert -1e-12 <= state[3] - booked <= bound.resolution + 1e-12, seed
+        tightest = min(tightest, (state[3] - booked) / bound.resolution)
+    assert tightest < 0.5

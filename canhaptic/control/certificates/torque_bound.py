@@ -368,12 +368,9 @@ def end_gap(
     count, missed, damped = declared.encoder_count, holds - 1, 0.0
     if declared.losses:
         largest, apart = max(largest, abs(bound.torque)), max(apart, abs(bound.torque - torque))
-    if declared.late > 0.0:  # older torques act in the last hold as well
-        missed = holds
+    if declared.late > 0.0:
+        missed, apart = holds + 2, spread_of_gap(bound, torque, apart)
         largest = max(largest, bound.highest, -bound.lowest)
-        apart = max(apart, largest + abs(torque))
-        bound.most, bound.least = largest, -largest
-        bound.highest, bound.lowest = largest, -largest
     bound.kept = 0
     bound.upward = bound.downward = nan
     if declared.damping > 0.0:  # for every hand; see `group_account`
@@ -397,6 +394,25 @@ def end_gap(
     bound.slope, bound.uncertainty = -torque, bound.changes + 0.5 * count * abs(torque)
     bound.displacement, bound.torque = displacement / holds, torque
     return doubt
+
+
+def spread_of_gap(bound: TorqueBound, torque: float, apart: float) -> float:
+    """Widen the range of torques that act to all that may have acted in lost holds; return its width [N or N*m].
+
+    A late torque u is at every instant a mean of torques in this range, and the one read back, f, is one of them. By
+    parts the energy is wrong by the integral of (u - f) dx = [(u - f)(x - x_end)] - integral of (x - x_end) du: no more
+    than the width times the excursion for each of the changes at the beginnings of the holds, and twice more.
+
+    Args:
+        bound: State of the axis's torque bound; changed.
+        torque: Torque held in the last hold [N or N*m].
+        apart: Largest difference of a torque that was sent from it [N or N*m].
+    """
+    high = max(torque + apart, bound.torque, bound.highest)
+    low = min(torque - apart, bound.torque, bound.lowest)
+    bound.most = bound.highest = high
+    bound.least = bound.lowest = low
+    return high - low
 
 
 def excursion_unseen(declared: Declared, bound: TorqueBound, displacement: float, holds: int, largest: float) -> float:
