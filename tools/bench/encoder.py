@@ -32,7 +32,7 @@ class Case(NamedTuple):
     """One cell."""
 
     rate: float
-    count: float
+    resolution: float  # of the encoder [m]
     stiffness: float
 
 
@@ -87,7 +87,9 @@ def draw(found: list[tuple[Case, list[float], float]]) -> None:
     for plot, stiffness in zip(figure.subplots(1, len(walls), sharey=True, squeeze=False)[0], walls, strict=True):
         for number, rate in enumerate(RATES):
             those = sorted(
-                (case.count, share[-1]) for case, share, _ in found if case.rate == rate and case.stiffness == stiffness
+                (case.resolution, share[-1])
+                for case, share, _ in found
+                if case.rate == rate and case.stiffness == stiffness
             )
             plot.plot(
                 [1e6 * count for count, _ in those], [1e-3 * stiffness * share for _, share in those],

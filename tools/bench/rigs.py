@@ -33,7 +33,7 @@ QUANTUM: Final = 0.02  # of the torque command [N]
 GRIP: Final = 400.0, 4.0  # of the hand [N/m, N*s/m]
 HANDS: Final = {"fast": (0.1, 5.0), "slow": (0.02, 5.0), "12 N": (0.1, 12.0)}
 """Speed of approach [m/s] and force at rest [N]."""
-WALLS: Final = tuple(round(10.0 ** (0.1 * step), 1) for step in range(20, 53))  # [N/m]
+WALLS: Final[tuple[float, ...]] = tuple(round(float(10.0 ** (0.1 * step)), 1) for step in range(20, 53))  # [N/m]
 PULL, PUSH = 20.0, 60.0  # of an attacking hand [N]
 LAWS: Final = {
     "unprotected": ("unprotected", 0.0, True, False),
@@ -54,7 +54,7 @@ class Machine(NamedTuple):
     mass: float
     damping: float
     friction: float
-    count: float
+    resolution: float  # of the encoder
     rate: float = 1000.0
     is_event: bool = False  # torques act within a window after the SYNC, in place of one sample late
 
@@ -87,7 +87,7 @@ def loop_of(machine: Machine, commissioned: bool) -> LoopProperties:
     return LoopProperties(
         sample_time=1.0 / machine.rate, delay=0 if machine.is_event else 1, moving_mass=0.9 * machine.mass,
         device_damping_bound=1.2 * machine.damping, device_friction_bound=1.2 * machine.friction, sync_jitter=0.02,
-        torque_window=4e-4 if machine.is_event else 0.0, current_lag=1e-4, encoder_count=machine.count,
+        torque_window=4e-4 if machine.is_event else 0.0, current_lag=1e-4, encoder_count=machine.resolution,
         torque_quantum=QUANTUM, torque_limit=LIMIT, **(certain if commissioned else {}),
     )  # fmt: skip
 
@@ -123,7 +123,7 @@ def play(machine: Machine, controller: Controller, force: Force, seconds: float,
     state[X], torque, path, least, lowest, time = start, 0.0, 0.0, 0.0, 0.0, 0.0
     depths, torques, late = [], [], 3e-4 if machine.is_event else 0.0
     for _ in range(round(seconds * machine.rate)):
-        reading = machine.count * round(state[X] / machine.count)
+        reading = machine.resolution * round(state[X] / machine.resolution)
         asked = controller.step(reading, torque).torque
         asked = math.copysign(QUANTUM * math.floor(min(LIMIT, abs(asked)) / QUANTUM + 1e-9), asked)
         coming.append(asked)
