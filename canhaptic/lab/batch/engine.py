@@ -11,11 +11,11 @@ Engine = Literal["auto", "numba", "python"]
 ChosenEngine = Literal["numba", "python"]
 
 WORTH_COMPILING: Final = 1e6
-"""Scenes times cycles from which compiling pays. Python takes 5 us for each and compiled code 0.5 us: code that is kept
-on disk (0.5 s to load) pays from 1e5 on, and code that must be made (up to 50 s, `guarded`) from 1e7."""
+"""Scenes times cycles from which compiling pays: Python takes 5 us for each (`unprotected`) to 60 us (`guarded`, a stop
+and friction), and compiling 4 to 14 s once for a kind of scene; compiled code takes 0.5 us at most."""
 
 WORTH_COMPILING_GROUPS: Final = 3e5
-"""The same of groups, for each of which Python takes some 150 us, compiling up to a minute once."""
+"""The same of groups, for each of which Python takes some 150 us, compiling 20 s once."""
 
 
 def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
