@@ -11,6 +11,7 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
 from typing import Any
 
@@ -117,20 +118,30 @@ def jax_rows() -> list[Row]:
     return [Row(f"{name}, JAX {version}", rate, "M cycles/s", note="processor time of all its threads together")]
 
 
-def second_start_rows() -> list[Row]:
-    """Returns the time from the command to the end of a small sweep, its machine code on disk."""
+def start_rows() -> list[Row]:
+    """Returns the processor time of small sweeps: of two kinds of scene without machine code on disk, then with it."""
     command = [
         sys.executable, "-m", "canhaptic", "sweep", str(CONFIG), "--vary", "environment.stiffness=1e2:1e5:log:40",
         "--vary", "environment.damping=0:10:40", "--cycles", "1000", "--engine", "numba", "--json",
     ]  # fmt: skip
-    times = []
-    for _ in range(2):
-        before, begin = os.times(), perf_counter()
-        subprocess.run(command, cwd=REPOSITORY, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True)
-        after = os.times()
-        used = after.children_user + after.children_system - before.children_user - before.children_system
-        times.append((perf_counter() - begin, used))
-    wall, used = times[1]
-    note = f"{wall:.2f} s by the clock; 1,600 scenes of 1,000 cycles, all of them in one chunk"
-    return [Row("second start: command to the end of a sweep, processor time", used, "s", target="<= 2",
-                met=used <= 2.0, note=note)]  # fmt: skip
+    stop = ["--set", f"simulation.effects=[{PLANTS[ASKED]}]"]
+    starts: tuple[tuple[str, list[str]], ...] = (
+        ("first start", []),
+        (f"first start after that, {ASKED}", stop),
+        ("second start", []),
+    )
+    rows = []
+    with TemporaryDirectory() as cache:
+        for name, words in starts:
+            before, begin = os.times(), perf_counter()
+            where = {**os.environ, "XDG_CACHE_HOME": cache}
+            subprocess.run([*command, *words], cwd=REPOSITORY, env=where, stdout=subprocess.DEVNULL, check=True)
+            after = os.times()
+            used = after.children_user + after.children_system - before.children_user - before.children_system
+            note = (
+                f"{perf_counter() - begin:.2f} s by the clock; 1,600 scenes of 1,000 cycles, all of them in one chunk"
+            )
+            asked, met = ("<= 2", used <= 2.0) if name == "second start" else ("", None)
+            label = f"{name}: command to the end of a sweep, processor time"
+            rows.append(Row(label, used, "s", target=asked, met=met, note=note))
+    return rows
