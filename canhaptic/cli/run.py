@@ -138,11 +138,16 @@ def _report(result: RunResult, error: CanHapticError | None, arguments: argparse
     if arguments.json:
         write_json(result if error is None else {**failure(error), "result": result})
     elif result["cycles"]:
-        from canhaptic.view.run_lines import print_energy
-
         if result.get("dry_run"):
             write_line(_withheld(result))
-        print_energy(result, full=arguments.full)
+        if arguments.full:
+            from canhaptic.view.energy_table import print_figures
+
+            print_figures(result)
+        else:
+            from canhaptic.view.run_lines import print_energy
+
+            print_energy(result)
     if error is not None:
         write_failure(error)
     files = {"energy log": arguments.log, "bus log": arguments.bus_log, "picture": None if error else arguments.png}

@@ -119,20 +119,14 @@ def _is_at_handle(port: PortResult) -> bool:
     return "yes" in (port.get("passive_at_handle"), port.get("plant_passive_at_handle"))
 
 
-def print_energy(result: Result, console: Console | None = None, *, full: bool = False) -> None:
-    """Print the account of a run.
+def print_energy(result: Result, console: Console | None = None) -> None:
+    """Print the first lines of the account of a run.
 
     Args:
         result: As `run --json` prints it.
         console: Where to; standard output by default.
-        full: Whether to print every figure.
     """
-    if full:
-        from canhaptic.view.energy_table import energy_report
-
-        (console or make_console()).print(energy_report(result))
-    else:
-        (console or make_console()).print(brief_report(result))
+    (console or make_console()).print(brief_report(result))
 
 
 def brief_report(result: Result) -> RenderableType:

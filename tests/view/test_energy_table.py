@@ -7,7 +7,7 @@ from rich.console import Console
 
 from canhaptic.audit.inspection import LoggedEvent
 from canhaptic.control.verdict import add_verdicts
-from canhaptic.view.energy_table import energy_report
+from canhaptic.view.energy_table import energy_report, print_figures
 from canhaptic.view.inspect_table import _events_table
 from canhaptic.view.run_lines import make_console, print_energy
 from canhaptic.view.si import si
@@ -199,7 +199,7 @@ def test_without_a_terminal_the_table_is_plain_text_a_hundred_columns_wide(
 ) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
     assert make_console().width == 100
-    print_energy(result(["handle"]), full=True)
+    print_figures(result(["handle"]))
     text = capsys.readouterr().out
     assert "\x1b" not in text
     assert "energy account" in text
