@@ -3,7 +3,7 @@
 A program asks for a torque in every turn and is ended at a random one, in a process of its own. Ways that code can
 answer: an exception, `break`, `sys.exit`, SIGINT, SIGTERM, a closed generator, the end of the interpreter; then the bus
 log must show zero torque before the drive is disabled. Ways that it cannot (SIGKILL, `os._exit`, a crash) need a drive
-in a process of its own, whose watchdog is measured: `tests/acceptance/test_killed_program.py`.
+in a process of its own; for a command that is `tests/acceptance/test_killed_master.py`.
 """
 
 import argparse
