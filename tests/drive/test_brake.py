@@ -34,10 +34,11 @@ def with_outputs(folder: Path, access: str = "rw") -> Path:
 def hung(bench: MakeBench, brake: Brake | None, **values: Any) -> Bench:
     b = bench([axis(brake=brake, **values)], drive_values={"brake": brake})
     servo = b.drives[0].servo
-    if brake is None:
-        servo.motor = HungMass()
+    servo.motor = HungMass()
+    if servo._brake is None:
+        servo._mover = servo.motor
     else:
-        servo.motor._motor = HungMass()
+        servo._brake._motor = servo.motor
     return b
 
 

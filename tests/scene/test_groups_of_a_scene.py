@@ -248,5 +248,5 @@ def test_the_drives_of_a_mechanism_share_it() -> None:
     with build(load_scene(STAGE)) as experiment:
         assert experiment.far_side is not None
         x, y = (drive.servo.motor for drive in experiment.far_side.drives)
-        assert x.shared is y.shared
+        assert x.shared is y.shared  # type: ignore[attr-defined]
         assert experiment.plants == []

@@ -20,6 +20,7 @@ from tools.truth.programs import draw_program
 SOURCE: Final = str(Path(__file__).resolve().parents[2] / "configs" / "truth.yaml")
 """Where paths of a scene start from."""
 _RATES: Final = {40: 0.25, 100: 0.35, 250: 0.2, 500: 0.1, 1000: 0.1}
+_BRAKES: Final = 0.05  # share of single axes
 _FIVE_BARS: Final = 0.4
 """Share of the stages that are a five-bar linkage instead."""
 _RATES_OF_GROUPS: Final = {250: 0.5, 500: 0.3, 1000: 0.2}
@@ -101,6 +102,8 @@ def random_scene(seed: int, *, further: bool = True) -> TruthScene:
         values["bus"]["bitrate"] = 500_000
     axis = _axis(chance)
     drive = _drive(chance, axis, values["bus"]["rpdo"])
+    if not group:
+        _draw_brake(np.random.default_rng([seed, 23]), axis, chance.tags)
     simulation: dict[str, Any] = {"seed": seed % 1_000_000, "drive": drive}
     values.update(axes=[axis], simulation=simulation)
     _bus_effects(chance, values, 1.0 / rate)
@@ -161,6 +164,13 @@ def _axis(chance: _Chance) -> dict[str, Any]:
     elif limit == "power_limit":
         axis["power_limit"] = chance.decades(0.05, 5.0)
     return axis
+
+
+def _draw_brake(chance: np.random.Generator, axis: dict[str, Any], tags: set[str]) -> None:
+    """Gives one axis of twenty a brake, which the simulated drive has too, and opens after up to 80 ms."""
+    if chance.random() < _BRAKES:
+        axis["brake"] = {"release_time": float(chance.uniform(0.0, 0.08)), "set_time": float(chance.uniform(0.0, 0.08))}
+        tags.add("brake")
 
 
 def _drive(chance: _Chance, axis: dict[str, Any], rpdo: str) -> dict[str, Any]:

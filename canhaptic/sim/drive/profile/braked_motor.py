@@ -1,4 +1,4 @@
-"""A motor with a holding brake: while it holds, the motor neither moves nor ages."""
+"""A motor behind a holding brake: while it holds, the motor neither moves nor ages."""
 
 from math import inf
 from typing import Any
@@ -7,7 +7,7 @@ from canhaptic.canopen.brake import Brake
 
 
 class BrakedMotor:
-    """A motor behind its brake, which is set at first; all else is asked of the motor itself.
+    """Moves a motor whose brake is set at first.
 
     Args:
         motor: The motor.
@@ -20,9 +20,6 @@ class BrakedMotor:
         self._is_open = False
         self._opens, self._holds = inf, inf  # times from which it is open, and holds again [ns]
         self._seen = self._age = 0  # time of the last call, and that of the motor, which stands still meanwhile [ns]
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._motor, name)
 
     def command(self, now: int, *, is_open: bool) -> None:
         """Open or set the brake; it follows after its time."""

@@ -251,7 +251,7 @@ class Servo:
         self._brake = _brake_of(motor, parameters)
         self._brake_output = None if parameters.brake is None else parameters.brake.output
         self._outputs = store.find(DIGITAL_OUTPUTS, 1)
-        self.motor = motor if self._brake is None else self._brake
+        self.motor, self._mover = motor, self._brake or motor
         self.machine = StateMachine()
         self.now = 0
         self.is_running = False
@@ -406,9 +406,9 @@ class Servo:
         if self._brake is not None:
             self._brake.command(now, is_open=self._opens_brake())
         if self.is_running:
-            motor.advance_to(now, self.torque)
+            self._mover.advance_to(now, self.torque)
         elif self.machine.state is _ENABLED:
-            motor.begin(now)
+            self._mover.begin(now)
             self.is_running = True
         self._moved_to = now
         self._count(self._position, motor.position if encoder is None else encoder(motor))
@@ -438,7 +438,7 @@ class Servo:
 
     def _move(self) -> None:
         if self.is_running and self.now != self._moved_to:
-            self.motor.advance_to(self.now, self.torque)
+            self._mover.advance_to(self.now, self.torque)
             self._moved_to = self.now
 
     def _count(self, entry: Entry, value: float) -> None:
