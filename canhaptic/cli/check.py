@@ -27,9 +27,10 @@ from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.profile.fitness import Finding, Verdict
 from canhaptic.drive.survey import survey
 from canhaptic.host.realtime import GRANTED, Realtime
+from canhaptic.scene import hints as limits
 from canhaptic.scene.build import build, require_buildable
 from canhaptic.scene.first_contact import advice, halves_rendered, slowest_felt
-from canhaptic.scene.hints import Hint, display_hints, group_hints, guarantee, later_hints, stability_hints
+from canhaptic.scene.hints import guarantee, stability_hints
 from canhaptic.scene.method import dear_holds
 from canhaptic.scene.models import Guess, Scene, refused_values, status_text, values_to_set
 from canhaptic.view.run_lines import make_console
@@ -129,8 +130,8 @@ def execute(arguments: argparse.Namespace) -> int:
     if not scene.unread:
         require_buildable(scene)
     hints = [hint for axis in scene.axes for hint in stability_hints(axis)]
-    hints += group_hints(scene) + later_hints(scene)
-    hints += display_hints(scene)
+    hints += limits.group_hints(scene) + limits.later_hints(scene)
+    hints += limits.display_hints(scene)
     tried = ((axis.parameters.name, slowest_felt(axis)) for axis in scene.axes)
     felt = {name: speed for name, speed in tried if speed is not None}
     fitness = [survey(*of).suitability.value for of in zip(dictionaries, axes, strict=True)]
@@ -160,7 +161,7 @@ class _CheckFindings(NamedTuple):
     scene: Scene
     budgets: dict[str, BusBudget]
     findings: dict[str, list[Finding]]
-    hints: list[Hint]
+    hints: list[limits.Hint]
     felt: dict[str, float]  # axis -> approach speed from which its wall is felt [m/s or rad/s], infinite: from none
     fitness: list[str]  # of each drive, in the words of `check-eds`
     dear: list[str]  # simulated plants whose sample time may take long
@@ -185,7 +186,7 @@ class _CheckFindings(NamedTuple):
         return bool(refused_values(self.scene))
 
     @property
-    def exceeded(self) -> list[Hint]:
+    def exceeded(self) -> list[limits.Hint]:
         """Limits exceeded by the scene on which the chosen algorithm rests."""
         return [hint for hint in self.hints if hint.exceeded and hint.concerns]
 
@@ -347,7 +348,7 @@ def _fitness_table(title: str, findings: list[Finding]) -> Table:
     return Table(title, ("object", "verdict", ""), rows)
 
 
-def _hint_table(hints: list[Hint], *, texts: bool) -> Table:
+def _hint_table(hints: list[limits.Hint], *, texts: bool) -> Table:
     rows: list[list[Cell]] = []
     for hint in hints:
         limit = "unknown" if hint.limit is None else f"{hint.limit:.4g} {hint.unit}"

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from canhaptic.commission.session import OpenLoop, Session, StepVerdict, reversals
 from canhaptic.commission.which_hold import as_declared, report_hold, time_the_hold
+from canhaptic.scene import hints
 from canhaptic.scene.first_contact import ALLOWANCES, share_of_wall, with_declared
-from canhaptic.scene.hints import advised_allowance, allowance_words
 from canhaptic.scene.models import AxisScene
 
 _Array = NDArray[np.float64]
@@ -263,9 +263,9 @@ def propose_allowance(session: Session, axis: int, known: Mapping[str, float]) -
         return
     timing = {each.key[10:]: each.value for each in mine if isinstance(each.value, float)}
     loop = with_declared(scene, {**known, **{name: timing[name] for name in _TIMES if name in timing}}).loop
-    energy = advised_allowance(loop, hand_force, getattr(scene.passivity.parameters, "max_consecutive_losses", 0))
+    energy = hints.advised_allowance(loop, hand_force, getattr(scene.passivity.parameters, "max_consecutive_losses", 0))
     if energy > 0.0:
-        session.propose(axis, key, energy, "J", allowance_words(energy, loop, scene.parameters.unit))
+        session.propose(axis, key, energy, "J", hints.allowance_words(energy, loop, scene.parameters.unit))
 
 
 _TIMES: Final = ("sync_jitter", "torque_window", "current_lag")

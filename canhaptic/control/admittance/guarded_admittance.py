@@ -300,12 +300,9 @@ def _let_pass(
 
 
 def _take(
-    settings: GuardedAdmittanceSettings,
-    state: GuardedAdmittanceState,
-    memory: GuardedMemory,
-    position: float,
-    force: float,
-) -> tuple[float, float]:
+    settings: GuardedAdmittanceSettings, state: GuardedAdmittanceState, memory: GuardedMemory,
+    position: float, force: float,
+) -> tuple[float, float]:  # fmt: skip
     """Book the hold that ended and update W; return (h_i [J], mean velocity [m/s or rad/s])."""
     port, loop, motion, commands = state.axis, state.loop, state.motion, memory.display.commands
     missed, origin, heard = port.missed, port.origin, port.force

@@ -468,8 +468,8 @@ def step(
 ) -> EnergyBalance:
     """Account for the hold that ended; see `Controller.step`."""
     settings, state, memory = run.settings, run.state, run.memory
-    zone, zone_before, axis = environment.contact(position), state.zone, state.axis
-    state.zone = zone
+    zone_before, axis = state.zone, state.axis
+    state.zone = zone = environment.contact(position)
     if not axis.started:
         return start(environment, settings, state, memory, position)
     holds, same = axis.missed + axis.lasted, zone == zone_before
@@ -490,8 +490,7 @@ def step(
         if settings.longest_window or not same:
             travel, inside = motion_inside(environment, settings, axis, travel, displacement, holds, true, same)
         torque, damper, modulated, rendered, certificate = render(
-            environment, settings, state, memory, true, spring, ceiling, travel, inside, moved, same
-        )
+            environment, settings, state, memory, true, spring, ceiling, travel, inside, moved, same)  # fmt: skip
         branch = _START if not same else _STICKY if h_i > 0.0 and displacement * spring < 0.0 else _EXACT
     else:
         torque, damper, modulated, rendered, certificate = 0.0, 0.0, 0.0, 0.0, _UNBOUNDED
@@ -499,7 +498,7 @@ def step(
         if settings.drag or state.bound.dissipated > 0.0:
             torque, certificate = drag(settings, state, memory, displacement / holds)
     axis.oldest = send(memory.axis.commands, axis.oldest, torque, damper, modulated)
-    h_s, state.true = state.h_s, true
+    state.true, h_s = true, state.h_s
     stored = true if h_s >= ceiling else environment.state_of_energy(h_s, true)
     return new(EnergyBalance, (
         torque, h_i, h_pas, h_i - h_pas, h_r, h_s, axis.h_dis, 0.0, deficit, leak, paid,
