@@ -41,7 +41,7 @@ _PROMISES_NO_YES: Final = frozenset(("timing:stall",))
 _TRIES: Final = 4
 _ESTIMATE: Final = 2.0
 """Factor within which a resolution that the account calls an estimate has to be right."""
-_FINE: Final = 1.0 / 20.0
+FINE: Final = 1.0 / 20.0
 """Resolution over the energy that came in below which a yes is due."""
 
 
@@ -82,7 +82,7 @@ class Outcome:
         if _PROMISES_NO_YES.intersection(self.tags):
             return False
         touched = self.status != "refused" and self.peak > 0.0 and max(self.peak, self.asked) >= TOUCH
-        is_within = self.losses <= self.declared_losses and not self.skipped and self.open_share < _FINE
+        is_within = self.losses <= self.declared_losses and not self.skipped and self.open_share < FINE
         return touched and is_within and self.declared and "algorithm:guarded" in self.tags and self.least >= -ROUNDING
 
     @property

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from tools.truth.judge import ROUNDING, Outcome, judged
+from tools.truth.judge import FINE, ROUNDING, Outcome, judged
 from tools.truth.scenes import TruthScene
 
 _MASS, _PULL = 0.25, 5.0
@@ -149,14 +149,15 @@ def row_of(way: Way, hands: int) -> dict[str, Any]:
         left_out += [judged(_with_hand_of(scene, scene_of(way, hand, "left out")))[1]] if _can_be_left_out(way) else []
         false.append(judged(_with_hand_of(scene, scene_of(way, hand, "false")))[1])
     out = [outcome for outcome in false if outcome.least < -ROUNDING]
+    due = [outcome for outcome in declared + left_out if outcome.open_share < FINE]
     return {
         "": way.name,
         "loop": way.what,
         "by": ", ".join(key.lstrip(".") for key in way.declared),
         "declared [J]": min(outcome.least for outcome in declared),
         "left out [J]": min((outcome.least for outcome in left_out), default=None),
-        "yes": sum(map(_says_yes, declared + left_out)),
-        "of": len(declared) + len(left_out),
+        "yes": sum(map(_says_yes, due)),
+        "of": len(due),
         "false claims": sum(bool(outcome.false_claims) for outcome in declared + left_out),
         "declared falsely [J]": min(outcome.least for outcome in false),
         "gave out": len(out),
