@@ -74,6 +74,9 @@ class _CheckedFiles(caching.IndexDataCacheFile):
         return super()._load_data(name)
 
 
+_Found = TypeVar("_Found")
+
+
 class NotKeptError(Exception):
     """Machine code is not on the disk, and may not be made now."""
 
@@ -93,6 +96,13 @@ def only_kept() -> Iterator[None]:
         yield
     finally:
         _may_compile = True
+
+
+def if_kept(run: Callable[..., _Found], *arguments: object) -> _Found | None:
+    """Result of a function whose kernels are on the disk; None where one is not."""
+    with suppress(NotKeptError), only_kept():
+        return run(*arguments)
+    return None
 
 
 class CheckedCache(caching.FunctionCache):

@@ -10,14 +10,17 @@ from typing import Final
 import numpy as np
 
 from canhaptic.drive.clock import WallClock
-from canhaptic.kernels.compiler import NotKeptError, only_kept
+from canhaptic.kernels.compiler import if_kept
 from canhaptic.lab.studies.sweep.chunk import SLOTS, ChunkResult, Recipe, run_chunk
 from canhaptic.lab.studies.sweep.vary import Column
 
 _FIRST: Final = 4
 """Scenes that Python runs before it is known how long one takes."""
-_SLICE: Final = 500_000_000
-"""Time after which the end of compiling is looked for [ns]."""
+_SLICE: Final = 0.5
+"""Time after which the end of compiling is looked for [s]."""
+_COMPILING: Final = 10.0
+"""Time that compiling takes, about [s]: where Python would take longer for the rest of a chunk, it runs the first
+scenes and leaves the processor, whose caches they share, to the compiler."""
 
 
 class FirstUse:
@@ -36,22 +39,34 @@ class FirstUse:
 
     def run(self, recipe: Recipe, start: int, columns: Mapping[str, Column]) -> ChunkResult:
         """Return the figures of a chunk; see `run_chunk`."""
-        with suppress(NotKeptError), only_kept():
-            return run_chunk(recipe, start, columns)
-        context = multiprocessing.get_context("spawn")
-        self._compiling = context.Process(target=_compile, args=(self._begin, recipe, start, columns), daemon=True)
-        self._compiling.start()
-        clock, count, done, size = WallClock(), len(next(iter(columns.values()))), 0, _FIRST
+        found = if_kept(run_chunk, recipe, start, columns)
+        if found is not None:
+            return found
+        if self._compiling is None or not self._compiling.is_alive():
+            context = multiprocessing.get_context("spawn")
+            self._compiling = context.Process(target=_compile, args=(self._begin, recipe, start, columns), daemon=True)
+            self._compiling.start()
+        return self._meanwhile(self._compiling, recipe, start, columns)
+
+    def _meanwhile(
+        self, compiling: BaseProcess, recipe: Recipe, start: int, columns: Mapping[str, Column]
+    ) -> ChunkResult:
+        """Run scenes in Python until their loop is compiled; where that ends sooner, wait for it after the first."""
+        clock, count, done, size, each = WallClock(), len(next(iter(columns.values()))), 0, _FIRST, 0.0
         parts: list[ChunkResult] = []
         while done < count:
-            compiles = self._compiling.is_alive()
-            size = size if compiles else count - done
+            if each * (count - done) > _COMPILING and compiling.is_alive():
+                compiling.join(_SLICE)
+                self._report(done)
+                continue
+            compiles = compiling.is_alive()
+            size = min(size if compiles else count, count - done)
             began = clock.now()
             rows = {key: values[done : done + size] for key, values in columns.items()}
             chosen = replace(recipe, engine="python") if compiles else recipe
             parts.append(run_chunk(chosen, start + done, rows))
-            done = min(count, done + size)
-            size = max(1, int(size * min(4.0, _SLICE / max(1, clock.now() - began))))
+            each, done = (clock.now() - began) * 1e-9 / size, done + size
+            size = max(1, int(min(4.0 * size, _SLICE / max(each, 1e-9))))
             self._report(done)
         return joined(parts)
 
