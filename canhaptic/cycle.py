@@ -17,7 +17,7 @@ from canhaptic.control.passivity.controller import Controller
 from canhaptic.drive.clock import DurationHistogram, VirtualClock
 from canhaptic.drive.profile.link_policy import StopReason, reason_of
 from canhaptic.drive.rig import Rig
-from canhaptic.errors import CycleFailedError, EmergencyError, InputError, LogWriteError, RigError
+from canhaptic.errors import CycleFailedError, EmergencyError, InputError, LogStoppedError, RigError
 from canhaptic.meters import RunMeters
 from canhaptic.signals import CycleTiming, Measured, Sample, Truth
 
@@ -286,9 +286,9 @@ class _FailedLog:
         """End the run.
 
         Raises:
-            LogWriteError: Always.
+            LogStoppedError: Always.
         """
-        raise LogWriteError(f"{self._reason}; the run was stopped (log.on_failure: continue lets it go on)")
+        raise LogStoppedError(f"{self._reason}; the run was stopped (log.on_failure: continue lets it go on)")
 
     def event(self, *_event: object) -> None:
         """No-op."""
@@ -311,7 +311,7 @@ def run(
     Raises:
         RigError: Drive, link or controller failed; every drive has zero torque and is disabled, and the error carries
             the last records.
-        LogWriteError: A log failed in a run that must not go on without it; stopped as by the operator.
+        LogStoppedError: A log failed in a run that must not go on without it; stopped as by the operator.
     """
     if cycle.turn is None and any(hasattr(controller, "ask") for controller in cycle.controllers):
         raise InputError("guard: the scene is for a program that asks for its torques; run it with canhaptic.open_rig")
@@ -338,7 +338,7 @@ def _started(cycle: Cycle) -> Iterator[None]:
     rig.start()
     try:
         yield
-    except LogWriteError:
+    except LogStoppedError:
         rig.stop()
         raise
     except Exception as error:

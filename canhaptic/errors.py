@@ -9,6 +9,7 @@
     |  |- BusBudgetError                     2   the frames of one cycle do not fit the bus
     |  `- LogFormatError                     2   an energy log or bus log that cannot be read
     |- LogWriteError (OSError)              2   a log that cannot be written where it was asked for
+    |  `- LogStoppedError                   3   a log that ended before its run: a full disk, a file that was deleted
     |- CheckFailedError                      1   a comparison or check the user asked for failed
     |- EventLimitError (RuntimeError)        1   a simulated plant takes more events or products than are allowed
     |- OwnCodeError (RuntimeError)           1   own code of a scene raised, or returned no finite number
@@ -110,6 +111,12 @@ class LogWriteError(CanHapticError, OSError):
     """A log that cannot be written: folder missing or read-only, disk full, writer process lost."""
 
     exit_status = 2
+
+
+class LogStoppedError(LogWriteError):
+    """A log that ended before its run, which had begun: disk full or read-only, file deleted, writer process lost."""
+
+    exit_status = 3
 
 
 class CheckFailedError(CanHapticError):

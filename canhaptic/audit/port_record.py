@@ -4,7 +4,7 @@ Selection of the rows of a log: a span of time, or each contact.
 
 Stored values that no run writes: signs of a damaged log or a faulty logger.
 
-They are numbers that are not finite, and running counts that fall.
+They are numbers that are not finite, running counts that fall, and rows that do not fit their digest.
 """
 
 from math import inf
@@ -16,7 +16,7 @@ from canhaptic.control.balance import OUT_OF_CONTACT, Branch, certificates_of
 from canhaptic.control.friction_watch import FrictionDeclared, FrictionWatch
 from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, PortResult, claim_nothing
 from canhaptic.errors import InputError, LogFormatError
-from canhaptic.logs.columns import ACTIVE_LIMITS, FRICTION_DECLARED
+from canhaptic.logs.columns import ACTIVE_LIMITS, DIGEST, FRICTION_DECLARED
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
 from canhaptic.meters import ActiveLimits, Promise
@@ -67,6 +67,9 @@ _COUNTS: Final = frozenset({"uncommanded"})
 """Columns that count from the beginning of a run; a recomputation does not have them."""
 
 
+CHANGED: Final = "not as the run wrote it"
+
+
 class ImpossibleValue(TypedDict):
     """A column with such values."""
 
@@ -104,6 +107,9 @@ def impossible_values(log: EnergyLog) -> list[ImpossibleValue]:
                 cycle = int(log.timing.read("sync_index", first, first + 1)[0])
                 what = "a count that falls" if name in _COUNTS else "no finite number"
                 found.append({"dataset": f"{group}/{name}", "what": what, "rows": rows, "cycle": cycle})
+    if changed := log.changed_rows():
+        cycle = int(log.timing.read("sync_index", changed[0], changed[0] + 1)[0])
+        found.append({"dataset": DIGEST, "what": CHANGED, "rows": len(changed), "cycle": cycle})
     return found
 
 

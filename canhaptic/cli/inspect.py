@@ -7,6 +7,7 @@ from typing import Final
 from rich.console import Console
 
 from canhaptic.audit.inspection import Inspection, compare, inspect
+from canhaptic.audit.port_record import CHANGED
 from canhaptic.audit.recompute import recompute_all, scene_of
 from canhaptic.audit.user_checks import Checked, Outcome, check
 from canhaptic.cli.options import check_page, check_picture, check_place
@@ -62,7 +63,8 @@ def _judge(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) ->
     if arguments.compare is not None:
         with EnergyLog.open(arguments.compare) as other:
             result["comparison"] = compare(log, other)
-    if arguments.recompute and not result["findings"]:  # controllers take finite numbers
+    is_finite = all(finding["what"] == CHANGED for finding in result["findings"])
+    if arguments.recompute and is_finite:  # controllers take finite numbers
         result["recomputed"] = recompute_all(log, arguments.config, allow_code=arguments.allow_code)
     if arguments.bus_log is not None:
         from canhaptic.audit.rederive import rederive

@@ -67,7 +67,13 @@ def _replay_report(result: ReplayResult) -> list[Text]:
         objects = ", ".join(result["reads_left_out"])
         lines.append(Text(f" objects that the start left out, because the recorded master was older: {objects}"))
     if difference is None:
-        return [*lines, Text(" identical: the master sent every frame byte for byte as recorded", style="green")]
+        return [
+            *lines,
+            Text(
+                " identical: the master sent every frame byte for byte as recorded (but heartbeats and times)",
+                style="green",
+            ),
+        ]
     place = f"line {difference['number']}, {difference['time']:.6f} s"
     lines.append(Text(f" different at {place}:", style="bold red"))
     lines.append(Text(f"   recorded  {_words(difference['recorded'])}"))

@@ -82,7 +82,7 @@ class BusLogWriter:
         """Take one frame of classic CAN (at most 8 bytes of data).
 
         Raises:
-            LogWriteError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
+            LogStoppedError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
         """
         self._record(timestamp_ns, can_id, data, is_rx)
 
@@ -108,7 +108,7 @@ class BusLogWriter:
             status: Status of the run; with `last`, anything but complete, completed or stopped is a bad end.
 
         Raises:
-            LogWriteError: The log is not complete.
+            LogStoppedError: The log is not complete.
         """
         self._process.close(status)
 

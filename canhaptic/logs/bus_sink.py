@@ -105,6 +105,9 @@ class BusSink:
             old.unlink()
         self._begin()
 
+    def fail(self, cause: str) -> None:
+        """Leave the file as it is: its format has no place for a status."""
+
     def finish(self, status: str) -> None:
         """Close the file and convert it if requested; these formats cannot hold the status of the run."""
         del status

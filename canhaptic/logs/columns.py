@@ -9,8 +9,12 @@ from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.logs.ring import RingShape
 from canhaptic.signals import CycleTiming, Measured, PlantEnergy, Sample
 
-FORMAT_VERSION: Final = 3
-"""1: without `timing/deadline_index` and without what a run measures of its ports (`Measured`). 2: without `active`."""
+FORMAT_VERSION: Final = 4
+"""1: without `timing/deadline_index` and without what a run measures of its ports (`Measured`). 2: without `active`.
+3: without `digest`."""
+_LAST_WITHOUT_DIGEST: Final = 3
+DIGEST: Final = "digest"
+"""Path of the column that the writer process adds: the CRC-32 of each row, see `row_digests`."""
 FORMAT_NAME: Final = "canhaptic energy log"
 
 Attribute = str | int | float
@@ -49,6 +53,7 @@ _MEANINGS: Final = {
     "effort_asked": "of the storage of the environment at this position; 0 out of contact",
     "uncommanded": "holds so far whose torque was never commanded",
     "longest_hold": "the most sample times for which one torque was held so far",
+    DIGEST: "CRC-32 of the row: every other column in the order of the format, each as 8 bytes, little endian",
     "active": "1 the sum at the motor fell below the allowance for certain, 2 that at the handle, 3 both; never falls",
 }
 
@@ -120,6 +125,11 @@ class LogSchema:
                 columns.append(_LogColumn(f"truth/{port.name}/position", port.unit, "f8"))
                 columns += [_LogColumn(f"truth/{port.name}/{name}", "J", "f8") for name in PlantEnergy._fields]
         return columns
+
+    def stored(self) -> list[_LogColumn]:
+        """Return the columns of the file: those of the ring that have a path, and the digest of these."""
+        digest = [_LogColumn(DIGEST, "1", "u4")] if self.version > _LAST_WITHOUT_DIGEST else []
+        return [column for column in self.columns() if column.path] + digest
 
     def ring(self, capacity: int) -> RingShape:
         """Return the shape of the ring: every field takes 8 bytes, an integer or a float."""

@@ -98,7 +98,7 @@ class EnergyLogWriter:
             measured: One per port; none where only the balances are known.
 
         Raises:
-            LogWriteError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
+            LogStoppedError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
         """
         due = sync_index if deadline is None else deadline
         known = measured or self._nothing
@@ -134,7 +134,7 @@ class EnergyLogWriter:
             status: Status of the run.
 
         Raises:
-            LogWriteError: The log is not complete.
+            LogStoppedError: The log is not complete.
         """
         self._process.close(status)
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.columns import (
+    DIGEST,
     DRY_RUN,
     EVENT_TEXT_SIZES,
     FORMAT_NAME,
@@ -29,7 +30,7 @@ from canhaptic.logs.columns import (
     LogSchema,
     PortDescription,
 )
-from canhaptic.logs.hdf5 import Array, Attribute, Dataset, Hdf5File
+from canhaptic.logs.hdf5 import Array, Attribute, Dataset, Hdf5File, failure_of, row_digests
 from canhaptic.logs.log_file import log_file
 
 _RUNNING: Final = "running"
@@ -68,7 +69,7 @@ def found_columns(path: Path, file: Hdf5File, ports: Sequence[str]) -> tuple[Fou
     version = int(file.attributes.get("format_version", FORMAT_VERSION))
     described = tuple(PortDescription(name, "m") for name in ports)
     schema = LogSchema(described, 1, bool(file.names("truth")), 1, False, {}, version)
-    types = {column.path: column.dtype for column in schema.columns() if column.path}
+    types = {column.path: column.dtype for column in schema.stored()}
     of_events = {"sync_index": "i8", **{name: f"S{size}" for name, size in EVENT_TEXT_SIZES.items()}}
     rows = {name: _column(path, file, name, dtype) for name, dtype in types.items()}
     return rows, {f"events/{name}": _column(path, file, f"events/{name}", dtype) for name, dtype in of_events.items()}
@@ -114,6 +115,7 @@ _Json = TypeVar("_Json", list[str], dict[str, float], dict[str, dict[str, str]])
 DAMAGE: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError, OverflowError)
 """What h5py and NumPy raise for one kind of damage or another."""
 _LONGEST_NS: Final = 10_000_000_000
+_BLOCK: Final = 65_536  # rows held in memory at a time
 _OURS = ("format", "format_version", "sample_time_ns", "ports", "status", "rows_lost")
 
 
@@ -170,7 +172,8 @@ class EnergyLog:
         timing: Times of each cycle and `sync_index`.
         rows: Number of cycles in the log.
         rows_lost: Cycles missing at the start because the file is damaged.
-        status: Status of the run; "running" while it is written or after a power cut.
+        status: Status of the run; "running" while it is written or after a power cut, "failed: no space" after a full
+            disk.
         sample_time_ns: Sample time [ns].
     """
 
@@ -182,7 +185,7 @@ class EnergyLog:
         self.sample_time_ns = description.sample_time_ns
         self.rows_lost = description.rows_lost
         self.status = description.status
-        self.rows = checked_rows(path, file, description.ports, self.status)
+        self.rows = checked_rows(path, file, description.ports, str(_plain(file.attributes["status"])))
         self.ports = {name: Quantities(file, f"ports/{name}", self.rows) for name in description.ports}
         self.truth = {name: Quantities(file, f"truth/{name}", self.rows) for name in file.names("truth")}
         self.timing = Quantities(file, "timing", self.rows)
@@ -296,6 +299,17 @@ class EnergyLog:
         """Cycles for which the ring had no room."""
         return int(self.timing["dropped_before"].sum(dtype=np.int64))
 
+    def changed_rows(self) -> list[int]:
+        """Return the rows that are not as they were written, by their digests; none of a log without these."""
+        if DIGEST not in self._file.names("/"):
+            return []
+        columns = list(found_columns(self.path, self._file, list(self.ports))[0].values())
+        found: list[int] = []
+        for start in range(0, self.rows, _BLOCK):
+            *values, digests = (column.read(start, min(self.rows, start + _BLOCK)) for column in columns)
+            found += (start + np.flatnonzero(row_digests(values) != digests)).tolist()
+        return found
+
     @property
     def events(self) -> list[Event]:
         """Every event recorded during the run, in order."""
@@ -355,7 +369,8 @@ def _description(path: Path, attributes: Mapping[str, Attribute]) -> LogDescript
     sample_time_ns = int(attributes["sample_time_ns"])
     if not ports or not 0 < sample_time_ns <= _LONGEST_NS:
         raise LogFormatError(f"{path}: {len(ports)} ports at a sample time of {sample_time_ns} ns; the file is damaged")
-    return LogDescription(sample_time_ns, ports, str(_plain(attributes["status"])), int(attributes["rows_lost"]))
+    status = failure_of(path) or str(_plain(attributes["status"]))
+    return LogDescription(sample_time_ns, ports, status, int(attributes["rows_lost"]))
 
 
 def _plain(value: Attribute) -> str | int | float:

@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 
 from canhaptic.logs.columns import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, LogSchema
-from canhaptic.logs.growing_file import open_regular, require_same_file
-from canhaptic.logs.hdf5 import Attribute, Dataset, Hdf5File
+from canhaptic.logs.growing_file import NO_SPACE, cause_of, open_regular, require_same_file
+from canhaptic.logs.hdf5 import Attribute, Dataset, Hdf5File, mark_failed, row_digests
 from canhaptic.logs.ring import SharedArea
 
 _PACKED_CHUNK: Final = 16_384  # rows
@@ -119,21 +119,18 @@ class EnergySink:
         self._file.set_attribute("ports", "\n".join(f"{port.name} {port.unit}" for port in self._schema.ports))
         self._file.set_attribute("status", "running")
         self._file.set_attribute("rows_lost", self._lost)
-        for column in self._columns:
-            if column.path:
-                dataset = self._file.create(column.path, column.dtype, self._schema.chunk_rows)
-                dataset.set_attribute("unit", column.unit)
-                if column.meaning:
-                    dataset.set_attribute("meaning", column.meaning)
+        for column in self._schema.stored():
+            dataset = self._file.create(column.path, column.dtype, self._schema.chunk_rows)
+            dataset.set_attribute("unit", column.unit)
+            if column.meaning:
+                dataset.set_attribute("meaning", column.meaning)
         self._file.create("events/sync_index", "i8", 1, compressed=False)
         for name, size in EVENT_TEXT_SIZES.items():
             self._file.create(f"events/{name}", f"S{size}", 1, compressed=False)
 
     def _start(self) -> None:
         self._file.start_live()
-        self._datasets: list[Dataset | None] = [
-            self._file[column.path] if column.path else None for column in self._columns
-        ]
+        self._datasets = [self._file[column.path] for column in self._schema.stored()]
         self._event_datasets = [self._file[f"events/{name}"] for name in ("sync_index", *EVENT_TEXT_SIZES)]
         self._descriptor = open_regular(self._path, os.O_RDONLY)
         self._size = os.fstat(self._descriptor).st_size
@@ -145,7 +142,9 @@ class EnergySink:
             with Hdf5File(self._path, "live") as old:
                 self._file = Hdf5File(temporary, "x live")
                 old.copy_to(self._file)
-        except (OSError, RuntimeError, KeyError):
+        except (OSError, RuntimeError, KeyError) as error:
+            if cause_of(error) == NO_SPACE:
+                raise  # of the copy: the log itself is well
             if self._path.exists():
                 self._path.replace(self._path.with_name(self._path.name + ".damaged"))
             return False
@@ -167,9 +166,9 @@ class EnergySink:
 
     def _write_rows(self, count: int) -> None:
         block = np.frombuffer(self._rows.read(self._next_row, count), self._record)
-        for number, (column, dataset) in enumerate(zip(self._columns, self._datasets, strict=True)):
-            if dataset is not None:
-                dataset.append(block[f"f{number}"].astype(column.dtype))
+        values = [block[f"f{n}"].astype(column.dtype) for n, column in enumerate(self._columns) if column.path]
+        for dataset, column in zip(self._datasets, [*values, row_digests(values)], strict=True):
+            dataset.append(column)
         self._flush()
         self._next_row += count
         self._rows.release(self._next_row)
@@ -200,3 +199,8 @@ class EnergySink:
         self._file.close()
         os.close(self._descriptor)
         repack(self._path, self._path, {"status": status})
+
+    def fail(self, cause: str) -> None:
+        """Leave the rows up to the last flush, with the cause as the status of the run."""
+        unfinished(self._path)
+        mark_failed(self._path, cause)

@@ -62,6 +62,9 @@ class FaultSink:
     def _oldest(self) -> int:
         return _last_time(self._blocks[-1]) - self._last_ns
 
+    def fail(self, cause: str) -> None:
+        """Leave the file as it is: its format has no place for a status."""
+
     def finish(self, status: str) -> None:
         """Write the frames kept, unless the run ended well."""
         if status in _GOOD_ENDINGS or not self._blocks:

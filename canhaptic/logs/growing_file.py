@@ -1,12 +1,16 @@
 """A log that grows: opened as a regular file, and watched, since somebody may delete or truncate it meanwhile."""
 
+import errno
 import os
+import re
 import stat
 from pathlib import Path
 from typing import Final
 
 from canhaptic.errors import LogWriteError
 
+NO_SPACE: Final = "no space"
+_FULL: Final = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
 _REMEDY: Final = "the rows from then on are lost; keep other programs away from a log while it is written"
 
 
@@ -22,6 +26,13 @@ def open_regular(path: Path, flags: int) -> int:
         os.close(descriptor)
         raise LogWriteError(f"{path}: is no regular file; name another file")
     return descriptor
+
+
+def cause_of(error: Exception) -> str:
+    """Return why a file could not be written, in few words; HDF5 tells the system's number in its text alone."""
+    found = re.search(r"\[Errno (\d+)\]|errno = (\d+)", str(error))
+    number = int(found[1] or found[2]) if found else 0
+    return NO_SPACE if number in _FULL else os.strerror(number) if number else str(error)
 
 
 def require_same_file(path: Path, descriptor: int, size: int) -> None:

@@ -1,11 +1,12 @@
 """Typed interface to the part of h5py that the logs use: the only place that touches the untyped library."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import RLock
 from types import TracebackType
 from typing import Any, Final
+from zlib import crc32
 
 import h5py
 import numpy as np
@@ -17,6 +18,9 @@ Attribute = str | bytes | int | float | np.generic
 
 _TABLE_CACHE: Final = 1 << 18  # [B]
 _TEXTS_AND_CHUNKS: Final = 1 << 26  # [B], the most that those of one item may take
+_USER_BLOCK: Final = 512  # [B] before the file's own content, the least that the format allows
+_SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
+_FAILED: Final = b"failed: "
 _BOUND: Final = RLock()
 
 
@@ -99,9 +103,11 @@ class Hdf5File:
             with _bounded_memory():
                 self._file = h5py.File(path, "r", swmr=True)
         else:
-            oldest = "v110" if mode == "x live" else "earliest"
+            oldest, block = ("v110", _USER_BLOCK) if mode == "x live" else ("earliest", None)
             # Without a cache for chunks: each is written once, whole; a megabyte of them per column would be kept.
-            self._file = h5py.File(path, "x", libver=(oldest, "v110"), locking=False, rdcc_nbytes=0)
+            self._file = h5py.File(
+                path, "x", libver=(oldest, "v110"), locking=False, rdcc_nbytes=0, userblock_size=block
+            )
 
     def __enter__(self) -> "Hdf5File":
         return self
@@ -127,7 +133,9 @@ class Hdf5File:
 
     def create(self, path: str, dtype: str | np.dtype[np.generic], chunk: int, compressed: bool = True) -> Dataset:
         """Return a new empty column that can grow."""
-        options = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if compressed else {}
+        options: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+        if not compressed:  # which has a checksum
+            options = {"fletcher32": True}
         return Dataset(self._file.create_dataset(path, (0,), maxshape=(None,), dtype=dtype, chunks=(chunk,), **options))
 
     def __getitem__(self, path: str) -> Dataset:
@@ -213,6 +221,32 @@ def _bounded_memory(needed: int = 0) -> Iterator[None]:
             raise OSError("a text or chunk claims more memory than any in a log takes") from error
         finally:
             resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def mark_failed(path: Path, cause: str) -> None:
+    """Write why a file ends before its end into the room that it has for that: a full disk takes nothing new.
+
+    Raises:
+        OSError: The disk takes that neither.
+    """
+    with path.open("r+b") as file:
+        file.seek(_USER_BLOCK)
+        if file.read(len(_SIGNATURE)) == _SIGNATURE:
+            file.seek(0)
+            file.write((_FAILED + cause.encode())[:_USER_BLOCK])
+
+
+def failure_of(path: Path) -> str:
+    """Return what `mark_failed` wrote, "failed: CAUSE"; empty of a file that was closed, or is still written."""
+    with path.open("rb") as file:
+        text = file.read(_USER_BLOCK)
+    return text.rstrip(b"\0").decode("utf-8", "replace") if text.startswith(_FAILED) else ""
+
+
+def row_digests(columns: Sequence[Array]) -> Array:
+    """Return the CRC-32 of each row of some columns, shape (n_rows,): each value as 8 bytes, little endian."""
+    table = np.stack([column.view("<u8") if column.dtype == "f8" else column.astype("<u8") for column in columns], 1)
+    return np.fromiter(map(crc32, table), "u4", len(table))
 
 
 def _text(value: str) -> str:

@@ -10,11 +10,13 @@ import json
 import os
 import sys
 import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, Protocol
 
 from canhaptic.errors import CanHapticError, LogWriteError
 from canhaptic.host.output_file import why_not_written
+from canhaptic.logs.growing_file import cause_of
 from canhaptic.logs.ring import AreaState, RingShape, SharedArea
 
 
@@ -82,6 +84,9 @@ class _Sink(Protocol):
 
     def finish(self, status: str) -> None:
         """Complete and close the file."""
+
+    def fail(self, cause: str) -> None:
+        """Say in the file, where it has room for that, why it ends before the run."""
 
 
 def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, _Sink]:
@@ -172,8 +177,11 @@ def main() -> None:
         _serve(area, sink, job["parent"])
         lock.release()
     except (CanHapticError, OSError, ValueError, RuntimeError) as error:  # h5py raises the last three for one full disk
-        area.set_text("failure", str(error) if isinstance(error, CanHapticError) else f"{job['path']}: {error}")
+        cause = cause_of(error)
+        area.set_text("failure", str(error) if isinstance(error, CanHapticError) else f"{job['path']}: {cause}")
         if lock is not None:
+            with suppress(OSError):
+                sink.fail(cause)
             lock.release()
         os._exit(FAILED)  # the library would try to write again while closing, and can hang on a full disk
 

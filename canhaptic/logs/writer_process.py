@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Final
 
-from canhaptic.errors import LogWriteError
+from canhaptic.errors import LogStoppedError, LogWriteError
 from canhaptic.logs.ring import AreaState, Record, Ring, RingShape, SharedArea, allocate, size_of
 from canhaptic.logs.writer import FAILED
 
@@ -81,13 +81,13 @@ class WriterProcess:
         """Write one record as soon as the ring has room; return False if it never will.
 
         Raises:
-            LogWriteError: The writer has failed, the ring is full, and there is no `on_failure` to call.
+            LogStoppedError: The writer has failed, the ring is full, and there is no `on_failure` to call.
         """
         pause = threading.Event()
         while not ring.push(record):
             if self.failure:
                 if self._on_failure is None:
-                    raise LogWriteError(self.failure)
+                    raise LogStoppedError(self.failure)
                 return False
             pause.wait(_WAIT)
         return True
@@ -99,7 +99,7 @@ class WriterProcess:
             status: Status of the run, kept in the file.
 
         Raises:
-            LogWriteError: The file is not complete.
+            LogStoppedError: The file is not complete.
         """
         if self._is_closed:
             return
@@ -109,7 +109,7 @@ class WriterProcess:
         self._supervisor.join()
         self._let_go()
         if self.failure:
-            raise LogWriteError(self.failure)
+            raise LogStoppedError(self.failure)
 
     def _let_go(self) -> None:
         self._area.close()

@@ -276,7 +276,7 @@ class Experiment:
             status: Status of the run, for the logs.
 
         Raises:
-            LogWriteError: A log is not complete.
+            LogStoppedError: A log is not complete.
         """
         with self._stack:
             try:

@@ -48,7 +48,7 @@ def columns(path: Path) -> list[str]:
     found: list[str] = []
     with h5py.File(path) as file:
         file.visititems(lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None)
-    assert len(found) == 41
+    assert len(found) == 42
     return found
 
 
@@ -144,6 +144,38 @@ def test_a_value_that_is_no_finite_number_is_a_finding_and_no_check_passes(
         use = USES[number % 4]
         assert use(path, whole) == 1, name
         LiveLog(path).look()
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["timing/sync_index", *(f"ports/handle/{name}" for name in ("statusword", "longest_hold", "energy_resolution"))],
+)
+def test_one_changed_cell_that_no_account_contains_is_found_by_the_digest_of_its_row(
+    whole: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def put(file: Any, name: str) -> None:
+        file[name][ROWS // 2] = file[name][ROWS // 2] + 1
+
+    assert typed.inspect(damaged(whole, put, name), "--check", "in >= 0", "--recompute") == 1
+    assert "digest: 1 row is not as the run wrote it" in capsys.readouterr().out
+
+
+def test_a_log_of_a_release_without_digests_is_inspected_as_before(whole: Path) -> None:
+    def put(file: Any, name: str) -> None:
+        del file[name]
+        file.attrs["format_version"] = 3
+
+    assert typed.inspect(damaged(whole, put, "digest"), "--check", "in >= 0", "--recompute") == 0
+
+
+def test_a_changed_byte_of_an_event_is_an_error(whole: Path) -> None:
+    with h5py.File(whole) as file:
+        place = file["events/text"].id.get_chunk_info(0).byte_offset
+    content = bytearray(whole.read_bytes())
+    content[place] ^= 1
+    whole.with_name("event.h5").write_bytes(content)
+    with pytest.raises(LogFormatError, match="events"):
+        typed.inspect(whole.with_name("event.h5"))
 
 
 def test_a_finding_is_shown_with_its_column_and_cycle(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:

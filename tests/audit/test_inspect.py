@@ -239,7 +239,7 @@ def test_the_verdict_is_one_word_for_machines(log: Path, tmp_path: Path, capsys:
         file["ports/handle/h_i"][0] = -1.0
     assert typed.inspect(active, "--check", "passive") == 1
     assert "FAILS" in capsys.readouterr().out
-    assert typed.inspect(active, "--json") == 0
+    assert typed.inspect(active, "--json") == 1  # its digest is of the value that was written
     found = json.loads(capsys.readouterr().out)
     assert (found["passive"], found["ports"]["handle"]["passive"]) == ("no", "no")
 
@@ -351,8 +351,8 @@ def test_repair_saves_the_rows_before_the_damage(log: Path, tmp_path: Path, caps
     with EnergyLog.open(log) as opened, h5py.File(damaged, "w") as file, h5py.File(log) as source:
         for name, value in source.attrs.items():
             file.attrs[name] = value
-        source.copy("timing", file)
-        source.copy("events", file)
+        for name in ("timing", "events", "digest"):
+            source.copy(name, file)
         for name in opened.ports["handle"]:
             data = source[f"ports/handle/{name}"]
             copy = file.create_dataset(f"ports/handle/{name}", data=data[:], chunks=(500,), compression="gzip")
@@ -403,5 +403,6 @@ def test_what_json_lacks_is_null(log: Path, tmp_path: Path, capsys: pytest.Captu
     assert result["findings"] == [
         {"dataset": "ports/handle/h_m", "what": "no finite number", "rows": 1, "cycle": 7},
         {"dataset": "ports/handle/leak", "what": "no finite number", "rows": 1, "cycle": 7},
+        {"dataset": "digest", "what": "not as the run wrote it", "rows": 1, "cycle": 7},
     ]
     assert result["ports"]["handle"]["leaked"] is None

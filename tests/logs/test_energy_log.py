@@ -92,7 +92,7 @@ def test_attributes_events_and_status_are_kept_and_long_texts_are_cut(finished: 
 
 def test_a_finished_log_opens_in_plain_h5py_with_the_documented_names(finished: Path) -> None:
     with h5py.File(finished, "r") as file:
-        assert set(file) == {"ports", "truth", "timing", "events"}
+        assert set(file) == {"ports", "truth", "timing", "events", "digest"}
         dataset = file["ports/handle/h_r"]
         assert dataset.shape == (ROWS,)
         assert dataset.dtype == np.float64
@@ -199,8 +199,8 @@ def test_foreign_and_newer_files_are_named_as_such(tmp_path: Path, finished: Pat
     newer = tmp_path / "newer.h5"
     newer.write_bytes(finished.read_bytes())
     with h5py.File(newer, "r+") as file:
-        file.attrs["format_version"] = 4
-    with pytest.raises(LogFormatError, match="version 4, this program reads up to 3"):
+        file.attrs["format_version"] = 5
+    with pytest.raises(LogFormatError, match="version 5, this program reads up to 4"):
         EnergyLog.open(newer)
     lacking = tmp_path / "lacking.h5"
     lacking.write_bytes(finished.read_bytes())

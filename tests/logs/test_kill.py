@@ -1,6 +1,7 @@
 import contextlib
 import os
 import random
+import resource
 import signal
 import subprocess
 import sys
@@ -14,9 +15,11 @@ import numpy as np
 import pytest
 
 from canhaptic.control.balance import EnergyBalance
-from canhaptic.errors import LogWriteError
+from canhaptic.errors import LogStoppedError, LogWriteError
+from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.repair import require_readable
 from tests.logs.log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing, truth
 from tests.logs.patience import wait_for
 
@@ -142,8 +145,65 @@ def test_a_full_disk_stops_the_log_with_one_message_and_never_the_cycle(
     for extra in range(3000):
         append_noise(writer, k + extra, noise[extra % 4096])
     assert writer.dropped > 0
-    with pytest.raises(LogWriteError, match=r"run\.h5"):
+    with pytest.raises(LogStoppedError, match=r"run\.h5: no space"):
         writer.close("complete")
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["run.h5"]
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        assert log.status == "failed: no space"
+        assert log.rows > 1000
+        assert np.array_equal(log.timing["sync_index"], np.arange(log.rows) + np.cumsum(log.timing["dropped_before"]))
+        assert log.changed_rows() == []
+
+
+RUN = """
+import sys
+sys.path.insert(0, {folder!r})
+from canhaptic.cli.main import main
+sys.exit(main(["run", "demo", "--duration", "20", "--pace", "real", "--log", {path!r}, "--bus-log", {bus!r}]))
+"""
+LOSSES = [pytest.param(number, marks=pytest.mark.slow if number != 1 else ()) for number in range(50)]
+
+
+@pytest.mark.parametrize("number", LOSSES)
+def test_a_lost_power_and_a_full_disk_leave_logs_that_are_readable_to_the_last_flush(
+    tmp_path: Path, number: int
+) -> None:
+    path, bus, chance = tmp_path / "run.h5", tmp_path / "run.log", random.Random(number)
+    program = RUN.format(folder=str(Path(__file__).parents[2]), path=str(path), bus=str(bus))
+    kind = ("power", "energy log", "bus log")[number % 3]
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as run:
+        wait_for(lambda: bus.exists() and bus.stat().st_size > 0)
+        threading.Event().wait(chance.uniform(0.0, 1.5 if number != 1 else 0.2))
+        if kind == "power":
+            for process in (*writers(run.pid), run.pid):  # none is left that could empty its ring
+                os.kill(process, signal.SIGKILL)
+        else:
+            full = path if kind == "energy log" else bus
+            writer = next(pid for pid, files in writers(run.pid).items() if str(full) in files)
+            room = full.stat().st_size + chance.randrange(40_000)
+            resource.prlimit(writer, resource.RLIMIT_FSIZE, (room, room))
+        assert run.stderr is not None
+        message = run.stderr.read().decode()
+    assert run.returncode == (-signal.SIGKILL if kind == "power" else 3), message
+    assert kind == "power" or f"{full}: no space" in message
+    statuses = {"power": "running", "energy log": "failed: no space", "bus log": "failed: log stopped"}
+    require_readable(path)
+    with EnergyLog.open(path) as log:
+        assert log.status.startswith(statuses[kind])
+        assert np.array_equal(log.timing["sync_index"], np.arange(log.rows))
+        assert log.changed_rows() == []
+    whole = bus.read_text().rpartition("\n")[0]
+    bus.write_text(whole + "\n")
+    assert sum(1 for _ in read_bus_log(bus)) == whole.count("\n") + 1
+
+
+def writers(parent: int) -> dict[int, set[str]]:
+    """The children of a process, and the files that each has open."""
+    found: dict[int, set[str]] = {}
+    for task in Path(f"/proc/{parent}/task").iterdir():
+        for word in (task / "children").read_text().split():
+            found[int(word)] = {os.readlink(link) for link in Path(f"/proc/{word}/fd").iterdir()}
+    return found
 
 
 def append_noise(writer: EnergyLogWriter, k: int, row: list[Any]) -> None:

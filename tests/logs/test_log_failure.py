@@ -18,12 +18,12 @@ def test_a_run_stops_or_goes_on_when_its_disk_is_full_with_one_message(
     limit_files(1_700_000)
     seconds = 16 if mode == "continue" else 60  # the writer may lag behind a fast cycle by a ring of rows
     words = ["run", DEMO, "--duration", str(seconds), "--pace", "free", "--set", f"log.on_failure={mode}", "--json"]
-    assert main([*words, "--bus-log", str(tmp_path / "run.log")]) == 2
+    assert main([*words, "--bus-log", str(tmp_path / "run.log")]) == 3
     captured = capsys.readouterr()
     assert captured.err.count("log stopped") == 1
     assert str(tmp_path / "run.log") in captured.err
     result = json.loads(captured.out)
-    assert (result["status"], result["error"]) == ("error", "LogWriteError")
+    assert (result["status"], result["error"]) == ("error", "LogStoppedError")
     cycles = result["result"]["cycles"]
     assert cycles == 16_000 if mode == "continue" else 8_500 < cycles < 60_000
     frames = list(read_bus_log_up_to_the_cut(tmp_path / "run.log"))

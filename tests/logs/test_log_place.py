@@ -119,7 +119,7 @@ def test_a_run_whose_log_is_deleted_stops_and_says_so(
 
     thread = threading.Thread(target=delete)
     thread.start()
-    assert main(["run", DEMO, "--duration", "20", "--pace", "real", option, str(path), "--json"]) == 2
+    assert main(["run", DEMO, "--duration", "20", "--pace", "real", option, str(path), "--json"]) == 3
     thread.join()
     captured = capsys.readouterr()
     assert captured.err.count("was deleted or replaced") == 1

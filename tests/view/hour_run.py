@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from canhaptic.control.balance import Branch
-from canhaptic.logs.columns import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, LogSchema, PortDescription
+from canhaptic.logs.columns import DIGEST, EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, LogSchema, PortDescription
 from canhaptic.logs.energy_sink import _PACKED_CHUNK
-from canhaptic.logs.hdf5 import Hdf5File
+from canhaptic.logs.hdf5 import Hdf5File, row_digests
 
 HOUR = 3_600_000
 SPIKE = 0.7
@@ -71,6 +71,11 @@ def write_hour(path: Path, rows: int = HOUR) -> None:
                 dataset = file.create(column.path, column.dtype, _PACKED_CHUNK)
                 dataset.set_attribute("unit", column.unit)
                 dataset.append(columns.get(column.path, np.zeros(rows)).astype(column.dtype))
+        paths = [column.path for column in schema.stored()][:-1]
+        digest = file.create(DIGEST, "u4", _PACKED_CHUNK)
+        for start in range(0, rows, _PACKED_CHUNK):
+            stop = min(rows, start + _PACKED_CHUNK)
+            digest.append(row_digests([file[name].read(start, stop) for name in paths]))
         file.create("events/sync_index", "i8", 1).append(np.array([rows // 4]))
         for name, size in EVENT_TEXT_SIZES.items():
             text = {"kind": b"emcy", "port": b"handle", "text": b"0x8130 heartbeat lost"}[name]
