@@ -17,7 +17,7 @@ from canhaptic.cli.interrupt import INTERRUPTED, PromptEnd, say_interrupted
 from canhaptic.cli.output import print_failure, write_note
 from canhaptic.errors import CanHapticError, InputError, OverrideWarning
 
-_COMMANDS: Final = {
+COMMANDS: Final = {
     "configs": "list the scenes that come with the package, or copy them to change",
     "check-eds": "say whether the drive of an EDS or DCF can serve, and what its configuration must bring",
     "new": "write a commented configuration to start from, for the drive of an EDS or DCF",
@@ -75,7 +75,7 @@ def _run(words: list[str], name: str) -> int:
     parser.add_argument("--version", action=_ShowVersion)
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     completes = _COMPLETION in os.environ
-    for known, text in _COMMANDS.items():
+    for known, text in COMMANDS.items():
         subparser = subparsers.add_parser(known, help=text, description=f"{text[:1].upper()}{text[1:]}.")
         if known == name or completes:
             add_options(known, subparser)
@@ -84,8 +84,8 @@ def _run(words: list[str], name: str) -> int:
     if not words:
         parser.print_help()
         return 0
-    if name and name not in _COMMANDS:
-        near = difflib.get_close_matches(name, _COMMANDS, n=2)
+    if name and name not in COMMANDS:
+        near = difflib.get_close_matches(name, COMMANDS, n=2)
         parser.error(f"{name}: no such command; " + (f"did you mean {' or '.join(near)}?" if near else "see --help"))
     with warnings.catch_warnings():
         _show_warnings()

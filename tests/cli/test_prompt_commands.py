@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from canhaptic.cli import options
-from canhaptic.cli.main import _COMMANDS
+from canhaptic.cli.main import COMMANDS
 from canhaptic.commission.session import CommissioningLimits
 from canhaptic.drive.clock import WallClock
 from canhaptic.lab.commands import lab_options
@@ -32,9 +32,9 @@ def test_help_imports_nothing_that_a_command_needs_to_work() -> None:
         "        main([*command.split(), '--help'])\n    except SystemExit:\n"
         f"        print(command, sorted(name for name in {HEAVY!r} if name in sys.modules), file=sys.stderr)\n"
     )
-    done = subprocess.run([sys.executable, "-c", program, "", *_COMMANDS], capture_output=True, text=True, check=True)
-    assert done.stderr.splitlines() == [f"{command} []" for command in ("", *_COMMANDS)]
-    assert done.stdout.count("usage: canhaptic") == 1 + len(_COMMANDS)
+    done = subprocess.run([sys.executable, "-c", program, "", *COMMANDS], capture_output=True, text=True, check=True)
+    assert done.stderr.splitlines() == [f"{command} []" for command in ("", *COMMANDS)]
+    assert done.stdout.count("usage: canhaptic") == 1 + len(COMMANDS)
 
 
 def cpu(*words: str) -> float:

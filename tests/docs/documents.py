@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 _BLOCK = re.compile(r"^```(\w+)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+_INDENTED = re.compile(r"\n\n {4,}(?:\$ )?(?:canhaptic|candump) ")
+_IN_A_SENTENCE = re.compile(r"(?<!`)`canhaptic ([^`]+)`(?!`)")
 _FILE = re.compile(r"# ([\w/]+\.(?:py|yaml))\n")
 
 
@@ -37,6 +39,17 @@ class Block(NamedTuple):
                     parts[-1].append(word)
             found += [part for part in parts if part]
         return found
+
+
+def sentences_commands(page: Path) -> list[tuple[int, str]]:
+    """The commands in code spans of a page, without `canhaptic`, and the line of each."""
+    text = _BLOCK.sub(lambda found: "\n" * found[0].count("\n"), page.read_text(encoding="utf-8"))
+    return [(text.count("\n", 0, m.start()) + 1, " ".join(m[1].split())) for m in _IN_A_SENTENCE.finditer(text)]
+
+
+def has_indented_command(page: Path) -> bool:
+    """Whether a page has a command in an indented block, which `blocks` does not find."""
+    return bool(_INDENTED.search(_BLOCK.sub("", page.read_text(encoding="utf-8"))))
 
 
 def pages() -> list[Path]:

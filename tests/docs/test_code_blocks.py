@@ -1,8 +1,10 @@
 """Every code block of README and documentation is run, in order, page by page, as a reader would."""
 
+import argparse
 import contextlib
 import io
 import json
+import shlex
 import shutil
 import sys
 from pathlib import Path
@@ -10,11 +12,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from canhaptic.cli.main import main
+from canhaptic.cli.main import COMMANDS, add_options, main
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.sim.plant.effects import EFFECTS
-from tests.docs.documents import ROOT, Block, blocks, pages
+from tests.docs.documents import ROOT, Block, blocks, has_indented_command, pages, sentences_commands
 
 NOT_RUN = {
     "make": "the tests themselves are run by it",
@@ -23,6 +25,7 @@ NOT_RUN = {
     "apt-get": "changes the host",
     "pip": "tests/project/test_wheel.py installs",
     "git": "of the reader's own tree",
+    "candump": "reads a CAN interface",
     "curl": "of the reader's own tree",
 }
 """First word of a command that no test runs, and why."""
@@ -41,11 +44,19 @@ QUICK = {
 IN_NO_HURRY = {"real": "free"}
 """Paces: at the rate of the clock a run may end with SYNCS_SKIPPED on a busy computer; tests/cli has such runs."""
 
+SHELLS = ("sh", "bash")
+OWN_TEST = ("gallery.md",)
+"""Pages whose commands tests/docs/test_scene_gallery.py runs, as they are; here they take minutes."""
+STARTS_WITH = {"replay_in_ci.md": {"rig.yaml": "configs/demo.yaml"}}
+"""What the reader of a page has, and what is here in its place."""
+REFUSED = {"trust.md": ("check <(...)",)}
+"""Commands of which the page says that they do not work."""
+
 QUICK_PAGES = ("README.md",)
 WITH_BLOCKS = [
     pytest.param(page, id=page.relative_to(ROOT).as_posix(), marks=() if page.name in QUICK_PAGES else pytest.mark.slow)
     for page in pages()
-    if any(block.language in ("sh", "python", "yaml") for block in blocks(page))
+    if page.name not in OWN_TEST and any(block.language in (*SHELLS, "python", "yaml") for block in blocks(page))
 ]
 
 
@@ -65,6 +76,9 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_every_block_of_a_page_runs(page: Path, reader: Path) -> None:
     tables = [(table, dict(table)) for table in (ENVIRONMENTS, ALGORITHMS, EFFECTS)]
     modules = set(sys.modules)
+    for name, shipped in STARTS_WITH.get(page.name, {}).items():
+        shutil.copy(ROOT / shipped, reader / name)
+        (reader / "recordings").mkdir()
     try:
         for block in blocks(page):
             run_block(block, reader)
@@ -75,6 +89,29 @@ def test_every_block_of_a_page_runs(page: Path, reader: Path) -> None:
         for name in set(sys.modules) - modules:
             if getattr(sys.modules[name], "__file__", None) and str(reader) in str(sys.modules[name].__file__):
                 del sys.modules[name]
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_a_command_in_a_sentence_is_one_that_the_parser_takes(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert not has_indented_command(page), "a command belongs into a fenced block, where it is run"
+    for line, text in sentences_commands(page):
+        name, *rest = shlex.split(text.replace("...", ""))
+        if name not in ("COMMAND", *COMMANDS) or text in REFUSED.get(page.name, ()):
+            assert text in REFUSED.get(page.name, ()), f"{page.name}:{line}: no command {name}"
+        elif rest and name != "COMMAND":
+            is_parsed = parses(name, ["5" if word == "NODE" else word for word in rest])
+            assert is_parsed, f"{page.name}:{line}: canhaptic {text}: {capsys.readouterr().err}"
+
+
+def parses(name: str, words: list[str]) -> bool:
+    """Whether a subcommand takes these arguments."""
+    parser = argparse.ArgumentParser()
+    add_options(name, parser)
+    try:
+        parser.parse_args(words)
+    except SystemExit as end:
+        return end.code == 0
+    return True
 
 
 def run_block(block: Block, folder: Path) -> None:
@@ -89,7 +126,7 @@ def run_block(block: Block, folder: Path) -> None:
             assert yaml.safe_load(block.text) is not None
         elif block.language == "json":
             json.loads(block.text)
-        elif block.language == "sh":
+        elif block.language in SHELLS:
             for words in block.commands:
                 run_command(words, folder)
     except BaseException as error:

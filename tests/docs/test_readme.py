@@ -3,7 +3,7 @@
 import json
 import re
 
-from canhaptic.cli.main import _COMMANDS
+from canhaptic.cli.main import COMMANDS
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.sim.bus.faulty_bus import BusEffects
@@ -30,7 +30,7 @@ def test_the_readme_is_one_look_and_names_user_hardware_and_result_first() -> No
 
 def test_every_command_has_a_row() -> None:
     rows = re.findall(r"^\| `canhaptic ([\w-]+)", page("commands.md"), re.MULTILINE)
-    assert sorted(rows) == sorted(_COMMANDS)
+    assert sorted(rows) == sorted(COMMANDS)
 
 
 def test_the_algorithms_and_environments_are_counted_and_named() -> None:
