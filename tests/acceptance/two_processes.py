@@ -8,7 +8,7 @@ import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import can
@@ -74,25 +74,31 @@ def canhaptic(*words: str) -> Iterator["subprocess.Popen[str]"]:
             process.communicate()
 
 
-@pytest.fixture
-def shared_bus() -> Iterator[tuple[Listener, list[str]]]:
-    """A listener on a private bus, and the words that put a scene on it; skips where there is no multicast."""
-    pytest.importorskip("msgpack", reason="python-can's udp_multicast needs msgpack (pip install canhaptic[multicast])")
+@contextmanager
+def listening() -> Iterator[tuple[Listener, list[str]]]:
+    """A listener on a private bus, and the words that put a scene on it."""
     options = private_bus()
-    try:
-        bus = can.Bus(interface="udp_multicast", **options)
+    with can.Bus(interface="udp_multicast", **options) as bus:
         bus.send(can.Message(arbitration_id=0x7FF, is_extended_id=False))
-        heard = bus.recv(2.0)
-    except (can.CanError, OSError) as error:
-        pytest.skip(f"no UDP multicast here: {error}")
-    with bus:
-        if heard is None:
-            pytest.skip("no UDP multicast here: a frame to the own group did not come back")
+        if bus.recv(2.0) is None:
+            raise OSError("a frame to the own group did not come back")
         channel = options.pop("channel")
         rest = f"bus.options={{port: {options['port']}, hop_limit: {options['hop_limit']}}}"
         scene = [f"bus.channel={channel}", rest, "bus.interface=udp_multicast", "bus.rate=200 Hz"]
         scene += [f"bus.heartbeat_timeout={HEARTBEAT_TIMEOUT} us", "bus.stop_cycles=60"]
         yield Listener(bus), [word for override in scene for word in ("--set", override)]
+
+
+@pytest.fixture
+def shared_bus() -> Iterator[tuple[Listener, list[str]]]:
+    """As `listening`; skips where there is no multicast."""
+    pytest.importorskip("msgpack", reason="python-can's udp_multicast needs msgpack (pip install canhaptic[multicast])")
+    with ExitStack() as stack:
+        try:
+            heard = stack.enter_context(listening())
+        except (can.CanError, OSError) as error:
+            pytest.skip(f"no UDP multicast here: {error}")
+        yield heard
 
 
 def pushed(frame: Frame) -> bool:

@@ -2,13 +2,16 @@
 
 A program asks for a torque in every turn and is ended at a random one, in a process of its own. Ways that code can
 answer: an exception, `break`, `sys.exit`, SIGINT, SIGTERM, a closed generator, the end of the interpreter; then the bus
-log must show zero torque before the drive is disabled. Ways that it cannot (SIGKILL, `os._exit`, a crash) need a drive
-in a process of its own; for a command that is `tests/acceptance/test_killed_master.py`.
+log must show zero torque before the drive is disabled. Ways that it cannot (SIGKILL, `os._exit`, a crash, a body that
+never ends) end at a drive in a process of its own, over UDP multicast: the time from the last heartbeat to the
+emergency with which the drive ends the torque itself, against the timeout that it was given.
 """
 
 import argparse
+import math
 import os
 import random
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -16,6 +19,8 @@ from pathlib import Path
 from typing import Final
 
 from canhaptic.logs.bus_reader import read_bus_log
+from tests.acceptance.test_killed_program import WAYS, time_to_zero
+from tests.acceptance.two_processes import HEARTBEAT_TIMEOUT, listening
 from tools.bench.demo import CONFIG
 from tools.bench.report import Row, publish
 
@@ -43,6 +48,7 @@ with rig:
             {way}
 """
 _RPDO: Final = 0x201
+_SYNC: Final = 5.0  # [ms] sample time of the drive in a process of its own
 
 
 def _started(way: str, *words: str) -> "subprocess.Popen[bytes]":
@@ -73,22 +79,42 @@ def answered(way: str, turn: int, folder: Path) -> str:
     return "" if end[-1][0] & 0xF != 0xF else "not disabled"
 
 
+def watched(way: str, turn: int) -> float:
+    """Returns the time from a program's last heartbeat to the end of its torque by the drive [s]; inf: another end."""
+    try:
+        with listening() as (listener, on_bus):
+            return 1e-6 * time_to_zero(way, turn, listener, on_bus)
+    except AssertionError as error:
+        print(f"{way}: {str(error)[:300]}")
+        return math.inf
+
+
 def main() -> None:
     """Ends as many programs as asked and publishes the table."""
     parser = argparse.ArgumentParser(description="How a program leaves a rig, by every way out.")
     parser.add_argument("--ways", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
-    chance, wrong = random.Random(arguments.seed), dict[str, list[str]]()
-    ways = [*ANSWERED]
+    chance, wrong, times = random.Random(arguments.seed), dict[str, list[str]](), dict[str, list[float]]()
+    ways = [*ANSWERED, *WAYS]
     for number in range(arguments.ways):
-        way = ways[number % len(ways)]
+        way, turn = ways[number % len(ways)], chance.randint(1, 300)
+        if way in WAYS:
+            times.setdefault(way, []).append(watched(way, turn))
+            continue
         with tempfile.TemporaryDirectory() as folder:
-            wrong.setdefault(way, []).append(answered(way, chance.randint(1, 300), Path(folder)))
+            wrong.setdefault(way, []).append(answered(way, turn, Path(folder)))
     rows = [
         Row(f"{way}: not zero first and disabled second, of {len(found)}", sum(map(bool, found)), "", target="0",
             met=not any(found), note=next(filter(None, found), ""))
         for way, found in wrong.items()
+    ]  # fmt: skip
+    declared = 1e-3 * HEARTBEAT_TIMEOUT
+    rows += [
+        Row(f"{way}: longest torque after the last heartbeat, of {len(found)}", 1e3 * max(found), "ms", "declared",
+            declared, 1e3 * max(found) / declared, "<= 1 + one SYNC", 1e3 * max(found) <= declared + _SYNC,
+            f"median {1e3 * statistics.median(found):.1f} ms")
+        for way, found in times.items()
     ]  # fmt: skip
     publish("program_ends", rows, ["canhaptic", "python-can"])
 
