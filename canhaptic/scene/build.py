@@ -330,8 +330,9 @@ def build(
         require_torque_axis(axis)  # before a log is made
     logs = (None if path is None else Path(path) for path in (energy_log, bus_log))
     if scene.own_code:
-        from canhaptic.scene.code_process import apart
+        from canhaptic.scene.code_process import apart, require_law
 
+        require_law(scene)
         scene = apart(scene)
     return Experiment(_with_accuracy(scene), chosen, *logs, no_torque=no_torque)
 

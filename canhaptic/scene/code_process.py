@@ -63,6 +63,20 @@ def apart(scene: Scene) -> Scene:
     return replace(scene, axes=axes, run=scene.run.model_copy(update={"code_runs_in": "process"}))
 
 
+def require_law(scene: Scene) -> None:
+    """Return when own code that was to run in a process of its own can.
+
+    Raises:
+        InputError: It is hands and effects alone.
+    """
+    if scene.run.code_runs_in == "process" and scene.simulated and not any(axis.is_own for axis in scene.axes):
+        raise InputError(
+            f"{scene.source}: code_runs_in: process: got {', '.join(scene.own_code)}, a hand or an effect, expected an "
+            "own environment or algorithm; hands and effects are part of the simulated drive: leave the key out, or "
+            "run that drive in a process of its own (canhaptic drive)"
+        )
+
+
 def _guard_of(axis: AxisScene) -> str:
     return "certificates" if axis.passivity.name == "guarded" else "none"
 

@@ -22,7 +22,7 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.ring import allocate
 from canhaptic.scene import code_process
 from canhaptic.scene.build import build
-from canhaptic.scene.code_process import CodeProcess, LaterLaw, apart
+from canhaptic.scene.code_process import CodeProcess, LaterLaw, apart, require_law
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.signals import Sample
@@ -41,6 +41,14 @@ class Wall(OwnEnvironment):
         if state < -{deep}:
             {deed}
         return self.stiffness * state + 1e4 * state**3
+"""
+HAND = """
+from canhaptic.extending import OwnHand
+
+
+class Still(OwnHand):
+    def force(self, time: float, position: float, velocity: float) -> float:
+        return 0.0
 """
 CALM = "pass"
 
@@ -62,6 +70,16 @@ def test_own_code_of_real_drives_runs_apart_and_of_a_simulation_in_the_cycle(tmp
     assert apart(scene_in(tmp_path, CALM, *plain)).axes[0].guard == "none"
     demo = load_scene(ROOT / "configs" / "demo.yaml", ["code_runs_in=process"])
     assert apart(demo) is demo
+
+
+def test_a_hand_alone_is_part_of_the_drive_and_refused_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "user.py").write_text(HAND)
+    hand = "simulation.user={type: user.py:Still, stiffness: 60 N/m}"
+    wall = "environment={type: spring_damper_wall, stiffness: 100, damping: 10, position: -0.05}"
+    require_law(scene_in(tmp_path, CALM, hand))
+    require_law(scene_in(tmp_path, CALM, hand, wall, "code_runs_in=cycle"))
+    with pytest.raises(InputError, match=r"code_runs_in: process: got .*user.py, a hand or an effect.*canhaptic drive"):
+        build(scene_in(tmp_path, CALM, hand, wall), "free")
 
 
 def test_check_says_what_the_hold_costs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
