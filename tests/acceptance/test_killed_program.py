@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,10 @@ WAYS = {
 }
 
 
+class TooBusyError(Exception):
+    """This computer was late for too many SYNCs."""
+
+
 def time_to_zero(way: str, turn: int, listener: Listener, on_bus: list[str]) -> int:
     """Returns the time from the last heartbeat of a program that ended to the drive's own end of its torque [us].
 
@@ -38,6 +43,9 @@ def time_to_zero(way: str, turn: int, listener: Listener, on_bus: list[str]) -> 
         turn: The first turn in which it may.
         listener: A third connection to their bus.
         on_bus: Words that put a scene on it.
+
+    Raises:
+        TooBusyError: The rig itself ended the run, with zero torque, as this computer was late for too many SYNCs.
     """
     deed, status = WAYS[way]
     overrides = [word for word in on_bus if word != "--set"]
@@ -46,13 +54,18 @@ def time_to_zero(way: str, turn: int, listener: Listener, on_bus: list[str]) -> 
     with canhaptic("drive", str(DEMO), *on_bus, "--set", "simulation.user.rest=-0.2 m") as drive:
         listener.wait_for(lambda frame: frame.can_id == 0x701 and frame.data == b"\0")  # boot-up
         with subprocess.Popen(words, env=environment, stderr=subprocess.PIPE, text=True) as program:
+            emergency = None
             try:
-                emergency = listener.wait_for(lambda frame: frame.can_id == 0x081)
-            finally:
+                with suppress(AssertionError):
+                    emergency = listener.wait_for(lambda frame: frame.can_id == 0x081)
                 ended = program.poll()
+            finally:
                 program.kill()
-                print(f"{way}: ended with {ended}", program.stderr and program.stderr.read())
-        assert ended == status
+                error = program.communicate()[1]
+        if "SYNCS_SKIPPED" in error:
+            raise TooBusyError(error)
+        assert emergency is not None, error
+        assert ended == status, error
         assert emergency.data[:3] == bytes.fromhex("30 81 11")  # heartbeat lost; communication and generic error
         last = commands(listener.frames)[-1]
         assert last.target_torque != 0  # no command took it away
@@ -68,4 +81,10 @@ def time_to_zero(way: str, turn: int, listener: Listener, on_bus: list[str]) -> 
 def test_the_watchdog_of_the_drive_ends_the_torque_of_a_program_that_no_code_ends(
     way: str, shared_bus: tuple[Listener, list[str]]
 ) -> None:
-    assert time_to_zero(way, 20, *shared_bus) >= HEARTBEAT_TIMEOUT - 1_000
+    for attempt in range(5):
+        try:
+            assert time_to_zero(way, 20, *shared_bus) >= HEARTBEAT_TIMEOUT - 1_000
+        except TooBusyError:
+            assert attempt < 4, "this computer was too busy five times"
+        else:
+            return
