@@ -25,6 +25,7 @@ from tools.bench.peers import (
     TPDO,
     TPDO_IMAGE,
     CanopenLoop,
+    Law,
     law,
 )
 from tools.bench.report import Row
@@ -132,14 +133,14 @@ class _TimedBus:
             self._run.cycle.append(monotonic_ns() - self._run.syncs[-1])
 
 
-def canopen_run(peer: Peer) -> Run:
+def canopen_run(peer: Peer, law: Law = law, cycles: int = CYCLES) -> Run:
     """The `canopen` package as its documentation shows it; a drive in this process lives in this thread."""
     run = Run([], [], [])
     peer.bus.send = _TimedBus(peer.bus, run).send  # type: ignore[method-assign]
-    loop = CanopenLoop(peer.bus)
+    loop = CanopenLoop(peer.bus, law)
     loop.begin()
     loop.network.sync.start(PERIOD * 1e-9)
-    end = monotonic_ns() + CYCLES * PERIOD
+    end = monotonic_ns() + cycles * PERIOD
     while (now := monotonic_ns()) < end:
         peer.process(now)
         sleep(peer.pause)

@@ -36,6 +36,7 @@ NOTIFIER_CYCLE = 0.05  # [s]; only how long its stop takes
 _NUMBERS = itertools.count()
 
 OpenBus = Callable[[str], can.BusABC]
+Law = Callable[[float, float], int]
 
 
 def stock_bus(channel: str) -> can.BusABC:
@@ -106,8 +107,8 @@ class BroughtUp:
 class CanopenLoop:
     """The `canopen` package as its documentation shows it: a callback on the TPDO, a transmit on the RPDO."""
 
-    def __init__(self, bus: can.BusABC) -> None:
-        self.bus = bus
+    def __init__(self, bus: can.BusABC, law: Law = law) -> None:
+        self.bus, self.law = bus, law
         self.network = canopen.Network(bus)
         self.network.NOTIFIER_CYCLE = NOTIFIER_CYCLE
         node = canopen.RemoteNode(NODE, read_dictionary(CONFIG.parent.parent / "eds" / "cia402_servo.eds", NODE))
@@ -130,7 +131,7 @@ class CanopenLoop:
     def _on_tpdo(self, pdo: canopen.pdo.PdoMap) -> None:
         position = float(pdo.map[1].raw) * COUNT
         self.rpdo.map[0].raw = ENABLE
-        self.rpdo.map[1].raw = law(position, self.last)
+        self.rpdo.map[1].raw = self.law(position, self.last)
         self.rpdo.transmit()
         self.last = position
         self.answered.set()
