@@ -60,26 +60,26 @@ class Cycle:
     """A rig, its controllers and their accounts; one `step` per SYNC.
 
     Args:
-        rig: Started by `run`.
-        controllers: One per axis of the rig, in its order; none for the axes of groups.
+        rig: The rig; `run` starts it.
+        controllers: Controllers, one per axis of the rig, in its order; none for the axes of groups.
         log: Log of every cycle; None without one.
         truths: True motion and energy of the simulated axes, read right after their SYNC; None with real drives.
         groups: Axes that render together, each group with one account.
         axis_meters: Accuracy of the sensors and the device of each axis; None where they are ideal.
         loss_meters: Meters of the ports with a limit on the energy given out.
-        jitters: Largest deviation of a hold of each axis from its sample time, as a part of it; None: not checked.
+        jitters: Largest deviation of a hold of each axis from its sample time, as a fraction of it; None: not checked.
 
     Raises:
         InputError: There is not one controller for each axis.
 
     Attributes:
-        ledgers: The account of each axis; of one in a group its part of the interaction.
+        ledgers: Account of each axis; for one in a group, its part of the interaction.
         meters: Figures of axes and groups in addition to their ledgers.
         judge: Comparison with the simulated plant; None without truth.
         timing: Durations of each part of the cycle; nothing is counted at free pace.
         cycles: Cycles completed.
         uneven: Holds that were longer or shorter than `sync_jitter` declares.
-        turn: Asks for the torques of a turn, from its samples, where a program does; None: environments are rendered.
+        turn: Function by which a program requests torques from the samples; None: environments are rendered.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class Cycle:
         self._frozen_after = max(_FEWEST_UNCHANGED, round(1.0 / rig.bus.sample_time))
 
     def step(self) -> None:
-        """Walk the route once.
+        """Run one cycle.
 
         Raises:
             RigError: Drive, link or controller failed, or a port gave out more energy than was declared.
@@ -134,7 +134,7 @@ class Cycle:
         self.answer(samples)
 
     def answer(self, samples: Sequence[Sample]) -> list[EnergyBalance]:
-        """Walk the rest of the route, from the samples of a SYNC on; return the balance of each axis.
+        """Complete the cycle from the samples of a SYNC on; return the balance of each axis.
 
         Raises:
             RigError: As `step`.
@@ -206,7 +206,7 @@ class Cycle:
         return self.meters.of_axes[axis].measured().energy_resolution - unseen
 
     def fail_log(self, reason: str) -> None:
-        """End the run after the present cycle, because a log of it can no longer be written; from any thread."""
+        """End the run after the present cycle because a log can no longer be written; callable from any thread."""
         self._log = _FailedLog(reason)
 
     def note_fault(self, error: Exception) -> None:
@@ -216,7 +216,7 @@ class Cycle:
             self._log.event(self.rig.sync_index, kind, axis, str(error))
 
     def note_unrestored(self) -> None:
-        """Log what the start wrote into a drive and the stop did not put back."""
+        """Log objects of a drive that the start changed and the stop did not restore."""
         if self._log is not None:
             for drive in self.rig.drives:
                 for text in drive.unrestored:
@@ -300,7 +300,7 @@ def run(
     stop_requested: Callable[[], bool] = lambda: False,
     progress: Callable[[int], None] | None = None,
 ) -> None:
-    """Start the rig, run the cycle, and stop the rig on every way out.
+    """Start the rig, run the cycle, and stop the rig on every exit.
 
     Args:
         cycle: The rig and its controllers.
@@ -324,7 +324,7 @@ def run(
 
 @contextmanager
 def running(cycle: Cycle) -> Iterator[None]:
-    """Start the rig, and stop it on every way out of the block: zero torque first. See `run`."""
+    """Start the rig, and stop it on every exit from the block: zero torque first. See `run`."""
     try:
         with _started(cycle):
             yield

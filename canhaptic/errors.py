@@ -4,7 +4,7 @@
     |- InputError (ValueError)               2   bad input, found before any torque
     |  |- ParameterError                     2   a value outside its physical range
     |  |- SceneError                         2   a scene file; lists every fault at once
-    |  |  `- SceneConflictError              2   parts that are right on their own and do not go together
+    |  |  `- SceneConflictError              2   parts that are valid on their own but do not fit together
     |  |- DictionaryError                    2   an EDS or DCF file
     |  |- BusBudgetError                     2   the frames of one cycle do not fit the bus
     |  `- LogFormatError                     2   an energy log or bus log that cannot be read
@@ -12,7 +12,7 @@
     |  `- LogStoppedError                   3   a log that ended before its run: a full disk, a file that was deleted
     |- CheckFailedError                      1   a comparison or check the user asked for failed
     |- EventLimitError (RuntimeError)        1   a simulated plant takes more events or products than are allowed
-    |- OwnCodeError (RuntimeError)           1   own code of a scene raised, or returned no finite number
+    |- OwnCodeError (RuntimeError)           1   user code of a scene raised, or returned no finite number
     |- WorkersLostError (RuntimeError)       1   the processes of a sweep died again and again
     `- RigError (RuntimeError)               3   drive or link; the drive is left without torque
        |- StartError                         3   a step of the fail-closed start was not confirmed
@@ -23,7 +23,7 @@
        |  |- StateLeftError                  3   the drive left OPERATION ENABLED
        |  |- NmtStateLeftError               3   the drive left NMT OPERATIONAL
        |  |- NotFollowingError               3   the drive does not follow its target torque
-       |  |- TorqueLimitedError              3   the drive gives less torque than it can tell
+       |  |- TorqueLimitedError              3   the drive limits its torque without reporting the rest
        |  |- ForceRangeError                 3   a force beyond the range of its sensor
        |  |- ForceFrozenError                3   a force sensor that shows one count for too long
        |  `- PositionJumpError               3   a position that no hand can have moved to
@@ -36,7 +36,7 @@
        |- SyncsSkippedError                  3   this computer was late for more SYNCs than it sent
        `- ControlError                       3   the controller raised or produced a non-finite torque
           |- EnergyLostError                 3   a port gave out more energy than was declared
-          |- OwnCodeLateError                3   own code in a process of its own did not answer
+          |- OwnCodeLateError                3   user code in a process of its own did not answer
           |- ForceContradictedError          3   encoder and commands prove more energy than the force sensor shows
           |- TorqueNotFiniteError            3   the controller's torque is no number
           `- CycleFailedError                3   anything else was raised in the cycle; it is the cause
@@ -67,7 +67,7 @@ class ParameterError(InputError):
     """A parameter outside its physical range; names the value and the limit.
 
     Attributes:
-        part: Origin of the refusal: the type of an effect, or a key; "" where the message concerns a whole section.
+        part: Source of the refusal: the type of an effect, or a key; "" where the message concerns a whole section.
     """
 
     def __init__(self, message: str, part: str = "") -> None:
@@ -88,11 +88,11 @@ class SceneError(InputError):
 
 
 class OverrideWarning(UserWarning):
-    """An override names another type, and keys that only the old one has are dropped; the text lists them."""
+    """An override names another type, so that keys of the old type are dropped; the text lists them."""
 
 
 class SceneConflictError(SceneError):
-    """A scene whose values are right on their own and do not go together: a rate that its bus cannot carry."""
+    """A scene whose values are valid on their own but do not fit together: a rate that its bus cannot carry."""
 
 
 class DictionaryError(InputError):
@@ -120,16 +120,16 @@ class LogStoppedError(LogWriteError):
 
 
 class CheckFailedError(CanHapticError):
-    """A check or comparison that the user asked for did not hold."""
+    """A failed check or comparison that the user asked for."""
 
 
 class EventLimitError(CanHapticError, RuntimeError):
     """A simulated plant had more events in one sample time than `accuracy.max_events`, or took too many products.
 
     Attributes:
-        most: Events that are allowed.
+        most: Allowed number of events.
         state: Modes and states of the plant, as text.
-        products: Products that are allowed, where these are used up; 0 where events are.
+        products: Allowed number of products, where these are exhausted; 0 where events are.
     """
 
     def __init__(self, most: int, state: str, where: str = "plant", products: int = 0) -> None:
@@ -143,11 +143,11 @@ class EventLimitError(CanHapticError, RuntimeError):
 
 
 class OwnCodeError(CanHapticError, RuntimeError):
-    """Own code of a scene raised, or returned what is no number; it is not asked again.
+    """User code of a scene raised, or returned no number; it is not called again.
 
     Attributes:
         program: File and class.
-        what: It did.
+        what: What the program did.
     """
 
     def __init__(self, program: str, what: str, where: str = "") -> None:
@@ -157,7 +157,7 @@ class OwnCodeError(CanHapticError, RuntimeError):
 
 
 class WorkersLostError(CanHapticError, RuntimeError):
-    """The processes that compute a sweep died again and again, or did not run it; finished chunks are kept."""
+    """The processes that compute a sweep died repeatedly, or did not run it; finished chunks are kept."""
 
 
 class RigError(CanHapticError, RuntimeError):
@@ -195,7 +195,7 @@ class SdoError(RigError):
 
     Attributes:
         index: Index of the object.
-        subindex: Its subindex.
+        subindex: Subindex of the object.
         code: SDO abort code (CiA 301, table 22); None when there was no usable answer.
     """
 
@@ -235,7 +235,7 @@ class NmtStateLeftError(DriveFaultError):
 
 
 class NotFollowingError(DriveFaultError):
-    """A drive that showed that it follows its target (bit 12 of the statusword) shows so no more."""
+    """A drive that followed its target (bit 12 of the statusword) no longer does."""
 
 
 class TorqueLimitedError(DriveFaultError):
@@ -255,7 +255,7 @@ class PositionJumpError(DriveFaultError):
 
 
 class TpdoLostError(LinkError):
-    """A drive left too many SYNCs in a row without an answer."""
+    """Too many consecutive SYNCs without an answer from a drive."""
 
 
 class HeartbeatLostError(LinkError):
@@ -275,11 +275,11 @@ class BusFailedError(LinkError):
 
 
 class OwnCodeLateError(ControlError):
-    """Own code in a process of its own did not answer for too many holds."""
+    """User code in a process of its own did not answer for too many holds."""
 
 
 class SyncsSkippedError(RigError):
-    """This computer was too late for more SYNCs than it sent."""
+    """This computer was late for more SYNCs than it sent."""
 
 
 class EnergyLostError(ControlError):

@@ -1,6 +1,6 @@
-"""The names for parts of your own: environments, algorithms, effects, hands, kinematics and networks.
+"""Tables for user-defined parts: environments, algorithms, effects, hands, kinematics and networks.
 
-A part is a class with the methods of its protocol. It is known to scenes once a table names it::
+A part is a class with the methods of its protocol. Scenes can use it once a table names it::
 
     from canhaptic.extending import ENVIRONMENTS
 

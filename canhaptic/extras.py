@@ -1,4 +1,4 @@
-"""Optional packages: how to install them from where this package came."""
+"""Optional packages: how to install them from the source of this package."""
 
 import json
 import shlex

@@ -1,4 +1,4 @@
-"""Input files of a command: regular ones alone, since a pipe or a device has no end, and of a bounded size.
+"""Input files of a command: regular files only, since a pipe or a device has no end, and of a bounded size.
 
 Folders of the files in the package: `configs/` and `eds/`, in the source tree or as installed.
 """
@@ -72,7 +72,7 @@ _TREE: Final = Path(__file__).resolve().parent.parent
 
 
 def shipped(folder: str) -> Path:
-    """Folder of that name: next to the package in a source tree, else where its wheel put it.
+    """Folder of that name: next to the package in a source tree, else where its wheel installed it.
 
     Args:
         folder: One of `FOLDERS`.
@@ -115,7 +115,7 @@ def scene_file(path: Path) -> Path:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Words like `; did you mean demo?` where a known one is near, else `; canhaptic configs lists them`."""
+    """Return a hint: `; did you mean demo?` for a near match, else `; canhaptic configs lists them`."""
     names = list(known)
     near = difflib.get_close_matches(word, names, n=2) or [
         name for name in names if difflib.get_close_matches(word, [name.split("/")[-1]], n=1)

@@ -1,4 +1,4 @@
-"""A rig for a program of one's own: iterate over its SYNCs, and ask for torques.
+"""A rig for a program of the user's own: iterate over its SYNCs, and ask for torques.
 
     with canhaptic.open_rig("rig.yaml") as rig:
         for sample in rig:                                       # one SYNC a turn

@@ -235,7 +235,7 @@ def withdraw_certificates(account: PortResult, *, longest_gap: int) -> None:
     the friction that is declared (`friction_watch`), and where its own energies refute them.
 
     A certificate covers `max_consecutive_losses` sample times without a new torque. A skipped SYNC is no lost frame:
-    the torque under way acts for longer, and the one behind it, which counted on a single hold, acts all the same.
+    the queued torque acts for longer, and the one behind it, which counted on a single hold, acts all the same.
 
     Args:
         account: Account of a port; changed.

@@ -1,4 +1,4 @@
-"""The few types that cross from one side of the port to another. SI throughout; times in integer nanoseconds."""
+"""The few types that cross the port between master and plant. SI throughout; times in integer nanoseconds."""
 
 from typing import NamedTuple, Protocol
 
@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 class Sample(NamedTuple):
     """Report of one axis for one SYNC.
 
-    The torque is the one HELD DURING THE HOLD THAT ENDED at this SYNC, read back from the drive where it can be, so
+    The torque is the one HELD DURING THE HOLD THAT ENDED at this SYNC, read back from the drive where possible, so
     that -torque_applied * (position - previous position) is the interaction energy of that hold (eq. 2).
     """
 
@@ -34,7 +34,7 @@ class Truth(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Figures of a port besides the balances of its holds; all but the effort are sums since SYNC 0."""
+    """Figures of a port in addition to the balances of its holds; all except the effort are sums since SYNC 0."""
 
     energy_resolution: float  # largest |booked - true| sum of interaction [J]
     device_dissipated: float  # by the declared properties of the device, at least [J]

@@ -53,24 +53,24 @@ class PortAccount:
 
     Attributes:
         name: Name of the axis or group.
-        energy_in: Energy that came in through the port.
-        energy_out: Energy that went out through it.
+        energy_in: Energy received through the port.
+        energy_out: Energy given out through the port.
         stored: Energy that the virtual environment stores at the end.
-        dissipated: Energy that it dissipated.
+        dissipated: Energy that the virtual environment dissipated.
         deficit: Energy given out beyond the stored energy, summed.
         margin: Least sum of interaction energy less dissipated energy (eq. 4); below 0: not passive.
         least_interaction: Least sum of interaction energy after any hold (eq. 3), as accounted by the controller.
-        true_least_interaction: The same sum by the plant's own energy; NaN for an axis without a simulated plant of its
+        true_least_interaction: The same sum from the plant's energy; NaN for an axis without a simulated plant of its
             own.
         certificate: Weakest certificate of the run by name, `none` where nothing was certified.
-        passive: Verdict on `least_interaction` by the account alone; an axis in a group has that of the group.
+        passive: Verdict on `least_interaction` from the account alone; an axis in a group has the group's verdict.
         verdict: Displayed word: the verdict of the simulated plant where it is known, or that nothing was rendered
             ("nothing rendered", "no contact", "dry run").
         plant_passive: Verdict by the plant's own energy.
         first_active: First time at which the booked sum was below 0 [s]; None: never.
-        active_since: First time at which energy had gone out for certain [s]; None: never.
+        active_since: First time at which energy had certainly been given out [s]; None: never.
         advice: Cause and remedy where nothing was rendered; empty otherwise.
-        group: The group that the axis belongs to, whose account counts; empty otherwise.
+        group: Group of the axis, whose account counts; empty for an axis outside groups.
     """
 
     name: str
@@ -165,7 +165,7 @@ class SimulationResult:
             return log.time
 
     def log(self) -> EnergyLog:
-        """Open the energy log of the run, for everything not offered here; close it, or use it as a context.
+        """Open the energy log of the run, for quantities not offered here; close it, or use it as a context.
 
         Example:
             >>> with result.log() as log:  # doctest: +SKIP
@@ -292,11 +292,11 @@ def simulate(
     allow_code: bool = False,
     no_torque: bool = False,
 ) -> SimulationResult:
-    """Simulate a scene on the virtual bus, as fast as this machine allows, and return what happened.
+    """Simulate a scene on the virtual bus, as fast as this machine allows, and return the result.
 
     Args:
-        scene: A scene file, a mapping with the keys of one, or a scene that was loaded.
-        changes: Replace values of the scene, by path: `{"environment.stiffness": "500 N/m"}`. Not for a loaded scene.
+        scene: A scene file, a mapping with its keys, or a loaded scene.
+        changes: Values of the scene to replace, by path: {"environment.stiffness": "500 N/m"}. Not for a loaded scene.
         duration: Length of the run [s], or a text with a unit; by default the scene's.
         progress: Whether a progress bar is shown in a terminal or a notebook.
         allow_code: Whether program files that the scene names (`type: my_wall.py:MyWall`) may run.

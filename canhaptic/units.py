@@ -155,7 +155,7 @@ class Unit:
         return "" if accepted in {("1",), ("count",)} else f"[{' or '.join(accepted)}]"
 
     def read(self, value: object, motion: Motion | None = None) -> object:
-        """Return a number in SI from a number or a string with a unit; other types pass to the validator behind.
+        """Return a number in SI from a number or a string with a unit; other types pass to the next validator.
 
         Raises:
             ValueError: The string is no number, or its unit has another dimension.
@@ -268,7 +268,7 @@ def _described(model: type[BaseModel], fault: ErrorDetails) -> str:
 
 
 def parts_of(annotation: object) -> Iterator[object]:
-    """Yield an annotation, or a tuple of such, and the types and annotations inside it."""
+    """Yield the types and annotations inside an annotation or a tuple of annotations."""
     yield annotation
     parts = annotation if isinstance(annotation, tuple) else get_args(annotation)
     for part in (*parts, *getattr(annotation, "__metadata__", ())):
@@ -276,11 +276,11 @@ def parts_of(annotation: object) -> Iterator[object]:
 
 
 def fault_text(fault: ErrorDetails, seen: object, expected: str = "") -> str:
-    """One fault of pydantic in words: the value seen and the expected one.
+    """Return one fault of pydantic in words: the value seen and the expected one.
 
     Args:
         fault: Error of pydantic.
-        seen: The value as written.
+        seen: Value as written.
         expected: Expected value, as from `Quantity.expected`; empty where only pydantic describes it.
     """
     kind = fault["type"]
@@ -296,7 +296,7 @@ def fault_text(fault: ErrorDetails, seen: object, expected: str = "") -> str:
 
 
 def example(field: FieldInfo, motion: Motion | None) -> str:
-    """Example value of a field, quoted for a shell: `'1 N'`; `...` for what is not a number."""
+    """Example value of a field, quoted for a shell: `'1 N'`; `...` where it is not a number."""
     if get_origin(field.annotation) is tuple:
         return "[...]"
     for part in parts_of((field.annotation, *field.metadata)):
@@ -311,7 +311,7 @@ _LONGEST_SHOWN: Final = 200  # bits
 
 
 def shown(value: object) -> str:
-    """Return a value as a message shows it: short, on one line."""
+    """Return a value as shown in messages: short, on one line."""
     if value is None:
         return "nothing"
     if isinstance(value, Mapping):
@@ -370,7 +370,7 @@ class OnDemand:
     """Annotation of a field whose model is imported only where there is a section for it.
 
     Args:
-        path: "module:Class" of the model.
+        path: Path "module:Class" of the model.
     """
 
     def __init__(self, path: str) -> None:

@@ -48,11 +48,11 @@ class LogComparison(TypedDict):
 
 
 def compare(first: EnergyLog, second: EnergyLog) -> LogComparison:
-    """Return how two runs differ; times of the cycles are left out, they differ in every run.
+    """Compare two runs; the times of the cycles are left out, as they differ in every run.
 
     Args:
         first: An open energy log.
-        second: Another.
+        second: Another open energy log.
     """
     groups = _groups(first), _groups(second)
     names = [{f"{group}/{name}" for group, columns in side.items() for name in columns} for side in groups]

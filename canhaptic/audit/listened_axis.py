@@ -44,7 +44,7 @@ class DeclaredForce(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class DeclaredDrive:
-    """Part of a scene's declarations of a drive that its frames need to be decoded."""
+    """The declarations of a drive that are needed to decode its frames."""
 
     name: str
     node_id: int
@@ -113,7 +113,7 @@ class ListenedAxis:
 
     @property
     def shows_demand(self) -> bool:
-        """Whether the torque of the last SYNC is the demand, which is exact; a force is as exact as is declared."""
+        """Whether the torque of the last SYNC is the demand, which is exact; a force has its declared error."""
         return self._drive.force is not None or od.TORQUE_DEMAND in self._fields
 
     @property
@@ -123,11 +123,11 @@ class ListenedAxis:
 
     @property
     def has_left(self) -> bool:
-        """Whether the last SYNC was answered in another state."""
+        """Whether the last SYNC was answered in a state other than OPERATION ENABLED."""
         return self.is_complete and not self.is_enabled
 
     def forget(self) -> None:
-        """Clear the received values, at the next SYNC."""
+        """Clear the received values at the next SYNC."""
         self._fields.clear()
 
     def sample(self, sync_index: int, *, is_whole: bool = True) -> Sample:

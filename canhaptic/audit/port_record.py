@@ -24,7 +24,7 @@ from canhaptic.result import rendered_shares, withdraw_certificates
 
 
 def rows_between(log: EnergyLog, start: float | None, stop: float | None) -> slice:
-    """Return the rows from time `start` [s] on and before `stop` [s]; None: from the beginning, to the end.
+    """Return the rows after time `start` [s] and up to `stop` [s]; None: from the first row, or to the last.
 
     Raises:
         InputError: No cycle lies between them.
@@ -41,7 +41,7 @@ def rows_between(log: EnergyLog, start: float | None, stop: float | None) -> sli
 
 
 def rows_to_draw(log: EnergyLog, start: float | None, stop: float | None) -> slice:
-    """The same rows, of a log that holds any.
+    """Return the rows of `rows_between`; raise an error where there are none.
 
     Raises:
         InputError: It holds no cycle, or none between them.
@@ -71,7 +71,7 @@ CHANGED: Final = "not as the run wrote it"
 
 
 class ImpossibleValue(TypedDict):
-    """A column with such values."""
+    """A column with values that no run writes."""
 
     dataset: str
     what: str
@@ -80,7 +80,7 @@ class ImpossibleValue(TypedDict):
 
 
 def impossible_values(log: EnergyLog) -> list[ImpossibleValue]:
-    """Return each column with such values.
+    """Return each column that holds a value that no run writes.
 
     Raises:
         LogFormatError: A column cannot be read.

@@ -43,7 +43,7 @@ class Mismatch(NamedTuple):
 
 
 class Recomputed(TypedDict):
-    """A port, and its `Mismatch` as plain values; None where every output is equal."""
+    """Outcome for a port: its `Mismatch` as plain values; None where every output is equal."""
 
     port: str
     mismatch: dict[str, str | int | float] | None
@@ -59,7 +59,7 @@ def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControlle
 
     Args:
         log: An open energy log that holds the run from its first cycle.
-        axes: Their names, in the order of the rig.
+        axes: Names of the axes, in the order of the rig.
         controllers: Controllers made from the configuration of the run, at rest.
     """
     found: dict[str, Mismatch] = {}
@@ -116,7 +116,7 @@ def rows_before_a_gap(log: EnergyLog) -> int:
 def periods_of(log: EnergyLog) -> list[int]:
     """Number of sample times of the hold that ended at each row, up to the first row that the log lost.
 
-    By the deadlines of the SYNCs. One that was late next to a skipped one may be a sample time off.
+    They follow from the deadlines of the SYNCs. A late SYNC next to a skipped one may be a sample time off.
     """
     rows, period = rows_before_a_gap(log), log.sample_time_ns
     sent = log.deadlines(0, rows) * period + np.maximum(0, log.timing.read("wakeup_lateness", 0, rows))
@@ -124,14 +124,14 @@ def periods_of(log: EnergyLog) -> list[int]:
 
 
 def logged_rows(log: EnergyLog, port: str, columns: Sequence[str]) -> Iterator[tuple[float, ...]]:
-    """Yield some columns of a port row by row; a block of them is in memory at a time."""
+    """Yield some columns of a port row by row, with one block of rows in memory at a time."""
     for start in range(0, log.rows, _BLOCK):
         block = (log.ports[port].read(column, start, start + _BLOCK).tolist() for column in columns)
         yield from zip(*block, strict=True)
 
 
 def efforts_asked(log: EnergyLog, axis: str) -> Iterator[float]:
-    """Yield the effort that was asked for on an axis, row by row [N or N*m]: the inverse of the torque."""
+    """Yield the effort requested on an axis, row by row [N or N*m]: the inverse of the torque."""
     return (effort for (effort,) in logged_rows(log, axis, ("effort_asked",)))
 
 

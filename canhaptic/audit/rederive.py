@@ -130,9 +130,9 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     """Account of a run from its frames, and its first difference from the logged one.
 
     Args:
-        bus_log: The frames, bring-up included.
+        bus_log: Bus log of the run, bring-up included.
         scene: The scene of the run.
-        log: The energy log of the same run; its length then ends the account.
+        log: Energy log of the same run; its last SYNC ends the account.
 
     Raises:
         InputError: The log holds no answered SYNC with all axes enabled.

@@ -35,7 +35,7 @@ class Checked(TypedDict):
 
 
 class Outcome(TypedDict):
-    """Whether a check holds for one value."""
+    """Whether a check is satisfied by one value."""
 
     check: str
     name: str
@@ -45,11 +45,11 @@ class Outcome(TypedDict):
 
 
 def check(result: Checked, expression: str) -> list[Outcome]:
-    """Returns, for every value that the expression names, whether it holds.
+    """Return, for every value that the expression names, whether it satisfies the check.
 
     A name without a port means every port: `margin>=-1e-6`. A name may be shortened from the left as long as it ends
     at a dot: `handle.margin.value`, `margin`. A bound may carry a unit with a prefix; plain numbers are SI.
-    A verdict is named alone: `passive` holds where the verdict is yes, and fails where it is no or in doubt.
+    A verdict is named alone: `passive` is satisfied where the verdict is yes, and not where it is no or in doubt.
 
     Args:
         result: Output of `inspect` or `run --json`.

@@ -1,4 +1,4 @@
-"""The holding brake of an axis: who works it, and how long it takes."""
+"""The holding brake of an axis: what operates it, and how long it takes."""
 
 from typing import Annotated, Literal
 
@@ -8,7 +8,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class Brake(Parameters):
-    """A holding brake, as of an axis that hangs."""
+    """A holding brake, such as that of a vertical axis."""
 
     by: Literal["drive", "host"] = "drive"
     """drive: it opens and sets the brake itself when it is enabled and disabled; host: by `output`."""

@@ -152,7 +152,7 @@ _CONTROLWORD_TEXTS: Final = (  # (mask, value, command), IEC 61800-7-201, table 
 
 
 def emcy_text(code: int) -> str:
-    """Text of an EMCY error code: its own, else that of its group (0x8611 -> 0x8600 -> 0x8000)."""
+    """Text of an EMCY error code, or else of its group (0x8611 -> 0x8600 -> 0x8000)."""
     return _of_code_or_group(_EMCY_TEXTS, code) or "unknown error code"
 
 

@@ -1,4 +1,4 @@
-"""A force sensor with a node of its own: the frame with which it answers a SYNC, and the place of its value.
+"""A force sensor with a node of its own: the frame with which it answers a SYNC, and the position of its value there.
 
 A CiA 404 transducer sends its process value (0x6130, 0x7130 or 0x9130) in TPDO 1, at 0x180 + its node ID. Any other
 sensor that answers the SYNC with one frame is described in the same way.
@@ -72,15 +72,15 @@ class ForceNode(Parameters):
 
     @property
     def end(self) -> int:
-        """Byte behind the value."""
+        """First byte after the value."""
         return self.first_byte + self.bits // 8
 
     @property
     def frame_id(self) -> int:
-        """COB-ID of its frame."""
+        """COB-ID of the sensor's frame."""
         return self.cob_id or TPDO_BASE[0] + (self.node_id or 0)
 
     @property
     def frame_length(self) -> int:
-        """Bytes of its frame."""
+        """Length of the sensor's frame [bytes]."""
         return self.length or self.end

@@ -108,7 +108,7 @@ _TO_BE_SET: Final = 1  # exit status: a run is refused until the marked values a
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Print one line of verdict, the bus budget, the fitness of each drive, stability hints and the host.
+    """Print the verdict in one line, the bus budget, the fitness of each drive, stability hints and the host settings.
 
     Returns 1 when values are marked as guesses and the drives are real: a run would be refused.
     """

@@ -32,7 +32,7 @@ _UNFIT: Final = 1
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Print the verdict with its reasons; return 1 when the drive cannot serve."""
+    """Print the verdict with its reasons; return 1 when the drive is unsuitable."""
     found, profile = survey_of(arguments.file, arguments.display, arguments.force_object)
     if arguments.json:
         write_json({**_as_json(found), "profile": profile, "statuses": _statuses(found, profile)})

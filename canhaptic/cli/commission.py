@@ -30,7 +30,7 @@ _YES: Final = ("y", "yes")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Walk the steps; return 0 when all agrees or was written, 1 when something is to be done, 130 or 143 stopped."""
+    """Walk the steps; return 0 when all agree or were written, 1 when work remains, 130 or 143 if stopped."""
     scene = scene_of(arguments)
     limits = CommissioningLimits(torque=arguments.torque, travel=arguments.travel, speed=arguments.speed)
     place = _place(scene, arguments)
@@ -119,7 +119,7 @@ def _write(scene: Scene, changes: Sequence[Change], place: Path, arguments: argp
 
 
 def dialogue_of(scene: Scene, *, yes: bool) -> Dialogue:
-    """Return the person at the terminal, or, of simulated drives, one who agrees; raise InputError without one."""
+    """Return the dialogue with a person, or for simulated drives an automatic one; raise InputError without any."""
     if yes:
         if not scene.simulated:
             raise InputError(

@@ -23,7 +23,7 @@ _POLL_PERIOD = 50_000  # [ns] between two looks at several buses that cannot be 
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Run until the duration is over (0) or a signal comes (130, 143)."""
+    """Run until the duration is over (0) or a signal arrives (130, 143)."""
     scene = scene_of(arguments)
     if any(bus.parameters.interface == "virtual" and bus.parameters.channel is None for bus in scene.buses):
         raise InputError(

@@ -1,7 +1,7 @@
-"""`canhaptic evidence CONFIG --out FOLDER`: what shows to others how a drive did, in one folder.
+"""`canhaptic evidence CONFIG --out FOLDER`: evidence of how a drive performed, in one folder.
 
-The folder has the scene and its dictionaries, the report of a commissioning, a dry run and a run at a tenth of the
-torque limit with both logs each, versions, and a page to sign with the hashes of all of it.
+The folder holds the scene and its dictionaries, the commissioning report, a dry run and a run at a tenth of the
+torque limit, each with both logs, versions, and a page to sign with the hashes of every file.
 """
 
 import argparse

@@ -28,7 +28,7 @@ _EXPORTS: Final = ("csv", "parquet", "mat", "mcap")
 def execute(arguments: argparse.Namespace) -> int:
     """Run the requested checks and outputs; return 0, or 1 when a check fails.
 
-    That is a failed check, comparison or recomputation, or a log with values that are not finite.
+    A failure is a failed check, comparison or recomputation, or a log with values that are not finite.
 
     Raises:
         InputError: A log or an argument that cannot be used.

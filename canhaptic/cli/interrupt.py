@@ -24,9 +24,9 @@ def say_interrupted() -> None:
 class PromptEnd:
     """Within the block, Ctrl-C ends the process after 0.7 s if it has not ended by then.
 
-    Python handles a signal between two instructions of its own. A compiler that takes seconds for one call would hold
-    it up for so long; the number of the signal is written into a pipe in any case, and a thread waits for it there.
-    Files being written at that moment are as after a kill. Not for commands that move a drive: they stop in order.
+    Python handles a signal between two of its own instructions. A compiler that takes seconds for one call would delay
+    it that long. The signal number is written into a pipe in any case, and a thread waits for it there.
+    Files being written at that moment are left as after a kill. Not for commands that move a drive: they stop in order.
     """
 
     def __init__(self) -> None:

@@ -1,13 +1,13 @@
 """A command that takes time: its progress, and SIGINT and SIGTERM as the operator's stop.
 
-SIGINT and SIGTERM as the operator's stop: the first asks for it, the second does not wait for the ramp.
+SIGINT and SIGTERM as the operator's stop: the first requests it, the second does not wait for the ramp.
 
 Progress on standard error, only on a terminal and only for tasks longer than a second.
 
 At real pace the terminal must not delay the cycle: one short line twice a second, and only if it can be written
 without waiting. No thread is started.
 
-What a person reads before a real rig gives any torque: limits, check list, and where the walls lie.
+What a person reads before a real rig applies any torque: limits, check list, and where the walls lie.
 """
 
 import os
@@ -37,7 +37,7 @@ class StopSignal:
     """Within the block, a signal sets `requested` instead of ending the process; a second one ends it at once.
 
     Attributes:
-        number: The signal that came first; 0 while none did.
+        number: The first signal received; 0 while there was none.
     """
 
     def __init__(self) -> None:
@@ -80,7 +80,7 @@ _Pace = Literal["real", "free"]
 def run_progress(
     cycles: int | None, sample_time: float, pace: _Pace, every: int = 64
 ) -> Iterator["RunProgress | None"]:
-    """Progress of a run on a terminal; None where standard error is no terminal.
+    """Progress of a run on a terminal; None where standard error is not a terminal.
 
     The arguments are those of `RunProgress`.
     """
@@ -92,13 +92,13 @@ def run_progress(
 
 
 class RunProgress:
-    """Takes the number of completed cycles; shows it now and then.
+    """Takes the number of completed cycles and shows it from time to time.
 
     Args:
         cycles: Total number of cycles; None if unknown.
         sample_time: Sample time [s].
         pace: Pace of the run.
-        every: Interval of the counts that are examined, at free pace.
+        every: At free pace, number of cycles between updates.
     """
 
     def __init__(self, cycles: int | None, sample_time: float, pace: _Pace, every: int = 64) -> None:
@@ -161,7 +161,7 @@ def _write_if_free(text: str) -> None:
 
 
 def notes(scene: Scene) -> Iterator[str]:
-    """Notes on axes that are sent less than their limit because its scale is not verified, and the check list."""
+    """Notes on axes whose torque is reduced because its scale is not verified, and the check list."""
     for axis in scene.axes:
         given, limit = axis.parameters, axis.loop.torque_limit or 0.0
         if limit < given.torque_limit and given.admittance is None:
@@ -180,7 +180,7 @@ def check_list(confirmed: Mapping[CheckItem, str]) -> Iterator[str]:
 
 
 def walls_first(experiment: "Experiment", stop_requested: Callable[[], bool]) -> Callable[[], bool]:
-    """Return `stop_requested`, which first shows where walls lie: drives are enabled then, and no torque was sent."""
+    """Return `stop_requested`, which first shows where the walls lie: drives are enabled, and no torque was sent."""
     if all(axis.parameters.position_reference != "at_start" for axis in experiment.scene.axes):
         return stop_requested
     waiting = [experiment]

@@ -1,6 +1,6 @@
 """Entry of the `canhaptic` command: finds the subcommand, imports its module, turns errors into exit statuses.
 
-0 well   1 a check or comparison failed   2 bad input   3 drive or link fault   130 SIGINT   143 SIGTERM
+0 success   1 a check or comparison failed   2 bad input   3 drive or link fault   130 SIGINT   143 SIGTERM
 """
 
 import argparse
@@ -55,7 +55,7 @@ _COMPLETION: Final = "_ARGCOMPLETE"
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status.
 
-    `add_options` declares the arguments of a subcommand. The module of its name has `execute`, which takes them
+    `add_options` declares the arguments of a subcommand. The module with its name has `execute`, which takes them
     and returns the exit status; it is imported once the arguments are right.
     """
     try:

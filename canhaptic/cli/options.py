@@ -57,7 +57,7 @@ def add_json(parser: argparse.ArgumentParser, what: str = "one JSON object inste
 def scene_of(arguments: argparse.Namespace, *, beyond_bus: bool = False) -> "Scene":
     """Return the scene that the arguments name; `beyond_bus` as for `load_scene`.
 
-    A command without `--allow-code` runs no scene, and leaves own code unread.
+    A command without `--allow-code` runs no scene, and does not load user code.
 
     Raises:
         SceneError: Anything in it is wrong.
@@ -162,7 +162,7 @@ def positive_number(text: str, units: tuple[str, str], name: str, most: float) -
 
 
 def names(text: str) -> list[str]:
-    """Return names that commas separate.
+    """Return a comma-separated list of names.
 
     Raises:
         argparse.ArgumentTypeError: There is none.
@@ -193,12 +193,12 @@ def rate(text: str) -> float:
 
 
 def rates(text: str) -> list[float]:
-    """Return rates [Hz] that commas separate, each once."""
+    """Return a comma-separated list of rates [Hz], each once."""
     return list(dict.fromkeys(rate(one) for one in names(text)))
 
 
 def delays(text: str) -> list[int]:
-    """Return delays, 0 or 1 hold, that commas separate, each once."""
+    """Return a comma-separated list of delays, 0 or 1 hold, each once."""
     given = list(dict.fromkeys(names(text)))
     if not set(given) <= {"0", "1"}:
         raise argparse.ArgumentTypeError(f"got {text!r}, expected 0 (event), 1 (synchronous) or 0,1")

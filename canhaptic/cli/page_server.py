@@ -1,7 +1,7 @@
-"""Live pages in a browser: one server for this host and holders of its address, until SIGINT or SIGTERM.
+"""Live pages in a browser: one server, for this host and those who have its address, until SIGINT or SIGTERM.
 
-A page of another origin in the same browser can send requests here, and by a name of its own that resolves to this host
-it can read the answers, too. So a request must name this host itself, come from the page or from no page, and carry a
+A page of another origin in the same browser can send requests here; with a name of its own that resolves to this host
+it can read the answers, too. So a request must name this host itself, come from the page or from none, and carry a
 secret in its path, which only the printed address has.
 """
 
@@ -71,10 +71,10 @@ def serve_page(page: Callable[[Any], object], port: int, title: str, *, show: bo
     """Serve a page until the process is interrupted; return 130 after SIGINT and 143 after SIGTERM.
 
     Args:
-        page: Fills the Bokeh document of a visitor.
+        page: Function that fills the Bokeh document of a visitor.
         port: Port from `usable_port`.
         title: Content of the page, for the line with the address.
-        show: Whether to open it in a browser.
+        show: Whether to open the page in a browser.
     """
     from bokeh.server.server import BaseServer
     from bokeh.server.tornado import BokehTornado

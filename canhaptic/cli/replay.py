@@ -1,4 +1,4 @@
-"""`canhaptic replay BUSLOG --config CONFIG`: a recorded bus against today's master, every frame compared."""
+"""`canhaptic replay BUSLOG --config CONFIG`: a recorded bus against today's master, comparing every frame."""
 
 import argparse
 

@@ -1,4 +1,4 @@
-"""Mass, friction and lag of the torque from torque and position, and what their uncertainty costs of a wall.
+"""Mass, friction and lag of the torque from torque and position, and the wall stiffness that their uncertainty costs.
 
 Over any weight w(t) the equation of motion m a + b v + c sign(v) + f = tau holds for the weighted means. With a
 triangle of base 2 n T the mean acceleration is (q(j+2n) - 2 q(j+n) + q(j)) / (n T)^2 exactly, for any motion in
@@ -43,7 +43,7 @@ _STILL: Final = 1e-12  # [m or rad] in one sample time: the sign of the speed is
 
 
 class Dynamics(NamedTuple):
-    """Mass and friction that move with the encoder; each value with one standard deviation."""
+    """Mass and friction as seen at the encoder; each value with its standard deviation."""
 
     mass: float  # [kg or kg*m^2]
     mass_error: float
@@ -56,13 +56,13 @@ class Dynamics(NamedTuple):
 
 
 def estimate(positions: _Array, applied: _Array, sample_time: float, half_base: int) -> Dynamics | None:
-    """Least-squares estimate, or None when too little moved.
+    """Least-squares estimate, or None when the axis moved too little.
 
     Args:
         positions: Position at each SYNC, shape (n,) [m or rad].
         applied: Torque of the hold that ended there, shape (n,) [N or N*m].
         sample_time: Sample time [s].
-        half_base: Half the base of the triangle, in sample times; longer is quieter and smooths fast motion.
+        half_base: Half the base of the triangle [sample times]; longer is quieter and smooths fast motion.
     """
     starts = np.arange(0, len(positions) - 2 * half_base, max(1, half_base // 2))
     if len(starts) < _FEWEST_EQUATIONS or np.ptp(positions) == 0.0:
@@ -75,7 +75,7 @@ def estimate(positions: _Array, applied: _Array, sample_time: float, half_base: 
 
 
 class FrictionCurve(NamedTuple):
-    """Mass, and friction by speed while the axis moves; each value with one standard deviation."""
+    """Mass, and friction by speed while the axis moves; each value with its standard deviation."""
 
     mass: float  # [kg or kg*m^2]
     mass_error: float
@@ -84,7 +84,7 @@ class FrictionCurve(NamedTuple):
     errors: _Array  # shape (n,)
 
     def least(self, damping: float, sure: float) -> float:
-        """Return the dry friction [N or N*m] that every range has besides a damping, less some standard deviations."""
+        """Return the dry friction [N or N*m] in every speed range besides damping, less some standard deviations."""
         return max(0.0, float((self.frictions - sure * self.errors - damping * self.speeds).min()))
 
     def falls_at_its_end(self, sure: float) -> bool:
@@ -96,11 +96,11 @@ class FrictionCurve(NamedTuple):
 
 
 def friction_curve(positions: _Array, applied: _Array, sample_time: float, half_base: int) -> FrictionCurve | None:
-    """Mass and friction by speed, or None when too little moved both ways.
+    """Mass and friction by speed, or None when the axis moved too little in either direction.
 
     A friction that falls with speed (Stribeck) is neither c nor b v: fitted with one c for all speeds it makes the mass
-    too large, and c is above the truth at some speed. So the windows in which the axis moves one way throughout are
-    sorted by speed, and each range of speed has a friction of its own. Arguments as of `estimate`.
+    too large, and c exceeds the true friction at some speed. So the windows in which the axis moves one way are
+    sorted by speed, and each range of speed has a friction of its own. Arguments as for `estimate`.
     """
     starts, ways = _one_way(positions, half_base, half_base // 2)
     if len(starts) < _FEWEST_RANGES * 2 * _FEWEST_OF_A_RANGE:
@@ -147,12 +147,12 @@ def _one_way(
 def estimate_lateness(
     positions: _Array, applied: _Array, sample_time: float, half_base: int
 ) -> tuple[float, float] | None:
-    """Return the delay of the torque after its SYNC, and one standard deviation [s].
+    """Return the delay of the torque after its SYNC, and its standard deviation [s].
 
-    It is the time for which the previous torque still acts in every hold: window and lag together. In a hold whose
-    torque changes by d the mean torque is less by late d / T, so that one more column of `estimate` finds it.
-    A torque that reverses while the axis is fastest shows most (`laws.reversals`): friction that turns or sticks within
-    a window would be taken for a late torque. Arguments as of `estimate`; None when the motion was too small.
+    The delay is the time for which the previous torque still acts in every hold, window and lag together. Where the
+    torque changes by d in a hold, the mean torque is lower by late d / T: one more column of `estimate` finds it.
+    A torque that reverses while the axis is fastest shows most (`laws.reversals`): friction that reverses or sticks in
+    a window would be mistaken for a late torque. Arguments as for `estimate`; None when the motion was too small.
     """
     starts, ways = _one_way(positions, half_base, half_base // 4, _REVERSAL_PARTS, _SLOWEST)
     if len(starts) < _FEWEST_EQUATIONS:
@@ -166,12 +166,12 @@ def estimate_lateness(
 
 
 def mass_within(positions: _Array, applied: _Array, sample_time: float, half_base: int) -> tuple[float, float] | None:
-    """Return the mass that a torque moves within a short time, and one standard deviation [kg or kg*m^2].
+    """Return the mass that a torque moves within a short time, and its standard deviation [kg or kg*m^2].
 
     A torque that changes faster than a shaft twists moves the rotor alone: with a spring k between rotor m and load M,
     acceleration over torque at the angular frequency w is 1 / (m - k M / (M w^2 - k)), so that above the resonance
-    w^2 = k (1 / m + 1 / M) the mass seen is below m, and rises to it; below it is that of rotor and load, or more. A
-    late torque has a column of its own, as in `estimate_lateness`. Arguments as of `estimate`.
+    w^2 = k (1 / m + 1 / M) the apparent mass is below m, and rises to it; below it is m + M, or more. A
+    late torque has a column of its own, as in `estimate_lateness`. Arguments as for `estimate`.
     """
     starts = np.arange(1, len(positions) - 2 * half_base)
     if len(starts) < _FEWEST_EQUATIONS or np.ptp(positions) == 0.0:
@@ -231,16 +231,16 @@ _KEPT: Final = 0.9
 
 
 def is_dear(axis: AxisScene, fastest: float, best: Mapping[str, float], ends: Mapping[str, float]) -> bool:
-    """Return whether the ends of measured intervals cost more of the wall than they may, compared with the best."""
+    """Whether the conservative ends of measured intervals cost more wall stiffness than allowed, against the best."""
     return share_of_wall(axis, fastest, ends) < _KEPT * share_of_wall(axis, fastest, best)
 
 
 def needed_allowance(
     axis: AxisScene, fastest: float, best: Mapping[str, float], ends: Mapping[str, float]
 ) -> float | None:
-    """Return the energy allowance [J] with which the ends of measured intervals leave enough of the wall.
+    """Return the energy allowance [J] that leaves enough wall stiffness at the conservative ends of the intervals.
 
-    It is twice the least of `ALLOWANCES`, as a contact may begin with part of it given out. None: none suffices.
+    It is twice the smallest of `ALLOWANCES`, as a contact may begin with part of it spent. None: none suffices.
     """
     if not hasattr(axis.passivity.parameters, "energy_allowance"):
         return None
@@ -249,11 +249,11 @@ def needed_allowance(
 
 
 def propose_allowance(session: Session, axis: int, known: Mapping[str, float]) -> None:
-    """Propose the energy allowance with which a wall begins at any speed, where none is declared or proposed.
+    """Propose the energy allowance for a wall to engage at any speed, where none is declared or proposed.
 
     Args:
-        session: The rig.
-        axis: Its index.
+        session: Commissioning session.
+        axis: Index of the axis.
         known: Measured values of `passivity`, SI.
     """
     scene, key = session.axes[axis], "passivity.energy_allowance"
@@ -285,11 +285,11 @@ def time_the_torque(session: Session, axis: int, most: float, mass: float, known
     The test is repeated, longer each time, while the hold is unclear or the uncertainty costs too much of the wall.
 
     Args:
-        session: The rig.
-        axis: Its index.
+        session: Commissioning session.
+        axis: Index of the axis.
         most: Largest torque [N or N*m].
         mass: First estimate of the mass, in the units of the encoder as configured [kg or kg*m^2].
-        known: Measured values of `passivity`, SI; None: without a mass, the hold alone is of interest.
+        known: Measured values of `passivity`, SI; None: without a mass, only the hold is determined.
 
     Raises:
         RigError: Drive or link failed.
@@ -386,7 +386,7 @@ def _propose(session: Session, axis: int, lag: float | None, known: Mapping[str,
 
     Args:
         session: The rig.
-        axis: Its index.
+        axis: Index of the axis.
         lag: Lag to declare [s]; None: the configured one is right.
         known: Measured values of `passivity`, SI.
     """

@@ -1,10 +1,10 @@
-"""The steps in their order, and those that send no torque: which drives answer, hand motion, watchdog.
+"""The steps in order, and those that send no torque: which drives answer, hand motion, watchdog.
 
 Search for drives on the bus and check against the configuration. SDO only; nothing is enabled.
 
 The axis at zero torque: whether it stays at rest, and whether the encoder counts as the configuration states.
 
-Test of the drives' watchdogs by a silent master, and of the cycle's timing.
+Test of the drives' watchdogs with a silent master, and of the cycle's timing.
 """
 
 from collections.abc import Sequence
@@ -182,7 +182,7 @@ def stand_still(session: Session, axis: int) -> bool:
 
 
 def move_by_hand(session: Session, axis: int) -> None:
-    """Compare a distance moved by hand with the encoder's; the drive holds zero torque meanwhile.
+    """Compare a distance moved by hand with the encoder reading; the drive holds zero torque meanwhile.
 
     Raises:
         RigError: Drive or link failed.
@@ -343,10 +343,10 @@ REQUIRED: Final = (STANDSTILL, "torque sign", SCALE, "moving mass", "mass on a s
 
 
 def commission(session: Session, timing_duration: float) -> None:
-    """Walk every step that the person agrees to; the findings are in `session.report`.
+    """Walk every step to which the person agrees; the findings are in `session.report`.
 
     Args:
-        session: Rig, dialogue and limits.
+        session: Commissioning session.
         timing_duration: Duration of the timed run at zero torque [s].
 
     Raises:

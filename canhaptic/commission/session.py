@@ -34,7 +34,7 @@ from canhaptic.view.table import Cell, Styled, Table
 class Dialogue(Protocol):
     """A person at a terminal, or no person with a simulated drive.
 
-    Where a simulated plant knows the answer it is passed in as `truth`; a person is never shown it.
+    The answer of a simulated plant, where there is one, is passed in as `truth`; a person is never shown it.
     """
 
     def tell(self, text: str) -> None:
@@ -47,25 +47,25 @@ class Dialogue(Protocol):
         """Number in `unit`, or None without an answer."""
 
     def choose(self, question: str, answers: Sequence[str], truth: str) -> str:
-        """Return one of the answers; the last without one."""
+        """Return one of the answers; the last where none is given."""
 
     def until_ready(self, text: str, cycles: int) -> Callable[[], bool]:
-        """Ask the person to do something; return a function, called once per cycle, that reports completion.
+        """Ask the person to act; return a function, called once per cycle, that reports completion.
 
         Args:
             text: Request to the person.
-            cycles: Number of cycles after which it counts as done without a person.
+            cycles: Number of cycles after which an unattended run counts the request as done.
         """
 
 
 class Unattended:
-    """Agrees to everything and answers from the truth: for simulated drives alone."""
+    """Dialogue that agrees to everything and answers from the truth: for simulated drives only."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
         self.tell = tell
 
     def confirm(self, question: str) -> bool:
-        """Agrees."""
+        """Agree."""
         self.tell(f"{question} yes")
         return True
 
@@ -118,7 +118,7 @@ class Value(NamedTuple):
 
     @property
     def text(self) -> str | None:
-        """Text of a value as in a scene; None: as the scene has it now."""
+        """Text of a value as in a scene; None: the present value of the scene."""
         factor, unit = _SHOWN_IN.get(self.unit, (1.0, self.unit))
         if not isinstance(self.value, float):  # whole where the drive has it
             return None if self.value is None else str(self.value)
@@ -139,18 +139,18 @@ _COLOURS: Final = {
 
 
 class Report:
-    """Grows step by step, so that earlier findings survive a later error."""
+    """Findings and values, added step by step so that earlier findings survive a later error."""
 
     def __init__(self) -> None:
         self.findings: list[StepFinding] = []
         self.values: list[Value] = []
 
     def add(self, finding: StepFinding) -> None:
-        """Take a row."""
+        """Add a row."""
         self.findings.append(finding)
 
     def propose(self, value: Value) -> None:
-        """Take a value."""
+        """Add a value."""
         self.values.append(value)
 
     @property
@@ -164,7 +164,7 @@ class Report:
         return any(finding.verdict is StepVerdict.DIFFERS for finding in self.findings)
 
     def changes(self, scene: Scene) -> list[Change]:
-        """Return the values as changes of a scene; of several axes of a group, the largest of what all share."""
+        """Return the values as changes of a scene; for a key that all axes of a group share, the largest."""
         values: dict[tuple[str, ...], Value] = {}
         for value in self.values:
             path = _path(scene, value)
@@ -178,7 +178,7 @@ class Report:
 
         Args:
             axes: Names of all axes.
-            items: Items that must have been verified for each.
+            items: Items that must be verified for each axis.
         """
         seen = {(row.axis, row.item) for row in self.findings if row.verdict is not StepVerdict.UNKNOWN}
         missing = [f"{axis}: {item}: not verified" for axis in axes for item in items if (axis, item) not in seen]
@@ -204,7 +204,7 @@ class Report:
         return Table("commissioning", ("axis", "what", "configured", "found", "verdict", ""), rows)
 
     def values_table(self, written: str) -> Table:
-        """Return the values, with where they were written, as a table for a terminal."""
+        """Return the values, and where they were written, as a table for a terminal."""
         rows: list[list[Cell]] = [
             [value.axis, value.key, value.text or "as it is", value.comment] for value in self.values
         ]
@@ -238,19 +238,19 @@ class CommissioningLimits(Parameters):
 
 
 class OpenLoop:
-    """A controller that renders nothing: it plays torques, one a cycle, and drops to zero when the axis goes too far.
+    """A controller that renders nothing: it plays torques, one per cycle, and drops to zero when the axis goes too far.
 
     The energy that it puts in is booked as deficit: nothing here is passive, and the account says so.
 
     Args:
-        torques: One per cycle [N or N*m]; zero after the last.
+        torques: One torque per cycle [N or N*m]; zero after the last.
         travel: Largest distance from the first position [m or rad].
         largest_step: Largest displacement in one sample time [m or rad].
 
     Attributes:
         positions: Position at every SYNC since `reset` [m or rad].
-        applied: Torque of the hold that ended there [N or N*m].
-        sent: Torque returned there, and after `Session.play` the one that the limits let pass [N or N*m].
+        applied: Torque of the hold that ended at every SYNC [N or N*m].
+        sent: Torque returned at every SYNC; after `Session.play`, the torque that the limits let pass [N or N*m].
         tripped: Reason why the torque was removed; "" if it was not.
         has_gap: Whether a sample was lost: the positions then do not belong to consecutive SYNCs.
     """
@@ -320,7 +320,7 @@ class OpenLoop:
 
 
 def doublet(torque: float, cycles: int) -> list[float]:
-    """Return +, -, -, + of a torque, `cycles` each: a free mass comes back to where and how it was."""
+    """Return +, -, -, + of a torque, `cycles` each: a free mass returns to its initial position and speed."""
     return [torque] * cycles + [-torque] * (2 * cycles) + [torque] * cycles
 
 
@@ -328,11 +328,11 @@ _LEAST_REVERSAL: Final = 0.6  # of the largest
 
 
 def reversals(torque: float, longest: int, count: int) -> list[float]:
-    """Return doublets of a torque [N or N*m] of both signs and many lengths, the same with every call.
+    """Return doublets of a torque [N or N*m], of both signs and many lengths; equal for every call.
 
     Args:
         torque: Size of the torque [N or N*m].
-        longest: First part of the longest doublet, in cycles; the shortest is half as long.
+        longest: First part of the longest doublet [cycles]; the shortest is half as long.
         count: Number of doublets.
     """
     drawn = np.random.default_rng(1)
@@ -344,7 +344,7 @@ def reversals(torque: float, longest: int, count: int) -> list[float]:
 
 
 def sweep(amplitude: float, lowest: float, highest: float, duration: float, sample_time: float) -> list[float]:
-    """Return a cosine whose frequency rises exponentially: a free mass swings about where it was, and ends at rest.
+    """Return a cosine of rising frequency: a free mass swings about its initial position, and ends at rest.
 
     Args:
         amplitude: Size of the torque [N or N*m].
@@ -372,16 +372,16 @@ class Session:
     """Scene, rig and limits, shared by all steps.
 
     Args:
-        scene: Axes on one or several buses; axes joined by a simulated mechanism cannot be tried one by one.
+        scene: Axes on one or several buses; axes joined by a simulated mechanism cannot be tested one by one.
         dialogue: Dialogue with the person.
         limits: Limits of torque, travel and the like.
         stop_requested: The operator's stop.
 
     Attributes:
         report: Findings so far.
-        encoder_ratios: Displacement by the configured encoder, as a part of the measured one, per axis.
-        quanta: Torque of one count of 0x6071 as the master has it, per axis; 0 until a drive tells it [N or N*m].
-        verified: Axes whose scale of the torque is verified.
+        encoder_ratios: Displacement by the configured encoder over the measured one, per axis.
+        quanta: Torque of one count of 0x6071 in the master's scaling, per axis; 0 until a drive reports it [N or N*m].
+        verified: Axes whose torque scale is verified.
     """
 
     def __init__(
@@ -406,11 +406,11 @@ class Session:
 
     @contextmanager
     def rig_of(self, *, with_hand: bool, hand: Callable[[AxisScene], object] | None = None) -> Iterator[None]:
-        """Build the rig for the steps inside; nothing is sent before one of them does.
+        """Build the rig for the steps inside the block; nothing is sent before one of them runs.
 
         Args:
-            with_hand: Whether the simulated hand is on the handle; a person was asked to hold it, or to let go.
-            hand: Simulated hand of an axis, in place of its own.
+            with_hand: Whether the simulated hand is on the handle; a person is asked to hold it, or to let go.
+            hand: Simulated hand of the axis, replacing the scene's.
         """
         replaced = hand or (None if with_hand else _no_hand)
         scene = self.scene if replaced is None else _with_hands(self.scene, replaced)
@@ -441,16 +441,16 @@ class Session:
 
     @property
     def drives(self) -> Sequence[ServoDrive]:
-        """One per axis."""
+        """Drives, one per axis."""
         return self.rig.drives
 
     @property
     def axes(self) -> Sequence[AxisScene]:
-        """One per axis."""
+        """Axes of the scene."""
         return self.scene.axes
 
     def coast(self, axis: int) -> None:
-        """Wait without torque until an axis is at rest, as long as a nearly frictionless bearing may take.
+        """Wait without torque until an axis is at rest, at most as long as a nearly frictionless bearing may take.
 
         Raises:
             RigError: Drive or link failed; torque is zero.
@@ -469,12 +469,12 @@ class Session:
     def play_within(
         self, axis: int, item: str, torques_of: Callable[[float], Sequence[float]], torque: float
     ) -> OpenLoop:
-        """Play torques of an amplitude as `play` does; where the axis goes too far or too fast, again with half of it.
+        """Play torques of an amplitude as `play` does; where the axis goes too far or too fast, repeat with half of it.
 
         Args:
-            axis: Its index.
+            axis: Index of the axis.
             item: Measured quantity.
-            torques_of: Torques of an amplitude, one per cycle [N or N*m].
+            torques_of: Function from amplitude to torques, one per cycle [N or N*m].
             torque: Amplitude [N or N*m].
 
         Raises:
@@ -502,11 +502,11 @@ class Session:
         """Run the rig with torques on one axis and none on the others, stop it, and return the motion of that axis.
 
         Args:
-            axis: Its index.
-            torques: One per cycle [N or N*m].
+            axis: Index of the axis.
+            torques: One torque per cycle [N or N*m].
             cycles: Largest number of cycles.
-            ready: Ends it earlier when true.
-            limits: Limits in place of those of the session.
+            ready: Function that ends the run early when true.
+            limits: Limits that replace those of the session.
 
         Raises:
             RigError: Drive or link failed; torque is zero.
@@ -562,7 +562,7 @@ class Session:
         return f"{torque:.3g} {effort_unit(parameters.unit)} ({per_mille:.3g} per mille)"
 
     def cycles(self, seconds: float) -> int:
-        """Number of cycles in a time."""
+        """Number of cycles in a duration."""
         return max(1, round(seconds / self.sample_time))
 
     def found(self, axis: int, item: str, configured: str, found: str, verdict: StepVerdict, text: str = "") -> None:
@@ -582,30 +582,30 @@ class Session:
         text: str,
         otherwise: StepVerdict = StepVerdict.DIFFERS,
     ) -> None:
-        """Add a row that agrees, or has another verdict and a remedy."""
+        """Add a row: agreement, or another verdict with a remedy."""
         self.found(axis, item, configured, found, StepVerdict.AGREES if good else otherwise, "" if good else text)
 
     def note_objects(self, axis: int) -> None:
-        """Add a row for each limit, ramp and reaction that the drive of an axis keeps; raise SdoError."""
+        """Add a row for each limit, ramp and reaction stored in the drive of an axis; raise SdoError."""
         for name, fitness, text in self.rig.read_objects(axis):
             value, _, meaning = text.partition(": ")
             verdict = StepVerdict.MEASURED if fitness is fitness.FIT else StepVerdict.DIFFERS
             self.found(axis, name, "", value, verdict, meaning)
 
     def agreed(self, question: str, item: str, axes: Iterable[int], text: str = "") -> bool:
-        """Whether the person agrees to a trial; otherwise the report records it for these axes."""
+        """Whether the person agrees to a test; otherwise the report records the refusal for these axes."""
         if self.dialogue.confirm(question):
             return True
         self.not_tried(item, axes, text)
         return False
 
     def not_tried(self, item: str, axes: Iterable[int], text: str = "") -> None:
-        """Add a row per axis for a trial that was left out."""
+        """Add a row per axis for a test that was left out."""
         for axis in axes:
             self.found(axis, item, "", "not tried", StepVerdict.UNKNOWN, text)
 
     def propose(self, axis: int, key: str, value: float | int | str | None, unit: str = "", comment: str = "") -> None:
-        """Propose a value for the scene; None: its present value is right."""
+        """Propose a value for the scene; None: the present value is right."""
         self.report.propose(Value(self.axes[axis].parameters.name, key, value, unit, comment))
 
 

@@ -1,8 +1,8 @@
-"""Verification of the scale of the torque, before more than a few per mille of the drive's own are sent.
+"""Verification of the torque scale, before more than a few per mille of the drive's rated torque are sent.
 
-A rated torque from a name plate, or a gear that was forgotten, makes every torque wrong by one ratio, `torque_limit` as
-well, and no certificate notices it: what is known must come from outside of the drive. Either the moved mass is known,
-and doublets of a torque measure it; or the drive lifts a known weight on an arm; or it pushes against a spring balance.
+A rated torque from a name plate, or a forgotten gear, scales every torque by one wrong ratio, `torque_limit`
+included, and no certificate notices: the reference must come from outside the drive. Either the moved mass is known,
+and doublets of a torque measure it, or the drive lifts a known weight on an arm, or it pushes against a spring balance.
 """
 
 import math
@@ -32,11 +32,11 @@ _STIFF: Final = 100.0  # of a simulated balance: largest torques per travel
 
 
 class RisingTorque(OpenLoop):
-    """A torque that rises count by count; with `lifts` it falls again when the axis has moved, until that comes back.
+    """A torque that rises count by count; with `lifts` it falls again once the axis has moved, until the axis returns.
 
     Attributes:
-        up: Torque with which the axis was lifted, 0 before [N or N*m].
-        down: Torque with which it came back, 0 before [N or N*m].
+        up: Torque at which the axis was lifted, 0 before [N or N*m].
+        down: Torque at which the axis returned, 0 before [N or N*m].
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class RisingTorque(OpenLoop):
 
     @property
     def has_ended(self) -> bool:
-        """Whether no torque follows."""
+        """Whether the last torque was played."""
         is_over = self._lifts and not self.up and self._present > self._most
         return bool(self.tripped or self.down or is_over)
 

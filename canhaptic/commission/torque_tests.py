@@ -46,7 +46,7 @@ _COMMENTS: Final = {
 
 
 def largest_torque(session: Session, axis: int) -> float:
-    """Largest torque of commissioning [N or N*m]: a share of the rated torque, or of the limit without one."""
+    """Largest torque of commissioning [N or N*m]: a fraction of the rated torque or, without one, of the limit."""
     parameters = session.axes[axis].parameters
     rated = parameters.rated_torque or parameters.torque_limit
     return min(session.limits.torque * rated, parameters.torque_limit)
@@ -60,7 +60,7 @@ class Pulse(NamedTuple):
 
 
 def pulse(session: Session, axis: int) -> Pulse | None:
-    """Pulse from one count of 0x6071 on, doubled until motion is seen; None when nothing more may be tried.
+    """Pulse from one count of 0x6071 upwards, doubled until motion is seen; None when no larger one is allowed.
 
     A motor that turns against its encoder makes every wall push inward: that ends the commissioning of the axis.
 
@@ -177,7 +177,7 @@ def _swept(
 
 
 def declared_of(found: Dynamics, curve: FrictionCurve | None) -> dict[str, float]:
-    """Declarations for a device, SI: the interval ends on the safe side, with a margin."""
+    """Declarations for a device, SI: the safe end of each interval, with a margin."""
     values = {
         "moving_mass": _UNDER * (found.mass - SURE * found.mass_error),
         "device_damping_bound": _OVER * (max(0.0, found.damping) + SURE * found.damping_error),

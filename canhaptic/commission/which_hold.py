@@ -1,16 +1,16 @@
-"""The hold in which a torque acts: when it begins, apart from how slowly it rises.
+"""The hold in which a torque acts: its dead time, separated from its lag.
 
 A torque that begins late by d and rises with a lag tau moves a mass after a step of the torque by
 
     (A / m) (t^2 / 2 - (d + tau) t + d^2 / 2 + d tau + tau^2 - tau^2 e^(-(t - d) / tau)),    t > d:
 
-d + tau, the lateness, is seen in the speed, and d apart from tau in a displacement of (A / m) tau^2 / 2 that stays.
-Reversals of many lengths and sizes are timed against the commands: both are fitted to windows about each reversal in
-which the axis moves one way. What is unknown in a window (where and how fast it was, a constant load, friction) is a
-polynomial; a shaft or belt has a resonance besides, with a motion of its own in each window. Where the mean of what is
-left over is more than its noise, the model is not the rig, and nothing is concluded.
+d + tau, the lateness, shows in the speed; d, separated from tau, in a lasting displacement of (A / m) tau^2 / 2.
+Reversals of many lengths and sizes are timed against the commands: both are fitted to windows around each reversal in
+which the axis moves one way. The unknowns of a window (initial position and speed, constant load, friction) are a
+polynomial; a shaft or belt adds a resonance, with a motion of its own in each window. Where the mean of the residuals
+is above their noise, the model does not describe the rig, and nothing is concluded.
 
-The torque that the drive reports is compared with the commands apart from the motion: a drive that acts a hold early
+The torque that the drive reports is compared with the commands separately: a drive that acts a hold early
 and one that reports its torque a hold early look the same in the torques alone.
 """
 
@@ -45,7 +45,7 @@ _GOLDEN: Final = 0.382
 
 
 class TorqueDelay(NamedTuple):
-    """Begin of a torque against the hold that is declared for it; in sample times."""
+    """Onset of a torque relative to its declared hold [sample times]."""
 
     delay: float
     low: float
@@ -57,7 +57,7 @@ class TorqueDelay(NamedTuple):
         """Return the hold in which the torque acts, counted from the declared one; None: unclear.
 
         Args:
-            reaction: Time from a SYNC to the arrival of its RPDO at the latest [sample times].
+            reaction: Longest time from a SYNC to the arrival of its RPDO [sample times].
         """
         if not self.is_explained or self.high - self.low > _WIDEST:
             return None
@@ -92,13 +92,13 @@ class _Model(NamedTuple):
 
 
 def estimate_delay(positions: _Array, torques: _Array, sample_time: float, half_base: int) -> TorqueDelay | None:
-    """Return when the torques begin to act; None where too little moved.
+    """Return when the torques begin to act; None where the axis moved too little.
 
     Args:
         positions: Position at each SYNC, shape (n,) [m or rad].
-        torques: Torque of the hold that ended there, as declared, shape (n,) [N or N*m].
+        torques: Torque of the hold that ended at each SYNC, as declared, shape (n,) [N or N*m].
         sample_time: Sample time [s].
-        half_base: Half the length of a window, in sample times.
+        half_base: Half the length of a window [sample times].
     """
     windows = _windows(positions, torques, half_base)
     if windows is None:
@@ -236,7 +236,7 @@ _MOTION, _SHOWN, _BOOKED = "command to motion", "command to read-back", "read-ba
 
 
 class HoldTimes(NamedTuple):
-    """Three times that must close, in sample times against what is declared."""
+    """Three times that must be consistent, relative to the declared ones [sample times]."""
 
     motion: TorqueDelay | None  # command to motion; None: too little moved
     shown: int | None  # command to read-back; None: none, or unclear
@@ -246,7 +246,7 @@ class HoldTimes(NamedTuple):
 
     @property
     def is_sure(self) -> bool:
-        """Whether one test is enough to tell the hold."""
+        """Whether one test is enough to determine the hold."""
         return self.hold is not None and self.motion is not None and self.motion.high - self.motion.low <= _SHARP
 
     @property
@@ -262,10 +262,10 @@ def time_the_hold(session: Session, axis: int, law: OpenLoop, half_base: int) ->
     """Time motion and read-back of an axis against the commands, and the motion against the read-back.
 
     Args:
-        session: The rig.
-        axis: Its index.
+        session: Commissioning session.
+        axis: Index of the axis.
         law: Record of reversals.
-        half_base: Half the length of a window, in sample times.
+        half_base: Half the length of a window [sample times].
     """
     drive, period = session.drives[axis], session.sample_time
     maps = [other.map for other in session.drives if other.link is drive.link]
@@ -297,7 +297,7 @@ def _age(commands: _Array, shown: _Array) -> int | None:
 
 
 def report_hold(session: Session, axis: int, times: HoldTimes) -> None:
-    """Report the three times and what is to be declared."""
+    """Report the three times and what to declare."""
     begin = session.axes[axis].loop.delay
     _report_motion(session, axis, begin, times)
     if not times.is_read_back:

@@ -1,32 +1,32 @@
 """Accuracy of an axis's booked energy, and the energy that its device dissipated.
 
 **Position.** A position p_k = x_k + e_k, |e_k| <= e, is booked as -f_k (p_k - p_(k-1)). The sum of n holds is wrong by
--sum f_k (e_k - e_(k-1)), by parts at most e (|f_n| + sum |f_k - f_(k-1)|), with f_0 = 0: a torque that stays leaves
-nothing open however long the axis moves.
+-sum f_k (e_k - e_(k-1)), by parts at most e (|f_n| + sum |f_k - f_(k-1)|), with f_0 = 0: a constant torque adds
+no uncertainty, however long the axis moves.
 
-**Torque.** A motor that gives f (1 + s) + c for a torque f, |s| <= share and |c| <= offset, leaves open
+**Torque.** A motor that gives f (1 + s) + c for a torque f, |s| <= share and |c| <= offset, adds the uncertainty
 sum (share |f_k| + offset) |x_k - x_(k-1)|, if the axis does not turn back within a hold.
 
-**Late.** A torque changes within a time theta of its SYNC, window and lag together: all over the run the one before it
-acts no longer than that in its place (`certificates.hold_timing`). So each change leaves open |f_k - f_(k-1)| theta v,
-where the algorithm bounds it no better. `guarded` with dry friction alone knows no motion inside a hold, and
+**Late.** A torque changes within a time theta of its SYNC, window and lag together: over the run, the previous one
+acts in its place no longer than that (`certificates.hold_timing`). So each change adds |f_k - f_(k-1)| theta v,
+unless the algorithm has a tighter bound. `guarded` with dry friction alone knows no motion inside a hold, and
 v is the largest speed of the axis (`speed_limit`). For algorithms without certificates v is an estimate, twice the
-largest mean speed of the hold and its neighbour: with `speed_limit` no account would ever say no.
+largest mean speed of the hold and its neighbour: with `speed_limit` no account would ever be judged active.
 
 **Lost.** After lost process data the displacement D of n holds is known, and the torque f of the last of them, read
-back. Booked is -f D, true is -sum f_j D_j, where f_j is a torque sent since then, or the one before where commands were
-lost too: |f_j - f| <= a. So the error is at most a sum over j < n of |D_j|, for any torques and any order of theirs. Of
-the D_j nothing else is known than the largest speed v of the axis, which is declared (`speed_limit`; a rig that sees
-more than it stops): |D_j| <= v T_j. This leaves open
+back. Booked is -f D, true is -sum f_j D_j, where f_j is a torque sent since then, or the previous one if commands were
+lost too: |f_j - f| <= a. So the error is at most a sum over j < n of |D_j|, for any torques in any order. Of
+the D_j nothing is known but the largest speed v of the axis, which is declared (`speed_limit`; a rig that sees
+a higher one stops it): |D_j| <= v T_j. The uncertainty is
 
     a v (T_1 + ... + T_(n-1)),
 
-with T_n as well where the last torque is not read back for its own hold, and what the algorithm itself took off. It is
+with T_n as well where the last torque is not read back for its own hold, and what the algorithm subtracted. It is
 a bound for every hand, so that for a slow one it is large; an algorithm that knows the hand's force does better
 (`certificates.lost_samples`).
 
-**Device.** A damping of b at least dissipates b D^2 / t at least in a time t in which the axis moves by D
-(Cauchy-Schwarz), for every torque. A dry friction of f_c at least dissipates f_c along its path. The path is at
+**Device.** A damping of at least b dissipates at least b D^2 / t in a time t in which the axis moves by D
+(Cauchy-Schwarz), for every torque. A dry friction of at least f_c dissipates f_c along its path. The path is at
 least that of the shortest motion within e of every position p: it rests until p is further than e away, and then
 follows at e. Between two of its turns no motion within e of p is shorter.
 """
@@ -79,7 +79,7 @@ IDEAL: Final = Accuracy()
 
 
 class AxisMeter:
-    """Accumulate both, hold by hold.
+    """Accumulates the uncertainty and the device's dissipation, hold by hold.
 
     Args:
         accuracy: Accuracy of the axis.
@@ -89,12 +89,12 @@ class AxisMeter:
     Attributes:
         accuracy: Accuracy, as given.
         watch: Comparison, as given.
-        resolution: Largest |booked - true| sum of interaction so far, by sensors and drive [J]; never falls.
-        dissipated: Dissipated by the device so far, at least [J].
+        resolution: Largest error so far of the booked energy, by sensors and drive [J]; never decreases.
+        dissipated: Least energy dissipated by the device so far [J].
         damping_asked: Damping of the environment [N*s/m or N*m*s/rad].
-        position: Last one that was booked [m or rad].
-        asked: Effort of the storage of the environment at the last position; 0 out of contact [N or N*m].
-        books_least: Whether the algorithm books the least that may have come in.
+        position: Last booked position [m or rad].
+        asked: Force of the environment's spring at the last position; 0 out of contact [N or N*m].
+        books_least: Whether the algorithm books the least energy that may have come in.
     """
 
     books_least: ClassVar[bool] = False
@@ -147,7 +147,7 @@ class AxisMeter:
         Args:
             torque: Largest difference of these torques from the booked one [N or N*m].
             time: Duration of the holds [sample times].
-            booked: Energy that the algorithm subtracted on their account [J].
+            booked: Energy that the algorithm already subtracted for them [J].
         """
         accuracy = self.accuracy
         if accuracy.counts_losses:
@@ -161,7 +161,7 @@ class AxisMeter:
         """Take a booked hold.
 
         Args:
-            position: Position at its end [m or rad].
+            position: Position at the end of the hold [m or rad].
             torque: Torque booked for it [N or N*m].
             deadline: Sample times from the first SYNC to its end, which may be late.
             touches: Whether the hold was in contact.

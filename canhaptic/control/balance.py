@@ -6,7 +6,7 @@ Identity of every step, for every algorithm (to 1e-12 of the largest term); for 
     h_dis - h_dis_before = gen + deficit - h_pas - paid
     paid = min(leak, max(0, h_dis_before + gen + deficit - h_pas))
 
-Sums of many terms of both signs, without drift: of kernels, and of the account of a run.
+Running sums of many terms of both signs, without drift.
 """
 
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ from typing import Final, NamedTuple
 
 @dataclass(slots=True)
 class RunningSum:
-    """A sum and, apart, the sum of its rounding errors (two-sum, Knuth): no drift over any number of terms."""
+    """A sum and, separately, the sum of its rounding errors (two-sum, Knuth): no drift over any number of terms."""
 
     total: float = 0.0
     error: float = 0.0
 
     @property
     def value(self) -> float:
-        """The sum."""
+        """Value of the sum."""
         return self.total + self.error
 
 
@@ -52,7 +52,7 @@ def interaction_energy(torque: float, displacement: float) -> float:
 
 
 class Branch(IntEnum):
-    """Which rule booked the hold."""
+    """Rule that booked the hold."""
 
     FREE = 0  # no contact, nothing stored, no torque
     START = 1  # contact begins
@@ -66,7 +66,7 @@ class Branch(IntEnum):
 
 
 class Certificate(IntEnum):
-    """Promise that bounded the torque of the next hold; the numbers are those of the logs, see `WEAKEST_LAST`."""
+    """Certificate that bounded the torque of the next hold; the numbers are those of the logs, see `WEAKEST_LAST`."""
 
     EXACT = 0  # no bound was active
     DEVICE_DAMPING = 1  # by what the device dissipates, in dry friction too: for every hand
@@ -133,7 +133,7 @@ AT_REST: Final = EnergyBalance(
 
 
 def residual(balance: EnergyBalance, stored_before: float) -> float:
-    """Difference of one step from the identity of this module [J]."""
+    """Residual of one step in the identity of this module [J]."""
     return (
         (balance.h_s - stored_before)
         + balance.h_r
@@ -146,5 +146,5 @@ def residual(balance: EnergyBalance, stored_before: float) -> float:
 
 
 def certificates_of(bits: int) -> tuple[Certificate, ...]:
-    """Return the certificates of a set in which each is one bit, weakest last."""
+    """Return the certificates in a bit set, weakest last."""
     return tuple(certificate for certificate in WEAKEST_LAST if bits & 1 << certificate)

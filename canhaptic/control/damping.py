@@ -1,8 +1,8 @@
-"""Dampers of a controller: the velocity that they act on, and the modulated damper that recovers surplus energy.
+"""Dampers of a controller: the velocity on which they act, and the modulated damper that recovers surplus energy.
 
-Velocity for the damper from an encoder: the longest recent window through which one straight line fits.
+Velocity for the damper from an encoder: the longest recent window that one straight line fits.
 
-A difference over one sample turns one count into count / T, at 10 kHz and 0.1 mm 1 m/s. First-order adaptive windowing
+A difference over one sample turns one count into count / T: 1 m/s at 10 kHz and 0.1 mm. First-order adaptive windowing
 (Janabi-Sharifi, Hayward and Chen 2000) takes the slope over the longest window whose end-to-end line stays within one
 count of every sample in it: long and quiet at rest, short and quick in motion.
 
@@ -28,7 +28,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class DamperVelocity(Parameters):
-    """Which velocity an algorithm's damper uses."""
+    """Velocity estimate of an algorithm's damper."""
 
     velocity: Literal["last", "windowed"] = "last"
     """`last`: of the last hold, as the paper has it. `windowed`: adaptive windowing; needs the encoder count."""
@@ -69,7 +69,7 @@ class VelocityWindow:
 
 
 def restart(window: VelocityWindow, ring: Buffer, position: float) -> None:
-    """Begin anew at a position [m or rad], at rest."""
+    """Restart at a position [m or rad], at rest."""
     for place in range(len(ring)):
         ring[place] = position
     window.newest = window.length = window.scanned = 0
@@ -109,7 +109,7 @@ def update(window: VelocityWindow, ring: Buffer, tolerance: float, sample_time: 
 
 
 def search(window: VelocityWindow, ring: Buffer, tolerance: float, furthest: int) -> None:
-    """Take the longest window of at most `furthest` samples, or of one, that fits.
+    """Take the longest window that fits, of at most `furthest` samples; else a window of one sample.
 
     It then admits only slopes that pass each of its samples within the tolerance.
     """
@@ -195,15 +195,15 @@ def modulated_damping(
     displacement: float = 0.0,
     sample_time: float = 1.0,
 ) -> float:
-    """Return d_pas of eq. 19 [N*s/m or N*m*s/rad]: in proportion to the surplus, the total not above the cap.
+    """Return d_pas of eq. 19 [N*s/m or N*m*s/rad]: proportional to the surplus, the total not above the cap.
 
-    Nor is it more than dissipates the surplus in one hold like the last: eq. 19 alone would take out more than there
+    It never exceeds what dissipates the surplus in one hold like the last: eq. 19 alone would remove more than there
     is where alpha is large, and set up an oscillation of its own.
 
     Args:
         alpha: Damping per joule of surplus [s/m^2 or s/rad^2].
         surplus: Energy still to be dissipated [J]; at or below 0 the damper is off.
-        model_damping: Damping that the model itself has inside the same torque [N*s/m or N*m*s/rad].
+        model_damping: Damping of the model inside the same torque [N*s/m or N*m*s/rad].
         cap: Largest total damping [N*s/m or N*m*s/rad].
         displacement: Motion of the hold that ended [m or rad]; 0 for no limit by the surplus.
         sample_time: Sample time [s].

@@ -1,4 +1,4 @@
-"""The accounts of a run against the truth of its simulated plant; loaded where there is one."""
+"""Comparison of a run's accounts with the truth of its simulated plant; loaded only where there is one."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -22,7 +22,7 @@ class EnergyAudit:
 
     Attributes:
         least: Least true sum of h_i after any hold, per axis, then per group: of its motors and movers together [J].
-        least_at_handle: The same with what friction and bearings have dissipated [J].
+        least_at_handle: The same, including what friction and bearings have dissipated [J].
         interaction: True sum of h_i, per axis and group [J].
         dissipated: Energy dissipated by friction and bearings, per axis and group [J].
         believed_error: Largest |accounted - true| sum of h_i after any hold, per axis and group [J].
@@ -38,7 +38,7 @@ class EnergyAudit:
         self._groups = [(axes + place, group) for place, group in enumerate(groups)]
 
     def compare(self, ledgers: Sequence[Ledger], truths: Sequence[Truth], balances: Sequence[EnergyBalance]) -> None:
-        """Take the truth of the SYNC whose balances the ledgers have just taken.
+        """Take the true energies of the SYNC whose balances the ledgers have just taken.
 
         Args:
             ledgers: Ledger of each axis.

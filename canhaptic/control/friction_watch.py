@@ -8,7 +8,7 @@ falling over the second, the equation of motion m a = tau + u - s F gives by par
 With m at least `moving_mass`, F at least the declared f_c, and the hand's force within its declared bounds (in contact:
 F_h out of it, a push into it), an axis that gains speed by more than the right side can gain contradicts the
 declarations of the device or of the hand: either way the certificates rest on something false. Subtracted from the
-contradiction are errors of the positions (half a count each), of the times (jitter), and of a torque that comes late;
+errors of the positions (half a count each), of the times (jitter), and of a torque that comes late; what remains is
 an error of its size is not.
 
 Out of contact nothing is declared of the hand, and a hand without a bound explains every motion: there is no test. So a
@@ -52,13 +52,13 @@ class _Stretch:
 
 
 class FrictionWatch:
-    """Compares a run, hold by hold.
+    """Compares the motion of a run with the declarations, hold by hold.
 
     Args:
         declared: Declared friction and hand.
 
     Attributes:
-        excess: Largest force by which the axis was faster than declared friction lets it be [N or N*m]; 0: none.
+        excess: Largest force by which the motion exceeded declared friction [N or N*m]; 0: none.
     """
 
     __slots__ = (
@@ -75,13 +75,13 @@ class FrictionWatch:
         self._now, self._before = _Stretch(), _Stretch()
 
     def take(self, position: float, torque: float, deadline: int, asked: float) -> None:
-        """Take a hold; after a gap the motion begins anew.
+        """Take a hold; after a gap the comparison restarts.
 
         Args:
-            position: Position at its end [m or rad].
+            position: Position at the end of the hold [m or rad].
             torque: Torque held in it [N or N*m].
-            deadline: Sample times from the first SYNC to its end.
-            asked: Effort of the environment at its end, which points into the contact; 0 out of contact [N or N*m].
+            deadline: Sample times from the first SYNC to the end of the hold.
+            asked: Effort of the environment there, which points into the contact; 0 out of contact [N or N*m].
         """
         before, self._asked = self._asked, asked
         gap, self._deadline = deadline - self._deadline, deadline

@@ -1,4 +1,4 @@
-"""Ledger: the sums of a whole run over the account of every hold.
+"""Ledger: the sums of the account of every hold over a whole run.
 
 Check of the energy that a port gave out against its declared limit, independent of the controller.
 """
@@ -21,22 +21,22 @@ from canhaptic.signals import Sample
 
 
 class EnergyLossMeter:
-    """Energy that came in by one port, from the applied torques and measured positions alone.
+    """Energy received through one port, from the applied torques and measured positions alone.
 
     The uncertainty due to lost samples is not subtracted: a controller books it at its worst, and a run would end for
-    energy that was never given out. What the damping of the device certainly dissipates is added, as a certificate by
-    damping counts on it.
+    energy that was never given out. The certain dissipation of the device is added, as a damping certificate
+    counts on it.
 
     Args:
         name: Name of the port.
-        axes: Places of its axes in the rig.
+        axes: Indices of its axes in the rig.
         limit: Energy that may be given out beyond the allowance [J].
-        allowance: Energy that may be given out by declaration [J].
+        allowance: Declared energy that may be given out [J].
         damping: Certain damping of the device, one value per axis [N*s/m or N*m*s/rad].
         sample_time: Sample time [s].
 
     Attributes:
-        energy: Energy that came in so far; negative where more was given out [J].
+        energy: Energy received so far; negative where more was given out [J].
     """
 
     __slots__ = (
@@ -61,12 +61,12 @@ class EnergyLossMeter:
         self._booked_at = -1
 
     def take(self, samples: Sequence[Sample], deadline: int) -> bool:
-        """Count the hold that ended; return whether more was given out than the floor allows.
+        """Count the hold that ended; return whether more was given out than allowed.
 
         Args:
             samples: Samples of the whole rig; where one of the port's is not fresh, the next fresh one counts for all
                 holds.
-            deadline: Sample times from the first SYNC to this one; SYNCs that were skipped count.
+            deadline: Sample times from the first SYNC to this one, skipped SYNCs included.
         """
         booked_at, positions = self._booked_at, self._positions
         if self._is_group and not all(samples[axis].fresh for axis in self.axes):
@@ -114,14 +114,14 @@ class LedgerSummary(NamedTuple):
 
     @property
     def certificate(self) -> Certificate:
-        """The weakest that bounded a torque; EXACT where no torque acted."""
+        """The weakest certificate that bounded a torque; EXACT where no torque acted."""
         return self.certificates[-1] if self.certificates else Certificate.EXACT
 
     def as_json(self, sample_time: float) -> PortResult:
         """Return the account of a port as `run --json` prints it.
 
         Args:
-            sample_time: Turns the cycle of the least margin into a time [s].
+            sample_time: Sample time, to convert the cycle of the least margin into a time [s].
         """
         below = self.first_below
         return {
@@ -151,7 +151,7 @@ class LedgerSummary(NamedTuple):
 
 
 class Ledger:
-    """The compensated sums of a run: one `add` per cycle, one `summary` whenever it is wanted.
+    """The compensated sums of a run: one `add` per cycle, and a `summary` at any time.
 
     Attributes:
         interaction: Sum of h_i so far [J] (eq. 3).
@@ -161,7 +161,7 @@ class Ledger:
         self.reset()
 
     def reset(self) -> None:
-        """Forget every hold."""
+        """Clear all sums."""
         self._interaction, self._in, self._dissipated = RunningSum(), RunningSum(), RunningSum()
         self._recovered, self._leaked, self._paid, self._deficit, self._generated = (RunningSum() for _ in range(5))
         self._branches = [0] * len(Branch)
@@ -178,7 +178,7 @@ class Ledger:
         Args:
             balance: Account of the hold.
             cycle: Index of the SYNC.
-            deadline: Sample times to it; None: no SYNC was skipped.
+            deadline: Sample times to that SYNC; None: no SYNC was skipped.
         """
         torque, h_i, h_pas, _, h_r, _, surplus, gen, deficit, leak, _, branch, rendered, certificate, _ = balance
         self._branches[branch] += 1

@@ -1,4 +1,4 @@
-"""PortResult: the account of a port after a run. Verdicts: whether the port was passive by it.
+"""PortResult: the account of a port after a run. Verdicts: whether the account shows the port passive.
 
 **Active.** A sum of energy that is booked with an error of at most R fell below -A for certain where booked + R < -A,
 at any time. R grows in a run and the sum may recover, so the end of a run does not show it: a run notes the first such
@@ -7,10 +7,10 @@ At the motor this refutes every certificate, unless damping or friction of the d
 that at the handle, and it is refuted where booked + R + D < -A, with D the most that the device can have dissipated.
 An R that is an estimate, and no bound, refutes nothing.
 
-**Passive.** "Yes, measured" where booked - R >= -A after every hold: no more came out, be the declarations right or
-wrong. "Yes, by certificate" where every torque was certified, nothing refutes it, and R at the end is no more than a
-tenth of what came in, than A, or than 10 uJ: a certificate rests on the positions too. Of a spring pressed to a depth,
-R over what came in is 2 counts over the depth. Else "in doubt", with the reason.
+**Passive.** "Yes, measured" where booked - R >= -A after every hold: no more came out, whether or not the declarations
+are right. "Yes, by certificate" where every torque was certified, nothing refutes it, and R at the end is at most a
+tenth of what came in, or A, or 10 uJ: a certificate rests on the positions too. For a spring pressed to a depth,
+R over what came in is 2 counts over the depth. Otherwise "in doubt", with the reason.
 
 The account of a dry run, in which no torque was sent: a positive result proves nothing about the controller.
 """
@@ -55,7 +55,7 @@ _OF_EVERY_TORQUE: Final = ("current_lag", "torque_window", "delay")
 
 
 class Extremes(TypedDict):
-    """The least and the most that was seen."""
+    """The least and the largest observed value."""
 
     least: float
     most: float
@@ -69,7 +69,7 @@ class SurplusEnergy(TypedDict):
 
 
 class LeastMargin(TypedDict):
-    """The least margin (eq. 4) and where it was reached."""
+    """The least margin (eq. 4) and its time."""
 
     value: float  # [J]
     cycle: int  # index of the SYNC
@@ -77,7 +77,7 @@ class LeastMargin(TypedDict):
 
 
 class ContactHolds(TypedDict):
-    """Holds in contact; the last two are those of an axis alone."""
+    """Holds in contact; the last two only for a single axis."""
 
     holds: int
     without_torque: int
@@ -86,7 +86,7 @@ class ContactHolds(TypedDict):
 
 
 class RenderedShares(TypedDict):
-    """Part of the environment that was rendered in contact; None: none asked."""
+    """Share of the environment that was rendered in contact; None: none requested."""
 
     stiffness: float | None
     damping: float | None
@@ -98,7 +98,7 @@ _Flows = TypedDict("_Flows", {"in": float, "out": float}, total=False)
 class PortResult(_Flows, total=False):
     """Account of one port, an axis or a group of axes, by the names of `run --json`. Energies in [J].
 
-    Which keys there are depends on the port and on where the account comes from.
+    The keys depend on the port and on the source of the account.
     """
 
     unit: str
@@ -166,19 +166,19 @@ def passive_verdict(
     has_open_hold: bool = False, allowance: float = 0.0, is_estimated: bool = False, certain: float | None = None,
     books_least: bool = False,
 ) -> tuple[Verdict, str]:  # fmt: skip
-    """Return whether a sum of energy stayed at minus the allowance or above, and why that is said; see the module.
+    """Return whether a sum of energy stayed at or above minus the allowance, with the reason; see the module.
 
     Args:
-        least: Its least value after any hold, as booked [J].
-        resolution: Largest difference of that from the true one at the end [J].
-        energy_in: Total energy that came in [J].
-        is_promised: Whether certificates of every hold exclude less.
-        has_open_hold: Whether the run ended in holds that are not booked, because no position came any more. What is
-            promised is promised of them too: a torque that acts for longer than its certificate covers loses it.
+        least: Least value of the sum after any hold, as booked [J].
+        resolution: Largest difference between booked and true sum at the end [J].
+        energy_in: Total energy received [J].
+        is_promised: Whether certificates of every hold exclude a lower value.
+        has_open_hold: Whether the run ended in holds that are not booked, because no further position arrived. What is
+            promised holds for them too: a torque that acts for longer than its certificate covers loses it.
         allowance: Energy that may be given out [J].
         is_estimated: Whether the resolution is an estimate, so that a sum below it proves nothing.
-        certain: Least value of the sum less its resolution then [J]; None: that of the end counts for all.
-        books_least: Whether what is booked is the least that may have come in, at any resolution.
+        certain: Least value of the sum less its resolution then [J]; None: the resolution at the end is used.
+        books_least: Whether the booked energy is the least that may have come in, at any resolution.
     """
     floor = -(allowance + ROUNDING)
     if least + resolution < floor and not is_estimated:
@@ -211,9 +211,9 @@ def is_certified(account: PortResult) -> bool:
 
 
 def account_verdict(account: PortResult) -> tuple[Verdict, str]:
-    """Whether a port was passive at the motor (eq. 3), by the energy that came in against the motor's torque, and why.
+    """Whether a port was passive at the motor (eq. 3), by the energy received against the motor's torque, and why.
 
-    Where a damping of the device is declared, certificates promise the sum at the handle and not this one.
+    Where a damping of the device is declared, certificates guarantee the sum at the handle, not this one.
 
     Args:
         account: Sums of `LedgerSummary.as_json`, with the port's other figures.
@@ -228,7 +228,7 @@ def account_verdict(account: PortResult) -> tuple[Verdict, str]:
 
 
 def handle_verdict(account: PortResult) -> tuple[Verdict, str] | None:
-    """Return whether a port was passive at the handle, with what the device itself dissipated for certain, and why.
+    """Return whether a port was passive at the handle, including the device's certain dissipation, and why.
 
     None without a declared damping of the device. It may have dissipated more: a sum below zero proves nothing.
 
@@ -279,12 +279,12 @@ def contradict(account: PortResult) -> None:
 
 
 def plant_verdict(least: float, allowance: float) -> Verdict:
-    """Return whether the energy of a simulated plant stayed at minus the allowance or above; both in [J]."""
+    """Return whether the energy of a simulated plant stayed at or above minus the allowance; both in [J]."""
     return "yes" if least >= -(allowance + PASSIVE_TOLERANCE) else "no"
 
 
 def add_verdicts(account: PortResult, plant: tuple[float, float] | None = None) -> None:
-    """Add the verdicts of an account, and the word that is shown.
+    """Add the verdicts of an account, and the headline word.
 
     Args:
         account: Account of a port without verdicts; changed.
@@ -307,7 +307,7 @@ def add_verdicts(account: PortResult, plant: tuple[float, float] | None = None) 
 def headline(account: PortResult) -> Headline:
     """Headline word of a port, from its verdicts and contacts.
 
-    Passive at the handle is passive: there the port ends where the device is part of the promise.
+    Passive at the handle counts as passive: the port is there where the device is part of the guarantee.
 
     Args:
         account: Account of a port, with its verdicts.
@@ -339,7 +339,7 @@ def _is_silent(account: PortResult, contact: ContactHolds) -> bool:
 
 
 def claim_nothing(account: PortResult) -> None:
-    """Remove from a port's account what needs a sent torque: certificates and rendered shares.
+    """Remove from a port's account what only a sent torque can prove: certificates and rendered shares.
 
     Args:
         account: Account of the port; changed.

@@ -89,7 +89,7 @@ class BusParameters(Parameters):
 
     @property
     def heartbeat_cycles(self) -> int:
-        """Sample times from one heartbeat of the master to the next."""
+        """Sample times between heartbeats of the master."""
         return max(1, round(self.heartbeat_period * 1e9 / self.sample_time_ns))
 
     @property
@@ -100,7 +100,7 @@ class BusParameters(Parameters):
 
     @property
     def heartbeat_ms(self) -> int:
-        """Value of 0x1017 of the drives [ms]: `heartbeat_period` as near as the object allows."""
+        """Value of 0x1017 of the drives [ms]: `heartbeat_period` as closely as the object allows."""
         return max(1, min(LARGEST_U16, round(self.heartbeat_period * 1e3)))
 
     @property

@@ -1,6 +1,6 @@
 """The only module of the package that reads or waits for time, and the histogram of durations. Integer nanoseconds.
 
-`WallClock` sleeps to within a margin of the deadline and spins the rest: the wake-up is right to a microsecond or so,
+`WallClock` sleeps to within a margin of the deadline and spins the rest: the wake-up is accurate to a microsecond,
 where a plain sleep is late by some 80 us. `VirtualClock` advances only when its owner waits: master and simulated
 drives then run in lock-step in one thread, as fast as the machine allows and with the same result every time.
 
@@ -24,7 +24,7 @@ class Clock(Protocol):
     """Time as the master sees it."""
 
     def now(self) -> int:
-        """Return the time [ns] since an epoch of the clock's own."""
+        """Return the time [ns] since the clock's own epoch."""
 
     def wait_until(self, deadline: int) -> None:
         """Return when `deadline` [ns] has come; at once when it has passed."""
@@ -58,7 +58,7 @@ class WallClock:
             now = time.monotonic_ns()
 
     def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
-        """Return the next frame, or None at `deadline` [ns]: blocks, then poll, then spin."""
+        """Return the next frame, or None at `deadline` [ns]: block, then poll, then spin."""
         now = time.monotonic_ns()
         while True:
             idle = self._process(deadline, now)
@@ -158,7 +158,7 @@ _BINS: Final = 20_000  # durations of 20 ms and more share the last bin; their m
 
 
 class DurationHistogram:
-    """Counts of durations [ns], for quantiles that are right to one bin (1 us)."""
+    """Counts of durations [ns], for quantiles accurate to one bin (1 us)."""
 
     def __init__(self) -> None:
         self._counts = [0] * (_BINS + 1)

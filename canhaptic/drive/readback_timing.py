@@ -25,7 +25,7 @@ _REGISTER_TAPS: Final = 0b110000  # of x^6 + x^5 + 1: 63 steps until it repeats
 
 
 class ReadBackTiming(NamedTuple):
-    """Timing of one drive, from its torques."""
+    """Timing of the read-back of one drive."""
 
     reported: Reported | None  # the value for `demand_reported`; None when it cannot be decided
     before_error: float  # mean |reported - expected|, as part of the mean change of torque; 0 fits exactly
@@ -41,7 +41,7 @@ def detect_read_back(
 
     Args:
         commanded: Target torque (0x6071) sent in answer to SYNC k, for each k.
-        reported: Torque (0x6074 or 0x6077) in the TPDO of SYNC k; None where none came.
+        reported: Torque (0x6074 or 0x6077) in the TPDO of SYNC k; None where none arrived.
         rpdo: Time at which a torque acts, as in `bus.rpdo`.
     """
     before = after = change = 0.0
@@ -85,7 +85,7 @@ def _text(errors: tuple[float, float], rpdo: str) -> str:
 
 
 def probe_torques(amplitude: float, cycles: int) -> list[float]:
-    """Return torques [N*m or N] that change often and push the axis nowhere.
+    """Return torques [N*m or N] that change often and move the axis nowhere.
 
     Each pair is +a, -a or -a, +a, in an order that does not repeat within 126 cycles, so that no delay of the drive is
     mistaken for another and the momentum never exceeds a times two sample times.
@@ -106,9 +106,9 @@ def measure_read_back(rig: Rig, amplitude: float, cycles: int = 64) -> list[Read
     The rig stays enabled with its last torque at zero; the caller stops it.
 
     Args:
-        rig: Started; no controller may write torques meanwhile.
+        rig: Started rig; no controller may write torques meanwhile.
         amplitude: Amplitude of the probe [N*m or N]; the limits of each axis still apply.
-        cycles: SYNCs to probe for.
+        cycles: Number of SYNCs to probe.
 
     Raises:
         ParameterError: The amplitude is too small to be seen, or an axis reads nothing back.

@@ -50,8 +50,8 @@ class Rig:
     Args:
         link: The bus, or the buses.
         drives: One per axis, in the order of samples and torques.
-        bus: Rate, link policy and the rest; the same for all buses.
-        groups: Places of axes that render together. Where one of them is not heard at a SYNC, none has a sample: the
+        bus: Bus parameters: rate, link policy and the rest; the same for all buses.
+        groups: Indices of axes that render together. Where one of them does not answer a SYNC, none has a sample: the
             link policy counts SYNCs without the whole set, however the losses are spread over the axes.
 
     Attributes:
@@ -309,11 +309,11 @@ class Rig:
             )
 
     def end(self, reason: StopReason, what: str) -> RigError:
-        """Send zero torque and stop at once for a reason that the caller has found; return the exception.
+        """Send zero torque and stop at once for a reason found by the caller; return the exception.
 
         Args:
             reason: Reason of the stop.
-            what: Place where it was found, with the values.
+            what: Where it was found, with the values.
         """
         rule = STOP_TABLE[reason]
         text = f"{what}: {rule.meaning} at SYNC {self.sync_index}; torque is zero; {rule.remedy}"
@@ -367,7 +367,7 @@ class Rig:
         return emcy_remedy(code, self.bus.master_silence_ns * 1e-9, self.skipped_syncs)
 
     def reset_faults(self) -> None:
-        """Reset the faults of all drives for the operator; leave every drive disabled, and never enables one.
+        """Reset the faults of all drives on the operator's request; leave every drive disabled.
 
         Raises:
             RigError: The rig is running.
@@ -379,7 +379,7 @@ class Rig:
             _bring_up(drive).reset_fault()
 
     def read_objects(self, axis: int) -> "list[Finding]":
-        """Return the limits, ramps and reactions that the drive of an axis keeps; raise SdoError without an answer."""
+        """Return the limits, ramps and reactions stored in the drive of an axis; raise SdoError without an answer."""
         from canhaptic.drive.profile.read_objects import read_objects
 
         return list(read_objects(self.drives[axis]))
@@ -388,7 +388,7 @@ class Rig:
 
     @property
     def is_running(self) -> bool:
-        """Whether the drives are enabled and the cycle may go on."""
+        """Whether the drives are enabled and the cycle may continue."""
         return self._is_running
 
     @property
@@ -398,11 +398,11 @@ class Rig:
 
     @property
     def skipped_syncs(self) -> int:
-        """Deadlines of SYNC that were missed and left out."""
+        """Deadlines of SYNC that were missed and skipped."""
         return self.deadline_index - max(0, self.sync_index)
 
     def link_statistics(self) -> dict[str, float]:
-        """Return the counts of all links, the SYNCs skipped and the part of SYNCs that every axis answered."""
+        """Return the counts of all links, the SYNCs skipped and the fraction of SYNCs that every axis answered."""
         counts: dict[str, float] = {"skipped_syncs": self.skipped_syncs}
         for link in self.links:
             for name, count in link.statistics.as_dict().items():

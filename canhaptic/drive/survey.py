@@ -64,7 +64,7 @@ def _analog_input(dictionary: ObjectDictionary) -> str | None:
 
 
 def display_of(dictionary: ObjectDictionary, mode: Mode, force_object: str | None = None) -> AdmittanceParameters:
-    """Admittance display with a dictionary; its force has scale 1, and its figures are placeholders.
+    """Admittance display for a dictionary; its force has scale 1, and its figures are placeholders.
 
     Args:
         dictionary: Dictionary of the drive.
@@ -98,7 +98,7 @@ def force_finding(dictionary: ObjectDictionary, display: AdmittanceParameters) -
 
 
 def limit_findings(dictionary: ObjectDictionary) -> list[Finding]:
-    """Limits in the drive for a display whose sensor or master is wrong, and objects that may alter its command."""
+    """Limits in the drive in case a display's sensor or master is wrong, and objects that may alter its command."""
     found = []
     ramps = [index for index in (od.PROFILE_ACCELERATION, od.MAX_ACCELERATION) if listed(dictionary, index) is not None]
     stuck = [index for index in ramps if not is_writable(dictionary, index, 0)]
@@ -200,7 +200,7 @@ class Survey(NamedTuple):
 
     @property
     def conditions(self) -> list[SurveyRow]:
-        """Settings to configure, and those that the drive decides at the start."""
+        """Settings to configure, and those that are decided by the drive at the start."""
         return [row for row in self.rows if row.verdict is Verdict.UNKNOWN]
 
     @property

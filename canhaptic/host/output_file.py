@@ -1,4 +1,4 @@
-"""Output files of a command: regular ones alone, no symbolic link followed, each replaced whole or not at all."""
+"""Output files of a command: regular files only, no symbolic link followed, each replaced completely or not at all."""
 
 import os
 import secrets

@@ -1,6 +1,6 @@
 """Real-time settings of the thread that runs the cycle: requested and granted.
 
-Only what the configuration names is requested, a refusal never stops a run, and everything is released at the
+Only the configured settings are requested, a refusal never stops a run, and everything is released at the
 end. Another platform, a container or a missing privilege refuses; the report says so in the system's own words.
 """
 

@@ -3,9 +3,9 @@
 The kernel is asked through `ip -details -statistics -json link show`. A fault refuses the run; an unwise or unknown
 setting is a note.
 
-Bus-off (the controller gave up after too many errors) ends a run, and nothing may bring it back to life unseen. With
+Bus-off (the controller gave up after too many errors) ends a run, and nothing may restart it unnoticed. With
 `restart-ms 0` the controller stays off until a person restarts it. With a restart after the rig has certainly stopped
-(`stop_cycles` sample times) the bus comes back to drives that are disabled. A restart before that would let a run
+`restart-ms 0` the controller stays off until a person restarts it. With a restart after the rig has certainly stopped
 continue unnoticed, and is refused.
 """
 
@@ -57,7 +57,7 @@ def all_links_are_virtual(scene: RigSettings, run: Runner | None = None) -> bool
     """Whether no bus of a scene can have a real drive, according to the kernel.
 
     That is so for the virtual bus of this process and for SocketCAN interfaces of the kinds vcan and vxcan. The name of
-    an interface does not count. An interface of which the kernel says nothing counts as real.
+    an interface is not considered. An interface unknown to the kernel counts as real.
 
     Args:
         scene: Scene that names the interfaces.
@@ -81,7 +81,7 @@ def _question(channel: str) -> list[str]:
 
 
 def require_preflight(scene: RigSettings, run: Runner | None = None) -> list[PreflightFinding]:
-    """Notes of a preflight without a reason against a run.
+    """Return the notes of a preflight; raise where one forbids a run.
 
     Raises:
         LinkError: There is such a reason; lists every one.

@@ -1,7 +1,7 @@
 """Kernels: functions that Python runs in the cycle and numba compiles for sweeps; one source for both.
 
-A kernel is a function on numbers and records. It keeps nothing, raises nothing, and calls `math`, other kernels and the
-methods of an environment only. Its data come in four forms:
+A kernel is a function on numbers and records. It stores nothing, raises nothing, and calls only `math`, other kernels
+and methods of an environment. Its data come in four forms:
 
 * settings, fixed for a run: a frozen dataclass of numbers and of the parameters, of which only numbers are read;
 * state, kept from SYNC to SYNC: a dataclass of numbers, changed in place;
@@ -10,11 +10,11 @@ methods of an environment only. Its data come in four forms:
 * results: numbers and NamedTuples.
 
 Compiled, settings and state are NumPy records of the same fields. A state that is returned anew by every kernel was
-tried: it is as fast compiled, but costs the cycle 1.3 to 2 times the step, as CPython makes a NamedTuple in 0.1 to
-0.3 us and changes a field in 6 ns.
+tried: it is as fast compiled, but makes the step 1.3 to 2 times as slow in the cycle, as CPython makes a NamedTuple in
+0.1 to 0.3 us and changes a field in 6 ns.
 
-What has to be avoided so that both give the same bits: `x**0.5` and `x**2` (the C library's pow is neither the exact
-root nor the exact product), `sum()` (Python compensates it from 3.12 on), None for a number that is missing.
+To be avoided so that both give the same bits: `x**0.5` and `x**2` (the C library's pow is neither the exact
+root nor the exact product), `sum()` (compensated by Python from 3.12 on), None for a missing number.
 """
 
 from collections.abc import Callable, MutableSequence, Sequence
@@ -52,13 +52,13 @@ def zeros(rows: int, columns: int) -> Matrix:
 
 
 def fields_of(kind: object) -> tuple[str, ...]:
-    """Names of the fields of a NamedTuple or of its class; none of anything else."""
+    """Names of the fields of a NamedTuple or of its class; empty for anything else."""
     names: tuple[str, ...] = getattr(kind, "_fields", ())
     return names
 
 
 def with_quick_fields(memory: _Memory) -> _Memory:
-    """Copy of a NamedTuple, and those in it, whose fields Python reads at half the price."""
+    """Copy of a NamedTuple, and any nested in it, whose fields Python reads at half the cost."""
     names = fields_of(memory)
     if not names:
         return memory

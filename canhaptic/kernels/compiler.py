@@ -78,7 +78,7 @@ _Found = TypeVar("_Found")
 
 
 class NotKeptError(Exception):
-    """Machine code is not on the disk, and may not be made now."""
+    """Machine code that is not on the disk, and may not be made now."""
 
 
 _may_compile = True
@@ -114,7 +114,7 @@ class CheckedCache(caching.FunctionCache):
         self._cache_file = _CheckedFiles(locator.get_cache_path(), self._impl.filename_base, locator.get_source_stamp())
 
     def load_overload(self, sig: object, target_context: object) -> object:
-        """The code from the disk, None where it is not there.
+        """Return the code from the disk; None where there is none.
 
         Raises:
             NotKeptError: It is not, and nothing may be compiled now.
@@ -138,7 +138,7 @@ def _is_whole(content: bytes, version: str = "") -> bool:
 
 @contextmanager
 def kept_code(sources: Iterable[str]) -> Iterator[bool]:
-    """Within the context, numba stores code in a folder of these sources; yields whether it can.
+    """Within the context, numba stores code in a folder for these sources; yields whether it can.
 
     Args:
         sources: Everything that decides the machine code.
@@ -215,7 +215,7 @@ def cache_folder() -> Path | None:
 
 
 def code_key(sources: Iterable[str]) -> str:
-    """Return the name of the folder for code made of these sources, here."""
+    """Return the name of the folder for code made from these sources on this machine."""
     digest = hashlib.sha256()
     features = sorted(name for name, there in binding.get_host_cpu_features().items() if there)
     where = (sys.version, platform.machine(), binding.get_host_cpu_name(), features)
@@ -288,14 +288,14 @@ def compiled(
 
     Args:
         function: The kernel.
-        instead: Replacements by function reached, or by global name.
-        keep: Whether the machine code is kept on disk for the next process.
-        parts: Classes whose methods it calls, but does not name.
-        calls: Functions that stay calls, because they are long and called from several places, while every other
-            becomes a part of those that call it: that halves the time of a loop, for the arrays of a NamedTuple are
-            some fifty words, which a call hands on. None leaves it to LLVM.
-        units: Functions, as reached after the replacements, that are kept on disk by themselves too, so that another
-            kernel that reaches one of them need not translate it again.
+        instead: Replacements by reached function or by global name.
+        keep: Whether the machine code is stored on disk for the next process.
+        parts: Classes whose methods the kernel calls without naming the class.
+        calls: Functions that remain calls, because they are long and called from several places, while every other
+            is inlined into its callers: that halves the time of a loop, for the arrays of a NamedTuple are
+            some fifty words, which a call passes on. None leaves it to LLVM.
+        units: Functions, as reached after the replacements, that are also stored on disk on their own, so that another
+            kernel that reaches one of them need not compile it again.
 
     Raises:
         InputError: A NamedTuple that it names has a field with the name of a method.

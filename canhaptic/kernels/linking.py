@@ -1,8 +1,8 @@
-"""How numba makes machine code of a kernel: once, of the kernel with everything in it.
+"""Linking of a kernel by numba: machine code is emitted once, for the kernel with everything in it.
 
 numba optimises each function that a kernel reaches, and emits machine code for it, although only the kernel is called;
-for a loop of 170 functions that was 18 of 26 s. Here a function that is compiled on the way is linked into its callers
-and no more. Where numba is of another version than those below, its own way is left alone.
+for a loop of 170 functions that was 18 of 26 s. Here a function compiled for a caller is linked into that caller
+only. Where numba's version differs from those below, its own procedure is unchanged.
 """
 
 import gc
@@ -94,9 +94,9 @@ class _Library(codegen.JITCodeLibrary):
 
 @contextmanager
 def linked() -> Iterator[None]:
-    """Within the context, functions that are compiled on the way to another are linked into it and no more.
+    """Within the context, functions compiled for another are only linked into it.
 
-    Python's search for circles of references is off: it takes a tenth of the time.
+    Python's cyclic garbage collection is off: it takes a tenth of the time.
     """
     global _under_way
     before, collects = _under_way, gc.isenabled()

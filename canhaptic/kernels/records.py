@@ -1,4 +1,4 @@
-"""What a kernel is compiled with: functions in the place of some, records and arrays in the place of dataclasses.
+"""What a kernel is compiled with: replaced functions, and records and arrays in place of dataclasses.
 
 Copies of a kernel, and of every kernel that it reaches, with some functions replaced.
 """
@@ -21,7 +21,7 @@ _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
 class Binding:
-    """Copies of functions with global names bound to replacements, each copied once.
+    """instead: Replacements by reached function or by global name.
 
     Args:
         instead: Replacements by function reached, or by global name.
@@ -39,7 +39,7 @@ class Binding:
         self._known: dict[object, object] = dict(known or {})
 
     def rebound(self, function: Callable[..., object]) -> FunctionType:
-        """The same code with other functions in the place of its global names."""
+        """Return the same code with its global names bound to other functions."""
         function = cast(FunctionType, function)
         found: dict[str, object] = {"__name__": function.__module__, "__builtins__": builtins}
         for name in sorted(_names_in(function.__code__)):
@@ -52,7 +52,7 @@ class Binding:
         return self.of(name, self._instead.get(value, value)) if callable(value) else self.constant(name, value)
 
     def constant(self, name: str, value: object) -> object:
-        """Value that a function names."""
+        """Value of a constant that a function names."""
         return value
 
     def of(self, name: str, value: object) -> object:
@@ -156,7 +156,7 @@ def records_of(values: Iterable[object]) -> Records:
 
 
 def number_in(state: object, name: str) -> float:
-    """Number in a dataclass, or in the record in its place."""
+    """Number in a dataclass or in its record."""
     number: float = state[name] if isinstance(state, np.void) else getattr(state, name)
     return number
 
@@ -171,7 +171,7 @@ def _flat(kind: _Kind, path: str = "", offset: int = 0) -> Iterable[_Part]:
 
 
 def arrays_of(value: _Value) -> _Value:
-    """Return a NamedTuple of buffers, and of such, with arrays of its own in their place.
+    """Return a NamedTuple of buffers, nested ones included, with arrays of its own.
 
     The kind of a field follows from its annotation: `Buffer`, `Indices`, `Matrix`, or anything else.
     """
@@ -190,7 +190,7 @@ def arrays_of(value: _Value) -> _Value:
 
 
 def record_of(value: object) -> Records:
-    """Return a NamedTuple of buffers, of such and of dataclasses, as one record of arrays, shape (1,).
+    """Return a NamedTuple of buffers, of such tuples and of dataclasses, as one record of arrays, shape (1,).
 
     Compiled code takes it by its address, where a tuple of arrays would come apart into hundreds of arguments; and it
     knows the lengths.

@@ -127,7 +127,7 @@ class Ring:
         """Function that writes one frame of a bus: `push` inlined, as this runs for every frame of every cycle.
 
         Args:
-            bus: Place of the bus among the channels.
+            bus: Index of the bus among the channels.
             when_full: Called with the record that finds no room.
         """
         memory, cells, pack_into, size = self._memory, self._cells, self._pack_into, self._size

@@ -99,7 +99,7 @@ def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"]
         bus: The connection as it was opened.
         scene: Has `bus_effects`.
         side: The side whose connection it is.
-        index: Place of the bus among those of the scene.
+        index: Index of the bus among those of the scene.
     """
     from canhaptic.sim.bus.faulty_bus import FaultyBus
 

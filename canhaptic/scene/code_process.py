@@ -145,7 +145,7 @@ class _Slot:
 
     Args:
         memory: Shared memory.
-        start: Place of the slot in it [bytes].
+        start: Index of the slot in it [bytes].
         values: Numbers of a record behind its index and its periods.
     """
 

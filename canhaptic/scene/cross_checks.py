@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
 
 def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, beyond_bus: bool = False) -> None:
-    """Note errors between the sections of a scene whose sections are right on their own.
+    """Note errors between sections of a scene that are each valid on their own.
 
     Args:
         scene: Scene as read.
-        sections: The sections it was read from.
+        sections: Sections from which it was read.
         faults: Receives the faults.
-        beyond_bus: Whether a rate beyond its bus is accepted.
+        beyond_bus: Whether a rate that its bus cannot carry is accepted.
     """
     _check_unique(scene, sections["axes"], faults)
     if len(faults):  # what follows takes its time for each axis, and a name or node ID may be that of thousands

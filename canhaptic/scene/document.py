@@ -21,7 +21,7 @@ from canhaptic.units import shown
 
 
 class SourceLocation(NamedTuple):
-    """The place a key or value came from: a line of a file, or an override of the command line."""
+    """The origin of a key or value: a line of a file, or an override on the command line."""
 
     source: str  # file name as given, or the override as typed
     line: int  # counted from 1; 0 when the source has no lines
@@ -30,7 +30,7 @@ class SourceLocation(NamedTuple):
 
     @property
     def where(self) -> str:
-        """Return `file:line:column`, or the source alone when it has no lines."""
+        """Return `file:line:column`, or only the source when it has no lines."""
         return f"{self.source}:{self.line}:{self.column}" if self.line else self.source
 
     @property
@@ -39,7 +39,7 @@ class SourceLocation(NamedTuple):
         return Path(self.source).parent if self.line else Path()
 
     def below(self, *parts: str) -> "SourceLocation":
-        """Return the same place for an entry below it that the source does not hold."""
+        """Return the same location for an entry below it that the source does not contain."""
         return self._replace(path=(*self.path, *parts))
 
 
@@ -90,10 +90,10 @@ class MarkedMapping(dict[str, Any]):
     """A mapping of the scene.
 
     Attributes:
-        mark: Its place.
-        keys_at: Places of its keys.
-        values_at: Places of its values.
-        elsewhere: Keys that it may have and that were taken out of it, because something else reads them.
+        mark: Source location of the mapping.
+        keys_at: Source locations of its keys.
+        values_at: Source locations of its values.
+        elsewhere: Keys that it may have and that were removed, because another part reads them.
         motion: Linear or rotary axis whose units apply; None: inherited.
         was: Type before an override named another one, "" for none; None: no override named one.
     """
@@ -108,22 +108,22 @@ class MarkedMapping(dict[str, Any]):
         self.was: str | None = None
 
     def put(self, key: str, value: Any, key_at: SourceLocation, value_at: SourceLocation) -> None:
-        """Set one entry with its places."""
+        """Set one entry with its source locations."""
         self[key] = value
         self.keys_at[key] = key_at
         self.values_at[key] = value_at
 
     def set(self, key: str, value: Any) -> None:
-        """Set an entry that the document does not have; errors name the place of the value, or that of the mapping."""
+        """Set an entry that the document does not have; errors name the location of the value, or of the mapping."""
         at = value.mark if isinstance(value, MarkedMapping | MarkedList) else self.mark
         self.put(key, value, at, at)
 
     def value_at(self, key: str) -> SourceLocation:
-        """Return the place of an entry, or where it would be when it is missing."""
+        """Return the location of an entry, or where it would be when it is missing."""
         return self.values_at.get(key) or self.mark.below(key)
 
     def copy(self) -> "MarkedMapping":
-        """Return a copy of the entries and their places; nested values are shared."""
+        """Return a copy of the entries and their locations; nested values are shared."""
         twin = MarkedMapping(self.mark, self.motion)
         twin.elsewhere, twin.was = self.elsewhere, self.was
         twin.update(self)
@@ -132,7 +132,7 @@ class MarkedMapping(dict[str, Any]):
         return twin
 
     def without(self, *names: str) -> "MarkedMapping":
-        """Return a copy without some entries, which are read elsewhere."""
+        """Return a copy without some entries, which are read by another part."""
         twin = self.copy()
         twin.elsewhere += names
         for name in names:
@@ -140,14 +140,14 @@ class MarkedMapping(dict[str, Any]):
         return twin
 
     def only(self, names: Iterable[str]) -> "MarkedMapping":
-        """Return a copy with no other entries than these."""
+        """Return a copy with only these entries."""
         twin = self.copy()
         for key in self.keys() - set(names):
             del twin[key]
         return twin
 
     def over(self, lower: "MarkedMapping") -> "MarkedMapping":
-        """Return the entries of both; where both have a key this one's wins, and its place is that of the whole."""
+        """Return the entries of both; where both have a key, this mapping's entry and location win."""
         twin = self.copy()
         for key, value in lower.items():
             if key not in self:
@@ -156,7 +156,7 @@ class MarkedMapping(dict[str, Any]):
 
 
 class MarkedList(list[Any]):
-    """A list of the scene; `mark` is its own place, `values_at` those of its entries."""
+    """A list of the scene; `mark` is its own location, `values_at` has those of its entries."""
 
     def __init__(self, mark: SourceLocation) -> None:
         super().__init__()
@@ -164,12 +164,12 @@ class MarkedList(list[Any]):
         self.values_at: list[SourceLocation] = []
 
     def put(self, value: Any, value_at: SourceLocation) -> None:
-        """Append one entry with its place."""
+        """Append one entry with its location."""
         self.append(value)
         self.values_at.append(value_at)
 
     def items_at(self) -> Iterator[tuple[Any, SourceLocation]]:
-        """Yield every entry with its place."""
+        """Yield every entry with its location."""
         return zip(self, self.values_at, strict=True)
 
 
@@ -188,9 +188,9 @@ def parse_yaml(text: str, source: str, faults: Diagnostics, path: tuple[str, ...
 
     Args:
         text: The document.
-        source: Named in every fault.
+        source: Name of the document in every fault.
         faults: Receives syntax errors, duplicate keys and anything else that is not plain data.
-        path: Place of the value in the scene.
+        path: Path of the value in the scene.
         lined: False for text without lines of its own, such as an override.
     """
     top = SourceLocation(source, int(lined), int(lined), path)
@@ -213,7 +213,7 @@ def parse_yaml(text: str, source: str, faults: Diagnostics, path: tuple[str, ...
 
 @lru_cache(maxsize=32)  # a sweep reads one file for each of its scenes: reading it is most of what loading costs
 def compose(text: str) -> yaml.Node | None:
-    """Return the nodes of a document with their places; they are only read.
+    """Return the nodes of a document with their line and column, without building values.
 
     Raises:
         yaml.YAMLError: It is not valid.
@@ -322,7 +322,7 @@ def _read_scalar(kind: str, text: str) -> Any:
 
 
 def mark_plain(value: Any, source: str, path: tuple[str, ...] = ()) -> Any:
-    """Return plain Python mappings and sequences as marked ones, for scenes that are made without a file."""
+    """Return plain Python mappings and sequences as marked ones, for scenes made without a file."""
     mark = SourceLocation(source, 0, 0, path)
     if isinstance(value, Mapping):
         result = MarkedMapping(mark)
@@ -357,7 +357,7 @@ def read_list(value: object, at: SourceLocation, faults: Diagnostics, what: str)
 
 
 def refuse_unknown_keys(section: MarkedMapping, known: Iterable[str], faults: Diagnostics) -> None:
-    """Note every key of a section that is none of the known ones, with the nearest name."""
+    """Note every unknown key of a section, with the nearest known name."""
     names = tuple(known)
     for key in section:
         if key not in names:

@@ -1,4 +1,4 @@
-"""The text of a scene with some of its values replaced; comments, order and all else stay as they were written."""
+"""The text of a scene with some values replaced; comments, order and everything else are unchanged."""
 
 import re
 from collections.abc import Iterable, Sequence

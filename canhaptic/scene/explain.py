@@ -24,10 +24,10 @@ _SHAPES: Final = {
 
 
 def note_errors(model: type, section: MarkedMapping, error: ValidationError, faults: Diagnostics) -> None:
-    """Note every error of a validation at the place of its value; what several types refuse, once.
+    """Note every error of a validation at the location of its value; a value that several types refuse is noted once.
 
     Args:
-        model: Class that was validated: a parameter model, or a dataclass of such.
+        model: Validated class: a parameter model, or a dataclass of parameter models.
         section: Section that it was validated from.
         error: Error of pydantic.
         faults: Receives one line per error.

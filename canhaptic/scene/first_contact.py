@@ -47,7 +47,7 @@ class Remedy(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The declaration and the remedy, in words."""
+        """Return the declaration and the remedy in words."""
         return f"{self.key} {self.value:.3g} {self.unit} prevents it, {self.enough:.2g} {self.unit} would not"
 
 
@@ -85,10 +85,10 @@ def is_felt(axis: AxisScene, speed: float) -> bool:
 
 
 def rendered_share(axis: AxisScene, speed: float) -> float:
-    """Return the part of the wall's effort that is rendered in a contact, 0 to 1.
+    """Return the fraction of the wall's effort that is rendered in a contact, 0 to 1.
 
     Args:
-        axis: One that can be tried.
+        axis: Axis for which `can_be_tried` is true.
         speed: Speed of the handle into the wall, constant, > 0 [m/s or rad/s].
     """
     asked = sent = 0.0
@@ -102,12 +102,12 @@ def rendered_share(axis: AxisScene, speed: float) -> float:
 
 
 def halves_rendered(axis: AxisScene, speed: float) -> tuple[float, float] | None:
-    """Return the parts rendered of the effort against a motion and along it, 0 to 1; None where none is along it.
+    """Return the rendered fractions of the effort against the motion and along it, 0 to 1; None where none is along it.
 
-    Behind a crest the effort pulls the handle on: that half of a detent is felt as its snap.
+    Beyond a crest the effort pulls the handle onward: that half of a detent is felt as its snap.
 
     Args:
-        axis: One that can be tried.
+        axis: Axis for which `can_be_tried` is true.
         speed: Speed of the handle, constant, > 0 [m/s or rad/s].
     """
     found = _inward(_environment(axis))
@@ -120,7 +120,7 @@ def halves_rendered(axis: AxisScene, speed: float) -> tuple[float, float] | None
 
 
 def with_declared(axis: AxisScene, declared: Mapping[str, float]) -> AxisScene:
-    """Return the axis with other values of its section `passivity`, in SI."""
+    """Return the axis with other values in its section `passivity`, in SI."""
     of_loop = {key: value for key, value in declared.items() if key in type(axis.loop).model_fields}
     others = {key: value for key, value in declared.items() if key not in of_loop}
     parameters: Any = axis.passivity.parameters
@@ -177,7 +177,7 @@ def share_of_wall(axis: AxisScene, fastest: float, declared: Mapping[str, float]
     Args:
         axis: Axis with its environment and algorithm.
         fastest: Largest speed of the handle [m/s or rad/s].
-        declared: Values of `passivity` in place of those of the axis, SI.
+        declared: Values of `passivity` that replace those of the axis, SI.
     """
     if not can_be_tried(axis) or axis.passivity.own is not None:
         return 1.0

@@ -1,4 +1,4 @@
-"""Groups of axes and simulated mechanisms as a scene has them, laid out over `GroupScene` and `MechanismScene`.
+"""Groups of axes and simulated mechanisms of a scene file, converted to `GroupScene` and `MechanismScene`.
 
     groups:
       - name: stylus
@@ -10,7 +10,7 @@
       mechanisms:
         - {type: five_bar, axes: [left, right], base: 0.1 m, hand: {stiffness: 300 N/m, rest: [0 m, 0.25 m]}}
 
-Keys of `passivity` about the loop of all axes are in `passivity` of the group; an axis may have its own.
+Keys of `passivity` that concern the loop of all axes are in `passivity` of the group; an axis may have its own.
 """
 
 from collections.abc import Iterable, Sequence
@@ -71,7 +71,7 @@ class Members(NamedTuple):
 
 
 def members_of(owner: MarkedMapping | None, key: str, what: str, faults: Diagnostics) -> list[Members]:
-    """Return the groups or the mechanisms of a scene with the axes that belong to each; faults in these are noted."""
+    """Return the groups or the mechanisms of a scene with their axes; faults in them are noted."""
     if owner is None or owner.get(key) is None:
         return []
     entries = read_list(owner[key], owner.value_at(key), faults, what)
@@ -91,7 +91,7 @@ def _names_of_axes(section: MarkedMapping, faults: Diagnostics) -> tuple[str, ..
 def check_group_axes(
     groups: Sequence[Members], mechanisms: Sequence[Members], names: Sequence[str], faults: Diagnostics
 ) -> None:
-    """Note names of axes that are none or taken, and names of groups that are taken.
+    """Note unknown or already used names of axes, and names of groups that are already used.
 
     Args:
         groups: Groups from `members_of`.

@@ -1,6 +1,6 @@
 """Stability hints: limits from the rate, the delay and the device, compared with the scene.
 
-Figures of an admittance display to know before the first touch; see `canhaptic.control.admittance`.
+Figures of an admittance display worth knowing before the first touch; see `canhaptic.control.admittance`.
 """
 
 import math
@@ -46,12 +46,12 @@ _ANY_TORQUE: Final = 1e9  # [N or N*m]
 
 
 def advised_allowance(loop: LoopProperties, hand_force: float, losses: int = 0) -> float:
-    """Return the energy allowance [J] with which half of the certified stiffness begins at any speed of approach.
+    """Return the energy allowance [J] that lets a wall of half the certified stiffness engage at any approach speed.
 
-    It is h F_h^2 / 4 with h = T^2 / m, three times that one sample late, and no more than `LARGEST_ADVISED`.
+    It is h F_h^2 / 4 with h = T^2 / m, three times that with a delay of one sample, at most `LARGEST_ADVISED`.
 
     Args:
-        loop: Properties of the loop and of the device; 0 is returned where they certify nothing by a hand force.
+        loop: Properties of the loop and of the device; the result is 0 where they certify nothing by a hand force.
         hand_force: Declared force of the hand [N or N*m].
         losses: Consecutive lost cycles that the certificates survive.
     """
@@ -65,7 +65,7 @@ def advised_allowance(loop: LoopProperties, hand_force: float, losses: int = 0) 
 
 
 def allowance_words(energy: float, loop: LoopProperties, unit: str) -> str:
-    """Return what an energy allowance [J] lets happen, in words, for an axis in m or rad."""
+    """Return the effect of an energy allowance [J], in words, for an axis in m or rad."""
     mass, mass_unit = loop.moving_mass or 1.0, "kg" if unit == "m" else "kg*m^2"
     speed = sqrt(2.0 * energy / mass)
     return (
@@ -92,7 +92,7 @@ class Hint(NamedTuple):
 
 
 def stability_hints(axis: AxisScene) -> list[Hint]:
-    """Return the limits of one axis; none of them is enforced here, the passivity algorithm is what protects."""
+    """Return the limits of one axis; none of them is enforced here: the passivity algorithm protects."""
     if axis.group or axis.parameters.admittance is not None:
         return []  # see `group_hints`, `display_hints`
     if not axis.is_read:
@@ -102,7 +102,7 @@ def stability_hints(axis: AxisScene) -> list[Hint]:
 
 
 def later_hints(scene: Scene) -> list[Hint]:
-    """Return what the hold costs by which own code answers later in a process of its own than in the cycle."""
+    """Return the cost of the additional hold of delay of user code that runs in a process of its own."""
     if (scene.run.code_runs_in or ("cycle" if scene.simulated else "process")) == "cycle":
         return []
     hints = []
@@ -118,9 +118,9 @@ def later_hints(scene: Scene) -> list[Hint]:
 
 
 def group_hints(scene: Scene) -> list[Hint]:
-    """Return what the certificates of each group hold on each of its axes, alone, in motor coordinates.
+    """Return what the certificates of each group permit on each of its axes alone, in motor coordinates.
 
-    The network's stiffness is in task space; the two are the same where the kinematics are `identity`.
+    The network's stiffness is in task space; both agree where the kinematics are `identity`.
     """
     hints = []
     for group in scene.groups:
@@ -308,7 +308,7 @@ def _encoder_hint(axis: AxisScene) -> list[Hint]:
 
 
 def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
-    """Return which declaration limits the certified stiffness, and what the device's damping would hold.
+    """Return the declaration that limits the certified stiffness, and the stiffness that the device's damping permits.
 
     Args:
         axis: One axis.

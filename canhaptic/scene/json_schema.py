@@ -1,4 +1,4 @@
-"""The JSON Schema of a scene file: that of `Scene`, with its fields where a scene has them.
+"""The JSON Schema of a scene file: the schema of `Scene`, with its fields in the layout of a scene file.
 
 Values that refer to each other (units of an axis, unique names) are beyond a schema; `load_scene` checks them.
 

@@ -1,4 +1,4 @@
-"""Layout of a scene file over the fields of `Scene`: shared sections, sections of an axis, and profiles.
+"""Conversion of a scene file to the fields of `Scene`: shared sections, sections of an axis, and profiles.
 
     written                                   `Scene`
     bus: {...}, or a list                     bus, bus_name, further_buses
@@ -43,7 +43,7 @@ _SHIPPED: Final = shipped("eds")
 
 
 def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
-    """Return the axis's section with the path of its EDS or DCF found; a fault when there is no such file.
+    """Return the section of an axis with the path of its EDS or DCF; note a fault when there is no such file.
 
     A relative path is looked for next to the scene file (one given in an override: in the current folder), then in
     the `eds/` that comes with the package.
@@ -64,11 +64,11 @@ def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMappin
 
 
 def path_for_scene(dictionary: Path, scene: Path | None) -> str:
-    """Return the path with which a scene finds a dictionary.
+    """Return the path by which a scene file refers to a dictionary.
 
     Args:
-        dictionary: Its file, as seen from the current folder.
-        scene: The file of the scene, which the path then starts from; None where that is not known: the whole path.
+        dictionary: Path of the dictionary, relative to the current folder.
+        scene: File of the scene, to which the result is relative; None where it is unknown: an absolute path.
     """
     if scene is None:
         return str(dictionary.absolute())
@@ -88,7 +88,7 @@ SIMULATION_PARTS: Final = ("drive", "plant", "user", "effects", "admittance")
 
 
 def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence[str], faults: Diagnostics) -> Any:
-    """Return a scene as written in the form of `Scene`, every value with its place; faults of the layout are noted."""
+    """Return a scene as written in the form of `Scene`, every value with its location; layout faults are noted."""
     refuse_unknown_keys(written, SECTIONS, faults)
     scene = MarkedMapping(written.mark)
     scene.update(source=source, text=text, overrides=tuple(overrides), simulation=None)

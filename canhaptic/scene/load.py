@@ -1,4 +1,4 @@
-"""A scene file to a `Scene`: read, overridden, laid out, validated, cross-checked.
+"""A scene file to a `Scene`: read, overridden, converted, validated, cross-checked.
 
 Every fault found on the way is noted with its line; all of them are raised together, before anything is built.
 """
@@ -45,9 +45,9 @@ def load_scene(
         path: The scene file, or the name of a shipped scene (`demo`, `hard/stiff_wall`).
         overrides: Replace values of the file, each `path.to.key=VALUE` with a YAML value (`axes.0.node_id=5`).
         allow_code: Whether program files that the scene names (`type: my_wall.py:MyWall`) may run.
-        leave_code: Whether such files, and plug-ins, are left unread instead: for a look at the rest of a scene, from
+        leave_code: Whether such files, and plug-ins, stay unread, to inspect the rest of a scene from
             which nothing is built.
-        beyond_bus: Whether a rate beyond its bus is accepted; for a study, no run could keep it.
+        beyond_bus: Whether a rate that its bus cannot carry is accepted: for studies only, no run could keep it.
 
     Raises:
         SceneError: The file cannot be read, several scenes have the name, or anything in it is wrong; lists every fault
@@ -66,7 +66,7 @@ def scene_from_text(
 
     Args:
         text: The scene.
-        source: File it came from: named in faults, and the base of relative paths.
+        source: File of the text: named in faults, and the base of relative paths.
         overrides: As for `load_scene`.
         allow_code: As for `load_scene`.
         beyond_bus: As for `load_scene`.
@@ -191,12 +191,12 @@ def _completed(scene: Scene) -> Scene:
 
 
 def for_program(scene: Scene, guard: str) -> Scene:
-    """Scene whose axes give the torques that a program asks for.
+    """Scene whose axes apply the torques requested by a program.
 
-    The declarations of `guarded` stay where that is the algorithm; of any other, those of the loop alone.
+    If the algorithm is `guarded` its declarations are kept; for any other only those of the loop.
 
     Args:
-        scene: The scene as written.
+        scene: Scene as loaded.
         guard: "certificates" or "none".
 
     Raises:
@@ -227,6 +227,6 @@ def _for_program(axis: AxisScene, guard: str) -> AxisScene:
 
 
 def says_none(scene: Scene) -> bool:
-    """Return whether a scene itself asks for torques without a guard."""
+    """Return whether a scene itself requests torques without a guard."""
     unprotected = any(axis.passivity.name == "unprotected" for axis in scene.axes)
     return scene.run.guard == "none" or (scene.run.guard is None and unprotected)

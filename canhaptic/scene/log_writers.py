@@ -1,4 +1,4 @@
-"""The logs of a scene, with the attributes of the run that a reader needs later."""
+"""The logs of a scene, with attributes of the run for later readers."""
 
 import json
 from collections.abc import Callable

@@ -47,10 +47,10 @@ _PER_PRODUCT: Final = 5e-6  # [s], interpreted
 
 
 def dear_holds(scene: Scene) -> list[str]:
-    """Return one line for each simulated plant that a swing may make dear; none where holds cost what they should.
+    """Return one warning for each simulated plant whose fast oscillation may make it slow to simulate.
 
-    Events in a hold are looked for at every swing of a fast mode, so cost is known before a run: the hint says what the
-    plant may take in one sample time while that mode swings. A mode at rest costs nothing.
+    Events in a hold are searched at every oscillation of a fast mode, so the cost is known beforehand: the hint is the
+    time that the plant may take per sample time while that mode oscillates. A mode at rest costs nothing.
     """
     lines = []
     for axis in scene.axes:
@@ -68,7 +68,7 @@ def dear_holds(scene: Scene) -> list[str]:
 
 
 class ErrorEstimate(NamedTuple):
-    """Error of the position at any SYNC, the largest over the periods in which it was found."""
+    """Largest error of the position at any SYNC, over the periods for which it was estimated."""
 
     size: float  # [m or rad]
     travel: float  # of the position over those periods [m or rad]
@@ -89,8 +89,8 @@ def plant_prices(scene: Scene, plants: Sequence[Plant], periods: int) -> list[Pl
 
     Args:
         scene: The scene that ran.
-        plants: The plants of its axes after the run.
-        periods: Number of sample times they were moved for.
+        plants: Plants of its axes after the run.
+        periods: Number of sample times for which they ran.
     """
     own = all(axis.simulation is not None and not axis.group for axis in scene.axes)
     if not periods or not scene.simulated or not own or len(plants) != len(scene.axes):
@@ -121,7 +121,7 @@ def estimated_error(simulation: AxisSimulation, torques: Sequence[float], sample
     """Return the estimated largest error of the position at any SYNC; None where the plant is exact to rounding.
 
     Args:
-        simulation: Plant, effects and the accuracy to be judged.
+        simulation: Plant, effects and the accuracy to estimate.
         torques: Torque of each hold [N or N*m].
         sample_time_ns: Length of a hold [ns].
     """
@@ -157,7 +157,7 @@ def _moved(step: float, travel: float) -> str:
 def plant_errors(scene: Scene) -> list[str]:
     """Return one line for each plant that is not exact: its estimated error, or ERROR NOT KNOWN and why.
 
-    For commands that show figures of many loops of a scene: the error is that of the scene as it is given.
+    For commands that show figures of many loops of a scene: the error is that of the unmodified scene.
     """
     lines = []
     for axis in scene.axes:
@@ -228,7 +228,7 @@ def method_line(scene: Scene, plants: Sequence[Plant] = (), periods: int = 0, pr
     Args:
         scene: Scene that ran.
         plants: Plants of its axes after the run, with their counts of events and products.
-        periods: Number of sample times they were moved for.
+        periods: Number of sample times for which they ran.
         prices: Time and estimated error of each plant.
     """
     if not scene.simulated:

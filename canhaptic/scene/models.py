@@ -1,7 +1,7 @@
-"""The scene, once: classes that pydantic validates in one go, made by `load_scene` and built by `build`.
+"""The scene, once: classes that pydantic validates in one pass, made by `load_scene` and built by `build`.
 
-JSON schema, resolved form and the page of the configuration follow from the fields here and from the models that they
-name. How a scene file is laid out over them (shared sections, profiles, sections of an axis) is in `layout`.
+JSON schema, resolved form and the page of the configuration follow from these fields and from the models that they
+name. How a scene file maps to them (shared sections, profiles, sections of an axis) is in `layout`.
 
 Several buses of a rig: the keys that each may have of its own, and the parameters in effect on each.
 
@@ -60,7 +60,7 @@ BusName = Annotated[Name, Field(pattern=r"^\S+$")]
 
 
 class FurtherBus(Parameters):
-    """Keys that each of several buses may have; rate, link policy and the rest are those of the first."""
+    """Keys that each of several buses may have; rate, link policy and the rest come from the first bus."""
 
     name: BusName
     """Name used in an axis's `bus`."""
@@ -87,7 +87,7 @@ class NamedBus(NamedTuple):
 
 
 class LogParameters(Parameters):
-    """Paths of the logs; relative to the current folder, and options of `run` win over them."""
+    """Paths of the logs, relative to the current folder; options of `run` take precedence."""
 
     energy: PrintablePath | None = None
     """Energy log (HDF5)."""
@@ -188,12 +188,12 @@ class SceneContext(UnitContext):
 
     @property
     def has_code(self) -> bool:
-        """Whether the scene asked for code of its user's own."""
+        """Whether the scene refers to user code."""
         return self._code is not None
 
     @property
     def code(self) -> "OwnCode":
-        """Own code that may be read, loaded where a scene asks for some."""
+        """User code that may be read, loaded where a scene refers to any."""
         if self._code is None:
             from canhaptic.scene.own_code import OwnCode
 
@@ -318,13 +318,13 @@ class AxisScene:
 
     @property
     def is_read(self) -> bool:
-        """Whether environment, algorithm and effects are known: False where own code was left unread."""
+        """Whether environment, algorithm and effects are known: False where user code was left unread."""
         parts = (self.environment, self.passivity, *(self.simulation.effects if self.simulation else ()))
         return not any(isinstance(part.parameters, UnreadParameters) for part in parts)
 
     @property
     def is_own(self) -> bool:
-        """Whether its environment or its algorithm is own code that was read."""
+        """Whether its environment or its algorithm is user code that was read."""
         return self.environment.own is not None or self.passivity.own is not None
 
     def dictionary_hash(self) -> str:
@@ -417,7 +417,7 @@ class Scene:
 
     @property
     def buses(self) -> tuple[NamedBus, ...]:
-        """All buses of the rig; rate, link policy and the rest are those of the first."""
+        """All buses of the rig; rate, link policy and the rest come from the first."""
         further = (NamedBus(bus.name, bus.over(self.bus)) for bus in self.further_buses)
         return (NamedBus(self.bus_name, self.bus), *further)
 
@@ -469,13 +469,13 @@ class Scene:
         """Return the SHA-256 of the configuration in effect, dictionaries by content.
 
         Args:
-            release: Earlier release whose logs are compared: its names, and its keys that are gone; None for this one.
-            logged: Configuration in effect as such a log has it, whose values of keys that are gone count; None: their
+            release: Earlier release whose logs are compared, with its names and removed keys; None for this one.
+            logged: Effective configuration in such a log, whose values of removed keys count; None: their
                 defaults.
 
         Comments, the order of keys, log paths and the folder of the dictionaries do not change it, nor does it matter
-        whether an automatic accuracy was chosen yet: it follows from the rest. Nor do keys of an axis that came after
-        the first release, where they are absent.
+        whether an automatic accuracy was already chosen: it follows from the rest. Keys of an axis introduced after
+        the first release do not change it either, where they are absent.
         """
         resolved = self.resolved()
         del resolved["log"], resolved["run"]["confirmed"]
@@ -579,7 +579,7 @@ def guesses_left(scene: Scene) -> list[Guess]:
 
 
 def values_to_set(scene: Scene) -> list[Guess]:
-    """Return what real drives still need of a scene: marked values, and those that it does not declare."""
+    """Return what real drives still need from a scene: marked values, and undeclared ones."""
     missing = [f"bus.{key}" for key in _missing_of_bus(scene)]
     marked = guesses_left(scene)
     for axis in scene.axes:
@@ -633,7 +633,7 @@ def _is_simulated_elsewhere(scene: Scene) -> bool:
 
 
 def require_no_guesses(scene: Scene) -> None:
-    """Return when a scene for real drives declares all that they need, and none of it is marked as a guess.
+    """Return when a scene for real drives declares all required values, none of them marked as a guess.
 
     Raises:
         InputError: Something is marked or missing; names it.

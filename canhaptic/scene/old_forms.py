@@ -1,6 +1,6 @@
-"""Forms of earlier configurations: a log is compared with its scene as the release that wrote it hashed it.
+"""Forms of earlier configurations: a log is compared with its scene in the form hashed by the release that wrote it.
 
-`tools/convert_scene.py` gives a scene of an earlier release the names and keys of this one.
+`tools/convert_scene.py` converts a scene of an earlier release to the names and keys of this one.
 """
 
 from collections.abc import Collection, Iterable, Mapping
@@ -32,7 +32,7 @@ _SELECTOR: Final = "algorithm"
 
 
 def overrides_now(overrides: Iterable[str]) -> list[str]:
-    """Return overrides of an earlier release by the names of now, without those of keys that are gone."""
+    """Return overrides of an earlier release under today's names, without those of removed keys."""
     found = []
     for text in overrides:
         path, equals, value = text.partition("=")
@@ -48,13 +48,13 @@ def overrides_now(overrides: Iterable[str]) -> list[str]:
 def in_form_of(
     release: Release, resolved: Mapping[str, Any], later: Collection[str], logged: Mapping[str, Any]
 ) -> _Plain:
-    """Return a configuration in effect as the logs of an earlier release have hashed it.
+    """Return an effective configuration in the form hashed by the logs of an earlier release.
 
     Args:
         release: Release that wrote the log.
         resolved: Configuration in effect today.
-        later: Keys of the loop that came after the first release.
-        logged: Configuration in effect as the log has it, whose values of keys that are gone count; empty: their
+        later: Keys of the loop introduced after the first release.
+        logged: Effective configuration in the log, whose values of removed keys count; empty: their
             defaults.
     """
     old = deepcopy(dict(resolved))

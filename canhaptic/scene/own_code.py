@@ -1,12 +1,12 @@
-"""A user's own environment, algorithm, effect or hand: `file.py:Class` of the scene's folder, or of a plug-in.
+"""User-defined environment, algorithm, effect or hand: `file.py:Class` of the scene's folder, or of a plug-in.
 
-A file runs only where the user allowed it. It must be a regular file in the folder of the scene itself, once symbolic
-links are followed. It is run under a private module name; its folder never becomes a place to import from. A plug-in
+A file runs only where the user allowed it. It must be a regular file in the folder of the scene itself, after symbolic
+links are resolved. It is run under a private module name; its folder is never added to the import path. A plug-in
 is a package that the user installed and that names its classes as entry points (`canhaptic.environments`, ...); a scene
 can choose among them and nothing else. The hash of each file that ran belongs to the configuration, so a log says with
 which code it was made.
 
-Commands that run nothing leave own code unread: they neither import it nor check its parameters.
+Commands that run nothing leave user code unread: they neither import it nor check its parameters.
 """
 
 import hashlib
@@ -72,14 +72,14 @@ class OwnCode:
         self.left: list[str] = []
 
     def is_left(self, reference: str, kind: str) -> bool:
-        """Whether a name is own code that this scene leaves unread; it is then noted in `left`."""
+        """Whether a name refers to user code that this scene leaves unread; it is then noted in `left`."""
         if self._use != "left" or not (_names_own_code(reference) or reference in installed(kind)):
             return False
         self.left.append(reference)
         return True
 
     def find(self, reference: str, kind: str) -> Any:
-        """Return the class of the user's own that a name means; None where it means none.
+        """Return the user-defined class that a name refers to; None where it refers to none.
 
         Raises:
             ParameterError: Not allowed, not a file of the scene's folder, or the code fails.

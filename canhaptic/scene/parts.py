@@ -1,4 +1,4 @@
-"""The parts of one axis made from its scene: plant, controller, simulated drive, servo drive.
+"""Factories of the parts of one axis: plant, controller, simulated drive, servo drive.
 
 Errors of reported position and torque of a simulated axis, from its effects.
 
@@ -51,9 +51,9 @@ _SIGMAS: Final = 6.0
 
 
 def loop_as_known(axis: AxisScene) -> LoopProperties:
-    """Loop of an axis, its count as wide as the errors of its encoder, and torques that its motor reaches.
+    """Loop of an axis with an encoder count as wide as its encoder errors, and torques that its motor can reach.
 
-    Certificates and account then rely on no better encoder than this one; a torque beyond the motor's reach is cut
+    Certificates and account then assume no better encoder than this one; a torque beyond the motor's reach is reduced
     before it is certified.
     """
     effects, loop = _effects(axis), axis.loop
@@ -243,7 +243,7 @@ def display_properties(axis: AxisScene) -> "AdmittanceProperties":
 
 
 def build_axis_controllers(scene: Scene) -> list[Controller]:
-    """Return one controller for each axis that renders by itself; those of groups are in `build_axis_groups`."""
+    """Return one controller for each axis outside groups; those of groups are in `build_axis_groups`."""
     return [build_axis_controller(axis) for axis in scene.axes if not axis.group]
 
 
@@ -260,7 +260,7 @@ def build_axis_groups(scene: Scene) -> "list[AxisGroup]":
 
 
 def group_places(scene: Scene) -> list[tuple[int, ...]]:
-    """Return the places of the axes of each group among the axes of the scene."""
+    """Return the indices of the axes of each group in the scene."""
     places = {axis.parameters.name: place for place, axis in enumerate(scene.axes)}
     return [tuple(places[name] for name in group.axes) for group in scene.groups]
 
@@ -339,7 +339,7 @@ def build_mechanism(of: MechanismScene, sample_time_ns: int) -> "Mechanism":
 
 
 def build_servo_drive(axis: AxisScene, link: Link, bus: BusParameters, *, dry_run: bool = False) -> ServoDrive:
-    """Return the master's picture of the drive of one axis.
+    """Return the master's image of the drive of one axis.
 
     Raises:
         InputError: A dry run of an admittance display.

@@ -71,7 +71,7 @@ def profile_values(name: str) -> dict[str, Any]:
 
 
 def profile_of_vendor(vendor_id: int | None) -> str | None:
-    """Return the profile whose vendor ID (0x1018:01) this is; None when there is none."""
+    """Return the profile with this vendor ID (0x1018:01); None when there is none."""
     if not vendor_id:
         return None
     return next((name for name in _profile_names() if profile_values(name).get("vendor_id") == vendor_id), None)

@@ -1,4 +1,4 @@
-"""Names for recorded frames: the bus of a scene that a frame was on, and the nodes that send them.
+"""Names for recorded frames: the bus of a scene to which a frame belongs, and the nodes that send it.
 
 Mapping of recorded frames to the buses of a scene: by the second word of a line, or a binary log's bus number.
 
@@ -29,7 +29,7 @@ class Channels:
                 self._places.setdefault(word, place)
 
     def place_of(self, frame: Frame) -> int:
-        """Return the place of the frame's bus among those of the scene.
+        """Return the index of the frame's bus in the scene.
 
         Raises:
             LogFormatError: The log names a bus that the scene has not.

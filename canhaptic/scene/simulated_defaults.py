@@ -1,7 +1,7 @@
 """Deviations of a simulated drive that follow from the quirks of its axis.
 
-A simulated drive takes its axis's quirks over, so that a scene for a real drive shows on the virtual bus what that
-drive will do; any key of `simulation.drive` wins.
+A simulated drive inherits its axis's quirks, so that a scene for a real drive shows on the virtual bus how that
+drive will behave; any key of `simulation.drive` wins.
 """
 
 from collections.abc import Mapping

@@ -1,8 +1,8 @@
-"""The text of a configuration to start from, made from the dictionary of a drive.
+"""Text of a starter configuration, made from the dictionary of a drive.
 
 It is a whole scene: every key that a dictionary can supply is given, every other has a cautious value and says so.
 
-Values that a simulated drive needs besides its dictionary: a real drive has them and the dictionary leaves them out.
+Values that a simulated drive needs in addition to its dictionary: real drives have them, dictionaries omit them.
 
 Some dictionaries state the settings of another rig, such as a communication cycle of 1 us; on a real drive the vendor's
 tool has set them. A simulated drive gets those of this scene.
@@ -57,7 +57,7 @@ def missing_values(found: Survey, sample_time: float) -> dict[str, str]:
     """Return `simulation.drive.objects` for a scene made from a dictionary: key and value as written in a scene.
 
     Args:
-        found: The survey of the dictionary.
+        found: Survey of the dictionary.
         sample_time: Time from SYNC to SYNC [s].
     """
     listed = found.dictionary
@@ -144,7 +144,7 @@ def simulated_machine(
         objects: Lines of `simulation.drive`.
         mass: Moved inertia [kg*m^2].
         bearings: Damping of the bearings [N*m*s/rad].
-        limit: Torque limit, to which the hand is scaled [N*m].
+        limit: Torque limit, which scales the hand [N*m].
         hand: Comment on the motion of the hand.
         between: Further lines, before the hand.
         motion: Amplitude [rad] and frequency [Hz] of the hand.
@@ -353,10 +353,10 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
     """Return the text of a scene file for one drive, which `load_scene` accepts.
 
     Args:
-        found: The survey of its dictionary.
-        simulate: Adds a simulated drive, motor and hand on a virtual bus, so that it runs at once.
+        found: Survey of the dictionary.
+        simulate: Whether a simulated drive, motor and hand on a virtual bus are added, so that it runs at once.
         drive: Name of the drive profile to use; None for none.
-        out: Path of the file for the text; None where that is unknown, and the dictionary needs its whole path.
+        out: Path of the file for the text; None where it is unknown, so that the dictionary needs its whole path.
 
     Raises:
         DictionaryError: The drive cannot serve; lists every reason.

@@ -32,7 +32,7 @@ def rests_on_hand_force(scene: Scene, axis: AxisScene) -> bool:
 
 
 def with_device_bounds(scene: Scene) -> Scene:
-    """Return the scene with the bounds of simulated devices; one that it declares is kept."""
+    """Return the scene with the bounds of simulated devices; declared bounds are kept."""
     axes = []
     for axis in scene.axes:
         found = _bounds(scene, axis) if rests_on_hand_force(scene, axis) else {}
@@ -101,7 +101,7 @@ def _unknown(loop: LoopProperties) -> list[str]:
 
 
 def with_timing(scene: Scene) -> Scene:
-    """Return the scene with the timing of its axes; a key that it declares is kept."""
+    """Return the scene with the timing of its axes; declared keys are kept."""
     needed = tuple(f"{axis.parameters.name}.passivity.{key}" for axis in scene.axes for key in _needed(scene, axis))
     scene = replace(scene, undeclared=needed)
     if not scene.simulated:

@@ -1,4 +1,4 @@
-"""How every panel of a page looks: frame, legend, and numbers with the SI prefix that fits them.
+"""Style of every panel of a page: frame, legend, and numbers with a suitable SI prefix.
 
 The data of a page are SI throughout. The browser chooses the prefix of an axis from its ticks, so that it follows every
 zoom and every line that grows.
@@ -42,10 +42,10 @@ def new_panel(title: str, unit: str, time: Range, height: int) -> figure:
     """Return an empty panel over time.
 
     Args:
-        title: Before the unit, at the left.
-        unit: SI; the ticks carry it with a prefix.
-        time: The range that all panels of a page share.
-        height: In pixels.
+        title: Title, before the unit at the left.
+        unit: SI unit; the ticks show it with a prefix.
+        time: Time range shared by all panels of a page.
+        height: Height [pixels].
     """
     panel = figure(
         x_range=time,
@@ -68,7 +68,7 @@ def new_panel(title: str, unit: str, time: Range, height: int) -> figure:
 
 
 def si_ticks(unit: str) -> CustomJSTickFormatter:
-    """Return what writes the ticks of an axis with one SI prefix, chosen by the largest of them."""
+    """Return a formatter for the ticks of an axis, with one SI prefix chosen by the largest."""
     return CustomJSTickFormatter(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_TICKS)
 
 
@@ -81,7 +81,7 @@ def add_hover(panel: figure, main: str, values: Mapping[str, tuple[str, str]]) -
     """Show time and values under the pointer.
 
     Args:
-        panel: Where.
+        panel: Panel to extend.
         main: Name of the line that the pointer follows.
         values: Label -> (column, unit).
     """
@@ -95,7 +95,7 @@ def add_hover(panel: figure, main: str, values: Mapping[str, tuple[str, str]]) -
 
 
 def finished(panel: figure) -> figure:
-    """Put the legend above the panel, where nothing can lie on the data."""
+    """Put the legend above the panel, where it cannot hide data."""
     legend = panel.legend[0]
     legend.orientation, legend.location, legend.click_policy = "horizontal", "right", "hide"
     legend.border_line_alpha, legend.padding, legend.margin, legend.spacing = 0.0, 0, 0, 16

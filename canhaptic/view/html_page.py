@@ -1,6 +1,6 @@
-"""Pages that any browser opens without a network: words, pictures and tables that a click sorts, light and dark.
+"""Pages that any browser opens without a network: words, pictures and sortable tables, light and dark.
 
-The bar of a page that says of every account whether it was passive.
+The bar of a page that shows whether every account was passive.
 """
 
 import html
@@ -74,12 +74,12 @@ def words(*lines: str) -> str:
 def picture(draw: Callable[[Path], object], title: str, *, folded: bool = False) -> str:
     """Return a picture for a page.
 
-    Its greys become shades between the colours of text and page, its blue that of the page.
+    Its greys become shades between the text and page colours, its blue the page's accent colour.
 
     Args:
-        draw: Draws it into a file, which is an SVG here.
-        title: What it shows.
-        folded: Whether only the title is shown until it is clicked.
+        draw: Function that draws it into a file, here an SVG.
+        title: Title of the picture.
+        folded: Whether only the title is shown until clicked.
     """
     with TemporaryDirectory(prefix="canhaptic-page-") as folder:
         file = Path(folder) / "picture.svg"
@@ -101,9 +101,9 @@ def write_page(path: Path, title: str, parts: Iterable[str | Table]) -> None:
     """Write a page.
 
     Args:
-        path: The page.
+        path: File to write.
         title: Title of the page, and its first heading.
-        parts: HTML, and tables.
+        parts: Parts of the page: HTML, and tables.
 
     Raises:
         InputError: The page cannot be written.
@@ -145,7 +145,7 @@ _COLOURS: Final[dict[Headline, str]] = {
 
 
 def verdict_bar(ports: Mapping[str, PortResult]) -> str:
-    """Return a bar of HTML with the verdicts of every account, and the word of a port where that is another one."""
+    """Return a bar of HTML with the verdict of every account, and the headline word of a port where it differs."""
     said: list[tuple[str, Headline]] = []
     for name, port in ports.items():
         if "verdict" in port and port["verdict"] not in (port.get("passive", "yes"), port.get("passive_at_handle")):

@@ -46,7 +46,7 @@ def write_html(
 
     Args:
         log: An open energy log.
-        path: The page.
+        path: File to write.
         result: What `inspect` returned for the same rows.
         start: Time of the first SYNC to draw [s]; from the beginning by default.
         stop: Time of the first SYNC not to draw [s]; to the end by default.

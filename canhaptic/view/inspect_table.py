@@ -128,7 +128,7 @@ def _rederived_line(rederived: "Rederived") -> Text:
 
 
 def comparison_report(comparison: LogComparison) -> RenderableType:
-    """Return the difference of two runs as `compare` found it."""
+    """Return the difference of two runs found by `compare`, for a terminal."""
     first, second = comparison["rows"]
     if comparison["identical"]:
         return Text(f" identical: {first} cycles, every quantity equal bit for bit", style="green")

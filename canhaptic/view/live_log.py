@@ -1,7 +1,7 @@
-"""Follows an energy log while another process writes it: each look gives the rows that came since the last one.
+"""Follows an energy log while another process writes it: each look returns the rows added since the last one.
 
-The file is opened for reading only, anew for every look, so that a log which is replaced (packed at its end, begun
-again) is followed, and the writer never waits for the reader.
+The file is opened for reading only, anew for every look, so that a log that is replaced (packed at its end, or
+restarted) is followed, and the writer never waits for the reader.
 """
 
 from pathlib import Path
@@ -23,7 +23,7 @@ _S_PER_NS: Final = 1e-9
 
 
 class News(NamedTuple):
-    """What one look found."""
+    """Result of one look."""
 
     status: str
     rows: int  # in the log, so far
@@ -50,10 +50,10 @@ class LiveLog:
     """An energy log that is being written.
 
     Args:
-        path: The log; it need not be there yet.
+        path: The log; it need not exist yet.
 
     Attributes:
-        trouble: Why the last look found no log that can be read; "" where it did, or where no file is there yet.
+        trouble: Reason why the last look found no readable log; "" where it did, or where no file exists yet.
     """
 
     def __init__(self, path: Path) -> None:
@@ -69,7 +69,7 @@ class LiveLog:
         self._run: tuple[int, str, tuple[str, ...]] | None = None
 
     def look(self) -> News | None:
-        """Return what is new; None while there is no log that can be read."""
+        """Return what is new; None while there is no readable log."""
         try:
             if self._run is None:
                 require_readable(self.path)

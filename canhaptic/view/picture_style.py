@@ -1,4 +1,4 @@
-"""How every picture of the package looks, where matplotlib is asked for, and how a picture is written.
+"""Style of every picture of the package, how matplotlib is imported, and how a picture is written.
 
 Colours of every picture and page: those of Okabe and Ito, which colour-blind readers distinguish, and two greys.
 
@@ -62,7 +62,7 @@ def require_matplotlib() -> None:
 
 @contextmanager
 def drawing() -> "Iterator[type[Figure]]":
-    """Yield matplotlib's `Figure`, which needs no display; what is drawn meanwhile has the style of the package.
+    """Yield matplotlib's `Figure`, which needs no display; drawings within the block have the style of the package.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -78,7 +78,7 @@ def drawing() -> "Iterator[type[Figure]]":
 
 
 def save_picture(figure: "Figure", path: str | Path) -> None:
-    """Write a figure into a file; its suffix says how (.png, .svg, .pdf).
+    """Write a figure into a file; its suffix gives the format (.png, .svg, .pdf).
 
     Raises:
         InputError: The file cannot be written.
@@ -105,5 +105,5 @@ def _write_powers_plainly(figure: "Figure") -> None:
 
 
 def axis_scale(largest: float) -> tuple[float, str]:
-    """Return the scale and SI prefix of an axis by its largest value, which they put between 1 and 1000 if below 1."""
+    """Return the scale and SI prefix of an axis, so that its largest value lies between 1 and 1000."""
     return next(((scale, prefix) for scale, prefix in _PREFIXES if largest >= scale), _PREFIXES[0])

@@ -1,7 +1,7 @@
-"""The panels of one port on the page of a running run, in the colours of the picture of a finished one.
+"""Panels of one port on the page of a running run, in the colours of the picture of a finished one.
 
-Decimated data are drawn as plain lines: between two rows that are far apart a stair would show a value for as long as
-nothing is known of it.
+Decimated data are drawn as plain lines: between two distant rows a stair would show a value for as long as
+none is known.
 
 The panels that all ports of a page share: durations within the cycle, and what was lost.
 """
@@ -25,9 +25,9 @@ def timing_panel(time: Range, source: ColumnDataSource, period: float) -> figure
     """Return the panel of durations within the cycle.
 
     Args:
-        time: The range that all panels share.
+        time: Time range shared by all panels.
         source: Columns time and, for each duration, its name [s].
-        period: Drawn across the panel [s].
+        period: Period drawn across the panel [s].
     """
     panel = new_panel("timing", "s", time, 150)
     names = [name for name in source.data if name != "time"]
@@ -40,7 +40,7 @@ def timing_panel(time: Range, source: ColumnDataSource, period: float) -> figure
 
 
 def link_panel(time: Range, source: ColumnDataSource) -> figure:
-    """Return the panel of what was lost, summed; every change is a row of `source`, so that its stairs are true."""
+    """Return the panel of cumulative losses; every change is a row of `source`, so that its steps are exact."""
     panel = new_panel("lost", "", time, 130)
     panel.y_range = DataRange1d(start=-0.05, min_interval=1.0)
     names = [name for name in source.data if name != "time"]
@@ -74,11 +74,11 @@ def fault_columns(faults: Sequence[MarkedEvent]) -> dict[str, list[float] | list
 
 
 class PortPanels:
-    """Makes the panels of one port.
+    """Factory of the panels of one port.
 
     Args:
         facts: Figures of the port.
-        time: The range that all panels share.
+        time: Time range shared by all panels.
         source: Columns of `LiveLog`.
         contacts: Columns start and end of each contact [s].
         faults: Columns at [s] and text of each fault.

@@ -1,4 +1,4 @@
-"""The lines of a run that a terminal shows first: a word and figures of each port, how it ended, what is amiss."""
+"""Lines of a run that a terminal shows first: a word and figures of each port, how it ended, and any problem."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -41,13 +41,13 @@ class SafeConsole(Console):
     """A console that shows every text with `visible`; its own colours and styles go through."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
-        """Yield the parts of what is shown."""
+        """Yield the segments to show."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(visible(segment.text), segment.style)
 
 
 def make_console(file: IO[str] | None = None) -> Console:
-    """Return a console on standard output, as wide as COLUMNS says, else the terminal; 100 columns without either."""
+    """Return a console on standard output, as wide as COLUMNS or else the terminal; 100 columns without either."""
     console = SafeConsole(highlight=False, file=file)
     if console.is_terminal or os.environ.get("COLUMNS", "").isdecimal():
         return console
@@ -59,7 +59,7 @@ def headline_text(name: str, port: PortResult) -> Text:
 
     Args:
         name: Name of the port.
-        port: Its account, with verdicts.
+        port: Account of the port, with verdicts.
     """
     word = port["verdict"]
     text = Text(f" {name}: ")
@@ -123,14 +123,14 @@ def print_energy(result: Result, console: Console | None = None) -> None:
     """Print the first lines of the account of a run.
 
     Args:
-        result: As `run --json` prints it.
-        console: Where to; standard output by default.
+        result: Result as `run --json` prints it.
+        console: Console to print to; standard output by default.
     """
     (console or make_console()).print(brief_report(result))
 
 
 def brief_report(result: Result) -> RenderableType:
-    """Return the first line of each port, how the run ended, and what went wrong on the link or is not exact."""
+    """Return the first line of each port, how the run ended, and any fault of the link or inexact result."""
     parts: list[RenderableType] = [*headlines(result), heading(result)]
     link, method = result.get("link") or {}, result.get("method", "")
     amiss = [_words(key, value) for key, value in link.items() if key in _LOSSES and value]
@@ -159,7 +159,7 @@ def ordered(ports: Mapping[str, PortResult]) -> list[str]:
 
 
 def heading(result: Result) -> Text:
-    """How the run ended, its cycles and its configuration."""
+    """Return how the run ended, its cycles and its configuration."""
     status = str(result.get("status", "unknown"))
     text = Text(" ")
     text.append(status, style="bold green" if status in {"ok", "complete", "completed"} else "bold yellow")
@@ -171,7 +171,7 @@ def heading(result: Result) -> Text:
 
 
 def line(name: str, content: Mapping[str, object] | str) -> Padding:
-    """One part of the result in words: nested mappings are quantiles of durations [s]."""
+    """Return one part of the result in words: nested mappings are quantiles of durations [s]."""
     table = TerminalTable.grid(padding=(0, 2, 0, 0))
     table.add_column(no_wrap=True, style="bold", width=7)
     if not isinstance(content, Mapping):

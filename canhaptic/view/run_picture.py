@@ -1,7 +1,7 @@
-"""One picture of a run: path, position and wall, torque, energy in against dissipated, surplus; a column per account.
+"""One picture of a run: path, position and wall, torque, energy in against dissipated, surplus; one column per account.
 
-An axis in a group has no column: its position and torque are drawn in that of the group. Panels that would show nothing
-but zeros are left out.
+An axis in a group has no column: its position and torque are drawn in the group's column. Panels that would show
+only zeros are left out.
 
 matplotlib is imported when a picture is drawn, not before.
 
@@ -266,13 +266,13 @@ def draw_energy(
     stop: float | None = None,
     others: Sequence[EnergyLog] = (),
 ) -> None:
-    """Draw a run into a file; its suffix says how (.png, .svg, .pdf).
+    """Draw a run into a file; its suffix gives the format (.png, .svg, .pdf).
 
-    The wall is drawn where the log's attributes `NAME.wall_position` and `NAME.wall_side` say so.
+    The wall is drawn where the log's attributes `NAME.wall_position` and `NAME.wall_side` give it.
 
     Args:
         log: An open energy log.
-        path: The picture.
+        path: File to write.
         start: Time of the first SYNC to draw [s]; from the beginning by default.
         stop: Time of the first SYNC not to draw [s]; to the end by default.
         others: Further runs, drawn over the first in thin dashed lines where they have the same ports.
@@ -295,10 +295,10 @@ def energy_figure(
 
     Args:
         log: An open energy log.
-        start: As there.
-        stop: As there.
-        others: As there.
-        labels: One for each of them; by default the names of their files.
+        start: As for `draw_energy`.
+        stop: As for `draw_energy`.
+        others: As for `draw_energy`.
+        labels: Labels of the other runs; by default the names of their files.
     """
     names = list(labels) or [other.path.name for other in others]
     rows = rows_to_draw(log, start, stop)

@@ -1,4 +1,4 @@
-"""The page of `canhaptic scope`: the panels of the page of a finished run, for the last seconds, as they come."""
+"""The page of `canhaptic scope`: the panels of a finished run's page, for the last seconds, as data arrive."""
 
 import html
 from collections.abc import Mapping
@@ -32,9 +32,9 @@ class ScopePage:
 
     Args:
         document: The visitor's Bokeh document.
-        log: What to follow; each visitor has its own.
+        log: Log to follow; each visitor has its own.
         window: Seconds shown [s].
-        period: Between two looks [s].
+        period: Time between two looks [s].
     """
 
     def __init__(self, document: Document, log: LiveLog, window: float, period: float) -> None:
@@ -53,7 +53,7 @@ class ScopePage:
         document.add_periodic_callback(self.update, max(50, round(1000 * period)))
 
     def update(self) -> None:
-        """Take what is new into the page."""
+        """Add new data to the page."""
         news = self._log.look()
         if news is None:
             if self._log.trouble:

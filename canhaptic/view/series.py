@@ -1,12 +1,12 @@
-"""What is drawn of one port: its units, its wall, what was lost and which events are marked.
+"""Data drawn for one port: its units, its wall, its losses and its marked events.
 
 Min/max decimation: long records drawn in a few thousand points without losing a one-sample spike.
 
 Striding would lose it. Every bucket of samples is drawn as its first extreme and its second, in their order.
 
-The plane in which a group of axes renders: the path of its handle, and where its surface is.
+The plane in which a group of axes renders: the path of its handle, and the surface.
 
-Mechanism and network are those that the log holds with the run; a log without them, a task space that is no plane and
+Mechanism and network come from the log of the run; a log without them, a task space that is not a plane and
 a network without a surface have no such picture.
 """
 
@@ -74,7 +74,7 @@ class MarkedEvent(NamedTuple):
 
 
 class PortFacts(NamedTuple):
-    """What a panel must know of a port before the first row is drawn."""
+    """Facts about a port that a panel needs before the first row is drawn."""
 
     name: str
     is_group: bool  # of axes: it has no position
@@ -90,7 +90,7 @@ class PortFacts(NamedTuple):
 
 
 def port_facts(log: EnergyLog, name: str) -> PortFacts:
-    """Return what the attributes of a log say of a port."""
+    """Return the facts about a port in the attributes of a log."""
     port = log.ports[name]
     effort = port.unit("torque_applied")
     units = dict.fromkeys(_ENERGIES, "J") | {
@@ -107,7 +107,7 @@ def port_facts(log: EnergyLog, name: str) -> PortFacts:
 
 
 def losses(log: EnergyLog, start: int, stop: int) -> dict[str, Array]:
-    """Return for each row what was lost before it: SYNCs not sent, TPDOs that did not come, rows without room."""
+    """Return for each row the losses before it: SYNCs not sent, TPDOs missed, rows dropped."""
     index = log.timing.read("sync_index", max(0, start - 1), stop).astype(np.int64)
     dropped = log.timing.read("dropped_before", start, stop).astype(np.int64)
     deadlines = log.deadlines(max(0, start - 1), stop).astype(np.int64)
@@ -123,7 +123,7 @@ def losses(log: EnergyLog, start: int, stop: int) -> dict[str, Array]:
 def faults_of(log: EnergyLog, port: str, index: Array) -> list[MarkedEvent]:
     """Return the events to mark that concern a port and lie within the SYNCs of `index`.
 
-    The fault that ended a run came with a SYNC that has no row any more; it is moved to the last one that has.
+    The fault that ended a run belongs to a SYNC without a row; it is moved to the last row.
     """
     if not len(index):
         return []
@@ -164,7 +164,7 @@ def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
     Args:
         log: An open energy log.
         name: Name of the group's port.
-        rows: Which of the log.
+        rows: Rows of the log.
     """
     try:
         group = json.loads(str(log.attributes["config_resolved"]))["groups"][name]

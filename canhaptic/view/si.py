@@ -19,7 +19,7 @@ def si(value: float, unit: str, digits: int = 4) -> str:
     """Return a value with a prefixed unit, such as `12.34 mJ`.
 
     Args:
-        value: In the unit.
+        value: Value in that unit.
         unit: A unit, "1" or "" for a pure number.
         digits: Significant digits.
     """

@@ -19,7 +19,7 @@ _ENDLESS: Final = 100_000  # columns, to measure what a table would take
 
 
 class Styled(NamedTuple):
-    """A cell with a look."""
+    """A cell with a style."""
 
     text: str
     style: str = ""  # words of rich, such as "bold red"; the classes of the cell in HTML
@@ -34,10 +34,10 @@ class Table:
     """Rows under a title and headings.
 
     Args:
-        title: Above the table; "" for none.
-        columns: Headings; a line break is kept on a terminal alone.
-        rows: One cell per column each; a row without cells draws a line on a terminal.
-        keys: Number of leading columns that name a row; the others are figures, at the right of their column and not
+        title: Title above the table; "" for none.
+        columns: Headings; a line break is kept on a terminal only.
+        rows: Rows with one cell per column; a row without cells draws a line on a terminal.
+        keys: Number of leading columns that name a row; the others are figures, right-aligned and not
             folded: where they do not fit, a terminal shows several tables, each with the keys. None: all are words.
 
     Raises:
@@ -55,7 +55,7 @@ class Table:
                 raise ValueError(f"{self.title}: row {number} has {len(row)} cells, expected {len(self.columns)}")
 
     def json(self) -> str:
-        """Return a list with one object per row, headings as keys; what is no finite number is null."""
+        """Return a list with one object per row, headings as keys; a number that is not finite is null."""
         return json.dumps([dict(zip(self._heads(), row, strict=True)) for row in self._plain()], allow_nan=False)
 
     def csv(self) -> str:
@@ -131,7 +131,7 @@ class Table:
 
 
 def in_lines(text: str, width: int) -> str:
-    """Return a text in lines of at most `width` letters, broken wherever that is."""
+    """Return a text in lines of at most `width` characters, broken at any position."""
     return "\n".join(text[at : at + width] for at in range(0, len(text), width))
 
 
@@ -146,7 +146,7 @@ def _styled(row: Sequence[Cell]) -> list[Styled]:
 
 
 def shown(cell: str | int | float | None) -> str:
-    """Return the words of a cell without a look."""
+    """Return the words of a cell without its style."""
     if isinstance(cell, float):
         return "-" if math.isnan(cell) else f"{cell:.4g}"
     return "" if cell is None else str(cell)

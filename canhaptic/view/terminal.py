@@ -1,4 +1,4 @@
-"""The terminal: what would steer it in texts of files and drives is shown, not sent."""
+"""Safe terminal output: control characters in texts from files and drives are shown, not sent."""
 
 from itertools import chain
 from typing import Final

@@ -1,6 +1,6 @@
-"""Admittance displays: force in, velocity out. The tables of what is rendered and of the algorithms that render it.
+"""Admittance displays: force in, velocity out. Tables of environments and algorithms.
 
-Every scene reads the tables; the modules of this room are loaded where a scene has a display.
+Every scene reads the tables; the other modules of this room are loaded only where a scene has a display.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """A controller of an admittance display in the cycle; see `canhaptic.control.passivity.stepped`.
 
-It is stepped as one of an impedance display: `torque_applied` is the force of the display on the hand (minus what the
-sensor shows), and the `torque` of its balance is the velocity commanded [m/s or rad/s].
+It has the interface of an impedance display: `torque_applied` is the force of the display on the hand (minus the
+sensor's reading), and the `torque` of its balance is the commanded velocity [m/s or rad/s].
 """
 
 from typing import ClassVar
@@ -11,7 +11,7 @@ from canhaptic.control.passivity.stepped import SteppedController, Wording
 
 
 class AdmittanceController(SteppedController):
-    """A kernel with the state of one axis."""
+    """An admittance kernel with the state of one axis."""
 
     _environment: AdmittanceEnvironment
     wording: ClassVar[Wording] = Wording(
@@ -20,12 +20,12 @@ class AdmittanceController(SteppedController):
 
     @property
     def energy_resolution(self) -> float:
-        """Uncertainty of the sum of h_i [J]; its lower end is booked."""
+        """Uncertainty of the sum of h_i [J]; the account books its lower end."""
         doubt: float = self._axis.doubt
         return 2.0 * doubt
 
     def lasted(self, periods: float) -> None:
-        """Count skipped SYNCs as lost samples; the command acted on."""
+        """Count skipped SYNCs as lost samples, during which the command kept acting."""
         state, skipped = self._state, round(periods) - 1
         if self._axis.started:
             self._axis.missed += skipped

@@ -3,7 +3,7 @@
 Commands change at SYNCs only. An environment with states of its own follows the command that was sent, which limits and
 certificates may have reduced.
 
-Motion of the rendered environment, its limits, and the commands under way.
+Motion of the rendered environment, its limits, and the queued commands.
 """
 
 from dataclasses import dataclass
@@ -55,14 +55,14 @@ class AdmittanceEnvironment(Parameters):
         raise NotImplementedError
 
     def go_along(self, inner: Buffer, before: float, speed: float, time: float) -> None:
-        """Advance its states by a hold at a speed; `before` is the speed of the hold before [m/s or rad/s]."""
+        """Advance the states by a hold at a speed; `before` is the speed of the previous hold [m/s or rad/s]."""
 
     def stored(self, inner: Buffer, speed: float, position: float) -> float:
         """Stored energy [J]."""
         raise NotImplementedError
 
     def stretch(self, position: float) -> float:
-        """Displacement of its spring, for logs; 0 without one [m or rad]."""
+        """Displacement of the spring, for logs; 0 without one [m or rad]."""
         return 0.0
 
 
@@ -116,12 +116,12 @@ def motion_settings(
 def display_memory(
     port: PortSettings, motion: AdmittanceMotionSettings, kept: int, make_buffer: MakeBuffer
 ) -> AdmittanceMemory:
-    """Buffers of one axis that keeps this number of commands."""
+    """Buffers of one axis for this number of commands."""
     return AdmittanceMemory(port_positions(port, make_buffer), make_buffer(kept), make_buffer(motion.states))
 
 
 def send(motion: AdmittanceMotion, commands: Buffer, speed: float) -> None:
-    """Keep a command as the newest."""
+    """Store a command as the newest."""
     motion.newest = motion.newest + 1 if motion.newest + 1 < len(commands) else 0
     commands[motion.newest] = speed
     motion.speed = speed
@@ -142,9 +142,9 @@ def limited(
 ) -> float:
     """Return the nearest command that speed, acceleration and position limits allow [m/s or rad/s].
 
-    A command may always go to zero. Towards a position limit, room is left for the commands under way and for the
-    distance that the drive needs to follow; beyond it the command leads back, slowly: a drive without an integral
-    yields to a hand that pushes.
+    A command may always go to zero. Towards a position limit, room is left for the queued commands and for the
+    distance that the drive needs to follow. Beyond it the command leads back, slowly: a drive without an integral
+    yields to a pushing hand.
     """
     last, step, most = motion.speed, settings.step, settings.fastest
     high = last + step if last > 0.0 else step

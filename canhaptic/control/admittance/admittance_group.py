@@ -1,7 +1,7 @@
-"""Several admittance displays with one account: energy that came in by one axis may go out by another.
+"""Several admittance displays with one account: energy that entered at one axis may leave at another.
 
-Each axis has a drive of its own, so that the margins of `velocity_loop` add up: W = E - sum V_i, and the losses of all
-commands under way add up too. A request that does not fit is reduced as a whole, in all axes by one factor, so that it
+Each axis has its own drive, so that the margins of `velocity_loop` add up: W = E - sum V_i, and the losses of all
+queued commands add up too. A request that does not fit is reduced in all axes by one factor, so that it
 keeps its direction: the loss is convex in the factor, hence the chord between a factor that fits and one that does not
 gives a larger one that fits.
 """
@@ -125,7 +125,7 @@ class _GroupAxis(GroupAxis):
         return lost, lost
 
     def used(self) -> float:
-        """Largest loss of the margin by all commands under way [J]."""
+        """Largest loss of the margin by all queued commands [J]."""
         return loss_under_way(self.loop_settings, self.loop.lead, self.memory.commands, self.motion)
 
     def acted(self) -> float:
@@ -147,12 +147,12 @@ class GuardedAdmittanceGroup(AdmittanceGroup[_GroupAxis]):
 
     Args:
         environment: Environment to render.
-        parameters: Parameters of every axis: over-estimates of the largest.
+        parameters: Parameters of every axis; masses are over-estimates of the largest.
         properties: Declared properties of each axis; sample time, delay and latency are the same for all.
 
     Attributes:
         axes: Number of axes.
-        energy_resolution: Uncertainty of the energy of all axes; its lower end is booked [J].
+        energy_resolution: Uncertainty of the energy of all axes [J]; its lower end is booked.
 
     Raises:
         ParameterError: Parts do not fit together, or a hand is declared.
@@ -182,7 +182,7 @@ class GuardedAdmittanceGroup(AdmittanceGroup[_GroupAxis]):
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything; see `GroupController`."""
+        """Return to the initial state; see `GroupController`."""
         self._each = [
             _GroupAxis(self._environment, place, self._parameters, of) for place, of in enumerate(self._properties)
         ]
@@ -206,7 +206,7 @@ class GuardedAdmittanceGroup(AdmittanceGroup[_GroupAxis]):
         return GroupBalance(speeds, account, speeds)
 
     def lasted(self, periods: float) -> None:
-        """Account for skipped SYNCs: no command was sent, and those under way acted longer."""
+        """Account for skipped SYNCs: no command was sent, and the queued ones acted longer."""
         skipped = round(periods) - 1
         if not self._started:
             return

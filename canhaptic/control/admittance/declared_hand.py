@@ -5,22 +5,22 @@
 x is the arm's end of the grip; q and v = q' belong to the mass before the sensor, M v' = c (r - v) + F - f, with the
 friction f = f_c + d v, f_c v >= 0, abs(f_c) <= f_d, 0 <= d <= d_d. E >= -allowance at every time, for every such hand.
 
-Proof. Let g be the velocity that the commands alone make, l g' = r - g for a chosen l, and s = v - g what the hand
-adds. With D = (c - M / l) (r - g), M s' = F - f - c s + D, so that for A = E - M s^2 / 2
+Proof. Let g be the velocity due to the commands alone, l g' = r - g for a chosen l, and s = v - g the hand's
+part. With D = (c - M / l) (r - g), M s' = F - f - c s + D, so that for A = E - M s^2 / 2
 
     A' = F g + c s^2 + f s - D s        and        f s >= -f_d abs(g) - d_d g^2 / 4                                (1)
 
-At a SYNC all commands are known, and with them g, the distance y that it covers until a later time, and the longest
-distance P still to go at any time. F is known there, and what it shows of the spring: F + m a + b v, with a = v'. The
-hand of that moment changes by the spring's motion, by the arm's and by the axis's, so that integration by parts gives
+At a SYNC all commands are known, and with them g, the distance y that it covers until a later time, and the largest
+distance P still to be covered at any time. F is known there, and with it the spring's part: F + m a + b v, a = v'. The
+hand force then changes with the spring, the arm and the axis, so that integration by parts gives
 
     int F g  >=  (F + m a + b v) y - K_e y^2 / 2 - b int g^2 - m (g_1^2 - g_0^2) / 2 + m (s_0 g_0 - s_1 g_1)
                  - K_e w int P - 2 B w P_0 - int (K P + b abs(g) + m abs(g')) abs(s)                               (2)
 
 where 0 is the SYNC and 1 the later time. In the sum of (1) and (2) the last term and D s are covered by c s^2: they
 cost (K P + b abs(g) + m abs(g') + abs(D))^2 / 4c at most. M s_1^2 / 2 covers m s_1 g_1 but for m^2 g_1^2 / 2M. What is
-left is known; it is the `loss` of the commands. E >= A >= -allowance at every later time follows from
-loss <= A + allowance, for the commands under way, the new one, and zeros behind them. So does the next SYNC: zero is
+known is the `loss` of the commands. E >= A >= -allowance at every later time follows from
+loss <= A + allowance, for the queued commands, the new one, and zeros behind them. So does the next SYNC: zero is
 the same sequence, which was proved before. The loss is convex in K, b and m, largest at an end of each; and in the
 new command, so that every command between two that fit fits.
 
@@ -75,7 +75,7 @@ class HandForceSettings:
 
 
 def held_back(settings: HandForceSettings, loop: VelocityLoopSettings, speed: float) -> float:
-    """Return G at a largest speed [J]."""
+    """Return G at the largest possible speed [J]."""
     force, gain = settings.force, loop.gain_least
     rest = speed - force / gain * log1p(gain * speed / force)
     return force * loop.mass / gain * rest
@@ -94,8 +94,8 @@ def fastest_for_hand(
 ) -> float:
     """Return the largest speed that may be commanded now [m/s or rad/s].
 
-    In each hold that a lost RPDO may lengthen, the largest command that may act counts: the new one in all of its
-    holds where it is the largest of all, else in its last alone, and then it is no larger than the one before.
+    In each hold that a lost RPDO may lengthen, the largest command that may act counts: the new one in all its
+    holds where it is the largest of all, else only in its last one, where it is no larger than the one before.
     """
     left = budget / (settings.force * loop.sample_time)
     for age in range(loop.delay):
@@ -114,7 +114,7 @@ def fastest_for_hand(
 def used_by_hand(
     settings: HandForceSettings, loop: VelocityLoopSettings, commands: Buffer, motion: AdmittanceMotion
 ) -> float:
-    """Return the largest loss of E - G by the commands that may still act, the newest included [J]."""
+    """Return the largest loss of E - G by the commands that can still act, the newest included [J]."""
     total = 0.0
     for age in range(1, loop.delay + 1):
         total += sqrt(largest_square(commands, motion, age, age + loop.losses))
@@ -130,7 +130,7 @@ _OF_COMMANDS, _OF_WAY = 0.3125, 2.5
 
 @dataclass(frozen=True, slots=True)
 class DeclaredHandSettings:
-    """What is declared of the hand, and what follows of drive and sensor."""
+    """Declared properties of the hand, and constants that follow from drive and sensor."""
 
     stiffness: float  # K_e [N/m or N*m/rad]; 0: no hand is declared
     speed: float  # w [m/s or rad/s]
@@ -163,7 +163,7 @@ class DeclaredHand:
 
 
 class HeardForce(NamedTuple):
-    """A force and the hold that it closes."""
+    """A received force and the hold that it closes."""
 
     energy: float  # E there, at least [J]
     moved: float  # in that hold [m or rad]
@@ -192,7 +192,7 @@ def speeds_of(latency: int, make_buffer: MakeBuffer) -> Buffer:
 
 
 def go_on(settings: DeclaredHandSettings, hand: DeclaredHand, speeds: Buffer, command: float) -> None:
-    """Move g on by the hold that ended, under the command that acted in it [m/s or rad/s]."""
+    """Advance g by the hold that ended, under the command that acted in it [m/s or rad/s]."""
     hand.speed = command + (hand.speed - command) * settings.decay
     hand.place = hand.place + 1 if hand.place + 1 < len(speeds) else 0
     speeds[hand.place] = hand.speed
@@ -294,16 +294,16 @@ def loss(
     settings: DeclaredHandSettings, loop: VelocityLoopSettings, hand: DeclaredHand, commands: Buffer, newest: int,
     speed: float, holds: int,
 ) -> float:  # fmt: skip
-    """Largest decrease of A at any time, by the commands under way and a new one [J].
+    """Largest decrease of A at any time, by the queued commands and a new one [J].
 
     Args:
         settings: Constants of the run.
         loop: Declared velocity loop of the drive.
         hand: State of the hand at the SYNC of the last force.
         commands: Ring of the commands sent.
-        newest: Place of the oldest command that differs from the new one.
+        newest: Index of the oldest command that differs from the new one.
         speed: New command [m/s or rad/s].
-        holds: Holds in which older commands act before it.
+        holds: Number of holds in which older commands act first.
     """
     time, lag, g = loop.sample_time, settings.lag, hand.before
     forth, back, late = lag * max(0.0, g), lag * max(0.0, -g), lag * lag * abs(g)
@@ -352,7 +352,7 @@ def fastest_for_declared(
     request: float,
     allowance: float,
 ) -> float:
-    """Largest speed towards the requested one that may be commanded now, without its sign [m/s or rad/s].
+    """Largest certified speed in the direction of the request, unsigned [m/s or rad/s].
 
     The loss is convex: a chord between a speed that fits and one that does not meets the budget at one that fits.
     """
@@ -392,7 +392,7 @@ def used_by_declared(
 
 
 def lightest(settings: DeclaredHandSettings, loop: VelocityLoopSettings, speed: float) -> float:
-    """Least virtual mass that keeps its speed with such a hand when nothing pushes it [kg or kg*m^2]."""
+    """Smallest virtual mass that keeps its speed with such a hand when nothing pushes it [kg or kg*m^2]."""
     steady = DeclaredHand(
         before=speed, slowest=speed, fastest=speed, up=0.0, down=0.0, up_with_mass=0.0, down_with_mass=0.0
     )
@@ -404,12 +404,12 @@ _ROUNDS: Final = 60
 
 
 def damping_border(moved: float, gain: float, mass: float, stiffness: float, lag: float) -> float:
-    """Return the virtual damping at the border; 0 where none is needed [N*s/m or N*m*s/rad].
+    """Return the virtual damping at the stability border; 0 where none is needed [N*s/m or N*m*s/rad].
 
     Args:
-        moved: M, that the drive moves [kg or kg*m^2].
-        gain: c of its velocity loop [N*s/m or N*m*s/rad].
-        mass: m, virtual [kg or kg*m^2].
+        moved: M, mass moved by the drive [kg or kg*m^2].
+        gain: c of the velocity loop [N*s/m or N*m*s/rad].
+        mass: m, virtual mass [kg or kg*m^2].
         stiffness: K of the spring to ground [N/m or N*m/rad], > 0.
         lag: tau from the force to the command that answers it [s].
     """

@@ -1,11 +1,11 @@
 """`internal_dissipation` of an admittance display: the paper's algorithm carried over, port u J, state p = m u.
 
-Energy that flows in with the held velocity is u J; the damper takes T b u u+. The next speed is the root of
+Energy that flows in at the held velocity is u J; the damper takes T b u u+. The next speed is the root of
 
     m u+^2 / 2 + T b u u+ - [m u^2 / 2 + u J - (U(x+) - U(x))] = 0
 
-that keeps the sign. At rest it begins with J / m, which creates J^2 / 2m. Where there is no root the store is
-overdrawn: the mass stops, and the shortfall is a deficit. It assumes a perfect drive, so that it bounds what the
+that keeps the sign. At rest it begins with J / m, which creates J^2 / 2m. Where there is no root the stored energy is
+overdrawn: the mass stops, and the shortfall is a deficit. A perfect drive is assumed, so that it bounds what the
 sampling creates and not what the drive does.
 sampling creates and not what the drive does.
 """
@@ -51,7 +51,7 @@ def first_energy(environment: AdmittanceMass, given: NothingToChoose, position: 
 
 
 def respond(environment: AdmittanceMass, run: AdmittanceRun[NothingToChoose], hold: SampledHold) -> AdmittanceReply:
-    """Solve the balance of energy for the next speed."""
+    """Solve the energy balance for the next speed."""
     state, time = run.state, run.settings.port.sample_time
     impulse, potential = hold.force * time, environment.potential(state.axis.position)
     risen, state.energy = potential - state.energy, potential
@@ -81,7 +81,7 @@ def next_speed(environment: AdmittanceMass, time: float, speed: float, impulse: 
 
 
 class DissipatingAdmittance(AdmittanceController):
-    """The paper's balance of energy with force in and velocity out."""
+    """The paper's energy balance with force in and velocity out."""
 
     parameters_type = NothingToChoose
     kernel = display_kernel(respond, first_energy, settings_of)

@@ -1,11 +1,11 @@
-"""Whether the force that a sensor shows may be used: its energy and its momentum against encoder and commands.
+"""Whether the measured force is plausible: its energy and its momentum against encoder and commands.
 
-By the force no more than `by_force` came in; by encoder and commands, E - V is no less than `by_encoder` (see
-`velocity_loop`), and V is not negative. More by the encoder than by the force: one of them is wrong.
+By the force at most `by_force` came in; by encoder and commands, E - V is at least `by_encoder` (see
+`velocity_loop`), and V is not negative. If the encoder shows more than the force does, one of them is wrong.
 
 Lower bound of an energy margin W, where forces arrive late by whole samples.
 
-Between two SYNCs W decreases by no more than follows from the commands: its `change`. A force that belongs to an
+Between two SYNCs W decreases by no more than the commands can cause: its `change`. A force that belongs to an
 earlier SYNC gives a bound on W then; the changes since bring it up to date. The larger of the two bounds counts.
 
 Consistency of the measured force with the motion: the momentum of the mass that the drive moves.
@@ -22,7 +22,7 @@ no encoder is differentiated twice. With abs(F') <= L, abs(v') <= A and an encod
 the terms in T^2 / 6H are those of a weight that changes inside a hold. Point samples add the error of `port`. A SYNC
 that comes early or late by up to j T shifts a weight, which costs j T / H (2 max + total change) of the force, and c
 times that of the command. The energy of a constant offset o is o times the displacement, so that until it is noticed it
-gives out o times the way moved, and never more than o times the room between the limits of the position.
+gives out o times the distance moved, and never more than o times the range between the position limits.
 A push of the hand and an offset of the sensor are the same signal where the friction of the drive is not known: without
 a declared one nothing is compared, nor where the torque of the drive may have been at its limit.
 """
@@ -58,7 +58,7 @@ def margin_memory(latency: int, make_buffer: MakeBuffer) -> MarginMemory:
 
 
 def fall(margin: LateMargin, memory: MarginMemory, change: float, taken: float) -> None:
-    """Apply the change of W in the hold that ended [J], and record the energy taken from the account so far [J]."""
+    """Apply the change of W in the hold that ended [J], and record the energy withdrawn from the account so far [J]."""
     margin.known += change
     if len(memory.changes) == 1:  # no force comes late
         memory.before[0] = margin.known + taken
@@ -72,13 +72,13 @@ def fall(margin: LateMargin, memory: MarginMemory, change: float, taken: float) 
 
 
 def oldest(margin: LateMargin, memory: MarginMemory) -> int:
-    """Place of the SYNC to which the received force belongs."""
+    """Index of the SYNC to which the received force belongs."""
     then = margin.place + 1
     return then if then < len(memory.changes) else 0
 
 
 def known_then(known: float, margin: LateMargin, memory: MarginMemory) -> float:
-    """Present bound, less the changes since the SYNC to which the received force belongs [J]."""
+    """Present bound, less the changes since the SYNC of the received force [J]."""
     then = oldest(margin, memory)
     for place in range(len(memory.changes)):
         if place != then:
@@ -87,7 +87,7 @@ def known_then(known: float, margin: LateMargin, memory: MarginMemory) -> float:
 
 
 def rise(margin: LateMargin, memory: MarginMemory, then: int, value: float, taken: float) -> None:
-    """Raise the bound by W at the place `then`, as the force shows it [J]."""
+    """Raise the bound to W at the index `then`, as the force shows it [J]."""
     if then != margin.place:
         for place in range(len(memory.changes)):
             if place != then:
@@ -104,7 +104,7 @@ ROUNDING: Final = 1e-9
 
 @dataclass(slots=True)
 class ForceEvidence:
-    """Both sums for one axis of a group.
+    """Energy sums by force and by encoder for one axis of a group.
 
     Args:
         latency: Delay of a force in samples.
@@ -125,7 +125,7 @@ class ForceEvidence:
         fall(self.margin, self.memory, change, 0.0)
 
     def book(self, loop: VelocityLoopSettings, hold: BookedHold, acceleration: float) -> None:
-        """Add the energy bounds of a received force; at the first one the handle may have moved already.
+        """Add the energy bounds of a received force; the handle may have moved before the first one.
 
         Args:
             loop: Declared velocity loop of the drive.
@@ -149,9 +149,9 @@ def contradiction(of: str, by_force: float, by_encoder: float) -> str:
     """Message that a sensor contradicts the encoder, with the remedy.
 
     Args:
-        of: The sensor.
-        by_force: Energy that came in by its forces, at most [J].
-        by_encoder: The same by encoder and commands, at least [J].
+        of: Name of the sensor.
+        by_force: Largest energy received, by its forces [J].
+        by_encoder: Least energy received, by encoder and commands [J].
     """
     return (
         f"{of}: by its forces at most {by_force:.3g} J came in, by encoder and commands at least {by_encoder:.3g} J: "
@@ -165,7 +165,7 @@ _FEWEST: Final = 8  # holds in it
 
 
 class MovedHold(NamedTuple):
-    """One hold that ended, as encoder and commands say."""
+    """The hold that ended, according to encoder and commands."""
 
     moved: float  # [m or rad]
     command: float  # that acted [m/s or rad/s]
@@ -182,7 +182,7 @@ class Disagreement(NamedTuple):
     over: float  # time that the means are taken over [s]
 
     def text(self, of: str = "force sensor") -> str:
-        """Return it in words, with the remedy."""
+        """Return the disagreement in words, with the remedy."""
         return (
             f"{of}: it shows {self.shown:.3g} on average over {self.over:g} s, by encoder and commands the force is "
             f"between {self.low:.3g} and {self.high:.3g} [N or N*m]: its offset, sign or scale is wrong, it is frozen, "
@@ -226,7 +226,7 @@ class _Memory:
 
 
 class MomentumCheck:
-    """The comparison for one axis.
+    """Comparison of force and momentum on one axis.
 
     Args:
         parameters: Parameters with a `drive_friction`.
@@ -246,7 +246,7 @@ class MomentumCheck:
         self._memory = _Memory(position, force, 0.0, lead, filling=_Half(position))
 
     def take(self, hold: MovedHold, force: float) -> Disagreement | None:
-        """Take the hold that ended and the force that came; return a disagreement, if there is one.
+        """Take the hold that ended and the received force; return a disagreement, if there is one.
 
         Args:
             hold: The hold by encoder and commands.
@@ -349,10 +349,10 @@ def moved_hold(
 
     Args:
         loop: Declared velocity loop of the drive.
-        motion: Motion, with the place of the newest command.
+        motion: Motion, with the index of the newest command.
         commands: Ring of the commands sent.
         moved: Displacement in the hold [m or rad].
-        lead: Lead at its end [m or rad].
+        lead: Lead at the end of the hold [m or rad].
     """
     age = loop.delay + 1
     acted, uncertainty = sent(motion, commands, age), 0.0
@@ -364,7 +364,7 @@ def moved_hold(
 def momentum_check(
     parameters: GuardedAdmittanceParameters, port: PortSettings, loop: VelocityLoopSettings
 ) -> MomentumCheck | None:
-    """Return the comparison where `drive_friction` is declared and the integral of the drive is known."""
+    """Return the comparison where `drive_friction` is declared and the drive's integral is known."""
     if parameters.drive_friction is None or (loop.integral > 0.0 and port.jitter > 0.0):
         return None
     return MomentumCheck(parameters, port, loop)

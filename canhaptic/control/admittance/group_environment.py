@@ -4,15 +4,15 @@
 
     m u' = F - b u - k (q - rest),   and no further than the walls
 
-The spring acts at the measured position; a wall is a limit of the position and takes what the mass has left (plastic).
+The spring acts at the measured position; a wall limits the position and absorbs the remaining momentum (plastic).
 
 Environment of several displays in the task space of a mechanism, seen from its motor axes.
 
     p' = J u,   force of the hand in task space f with J' f = F,   speeds of the motors u with J u = p' rendered
 
 F are the forces of the sensors, one on each motor axis. Energy and certificate stay in motor axes: F u = f p'. Where
-the pose is singular or outside its workspace nothing is commanded. Walls are limits in task space here; there is room
-for the way that the commands under way and the drives still go, taken at the speed of the last command.
+the pose is singular or outside its workspace nothing is commanded. Walls are limits in task space here; room is left
+for the distance that queued commands and drives still cover, at the speed of the last command.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 class AdmittanceMass(AdmittanceEnvironment):
-    """A mass that the hand moves."""
+    """A mass moved by the hand."""
 
     mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
     """Virtual mass felt at the sensor."""
@@ -93,7 +93,7 @@ class GroupMass(Parameters):
         return self
 
     def require(self, axes: int) -> None:
-        """Make sure that it fits a number of axes.
+        """Check that it fits a number of axes.
 
         Raises:
             ParameterError: It does not.
@@ -105,7 +105,7 @@ class GroupMass(Parameters):
                 )
 
     def of_axis(self, axis: int) -> AdmittanceMass:
-        """Return what moves on one axis, with its walls."""
+        """Return the mass on one axis, with its walls."""
         return AdmittanceMass(
             mass=self.mass, damping=self.damping,
             **({"lower_wall": self.lower[axis]} if self.lower else {}),
@@ -129,7 +129,7 @@ class GroupMass(Parameters):
         return 0.5 * self.mass * _dot(speeds, speeds)
 
     def lost(self, speeds: _Vector, time: float) -> float:
-        """Energy that its damper dissipates in a time [J]."""
+        """Energy that the damper dissipates in a time [J]."""
         return self.damping * _dot(speeds, speeds) * time
 
 
@@ -159,7 +159,7 @@ class PathMass(GroupMass):
         return (*self.points, self.points[0]) if self.closed else self.points
 
     def require(self, axes: int) -> None:
-        """Make sure that it fits a number of axes; see `GroupMass`."""
+        """Check that the path fits a number of axes; see `GroupMass`."""
         super().require(axes)
         if len(self.points[0]) != axes:
             raise ParameterError(
@@ -178,7 +178,7 @@ class PathMass(GroupMass):
 
 
 class PathPlace(NamedTuple):
-    """The place of a path that is nearest to a position."""
+    """The point of a path nearest to a position."""
 
     along: _Vector  # direction of the piece, of length 1
     away: _Vector  # from there to the position [m or rad]
@@ -187,7 +187,7 @@ class PathPlace(NamedTuple):
 
 
 def nearest(points: tuple[tuple[float, ...], ...], position: _Vector) -> PathPlace:
-    """Return the place of a path through points that is nearest to a position."""
+    """Return the point of a path nearest to a position."""
     best, least, last = PathPlace([], [], False, False), inf, len(points) - 2
     for piece, (start, end) in enumerate(pairwise(points)):
         span = [b - a for a, b in zip(start, end, strict=True)]
@@ -218,8 +218,8 @@ class TaskEnvironment:
 
     Args:
         environment: Environment in task space.
-        kinematics: Map between motor axes and task space, of equally many coordinates.
-        time_ahead: Longest time for which the last command goes on [s].
+        kinematics: Map between motor axes and equally many task coordinates.
+        time_ahead: Longest time for which the last command continues [s].
 
     Raises:
         ParameterError: The mechanism has more or fewer task coordinates than axes.
@@ -239,7 +239,7 @@ class TaskEnvironment:
         self.damping = environment.damping
 
     def require(self, axes: int) -> None:
-        """Make sure that it fits a number of motor axes; raise ParameterError."""
+        """Check that it fits a number of motor axes; raise ParameterError."""
         if axes != self._kinematics.axes:
             raise ParameterError(
                 f"kinematics: has {self._kinematics.axes} motor axes, expected {axes}, those of the group"
@@ -247,7 +247,7 @@ class TaskEnvironment:
         self._environment.require(self._kinematics.dimensions)
 
     def of_axis(self, _axis: int) -> AdmittanceMass:
-        """Return what moves on one motor axis: walls are in task space, not here."""
+        """Return the mass on one motor axis, without walls: they are in task space."""
         return AdmittanceMass(mass=self._environment.mass, damping=self._environment.damping)
 
     def speeds_after(self, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
@@ -281,7 +281,7 @@ class TaskEnvironment:
         return self._environment.stored(_times(self._jacobian, speeds))
 
     def lost(self, speeds: _Vector, time: float) -> float:
-        """Energy that its damper dissipates in a time [J]."""
+        """Energy that the damper dissipates in a time [J]."""
         return self._environment.lost(_times(self._jacobian, speeds), time)
 
 

@@ -3,13 +3,13 @@
 The promise: E, the energy that came in through the sensor, never falls below -energy_allowance, for every hand. It
 rests on the declarations of the drive (`velocity_loop`) and of the sensor (`port`), and on nothing about the hand.
 
-Each SYNC: the hold that a force belongs to is booked with its uncertainty; W, what the drive can still give out safely,
-is updated by force and encoder, whichever proves more; the virtual mass moves on under the last force; its speed is
-reduced to the largest one certified, and the mass keeps that speed; the account is then reduced to what the mass, or
-the drive with the commands under way, can give back.
+Each SYNC: the hold of a received force is booked with its uncertainty; W, the energy that the drive can still give
+out safely, is updated by force and encoder, whichever proves more; the virtual mass advances under the last force; its
+speed is reduced to the largest certified one, and the mass keeps that speed; the account is then reduced to what the
+mass, or the drive with the queued commands, can give back.
 
-A drive with an integral is certified as long as its torque stays below its limit for certain; from the first hold on
-in which it may not, nothing is certified any more and the account rests on the force alone.
+A drive with an integral is certified as long as its torque is certain to stay below its limit; from the first hold on
+in which it may reach the limit, nothing is certified any more and the account rests on the force alone.
 
 Where a largest force of the hand is declared (`largest_hand_force`), or the hand as a spring with damper and mass
 (`hand_stiffness`), a command may rest on that instead: see `hand_force` and `declared_hand`.
@@ -250,8 +250,8 @@ def miss(
 ) -> float:
     """Handle a SYNC without a sample; return the command [m/s or rad/s].
 
-    Without an integral the last command goes on as long as it is certified for any motion in the hold; with one the
-    command is 0 at once, and all that was under way counts as lost.
+    Without an integral the last command continues as long as it is certified for any motion in the hold; with one the
+    command is 0 at once, and all queued commands count as lost.
     """
     motion, loop, commands = state.motion, state.loop, memory.display.commands
     if settings.loop.integral == 0.0:
@@ -275,7 +275,7 @@ def skip(
     memory: GuardedMemory,
     skipped: int,
 ) -> None:
-    """Account for skipped SYNCs: no command was sent, and the one under way acted longer."""
+    """Account for skipped SYNCs: no command was sent, and the queued one acted longer."""
     loop, motion, commands = settings.loop, state.motion, memory.display.commands
     if loop.integral > 0.0:
         state.uncertainty = state.uncertainty or state.axis.missed > 0
@@ -442,12 +442,12 @@ class GuardedAdmittance(AdmittanceController):
             raise ForceContradictedError(found.text())
 
     def lasted(self, periods: float) -> None:
-        """Count the SYNCs that were skipped; a run with one is not certified."""
+        """Count skipped SYNCs; a run with one is not certified."""
         if self._axis.started:
             skip(self._environment, self._settings, self._state, self._memory, round(periods) - 1)
 
     def sample_lost(self) -> EnergyBalance:
-        """Answer a SYNC without a sample; see `Controller.hold`."""
+        """Answer a SYNC without a sample; see `Controller.sample_lost`."""
         balance = super().sample_lost()
         return balance._replace(certificate=_NONE) if self._state.uncertainty else balance
 

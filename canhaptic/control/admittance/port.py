@@ -65,7 +65,7 @@ class AdmittanceProperties(Parameters):
 
     @property
     def longest_hold(self) -> float:
-        """Longest duration of a hold [s]: its cost and its uncertainty grow with it."""
+        """Longest duration of a hold [s]: the energy at risk and its uncertainty grow with it."""
         return self.sample_time * (1.0 + self.jitter)
 
 
@@ -147,7 +147,7 @@ def book(settings: PortSettings, port: Port, positions: Buffer, position: float,
     Args:
         settings: Settings of the port.
         port: State of the port; advanced to this SYNC.
-        positions: Ring of the positions at the SYNCs before.
+        positions: Ring of the positions at the previous SYNCs.
         position: Position at this SYNC [m or rad].
         force: Force received at this SYNC [N or N*m].
     """

@@ -45,10 +45,10 @@ class GroupMotion(Protocol):
     damping: float
 
     def require(self, axes: int) -> None:
-        """Make sure that it fits a number of axes; raise ParameterError."""
+        """Check that it fits a number of axes; raise ParameterError."""
 
     def of_axis(self, axis: int, /) -> AdmittanceMass:
-        """Return what moves on one axis, with its walls."""
+        """Return the mass on one axis, with its walls."""
 
     def speeds_after(self, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
         """Return the speeds after another hold under the forces of the hand [m/s or rad/s]."""
@@ -57,11 +57,11 @@ class GroupMotion(Protocol):
         """Return the energy of the mass [J]."""
 
     def lost(self, speeds: _Vector, time: float) -> float:
-        """Return what its damper takes in a time [J]."""
+        """Return the energy that the damper dissipates in a time [J]."""
 
 
 def require_alike(properties: Sequence[AdmittanceProperties]) -> None:
-    """Make sure that the axes of a group share their clock.
+    """Require that the axes of a group share their clock.
 
     Raises:
         ParameterError: They do not.
@@ -124,14 +124,14 @@ class AdmittanceGroup(ABC, Generic[_Axis]):
 
     @abstractmethod
     def reset(self) -> None:
-        """Forget everything; see `GroupController`."""
+        """Return to the initial state; see `GroupController`."""
 
     @abstractmethod
     def sample_lost(self) -> GroupBalance:
         """Answer a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
 
     def lasted(self, periods: float) -> None:
-        """Count skipped SYNCs as lost samples; the commands acted on."""
+        """Count skipped SYNCs as lost samples, during which the commands kept acting."""
         if self._started:
             for axis in self._each:
                 axis.port.missed += round(periods) - 1
@@ -175,7 +175,7 @@ class _SampledAxis(GroupAxis):
 
 
 class UnprotectedAdmittanceGroup(AdmittanceGroup[_SampledAxis]):
-    """A mass on several axes as it is; a `GroupController`.
+    """A mass on several axes without protection; a `GroupController`.
 
     Args:
         environment: Environment to render.
@@ -202,7 +202,7 @@ class UnprotectedAdmittanceGroup(AdmittanceGroup[_SampledAxis]):
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything; see `GroupController`."""
+        """Return to the initial state; see `GroupController`."""
         self._each = [_SampledAxis(self._environment, place, of) for place, of in enumerate(self._properties)]
         self._slips, self._h_s, self._energy, self._started = [0.0] * self.axes, 0.0, self._begin(), False
         self._last = group_at_rest(self.axes)
@@ -264,7 +264,7 @@ class UnprotectedAdmittanceGroup(AdmittanceGroup[_SampledAxis]):
 
 
 class ObservedAdmittanceGroup(UnprotectedAdmittanceGroup):
-    """The same with a slip along the force whenever the observed energy falls below zero; see `observed_display`."""
+    """An unprotected group with a slip along the force whenever the observed energy falls below zero."""
 
     def _observe(self, energy: float) -> None:
         self._energy += energy

@@ -1,4 +1,4 @@
-"""The environment sampled as it is, and the one step of the algorithms without a certificate.
+"""The unprotected environment, and the step shared by the algorithms without a certificate.
 
 Each of them is a parameter model and a function `respond`, of which `display_kernel` makes a kernel. What sampling, the
 drive and the uncertainty of the account create is booked as `gen`, what they lose as `leak`, so that the account closes
@@ -31,12 +31,12 @@ _EXACT, _FREE, _NONE = Branch.EXACT.value, Branch.FREE.value, Certificate.NONE.v
 
 
 class NothingToChoose(Parameters):
-    """Parameters of an admittance display: none."""
+    """Parameters of an admittance algorithm without any."""
 
 
 @dataclass(frozen=True, slots=True)
 class AdmittanceSettings(Generic[GivenT]):
-    """What is fixed for a run of an algorithm without a certificate."""
+    """Constants of a run of an algorithm without a certificate."""
 
     given: GivenT  # parameters of the algorithm; a kernel reads their numbers alone
     port: PortSettings
@@ -60,7 +60,7 @@ AdmittanceRun: TypeAlias = Run[AdmittanceSettings[GivenT], AdmittanceState, Admi
 
 
 class SampledHold(NamedTuple):
-    """One hold that ended, and where the mass goes on to."""
+    """The hold that ended, and the next state of the mass."""
 
     energy: float  # that came in, at least [J]
     elapsed: float  # [s]
@@ -96,14 +96,14 @@ def respond(environment: AdmittanceEnvironment, run: AdmittanceRun[Any], hold: S
 
 
 def first_energy(environment: Any, given: Any, position: float) -> float:
-    """Initial energy of an algorithm's own, at the first position [J]."""
+    """Energy with which an algorithm starts at the first position [J]."""
     return 0.0
 
 
 def step(
     environment: AdmittanceEnvironment, run: AdmittanceRun[Any], position: float, torque_applied: float
 ) -> EnergyBalance:
-    """Book the hold that ended and moves the mass on; see `Controller.step`."""
+    """Book the hold that ended and advance the mass; see `Controller.step`."""
     settings, state, memory = run.settings, run.state, run.memory
     force = -torque_applied
     if not state.axis.started:

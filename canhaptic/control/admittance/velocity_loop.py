@@ -11,7 +11,7 @@ and rho(s) the integral of r from s to H, W falls by at most (maximum over every
     f_0 R + k R^2 / 4 + (c / 4) int r^2 + (k^2 / 4c) int rho^2,     R = int r
 
 (complete the square in v; int r rho = R^2 / 2). Within a hold this is convex in H, so that its largest value is at a
-SYNC. Commands that satisfy `loss <= W + allowance`, all that are under way and the new one, keep E >= -allowance for
+SYNC. Commands that satisfy `loss <= W + allowance`, all queued ones and the new one, keep E >= -allowance for
 every hand: after any motion in the first hold, the rest of the sequence still fits what is left. A command of 0 adds
 nothing and always fits; so does any between 0 and one that fits, as the loss is convex in it.
 
@@ -99,7 +99,7 @@ def gained(
         settings: Declared velocity loop of the drive.
         lead: Lead at the beginning of the hold [m or rad].
         commands: Ring of the commands sent.
-        motion: Motion, with the place of the newest command.
+        motion: Motion, with the index of the newest command.
         moved: Displacement in the hold [m or rad].
     """
     if settings.integral > 0.0:
@@ -193,7 +193,7 @@ def fastest(
         settings: Declared velocity loop of the drive.
         lead: Lead at this SYNC [m or rad].
         commands: Ring of the commands sent.
-        motion: Motion, with the place of the newest command.
+        motion: Motion, with the index of the newest command.
         budget: W and the energy allowance [J].
         sign: 1.0 or -1.0.
     """
@@ -225,7 +225,7 @@ def _fastest_by_damping(
 ) -> float:
     """The same without an integral: c T / 4 times the squares of all commands that may act.
 
-    In each hold under way the largest of the commands that may act counts, as up to `losses` RPDOs in a row may be
+    In each queued hold the largest of the commands that may act counts, as up to `losses` RPDOs in a row may be
     lost. The new one may act in 1 + losses holds; in the first of them an older one may, where it is larger.
     """
     delay, losses = settings.delay, settings.losses
@@ -275,7 +275,7 @@ def largest_square(commands: Buffer, motion: AdmittanceMotion, newest: int, olde
 
 
 def loss_under_way(settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: AdmittanceMotion) -> float:
-    """Return the largest loss of W by the commands that may still act, the newest included, at any SYNC [J]."""
+    """Return the largest loss of W by the commands that can still act, the newest included, at any SYNC [J]."""
     total = largest = 0.0
     if settings.integral > 0.0:
         for holds in range(1, settings.delay + 2):
@@ -298,7 +298,7 @@ def loss_under_way(settings: VelocityLoopSettings, lead: float, commands: Buffer
 def loss_of_skip(
     settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: AdmittanceMotion, skipped: int
 ) -> float:
-    """Largest loss of W by all commands under way where SYNCs are skipped and the oldest acts longer [J]."""
+    """Largest loss of W by all queued commands where SYNCs are skipped and the oldest acts longer [J]."""
     holds = [settings.delay] * skipped + [*range(settings.delay, -1, -1)]
     acting = [sent(motion, commands, age) for age in holds]
     longer = replace(settings, delay=settings.delay + skipped)
@@ -342,7 +342,7 @@ class GuardedAdmittanceParameters(Parameters):
 
 
 def loop_settings(parameters: GuardedAdmittanceParameters, properties: AdmittanceProperties) -> VelocityLoopSettings:
-    """Declared velocity loop; a hold counts with its longest duration, where it costs most and proves least.
+    """Declared velocity loop; a hold counts at its longest duration, where it costs most and proves least.
 
     Raises:
         ParameterError: Losses or a hand are declared for a drive with an integral, or a hand where its proof fails.

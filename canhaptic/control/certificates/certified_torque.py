@@ -1,27 +1,27 @@
-"""The largest torque of the next hold by all certificates, and the energy reserved for the torques under way.
+"""The largest torque of the next hold by all certificates, and the energy reserved for the queued torques.
 
 All certificates of one axis as one: the declared hand bounds the displacement, the device dissipates the energy.
 
-Counted is the energy received and what the device dissipates for certain, S = E + sum((b/T) D_i^2 + f_c |D_i|); with
+The budget is the energy received and the device's certain dissipation, S = E + sum((b/T) D_i^2 + f_c |D_i|); with
 neither b nor f_c declared that is E. A hold of torque f >= 0 along and displacement D along takes from S
 
     g(f, D) = f D - (b/T) D^2 - f_c |D|,
 
 concave in D. Nothing is known of D but D <= R, the least of the reach of the hand force (`next_displacement`, which
-chains over the holds under way), v_max T of the hand speed, and infinity. With n = f - f_c the largest value of g is
+chains over the queued holds), v_max T of the hand speed, and infinity. With n = f - f_c the largest value of g is
 
     R <= 0:                        f R, at most: energy comes in for certain
     n <= 0 < R:                    0: dry friction pays for the whole torque, at any speed of any hand
     n > 0, R < n T / 2b:           R (n - b R / T)
     else:                          n^2 T / 4b                                                                     (1)
 
-(`taken`). The sum over the holds under way and over the next one is the most by which S can fall in them, for each D_i
+(`taken`). The sum over the queued holds and the next one is the most by which S can fall in them, for each D_i
 has a bound of its own. So S stays >= 0 where the sum is <= S before every hold: S after the hold is S - g(f, D) >= the
 sum over the holds that are left. A torque against adds what it may take in its own direction.
 
 **The largest torque.** (1) grows with f, by itself and through R = base + gain f, so that the torques with
-(1) <= S' (what the holds under way leave) form an interval. Its end is f_c + sqrt(4 b S' / T) for a hand of which
-nothing is known; else the larger of the ends for each reach, where that of the hand force solves a quadratic in f:
+(1) <= S' (what the queued holds leave) form an interval. Its end is f_c + sqrt(4 b S' / T) for an unknown
+hand; else the larger of the ends for each reach, where that of the hand force solves a quadratic in f:
 
     f^2 gain (1 - q) + f (base (1 - 2q) - f_c gain) <= S' + f_c base + (b/T) base^2,   q = (b/T) gain,
 
@@ -30,12 +30,12 @@ displacement that the hand would not choose, its root never the smaller one. q <
 
 Each certificate alone is the same with the others left out, and none has a larger end.
 
-**For every hand no law sends more.** A hand of which nothing is known may place the axis anywhere at each SYNC: it can
-take (1) with R infinite in every hold under way and in the next one, so that at any larger torque there is a hand that
+**For every hand no law sends more.** An unknown hand may move the axis anywhere by each SYNC: it can
+take (1) with R infinite in every queued hold and in the next one, so that at any larger torque there is a hand that
 brings S below 0. With b = 0 the end is f_c: at f > f_c a hand that moves by D > S' / (f - f_c) within the hold takes
 out more than there is. With b it is f_c + sqrt(4 b S' / T), and what friction took on the way to the wall counts in S'.
 So a wall k is held at a force F for every hand if (1 + delay) (F - f_c)^2 T / 4b is no more than F^2 / 2k + f_c F / k
-and what was there before the contact (`start_energy`). k <= 2 f_c / (v T) (Diolaiti 2006) is for hands up to a speed v,
+and the budget before the contact (`start_energy`). k <= 2 f_c / (v T) (Diolaiti 2006) is for hands up to a speed v,
 and b > k T / 2 with k <= 2 f_c / count (Abbott and Okamura 2005) pays for the encoder's quanta with f_c: neither is a
 promise for every hand by f_c alone. With `hand_speed` v the end is f_c + S' / v T.
 
@@ -45,7 +45,7 @@ n is the part of a torque above f_c, which friction pays for: f_c is 0 for A, an
 
 The sum of certificates where torques come late, holds are uneven, or frames may be lost.
 
-`certified_torque` has the sum for holds with one torque each, `hold_timing` what a late torque changes. Here both:
+`certified_torque` has the sum for holds with one torque each, `hold_timing` the effect of a late torque. Here both:
 at every instant the device dissipates b v^2 + f_c |v|, so that torques u = f (1 - p) + older ones take from S no more
 than the integral of
 
@@ -64,14 +64,14 @@ motion is that of the whole torques), C the device's damping, or torques that ar
 Torques in both directions are charged each for its own; friction and damping are used where v is along the torque
 alone, so that no part of them counts twice. The tail of the last torque is charged as if no torque followed.
 
-**Lost frames.** In each hold under way any of the last torques sent may act: A to D are taken at the largest, an energy
+**Lost frames.** In each queued hold any of the last torques sent may act: A to D are taken at the largest, an energy
 that comes in at the least of them. A new torque may act in 1, 2, ... holds, and each of A to D is summed over them.
 
-**What is left.** S has what the device dissipated. The least that may have come in is booked: by the hand's force or
-speed, or by the damping for an arbitrary hand (`for_any`).
+**Remaining budget.** S includes what the device dissipated. The least energy that may have come in is booked: by the
+hand's force or speed, or by the damping for an arbitrary hand (`for_any`).
 
-**In debt** (the budget is below zero) there may be no torque that meets it. Then a torque is sent only as far as it
-takes energy in by itself, its tail included, at any older torques (`takes_in`).
+**In debt** (a budget below zero) there may be no torque that meets it. Then a torque is sent only as far as it
+absorbs energy by itself, its tail included, at any older torques (`takes_in`).
 """
 
 from math import inf, sqrt
@@ -119,11 +119,11 @@ def taken(declared: Declared, torque: float, reach: float) -> float:
 def taken_along(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, speed: float
 ) -> tuple[float, float]:
-    """Energy that the torques under way along `sign` take together [J], and the base of the next one.
+    """Energy that the queued torques along `sign` take together [J], and the base of the next one.
 
-    They take less at first while the axis goes inward, and then more: what they take until then is no more than at the
-    end, or than nothing. The base is the largest displacement in the next hold without a torque; infinite where the
-    hand is not known. `speed` is that of the hand [m/s or rad/s]; 0: it does not count.
+    They take less while the axis still moves inward, and more afterwards: what they take until then is at most
+    what they take by the end, or zero. The base is the largest displacement in the next hold without a torque; infinite
+    for an unknown hand. `speed` is that of the hand [m/s or rad/s]; 0: unused.
     """
     response, torques, first = declared.response, memory.under_way, bound.first
     hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
@@ -148,7 +148,7 @@ def taken_along(
 
 
 def free_in_sum(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
-    """Part of `energy`, with what the device dissipated, that the torques under way do not need [J]."""
+    """Part of `energy`, with the device's dissipation, that the queued torques do not need [J]."""
     free = energy + bound.dissipated
     if declared.delay:
         pushes = pulls = False
@@ -194,7 +194,7 @@ def largest_in_sum(
 def left_under_way(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float
 ) -> tuple[float, float]:
-    """Energy left by the torques under way [J], and the base of `taken_along` [m or rad]."""
+    """Energy left by the queued torques [J], and the base of `taken_along` [m or rad]."""
     given, base = taken_along(declared, bound, memory, sign, speed)
     energy -= given
     for place in range(bound.first, bound.first + declared.delay):
@@ -205,7 +205,7 @@ def left_under_way(
 
 
 def taken_by_any(declared: Declared, bound: TorqueBound, memory: BoundMemory) -> float:
-    """Largest energy that the torques under way take, for an arbitrary hand [J]."""
+    """Largest energy that the queued torques take, for an arbitrary hand [J]."""
     total = 0.0
     for place in range(bound.first, bound.first + declared.delay):
         total += taken(declared, abs(memory.under_way[place]), inf)
@@ -213,7 +213,7 @@ def taken_by_any(declared: Declared, bound: TorqueBound, memory: BoundMemory) ->
 
 
 def for_any_hand(declared: Declared, budget: float) -> float:
-    """Largest torque by what the device dissipates, for an arbitrary hand [N or N*m]."""
+    """Largest torque covered by the device's dissipation, for an arbitrary hand [N or N*m]."""
     if budget <= 0.0:
         return declared.friction
     return declared.friction + sqrt(4.0 * declared.damping / declared.sample_time * budget)
@@ -258,7 +258,7 @@ def by_reach_of_late(declared: Declared, hand: float, motion: LateMotion, fricti
     Args:
         declared: Declared properties of axis and hand.
         hand: Displacement by the hand [m or rad].
-        motion: Motion in the last hold under way.
+        motion: Motion in the last queued hold.
         friction: Friction, which pays for the rest of every torque [N or N*m].
         energy: Energy budget [J].
     """
@@ -288,7 +288,7 @@ def own_share(
 
 
 def takes_in(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Largest n that takes energy in by itself, limited to the debt [N or N*m].
+    """Largest n for a torque that absorbs energy by itself, limited to the debt [N or N*m].
 
     Older torques push the axis while it acts: as if all of `late` of them were held, and `left` of them after the hold.
     Below -start / gain the axis goes inward in the hold of the torque, so that its tail takes none of that motion.
@@ -301,7 +301,7 @@ def takes_in(declared: Declared, hand: float, motion: LateMotion, friction: floa
 
 
 def above_older(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Return the largest n as if it were no smaller than the older ones; arguments of `by_reach_of_late`."""
+    """Return the largest n as if it were no smaller than the older ones; arguments as for `by_reach_of_late`."""
     start, gain, base, late = own_share(declared, hand, motion, friction)
     energy += max(0.0, motion.lowest - friction) * late
     share = declared.response.share
@@ -314,7 +314,7 @@ def below_older(declared: Declared, hand: float, motion: LateMotion, friction: f
 
     With g the largest of these above f_c it takes n D + (g - n) X_0 + (n - l) x and the tail G X, where
     D = base + during (late g + (1 - late) F), G = c g + (1 - c) n, and (n - l) x is at most n x (g - l) / g.
-    All is convex in n and joins `above_older` at n = g. Arguments of `by_reach_of_late`.
+    All is convex in n and joins `above_older` at n = g. Arguments as for `by_reach_of_late`.
     """
     response, left = declared.response, declared.left
     displacement, before, highest, lowest = motion
@@ -343,7 +343,7 @@ def if_held_on(declared: Declared, hand: float, motion: LateMotion, friction: fl
 
     With D_i the displacements in them, g the older torques above f_c and X as in `hold_timing`, it takes n sum(D_i) +
     g X_1 + c g sum(X_i) + n x and its tail (n + c g) X; each X_i after the first is at most that of the sum of all
-    outward displacements. Where it is lost, the older torques stay: they were certified for that. Arguments of
+    outward displacements. If the new torque is lost, the older ones stay: they were certified for it. Arguments as for
     `by_reach_of_late`.
     """
     response, left = declared.response, declared.left
@@ -381,7 +381,7 @@ def sum_of_displacements(
         holds: Number of holds.
 
     Returns:
-        Without the torque, per torque, and the outward part of the first [m or rad, m/N or rad/(N*m), m or rad].
+        Sum without the torque, its gain, and the outward part of the first [m or rad, m/N or rad/(N*m), m or rad].
     """
     start, more, ahead = base, gain, max(0.0, base)
     for _ in range(1, holds):
@@ -437,7 +437,7 @@ def pass_hold(
 def taken_in_hold(
     declared: Declared, hand: float, speed: float, motion: LateMotion, most: float, least: float, following: float
 ) -> float:
-    """Return the least of A to D for a hold [J]; `following` is its displacement, for the rest see `pass_hold`."""
+    """Return the least of A to D for a hold [J]; `following` is its displacement, the rest as for `pass_hold`."""
     friction, hold, late, taken = declared.friction, declared.sample_time, declared.late, inf
     net = most - friction if most > friction else 0.0
     older = motion.highest - friction if motion.highest > friction else 0.0
@@ -466,7 +466,7 @@ def along_reach(
     following: float,
     reach: float,
 ) -> float:
-    """Return what torques give out in a hold along the farthest motion [J]: A, or with friction B."""
+    """Return the energy that torques give out in a hold along the farthest motion [J]: A, or with friction B."""
     most, least = max(0.0, most - friction), max(0.0, least - friction)
     highest, lowest = motion.highest - friction, max(0.0, motion.lowest - friction)
     taken = (most if following > 0.0 else least) * following
@@ -478,7 +478,7 @@ def along_reach(
 
 
 def tail_of(declared: Declared, hand: float, speed: float, motion: LateMotion) -> float:
-    """Return the most that the torques along take after a hold that is the last of all [J]."""
+    """Return the most energy that the torques take after the last hold [J]."""
     net = motion.highest - declared.friction
     if declared.late == 0.0 or net <= 0.0:
         return 0.0
@@ -516,7 +516,7 @@ def smallest_acting(declared: Declared, bound: TorqueBound, memory: BoundMemory,
 def taken_under_way(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, speed: float, holds: int, which: int
 ) -> tuple[float, float, LateMotion]:
-    """Worst energy that the torques under way along `sign` take together, tail included [J], and the last motion.
+    """Worst energy that the queued torques along `sign` take together, tail included [J], and the last motion.
 
     Args:
         declared: Declared properties of axis and hand.
@@ -525,7 +525,7 @@ def taken_under_way(
         sign: 1 or -1.
         speed: Largest speed of the hand; 0: not used [m/s or rad/s].
         holds: Number of holds in which they act.
-        which: `_ANY` torque that may act, or in the next hold alone the torque as sent, or the one before it held on.
+        which: `_ANY`: any torque that may act; else, in the next hold, the torque as sent or the previous one held on.
     """
     hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
     motion, total, worst = motion_along(declared, bound, memory, sign, hand), 0.0, 0.0
@@ -542,7 +542,7 @@ def taken_under_way(
 
 
 def for_every_hand(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float, holds: int) -> float:
-    """Energy left after all torques under way, for an arbitrary hand [J].
+    """Energy left after all queued torques, for an arbitrary hand [J].
 
     The integral of (u - f_c)+^2 is at most the sum of n_k^2 (T + theta), u being a mean of the torques.
     """
@@ -559,7 +559,7 @@ def for_every_hand(declared: Declared, bound: TorqueBound, memory: BoundMemory, 
 
 
 def free_of_late(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
-    """Part of `energy`, with what the device dissipated, that the torques under way do not need [J]."""
+    """Part of `energy`, with the device's dissipation, that the queued torques do not need [J]."""
     holds, known = declared.delay + declared.losses, energy + bound.dissipated
     free = 0.0
     if declared.by_hand_force or declared.hand_speed > 0.0:
@@ -603,7 +603,7 @@ def largest_of_known(
         bound: State of the axis's torque bound.
         memory: Buffers of the bound.
         sign: 1 or -1.
-        energy: Energy budget, with what the device dissipated [J].
+        energy: Energy budget, with the device's dissipation [J].
         speed: Largest speed of the hand; 0: not used [m/s or rad/s].
     """
     losses, delay = declared.losses, declared.delay
@@ -618,7 +618,7 @@ def largest_of_known(
 def largest_after(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float, which: int
 ) -> float:
-    """Return `largest_of_known` after some torques of `taken_under_way`, less what those against it take."""
+    """Return `largest_of_known` after some torques of `taken_under_way`, less the energy taken by opposing ones."""
     given, _, motion = taken_under_way(declared, bound, memory, sign, speed, declared.delay, which)
     budget, friction, losses = energy - given, declared.friction, declared.losses
     hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
@@ -638,7 +638,7 @@ def largest_after(
 
 
 def free_energy(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
-    """Part of `energy` [J] that the certificates of the torques under way do not need."""
+    """Part of `energy` [J] that the certificates of the queued torques do not need."""
     if declared.losses == 0 and declared.late == 0.0:
         return free_in_sum(declared, bound, memory, energy)
     return free_of_late(declared, bound, memory, energy)
@@ -649,7 +649,7 @@ def largest_torques(
 ) -> tuple[float, float, float]:
     """Largest torque along `sign` [N or N*m]: by all certificates, for any hand, and without the hand speed.
 
-    `energy` [J] is the budget, without what the device dissipated.
+    `energy` [J] is the budget, without the device's dissipation.
     """
     if declared.losses or declared.late > 0.0:
         return largest_of_late(declared, bound, memory, sign, energy)
@@ -662,7 +662,7 @@ def largest_torques(
 def by_hand_force(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float) -> float:
     """Return the largest torque along `sign` [N or N*m] for a hand within its declared force.
 
-    It is that of `largest_in_sum` where nothing else is declared. `energy` [J] is the budget.
+    It equals that of `largest_in_sum` where nothing else is declared. `energy` [J] is the budget.
     """
     response, before, hand = declared.response, sign * bound.torque, hand_along(declared, bound, sign)
     if hand == inf:  # the hand is unknown along it
@@ -688,7 +688,7 @@ def by_hand_force(declared: Declared, bound: TorqueBound, memory: BoundMemory, s
 
 
 def worst_out(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> float:
-    """Return the most energy [J] that the torques under way may give out along `sign`, >= 0."""
+    """Return the most energy [J] that the queued torques may give out along `sign`, >= 0."""
     displacement, before = outward(declared, bound, memory, sign), sign * bound.torque
     hand = hand_along(declared, bound, sign)
     given = 0.0

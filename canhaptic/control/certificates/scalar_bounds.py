@@ -1,7 +1,7 @@
 """Bounds on the torque of the next hold: three certificates, each a proof for the users it names.
 
 Only the torque of a hold and the displacement in it exchange energy (eq. 2), so the question of every step is how far
-the axis can move OUT (with the torque) while the torque cannot be changed. All formulas below are written for a torque
+axis can move OUT (along the torque) while the torque cannot be changed. All formulas below are written for a torque
 that acts in the positive direction and for displacements counted positive with it; the caller mirrors.
 
 **Hand force.** An axis m v' + b v = f(t) + u(t), f held constant in each hold, outward hand force u <= F_h, inward hand
@@ -15,16 +15,16 @@ Where b and m are only bounded, every coefficient is taken at its worst end: e^(
 its least value, at the upper bound of b and the under-estimate of m; each response is largest at the under-estimates
 of m and b; a torque in the other direction helps by an amount that an over-estimate of m would be needed for, and
 counts as 0.
-Since D_1 is bounded by a rising function of D_0, bounds chain over the holds whose torque is under way (delay), and
+Since D_1 is bounded by a rising function of D_0, bounds chain over the holds whose torque is queued (delay), and
 the energy taken out, sum(f_i D_i) + F D, is largest when every D_i is: a bound D_1 < 0 therefore certifies energy that
 comes IN. The largest F with F (base + gain F) <= budget is the certified torque (`hand_force_bound`).
 Dry friction F_c of the device may push out as well as hold: F_h + F_c takes the place of F_h (`device_friction_bound`).
 
 **Device damping.** The device itself dissipates at least (b/T) D^2 in a hold of displacement D (Cauchy-Schwarz). For
-every D, -F D + (b/T) D^2 >= -F^2 T / 4b, so F^2 <= 4 b E_d / T, less the squares of the torques under way, keeps
+every D, -F D + (b/T) D^2 >= -F^2 T / 4b, so F^2 <= 4 b E_d / T, less the squares of the queued torques, keeps
 E_d = E + (b/T) sum(D^2) >= 0 for every user.
 
-**Hand speed.** D <= v_max T, so F <= E / (v_max T), E after the worst of the torques under way.
+**Hand speed.** D <= v_max T, so F <= E / (v_max T), E after the worst of the queued torques.
 
 Timing of a real hold: the effect of jitter and of a late torque on every certificate.
 
@@ -84,14 +84,14 @@ in F^2 / 2k. What is lacking is largest at some force on the way in,
 
     E = max over F of (sum of F D_i)(F) - F^2 / 2k,
 
-with D_i of the holds under way and the next one (`scalar_bounds`). Undamped the sum is h F (F + F_h), h = T^2 / m at
+with D_i of the queued holds and the next one (`scalar_bounds`). Undamped the sum is h F (F + F_h), h = T^2 / m at
 delay 0 and 3 T^2 / m at delay 1, so that E = (h F_h)^2 / 4 a with a = 1 / 2k - h. A faster contact needs less: its own
-inward motion brings energy in. A drag f earns f times the way, in
-motion above the speed of `start_speed`: slower, the hand may turn within the holds under way and pull the drag along.
+inward motion brings energy in. A drag f earns f times the distance, in
+motion above the speed of `start_speed`: slower, the hand may turn within the queued holds and pull the drag along.
 
 For every hand of any force, what the device dissipates permits a torque: with b and f_c certain a torque F at
-rest needs (1 + delay) (F - f_c)^2 T / 4b to be there (`certified_torque`), of which the wall has F^2 / 2k and the
-friction on the way in f_c F / k. The rest is to be there before (`energy_for_any_hand`); friction earns it over
+rest needs a budget of (1 + delay) (F - f_c)^2 T / 4b (`certified_torque`), of which the wall has F^2 / 2k and the
+friction on the way in f_c F / k. The rest must be there before (`energy_for_any_hand`); friction earns it over
 rest / f_c of any motion, without a drag.
 """
 
@@ -118,7 +118,7 @@ def hold_timing(sample_time: float, jitter: float, window: float, lag: float) ->
 
     Args:
         sample_time: T [s].
-        jitter: j, as a part of T.
+        jitter: j, as a fraction of T.
         window: w [s].
         lag: tau [s].
 
@@ -178,7 +178,7 @@ def displacement_response(
         mass: UNDER-estimate of the inertia rigid with the encoder [kg or kg*m^2].
         hand_force: Largest outward force of the hand [N or N*m].
         damping_least: Certain viscous damping of the device [N*s/m or N*m*s/rad].
-        damping_most: Upper bound of it.
+        damping_most: Upper bound of that damping.
         hand_push: Largest inward force of the hand [N or N*m]; infinite: no bound is known.
         timing: Timing of the holds; None: exact.
     """
@@ -217,9 +217,9 @@ def next_displacement(
     """Return the largest outward displacement [m or rad] in the hold that follows one of `displacement`.
 
     Args:
-        displacement: Largest outward displacement of the hold before [m or rad].
+        displacement: Largest outward displacement of the previous hold [m or rad].
         torque_before: Outward torque held in it [N or N*m]; an inward one counts as 0.
-        torque: Outward torque of the hold asked about; 0 gives the base of `hand_force_bound`.
+        torque: Outward torque of the hold to bound; 0 gives the base of `hand_force_bound`.
         response: Displacement response of the axis.
         hand: Displacement by the hand in both holds [m or rad]: `response.hand`, or `response.push`.
     """
@@ -237,9 +237,9 @@ def next_displacement(
 def tail_reach(
     displacement: float, torque_before: float, torque: float, response: DisplacementResponse, hand: float
 ) -> float:
-    """Return the farthest that older torques may be carried along in the hold after one of `displacement` [m or rad].
+    """Return the largest distance over which older torques may act in the hold after one of `displacement` [m or rad].
 
-    It is (2) of `hold_timing`; arguments as of `next_displacement`, `torque` the largest that acts in the hold.
+    Equation (2) of `hold_timing`; arguments as for `next_displacement`, `torque` is the largest that acts in the hold.
     """
     reach = response.tail_hand * hand + response.tail_during * torque
     if torque_before > 0.0:
@@ -248,14 +248,14 @@ def tail_reach(
 
 
 def hand_force_bound(budget: float, base: float, gain: float) -> float:
-    """Return the largest torque F >= 0 [N or N*m] with F (base + gain F) <= budget; infinite where every one has.
+    """Return the largest torque F >= 0 [N or N*m] with F (base + gain F) <= budget; infinite if every torque has.
 
-    Where none has that (budget below zero by more than an inward motion can bring in), the one that brings in most.
+    Where none does (a budget below zero by more than an inward motion can bring in): the one that brings in most.
     For a group the torques are l W: base and gain are those of W, in [J], and the result is the share l.
 
     Args:
         budget: Energy budget [J].
-        base: Largest outward displacement in the hold of F without F [m or rad]; negative while moving inward.
+        base: Largest outward displacement in the hold without F [m or rad]; negative while moving inward.
         gain: Displacement per torque [m/N or rad/(N*m)], >= 0.
     """
     square = base * base + 4.0 * gain * budget
@@ -293,9 +293,9 @@ def renderable_by_hand_speed(speed: float, sample_time: float, delay: int, torqu
 
 
 def sustained_by_friction(friction: float, count: float) -> float:
-    """Return the stiffness [N/m or N*m/rad] that dry friction pays for with an encoder, at any speed: f_c / count.
+    """Return the stiffness [N/m or N*m/rad] up to which dry friction covers encoder quantization: f_c / count.
 
-    0 with an ideal encoder, of which no count is in doubt. See `torque_bound`.
+    0 with an ideal encoder, which has no quantization. See `torque_bound`.
     """
     return friction / count if count > 0.0 else 0.0
 
@@ -307,7 +307,7 @@ WINDOW: Final = 32
 def start_speed(response: DisplacementResponse, sample_time: float, delay: int, count: float = 0.0) -> float:
     """Return the inward speed [m/s or rad/s] above which a contact starts from zero energy.
 
-    (1 + delay) F_h T / m with an ideal encoder. One count leaves count / (j T) of the speed over j holds unsure, in
+    (1 + delay) F_h T / m with an ideal encoder. Over j holds one count leaves the speed uncertain by count / (j T), in
     which the hand can have gained F_h T (j - 1) / 2m; at high rates the best j gives sqrt(2 count F_h / m) in all,
     at every rate. A slower start needs a credit or certain device damping.
     """

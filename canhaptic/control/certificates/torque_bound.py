@@ -1,7 +1,7 @@
 """State of the certificates of one axis: the holds that ended, and the uncertainty of their energy.
 
-**What an encoder leaves open, with dry friction.** A position x_k = p_k + e_k is read as p_k, |e_k| <= c / 2, and
-friction takes f_c |x_(k+1) - x_k| at least. Let G_k(e) be the least that came in and was dissipated, less what is
+**Uncertainty due to an encoder, with dry friction.** A position x_k = p_k + e_k is read as p_k, |e_k| <= c / 2, and
+friction dissipates f_c |x_(k+1) - x_k| at least. Let G_k(e) be the least that came in and was dissipated, less what is
 booked, over all motions that end at e. With D = p_(k+1) - p_k and the torque f of the hold
 
     G_(k+1)(e') = min over e of G_k(e) - f (e' - e) + f_c |D + e' - e|.
@@ -11,9 +11,9 @@ the slope -f + f_c sign(D); where D = 0 its slope is limited to -f +- f_c. So a 
 has the slope s. Its least value is G(0) - |s| c / 2, and each hold changes G(0) by f_c |D| - |s' - s| c / 2. Without
 friction that is |f - f'| c / 2 for each change of torque.
 
-For a spring f = -k p that is rendered whole, dither over one edge costs nothing up to k = 2 f_c / c. A motion over
-many counts costs k c^2 for each of them, of which friction pays f_c c: k = f_c / c is sustained at any speed of any
-hand, and that is the most. For the same counts are read of a hand that rests at every edge and crosses the next count
+For a spring f = -k p that is rendered in full, dither over one edge costs nothing up to k = 2 f_c / c. A motion over
+many counts costs k c^2 for each of them, of which friction covers f_c c: k = f_c / c is sustained at any speed of any
+hand, and no more. For the same counts result from a hand that rests at every edge and crosses the next count
 within one hold: it takes out k c^2 a count, and nothing in its counts tells it from a slow one. For a hand that is
 slower than c / 2 T throughout, 2 f_c / c would do.
 """
@@ -87,18 +87,18 @@ class BoundMemory(NamedTuple):
 
 
 def bound_memory(declared: Declared, under_way: Buffer, make_buffer: MakeBuffer) -> BoundMemory:
-    """Return the buffers of a bound on the torque under way."""
+    """Return the buffers of a bound on the queued torque."""
     window = WINDOW if declared.encoder_count > 0.0 else 0
     against = window if declared.late > 0.0 else 0
     return BoundMemory(make_buffer(window), make_buffer(window), make_buffer(against), under_way)
 
 
 def look_for_turn(declared: Declared, bound: TorqueBound, memory: BoundMemory, moved: float, holds: float) -> None:
-    """Say whether a hold that matters for the next torque can contain a place where the effort turns.
+    """Return whether a hold that matters for the next torque can contain a position where the effort reverses.
 
-    At such a place the way out of one contact is the way into another, so that the hand may do either way what it may
-    do in one of them. The hold that ended counts, for its force is in the next displacement, and so do those up to the
-    end of the next torque, and one more. From the SYNC before it is kept whether the hold that ended could: a hand that
+    There the way out of one contact is the way into another, so that the hand may do in either direction what
+    it may do in one. The hold that ended counts, as its force is in the next displacement, and so do those up to the
+    end of the next torque, and one more. The result of the previous SYNC is kept for the hold that ended: a hand that
     turned beyond a crest and came back within it leaves no trace in the positions.
 
     Args:
@@ -117,7 +117,7 @@ def look_for_turn(declared: Declared, bound: TorqueBound, memory: BoundMemory, m
 
 
 def reaches_turn(declared: Declared, bound: TorqueBound, memory: BoundMemory, torque: float) -> bool:
-    """Whether the axis can come to the end of its stretch while a next torque acts, or in the hold after it."""
+    """Whether the axis can reach the end of its stretch while the next torque acts, or in the hold after it."""
     up = down = 0.0
     for place in range(len(memory.under_way)):
         up, down = max(up, memory.under_way[place]), min(down, memory.under_way[place])
@@ -126,7 +126,7 @@ def reaches_turn(declared: Declared, bound: TorqueBound, memory: BoundMemory, to
 
 
 def reach(declared: Declared, bound: TorqueBound, sign: float, torque: float) -> float:
-    """Farthest that the axis comes along `sign` until the hold after the next torque's, by a torque along it.
+    """Largest distance that the axis moves along `sign` until the hold after the next torque, by a torque along it.
 
     In [m or rad]; the hand pulls along the effort's torque and pushes against it.
     """
@@ -140,7 +140,7 @@ def reach(declared: Declared, bound: TorqueBound, sign: float, torque: float) ->
 
 
 def hand_along(declared: Declared, bound: TorqueBound, sign: float) -> float:
-    """Displacement by the hand in two holds along `sign` [m or rad]: it pulls out, or it pushes in."""
+    """Displacement by the hand in two holds along `sign` [m or rad]: a pull outward, or a push inward."""
     if sign * bound.out < 0.0 or bound.turns:
         return declared.response.push
     return declared.response.hand
@@ -159,7 +159,7 @@ def end_hold(
     """Take the hold that ended: displacement [m or rad], the torque held in it [N or N*m], its length [sample times].
 
     Returns:
-        Largest shortfall of the energy that came in against the booked one, because the torque came late [J].
+        Largest shortfall of the energy received against the booked energy, because the torque came late [J].
     """
     count, late, doubt = declared.encoder_count, declared.late, 0.0
     if declared.damping:
@@ -191,7 +191,7 @@ def end_hold(
 
 
 def dissipate(bound: TorqueBound, energy: float) -> None:
-    """Take an energy [J] that the device dissipated for certain."""
+    """Add an energy [J] that the device dissipated for certain."""
     bound.dissipated += energy
     bound.certain += energy
 
@@ -202,9 +202,9 @@ def for_any(bound: TorqueBound) -> float:
 
 
 def pass_within_count(bound: TorqueBound, count: float, friction: float, displacement: float, torque: float) -> None:
-    """Take a hold whose ends an encoder shows to a count: dissipation by dry friction, less what the count leaves open.
+    """Take a hold whose ends are known to one count: dissipation by dry friction, less the uncertainty of the count.
 
-    See the module: the least of G moves by the friction along the counts, less half a count times the change of slope.
+    See the module: the least of G changes by the friction along the counts, less half a count times the slope change.
 
     Args:
         bound: State of the axis's torque bound; changed.
@@ -232,7 +232,7 @@ def pass_within_count(bound: TorqueBound, count: float, friction: float, displac
 def shorten(declared: Declared, bound: TorqueBound, lasted: float) -> None:
     """Replace the hold that ended, longer than T and of one torque, by its last sample time.
 
-    In it the axis moved as on average over the whole, up to what torque and hand gain in half of the rest.
+    In it the axis moved at the mean speed of the whole, up to what torque and hand gain in half of the rest.
 
     Args:
         declared: Declared properties of axis and hand.
@@ -271,19 +271,19 @@ def take_late(declared: Declared, bound: TorqueBound, torque: float) -> None:
 def doubt_of_late(
     declared: Declared, bound: TorqueBound, displacement: float, torque: float, lasted: float = 1.0
 ) -> float:
-    """Largest shortfall of the energy that came in against the booked one, in a hold whose torque came late [J].
+    """Largest shortfall of the energy received against the booked energy, in a hold whose torque came late [J].
 
     See `hold_timing`. The hand's force is used in the direction out of the contact alone. Dry friction alone bounds no
-    motion inside a hold, and its promise needs none: it pays for each torque at every instant. There an estimate is
-    taken off, for an axis no faster than twice the mean of this hold or the one before; `AxisMeter` adds what a hand of
-    the largest speed leaves open.
+    motion inside a hold, and its promise needs none: it covers each torque at every instant. There an estimate is
+    subtracted, for an axis no faster than twice the mean of this hold or the previous one; `AxisMeter` adds the
+    uncertainty for a hand of the largest speed.
 
     Args:
         declared: Declared properties of axis and hand.
         bound: State of the axis's torque bound before the hold; `resolution` and `dissipated` change.
         displacement: Displacement in the hold [m or rad].
         torque: Torque held in it [N or N*m].
-        lasted: Its length [sample times].
+        lasted: Length of the hold [sample times].
     """
     change = torque - bound.torque
     rest = max(bound.highest - bound.torque, bound.torque - bound.lowest)
@@ -320,8 +320,8 @@ def reach_of_late(
     """Largest displacement of older torques along `sign`, and against it, in the hold that ended.
 
     In [m or rad]. In a hold of n sample times torque and hand have n times as long to move the axis there and back
-    before it ends where it was seen, so that the way back grows n times; s of `hold_timing` grows no faster than
-    1 + 2 n times what it is beyond 1 in one sample time.
+    before it ends at the measured position, so that the way back grows n times; s of `hold_timing` grows at most to
+    1 + 2 n times its excess over 1 in one sample time.
 
     Args:
         declared: Declared properties of axis and hand.
@@ -329,7 +329,7 @@ def reach_of_late(
         sign: Direction in which the hand's force is bounded, 1 or -1.
         displacement: Displacement in the hold [m or rad].
         torque: Torque held in it [N or N*m].
-        lasted: Its length [sample times].
+        lasted: Length of the hold [sample times].
     """
     response, count, hand = declared.response, declared.encoder_count, hand_along(declared, bound, sign)
     if hand == inf:  # no run begins so
@@ -351,9 +351,9 @@ def end_gap(
 ) -> float:  # fmt: skip
     """Book several holds of which only the total displacement is known; return the uncertainty of their energy [J].
 
-    In all but the last hold, whose torque was read back, any torque sent may have acted, and the one before them where
+    In all but the last hold, whose torque was read back, any torque sent may have acted, and the previous one if
     commands may be lost. The energy is wrong by at most the difference of the torques times the excursion in the hold.
-    The displacement alone does not bound it, as a reversal has next to none: the reach of the hand in the others does,
+    The displacement alone does not bound it, as a reversal has almost none: the reach of the hand does,
     or its speed, or what the device dissipates in an excursion.
 
     Args:
@@ -397,7 +397,7 @@ def end_gap(
 
 
 def spread_of_gap(bound: TorqueBound, torque: float, apart: float) -> float:
-    """Widen the range of torques that act to all that may have acted in lost holds; return its width [N or N*m].
+    """Widen the range of acting torques to all that may have acted in lost holds; return its width [N or N*m].
 
     A late torque u is at every instant a mean of torques in this range, and the one read back, f, is one of them. By
     parts the energy is wrong by the integral of (u - f) dx = [(u - f)(x - x_end)] - integral of (x - x_end) du: no more
@@ -406,7 +406,7 @@ def spread_of_gap(bound: TorqueBound, torque: float, apart: float) -> float:
     Args:
         bound: State of the axis's torque bound; changed.
         torque: Torque held in the last hold [N or N*m].
-        apart: Largest difference of a torque that was sent from it [N or N*m].
+        apart: Largest difference of a sent torque from it [N or N*m].
     """
     high = max(torque + apart, bound.torque, bound.highest)
     low = min(torque - apart, bound.torque, bound.lowest)
@@ -433,15 +433,15 @@ def excursion_unseen(declared: Declared, bound: TorqueBound, displacement: float
 
 
 class Dissipated(Protocol):
-    """Energy that the device dissipated for certain, less what was forgotten [J]."""
+    """Energy that the device dissipated for certain, less what was discarded [J]."""
 
     dissipated: float
 
 
 def keep(bound: Dissipated, energy: float, enough: float) -> None:
-    """Forget what the device dissipated beyond `enough` [J] together with `energy`.
+    """Discard the device's dissipation beyond what reaches `enough` [J] together with `energy`.
 
-    Without it a contact could live, and buzz, on what the device dissipated long ago.
+    Otherwise a contact could live, and buzz, on what the device dissipated long ago.
     """
     if energy + bound.dissipated > enough:
         bound.dissipated = min(bound.dissipated, max(0.0, enough - energy))

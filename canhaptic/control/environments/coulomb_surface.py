@@ -9,7 +9,7 @@ from canhaptic.units import quantity
 class CoulombSurface(LinearSpring):
     """Friction along the axis, everywhere: an elastic bristle that yields at the friction effort.
 
-    Being a storage that yields it is passive and has no switching velocity; its presliding stiffness is finite.
+    A storage that yields is passive, and it has no switching velocity; its presliding stiffness is finite.
     """
 
     friction: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)]
@@ -28,7 +28,7 @@ class CoulombSurface(LinearSpring):
         return previous + displacement
 
     def admissible(self, state: float, true: float) -> float:
-        """Return the state: the bristle works both ways."""
+        """Return the state: the bristle works in both directions."""
         return state
 
     def relaxed(self, state: float, sample_time: float) -> float:

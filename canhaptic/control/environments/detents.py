@@ -9,8 +9,8 @@ from canhaptic.units import Parameters, quantity
 class Detents(Parameters):
     """A periodic potential: H = peak pitch / pi sin^2(pi x / pitch).
 
-    Every stretch between two resting positions is a zone of contact of its own: at a resting position nothing is
-    stored, so that the state is exact again with every detent that is passed. Within a zone x is counted from the
+    Every stretch between two resting positions is a contact zone of its own: at a resting position nothing is
+    stored, so that the state is exact again whenever a detent is passed. Within a zone x is counted from the
     nearer resting position, positive from the lower and negative from the upper; x and x + pitch store the same.
     """
 
@@ -58,7 +58,7 @@ class Detents(Parameters):
         return self.peak * math.sin(2.0 * math.pi * state / self.pitch)
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Return the state on the same flank of the crest as `like`; the crest where no state stores so much."""
+        """Return the state on the same flank of the crest as `like`; the crest where no state stores that much."""
         crest = self.peak * self.pitch / math.pi
         if energy <= 0.0 or crest == 0.0:
             state = 0.0

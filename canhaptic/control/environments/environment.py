@@ -7,7 +7,7 @@ The torque of an environment is always
 with `state` the displacement of its storage and `velocity` the velocity of that state. A passivity algorithm decides
 which state and velocity the energy account permits; the environment maps them to energy and effort.
 
-Plain form of an environment: its methods on an object without pydantic.
+An environment as a plain object with the same methods, without pydantic.
 
 A pydantic model routes every attribute access through a Python hook, at ten times the price of a plain object, and its
 methods read several. The functions here are those of the model's class, not copies of them. Properties are evaluated
@@ -31,8 +31,8 @@ from canhaptic.units import Parameters, quantity
 class Environment(Protocol):
     """A virtual environment of one axis. Immutable: everything that changes belongs to the controller.
 
-    One with more than one way out may have `one_way(position)` as well: the ends [m or rad] of the stretch around a
-    position in which the effort points one way. Without it the effort may turn anywhere.
+    One with more than one way out may also have `one_way(position)`: the ends [m or rad] of the stretch around a
+    position in which the effort points one way. Without it the effort may reverse anywhere.
     """
 
     @property
@@ -53,11 +53,11 @@ class Environment(Protocol):
     def contact(self, position: float) -> int:
         """Return 0 out of contact, else the number of the zone of contact at a position [m or rad] (eq. 12).
 
-        Going from one zone to another is an exit and a start in one: the states of two zones are not comparable.
+        Moving from one zone to another is an exit and a start at once: the states of two zones are not comparable.
         """
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Return the state [m or rad] that the continuous environment has, in contact (x = q - q_w of eq. 14).
+        """Return the state [m or rad] of the continuous environment, in contact (x = q - q_w of eq. 14).
 
         Args:
             position: Axis position [m or rad].
@@ -67,7 +67,7 @@ class Environment(Protocol):
         """
 
     def admissible(self, state: float, true: float) -> float:
-        """Return the state [m or rad], or the nearest one that the zone of contact of the state `true` has.
+        """Return the state [m or rad], or the nearest one in the contact zone of the state `true`.
 
         Behind the surface of a wall there is no tension spring: the nearest is then 0. The identity where any state is.
         """
@@ -92,18 +92,18 @@ class Environment(Protocol):
 
 
 def nowhere(_environment: object, position: float) -> tuple[float, float]:
-    """Stretch of one way [m or rad] of an environment of which none is known: it may turn at any time."""
+    """Stretch [m or rad] for an environment whose stretches are unknown: the effort may reverse at any position."""
     return position, position
 
 
 def outside_of(environment: Environment) -> float:
-    """Direction out of an environment, 1 or -1; 0 where it has none, or more than one, or may move."""
+    """Direction out of an environment, 1 or -1; 0 where it has none or several, or may move."""
     side = {"below": 1.0, "above": -1.0}.get(getattr(environment, "side", ""), 0.0)
     return side if _is_ours(environment, "contact", "true_state") else 0.0
 
 
 def knows_turns(environment: Environment) -> bool:
-    """Whether `one_way` of an environment is right: it names the places where this very contact turns."""
+    """Whether `one_way` of an environment is reliable: it states where the effort of this very contact reverses."""
     if not hasattr(environment, "one_way"):
         return False
     return not _is_ours(environment, "one_way") or _is_ours(environment, "contact", "true_state")
@@ -126,7 +126,7 @@ class _Form(NamedTuple):
 
 
 def plain(environment: _Environment) -> _Environment:
-    """Return an object with the same methods and numbers; one that is no parameter model is returned as it is."""
+    """Return an object with the same methods and numbers; one that is not a parameter model is returned unchanged."""
     kind: Any = type(environment)
     if _form_of(kind) is None or getattr(environment, "__pydantic_private__", None):
         return environment
@@ -160,7 +160,7 @@ def _numbers_of(twin: Any) -> dict[str, float]:
 
 
 def tuple_type(twin: Any) -> Any:
-    """Return the NamedTuple of the numbers of a plain object, with its methods; what numba compiles."""
+    """Return a NamedTuple type with the numbers and methods of a plain object, for numba to compile."""
     kind: Any = type(twin)
     return _tuple_type(kind, tuple(_numbers_of(twin)))
 

@@ -1,4 +1,4 @@
-"""Base of an environment of one's own: write its force, or its potential; the rest follows.
+"""Base of a user-defined environment: write its force, or its potential; the rest follows.
 
     class CenteringSpring(OwnEnvironment):
         stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0)] = 200.0
@@ -66,7 +66,7 @@ class OwnEnvironment(Parameters):
     def surfaces(self) -> Sequence[float]:
         """Return the positions where contact begins or ends [m or rad], for the continuous environment.
 
-        A class that overrides `contact` or `true_state` overrides this as well; else there is no continuous reference.
+        A class that overrides `contact` or `true_state` must override this as well, or has no continuous reference.
         """
         return () if self.side == "both" else (self.position,)
 
@@ -83,7 +83,7 @@ class OwnEnvironment(Parameters):
         return state if self.side == "both" else kept_on_side(state, true)
 
     def one_way(self, position: float) -> tuple[float, float]:
-        """Return the side of state 0 on which a position is [m or rad]; counts for both sides and this `contact`."""
+        """Return the side of state 0 on which a position lies [m or rad]; valid for both sides and this `contact`."""
         if position == self.position:
             return position, position
         return (-math.inf, self.position) if position < self.position else (self.position, math.inf)
@@ -148,7 +148,7 @@ def _jump(function: Callable[[float], float], middle: float, half: float) -> flo
 
 
 def state_of(stored: Callable[[float], float], effort: Callable[[float], float], energy: float, like: float) -> float:
-    """Return the state with the sign of `like` that stores an energy [J]; the farthest tried where none does.
+    """Return the state with the sign of `like` that stores an energy [J]; the farthest state tried where none does.
 
     Newton's method, and bisection wherever a step would leave the bracket.
     """

@@ -40,7 +40,7 @@ class TwoSidedWall(LinearSpring):
         return kept_on_side(state, true)
 
     def one_way(self, position: float) -> tuple[float, float]:
-        """Return the inside of a wall [m or rad]; none between them."""
+        """Return the inside of the wall at a position [m or rad]; between the walls, no stretch."""
         if position < self.lower:
             return -math.inf, self.lower
         return (self.upper, math.inf) if position > self.upper else (position, position)

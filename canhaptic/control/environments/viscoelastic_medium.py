@@ -8,7 +8,7 @@ from canhaptic.units import quantity
 
 
 class ViscoelasticMedium(LinearSpring):
-    """Dough: stiff against a quick motion, yielding to a slow one; it remembers for about its relaxation time."""
+    """Dough: stiff against fast motion, yielding to slow motion; it remembers for about its relaxation time."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
     """Stiffness of the spring that relaxes."""
@@ -26,7 +26,7 @@ class ViscoelasticMedium(LinearSpring):
         return previous + displacement
 
     def admissible(self, state: float, true: float) -> float:
-        """Return the state: the spring works both ways."""
+        """Return the state: the spring works in both directions."""
         return state
 
     def relaxed(self, state: float, sample_time: float) -> float:

@@ -35,7 +35,7 @@ class ViscousMedium(Parameters):
         return 0.0
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Return 0: no state stores anything."""
+        """Return 0: no state stores energy."""
         return 0.0
 
     def relaxed(self, state: float, sample_time: float) -> float:

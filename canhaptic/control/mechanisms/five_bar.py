@@ -32,7 +32,7 @@ class FiveBarMap(NamedTuple):
     box: WorkspaceBox
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Write the place of the handle."""
+        """Write the position of the handle."""
         l1, l2, l3, l4 = self.proximal_1, self.proximal_2, self.distal_1, self.distal_2
         ax, ay = l1 * math.cos(positions[0]), l1 * math.sin(positions[0])  # of the elbows, from their motors
         bx, by = l2 * math.cos(positions[1]), l2 * math.sin(positions[1])
@@ -66,8 +66,8 @@ class FiveBar(FromMechanism, Parameters):
     """Motors at (-base / 2, 0) and (base / 2, 0); angles counted from the +x axis.
 
     With A and B the elbows, the handle p is where the circles of the distal links meet. Differentiating
-    |p - A| = const and |p - B| = const gives p' from q1' and q2'. It is lost where the distal links are in line (the
-    handle cannot be held), and one motor loses its grip where its two links are in line (the edge of the workspace).
+    |p - A| = const and |p - B| = const gives p' from q1' and q2'. It fails where the distal links are in line (the
+    handle cannot be held), and one motor has no effect where its two links are in line (the edge of the workspace).
     """
 
     axes: ClassVar[int] = 2

@@ -21,7 +21,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class Limit(IntEnum):
-    """Reason why a group of axes renders nothing: torque zero, the account goes on."""
+    """Reason why a group of axes renders nothing: the torque is zero, and the account continues."""
 
     NONE = 0
     WORKSPACE = 1  # the mechanism is outside its declared workspace
@@ -30,7 +30,7 @@ class Limit(IntEnum):
 
 
 class Pose(NamedTuple):
-    """The mechanism at one sample; where `limit` is not NONE, position and Jacobian mean nothing."""
+    """Pose of the mechanism at one sample; where `limit` is not NONE, position and Jacobian are undefined."""
 
     position: tuple[float, ...]  # task coordinates [m or rad], length `dimensions`
     jacobian: tuple[tuple[float, ...], ...]  # d position / d motor position, rows: task, columns: motor axes
@@ -164,7 +164,7 @@ def workspace_box(lower: Sequence[float] | None, upper: Sequence[float] | None) 
 
 
 def is_outside(box: WorkspaceBox, place: Buffer) -> bool:
-    """Return True where a place is outside the workspace."""
+    """Return True where a position is outside the workspace."""
     for i in range(len(box.lower)):
         if place[i] < box.lower[i]:
             return True
@@ -243,7 +243,7 @@ class Identity(FromMechanism, Parameters):
 
     @property
     def dimensions(self) -> int:
-        """Dimensions of task space."""
+        """Number of task coordinates."""
         return self.axes
 
     def mechanism(self) -> IdentityMap:

@@ -31,7 +31,7 @@ class LinkMap(NamedTuple):
     box: WorkspaceBox
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Write the place of the handle."""
+        """Write the position of the handle."""
         a = positions[0]
         b = a + positions[1] if self.relative else positions[1]
         if not abs(math.sin(b - a)) >= self.least_sine:

@@ -72,12 +72,12 @@ class Transmission(FromMechanism, Parameters):
 
     @property
     def axes(self) -> int:
-        """Motor axes."""
+        """Number of motor axes."""
         return len(self.matrix[0])
 
     @property
     def dimensions(self) -> int:
-        """Dimensions of task space."""
+        """Number of task coordinates."""
         return len(self.matrix)
 
     def mechanism(self) -> LinearMap:

@@ -1,4 +1,4 @@
-"""A mechanism of one's own: a function and its Jacobian, in Python."""
+"""A user-defined mechanism: a function and its Jacobian, in Python."""
 
 from collections.abc import Callable, Sequence
 
@@ -12,7 +12,7 @@ class UserFunction(FromPose):
     """x = forward(q); the constructor compares the Jacobian with finite differences of it.
 
     Attributes:
-        axes: Motor axes.
+        axes: Number of motor axes.
         dimensions: Number of dimensions of task space.
     """
 

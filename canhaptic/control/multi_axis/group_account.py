@@ -10,7 +10,7 @@ hold before it the torques that may have acted. Booked is -f_n D; true is -sum f
 **Hand force.** Only the side of D_j that makes it large counts; on that side the declared force holds the hand. With s
 the farthest that torques and hand move the axis beyond the hold before (`Gap.step`), for delta_j > 0 (else mirrored)
 
-    f_j > 0:   D_j <= D_0 + j s + friction,                         the hand pulls along f_j with F_h at most;
+    else f_n < f_j <= 0, and the hand's force is bounded along -: D_m >= D_j - (m - j) s - friction for m > j, and
     else f_n < f_j <= 0, and the hand is held along -: D_m >= D_j - (m - j) s - friction for m > j, and
                D_k >= D_0 - k s - friction for k < j; their sum is D, so that
                (n - j + 1) D_j <= D - (j - 1) D_0 + s (j (j - 1) + (n - j)(n - j + 1)) / 2 + friction
@@ -86,10 +86,10 @@ def farthest(gap: Gap, sign: float, hold: int, along: bool) -> float:
     """Largest displacement of one hold, counted along `sign` [m or rad].
 
     Args:
-        gap: The holds of the axis.
+        gap: Holds of the axis.
         sign: 1 or -1.
         hold: Index of the hold, 1 for the first; the last is never asked for.
-        along: Whether a torque along the sign acts in it; else one against it acts in the last.
+        along: Whether a torque along the sign acts in it; otherwise one against it acts in the last.
     """
     holds, moved, start, error, position_uncertainty, step, lost = gap
     start, moved = sign * start, sign * moved
@@ -114,7 +114,7 @@ def doubt_of(gap: Gap, hold: int, torque: float, last: float) -> float:
     """Largest excess of the booked energy of one hold, if a given torque acted in it [J].
 
     Args:
-        gap: The holds of the axis.
+        gap: Holds of the axis.
         hold: Index of the hold, 1 for the first; the last is never asked for.
         torque: Torque that may have acted [N or N*m].
         last: Torque of the last hold, with which the energy was booked [N or N*m].
@@ -167,7 +167,7 @@ class Norms(NamedTuple):
 
 
 def copy_range(axes: AxisLimits, memory: AccountMemory, ended: bool) -> None:
-    """Copy the range of torques from the SYNC at the beginning of the hold that ended, or from the SYNC at its end."""
+    """Copy the range of torques at the beginning of the hold that ended, or at its end."""
     now, before = memory.now, memory.before
     for i in range(len(memory.torques)):
         now.highest[i], now.lowest[i] = before.highest[i], before.lowest[i]
@@ -178,7 +178,7 @@ def copy_range(axes: AxisLimits, memory: AccountMemory, ended: bool) -> None:
 def norms_of(
     axes: AxisLimits, memory: AccountMemory, under_way: Matrix, first: int, holds: int, torques: Buffer, size: float
 ) -> Norms:
-    """Return the norms of torques under way, and the part of W that l = 1 replaces."""
+    """Return the norms of the queued torques, and the part of W that l = 1 replaces."""
     total = added = 0.0
     for i in range(len(torques)):
         most = max(abs(memory.torques[i]), memory.before.highest[i], -memory.before.lowest[i])
@@ -214,7 +214,7 @@ def given_early(
         memory: Its `now` is the range at the SYNC at which the hold begins.
         held: Torques of the hold, (axes,) [N*m or N], of which fixed + l size are held.
         fixed: 1 where they are sent for every l, else 0.
-        size: 0 then, else the share that l = 1 replaces.
+        size: 0 where `fixed` is 1, else the share that l = 1 replaces.
         hold: Index of the hold from now, the next being 1.
         norms: Norms of the acting torques and of the hand.
     """
@@ -266,7 +266,7 @@ def share_of_late(
         axes: Properties of the motor axes.
         memory: Buffers of the account; `now` is changed.
         under_way: Torques that act before W, a ring (delay + 1, axes) [N*m or N].
-        first: Place of the ones that act next; below 0 it wraps.
+        first: Index of the torques that act next; negative indices wrap.
         holds: Number of holds.
         torques: W, (axes,).
         size: Part of W that l = 1 replaces.
@@ -324,12 +324,12 @@ def older_size(axes: AxisLimits, memory: AccountMemory, torques: Buffer) -> floa
 
 
 def doubt_of_late_group(axes: AxisLimits, memory: AccountMemory, moved: Buffer, held: Buffer) -> tuple[float, float]:
-    """Largest shortfall of the energy that came in in a hold whose torques came late [J].
+    """Largest shortfall of the energy received in a hold whose torques came late [J].
 
     Args:
         axes: Properties of the motor axes.
         memory: Buffers of the account before the hold; `before` becomes the range at its beginning.
-        moved: Displacement in it, (axes,) [rad or m].
+        moved: Displacement in the hold, (axes,) [rad or m].
         held: Torques held in it [N*m or N].
 
     Returns:
@@ -403,7 +403,7 @@ def older_needs(axes: AxisLimits, memory: AccountMemory) -> tuple[float, float]:
 
 @dataclass(slots=True)
 class GroupAccount:
-    """Store, surplus and the uncertain part of the energy."""
+    """Stored energy, surplus and the uncertain part of the energy."""
 
     h_s: float = 0.0  # stored energy that the network may still give [J]
     h_dis: float = 0.0  # surplus still to be dissipated [J]
@@ -425,7 +425,7 @@ def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: Acc
     """Take one hold, its displacements and the torques applied in it.
 
     Returns:
-        Largest shortfall of the energy that came in against the booked one, because torques came late [J].
+        Largest shortfall of the energy received against the booked energy, because torques came late [J].
     """
     axes = settings.axes
     doubt = 0.0
@@ -450,9 +450,9 @@ def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: Acc
 def end_group_gap(
     settings: AccountSettings, account: GroupAccount, memory: AccountMemory, ended: GroupHolds, missed: int
 ) -> tuple[float, float]:
-    """Take several holds of which only the total displacement is known; return the energy's largest shortfall [J].
+    """Take several holds of which only the total displacement is known; return the largest shortfall of the energy [J].
 
-    And its largest excess because torques came late; other excess is left to the meter of the axis.
+    Also return its largest excess because torques came late; any other excess is left to the meter of the axis.
 
     In every hold but the last, whose torque was read back, each axis may have held any torque sent for it until
     then, or the one of the hold before (`group_account`).
@@ -502,9 +502,9 @@ def largest_of(memory: AccountMemory, ended: GroupHolds, missed: int, axis: int)
 def doubt_of_axis(
     axes: AxisLimits, memory: AccountMemory, ended: GroupHolds, gap: Gap, missed: int, axis: int
 ) -> float:
-    """Largest shortfall of the energy that came in by one axis over several holds [J].
+    """Largest shortfall of the energy received through one axis over several holds [J].
 
-    Below 0 where more has for certain. By hand speed |D_j| <= v_max T; see `group_account` for the others.
+    Below 0 where more came in for certain. By hand speed |D_j| <= v_max T; see `group_account` for the others.
     """
     last, damping, total = ended.applied[axis], axes.damping[axis], 0.0
     for hold in range(1, missed + 1):
@@ -556,7 +556,7 @@ def certain_energy(account: GroupAccount, credit: float) -> float:
 
 
 def fade(account: GroupAccount, share: float) -> None:
-    """Keep, out of contact, a share of the devices' dissipation together with the account; a lack is kept in full."""
+    """Keep, out of contact, a share of the devices' dissipation together with the account; a deficit is kept whole."""
     if account.dissipated > 0.0:
         energy = account.h_s - account.h_dis
         keep(account, energy, share * max(0.0, energy + account.dissipated))

@@ -1,6 +1,6 @@
 """How much of a group's torques may act in the next hold: the certificates of one axis, for all motor axes at once.
 
-Let W be the torques asked for (motor coordinates) and l W, 0 <= l <= 1, those sent. The energy that they take out in
+Let W be the requested torques (motor coordinates) and l W, 0 <= l <= 1, those sent. The energy that they take out in
 their hold is l W . D, D the displacement in it, and the reasoning of `certificates.scalar_bounds` bounds W . D as it
 bounds a displacement along one axis: with D_0 the displacement of the hold that ended and f_0, f_1, ... the torques
 before,
@@ -117,7 +117,7 @@ def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_sp
 
     Args:
         loops: Loop of each axis.
-        hand_force: F_h of each axis [N or N*m]; None: the certificate is not used. It needs every moving mass.
+        hand_force: F_h of each axis [N or N*m]; None: certificate not used. It needs every moving mass.
         hand_speed: v_max [m/s or rad/s]; None: not used.
     """
     sample_time = max([loop.timing.longest for loop in loops])
@@ -235,10 +235,10 @@ def base_of(
     axes: AxisLimits, torques: Buffer, displacement: Buffer, bound: float, last: Buffer, sent: Matrix, first: int,
     under_way: int, range_of: Acting,
 ) -> float:  # fmt: skip
-    """Return the base of l W . D [J] for torques that act after those under way.
+    """Return the base of l W . D [J] for torques that act after the queued ones.
 
-    Friction acts on what D_0 has left in every hold, axis by axis: where one axis moves inward and another outward,
-    their sum says nothing of it. The responses to forces are bounded without friction.
+    In every hold friction acts on what is left of D_0, axis by axis: where one axis moves inward and another outward,
+    their sum gives no bound. The responses to forces are bounded without friction.
 
     Args:
         axes: Properties of the motor axes.
@@ -247,10 +247,10 @@ def base_of(
         bound: Largest W . D_0 [J].
         last: Torques held in that hold, (axes,).
         sent: Torques by hold, a ring (holds, axes).
-        first: Place of the hold that comes next; below 0 it wraps.
-        under_way: Number of holds before that of W.
-        range_of: Range of torques at the SYNC at which the hold that ended began; where torques come late, changed to
-            that of W.
+        first: Index of the next hold; negative indices wrap.
+        under_way: Number of holds before W acts.
+        range_of: Range of torques at the SYNC at which the hold that ended began; where torques come late, advanced to
+            the SYNC of W.
     """
     hand, friction = _hand_term(axes, torques), _raised_by_friction(axes, torques, displacement)
     is_ideal, growth = axes.timing.is_ideal, axes.timing.growth
@@ -286,7 +286,7 @@ def _stretched(total: float, growth: float) -> float:
 
 
 def taken_by_mover(torques: Buffer, moved: Buffer) -> float:
-    """Return what a mover takes [J] in a hold, its motion given as one of the motors (axes,) [rad or m]."""
+    """Return the energy of a mover [J] in a hold; its motion is given in motor coordinates (axes,) [rad or m]."""
     total = 0.0
     for i in range(len(moved)):
         total -= torques[i] * moved[i]

@@ -52,7 +52,7 @@ class GroupController(Protocol):
     axes: int
 
     def reset(self) -> None:
-        """Forget everything: zero stored energy, no torque in flight, no last positions."""
+        """Clear the state: zero stored energy, no queued torque, no last positions."""
 
     def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
         """Book the hold that just ended and return the account with the torques for the next free hold.
@@ -68,7 +68,7 @@ class GroupController(Protocol):
         """
 
     def sample_lost(self) -> GroupBalance:
-        """Return the balance of a SYNC at which the sample of any axis was lost: the last commands, of displays zeros.
+        """Return the balance of a SYNC at which an axis lost its sample: the last commands, of displays zeros.
 
         Nothing is booked; the next `step` books one displacement of all axes over several holds at its worst.
         """
@@ -99,18 +99,18 @@ _LIMIT_TEXTS = {
 
 
 class AxisGroup:
-    """Some axes of a rig, what renders on them, and their account.
+    """Some axes of a rig, their controller and their account.
 
     Args:
-        name: Name of the group, unlike that of any axis.
-        axes: Their places in the rig, in the order of the controller.
-        controller: Controller of this number of axes.
+        name: Name of the group, different from every axis name.
+        axes: Indices of the axes in the rig, in the order of the controller.
+        controller: Controller for this number of axes.
 
     Attributes:
         ledger: The account of the group.
         balance: Balance of the last step.
-        limits: Number of holds in each `Limit`, without NONE.
-        supplied: Energy that came in other than by motors, as by the mover of a wall [J]; part of the ledger's
+        limits: Number of holds in each `Limit` except NONE.
+        supplied: Energy received other than by motors, as from the mover of a wall [J]; part of the ledger's
             interaction.
         uncertainty: Uncertainty due to lost samples, subtracted from the ledger's interaction [J].
     """
@@ -126,7 +126,7 @@ class AxisGroup:
         self._limit = Limit.NONE.value
 
     def step(self, samples: Sequence[Sample]) -> GroupBalance:
-        """Return the balance of the hold that ended; held when the sample of any of its axes is not fresh.
+        """Return the balance of the hold that ended; `Branch.HELD` when the sample of any of its axes is not fresh.
 
         Args:
             samples: Samples of the whole rig.
@@ -146,8 +146,8 @@ class AxisGroup:
         """Take the last step into the ledger, and count its limit.
 
         Args:
-            sync_index: Index of its SYNC.
-            deadline: Sample times to it; None: no SYNC was skipped.
+            sync_index: Index of the SYNC of that step.
+            deadline: Sample times to that SYNC; None: no SYNC was skipped.
 
         Returns:
             Message about a limit newly reached; empty otherwise.
@@ -180,7 +180,7 @@ class AxisGroup:
         """Return the true energies of its axes together; work of movers counts as that of motors.
 
         Args:
-            truths: One for each axis of the rig.
+            truths: True energies, one for each axis of the rig.
         """
         energies = [truths[axis].energy for axis in self.axes]
         motor, user, dissipated, stored = (sum(parts) for parts in zip(*energies, strict=True))
@@ -191,8 +191,8 @@ class GroupedControllers:
     """Controllers of a rig on which at least one group renders, or of a dry run.
 
     Args:
-        controllers: One for each axis that is in no group, in the order of the rig.
-        groups: Each axis of the rig is in one of them or has a controller.
+        controllers: Controllers of the axes outside groups, in the order of the rig.
+        groups: Groups; each axis of the rig is in one of them or has a controller.
         dry_run: Whether no torque is sent. No lost sample then makes energy uncertain.
     """
 
@@ -207,7 +207,7 @@ class GroupedControllers:
 
     @property
     def programs(self) -> list[tuple[int, Any]]:
-        """Axes whose torques a program asks for, and their controllers."""
+        """Axes whose torques a program requests, and their controllers."""
         return [(axis, controller) for axis, controller in self._singles if hasattr(controller, "ask")]
 
     def lasted(self, periods: int) -> None:

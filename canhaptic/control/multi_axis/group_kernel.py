@@ -71,7 +71,7 @@ def end_holds(
     commands: GroupCommands, ended: GroupHolds, largest: Buffer, oldest: int, missed: int, positions: Buffer,
     applied: Buffer,
 ) -> int:  # fmt: skip
-    """Take the holds that ended; return the place of the command that acted in the last of them.
+    """Take the holds that ended; return the index of the command that acted in the last of them.
 
     The efforts at that place are afterwards those inside the torques applied: a torque that was cut had as much less
     of each of them.
@@ -80,7 +80,7 @@ def end_holds(
         commands: Commands of the group.
         ended: Receives displacement, torques and energy of each axis.
         largest: Torque of each axis that limiter and drive let act [N*m or N].
-        oldest: Place of the command whose hold ended first.
+        oldest: Index of the command whose hold ended first.
         missed: Number of lost samples.
         positions: Positions at the end [rad or m].
         applied: Torques in the last hold [N*m or N].
@@ -111,12 +111,12 @@ def end_holds(
 
 
 def next_place(commands: GroupCommands, place: int) -> int:
-    """Return the place after another in the rings."""
+    """Return the next index in the rings."""
     return place + 1 if place + 1 < len(commands.power) else 0
 
 
 def take_applied(commands: GroupCommands, place: int, applied: Buffer) -> None:
-    """Make the efforts of a command those inside torques that were not applied as sent: in proportion, by axis."""
+    """Scale the efforts of a command, axis by axis, to torques that were not applied as sent."""
     torques, sent, along = commands.torques[place], 0.0, 0.0
     for i in range(len(applied)):
         torque = torques[i]
@@ -133,19 +133,19 @@ def take_applied(commands: GroupCommands, place: int, applied: Buffer) -> None:
 
 
 def share_of(part: float, whole: float) -> float:
-    """Return part / whole, between 0 and 1; 0 of nothing."""
+    """Return part / whole, limited to 0..1; 0 where the whole is 0."""
     return min(1.0, max(0.0, part / whole)) if whole != 0.0 else 0.0
 
 
 def torque_held(ended: GroupHolds, hold: int, missed: int, axis: int) -> float:
-    """Return the torque sent for one of the holds that ended, the first of them being 0 [N*m or N]."""
+    """Return the torque sent for one of the holds that ended, counted from 0 [N*m or N]."""
     if hold >= missed:
         return ended.applied[axis]
     return ended.lost[min(hold, len(ended.lost) - 1)][axis]
 
 
 def send_nothing(commands: GroupCommands, place: int) -> int:
-    """Put no torque at a place; return the place of the next oldest command."""
+    """Store zero torque at an index; return the index of the next oldest command."""
     for i in range(len(commands.torques[place])):
         commands.torques[place][i] = commands.dampers[place][i] = commands.modulated[place][i] = 0.0
     for j in range(len(commands.ports[place])):
@@ -227,7 +227,7 @@ def group_loop(world: GroupModel, loops: tuple[LoopProperties, ...]) -> GroupLoo
 
 
 def group_memory(world: GroupModel, loop: GroupLoop, ports: int) -> GroupMemory:
-    """Return the buffers of a group at rest; `ports` of the commands are kept."""
+    """Return the buffers of a group at rest; the efforts at the ports are kept."""
     axes = len(loop.caps)
     return GroupMemory(
         no_group_commands(axes, ports, loop.delay), no_group_holds(axes, loop.delay), motion_memory(world, loop.motion)
@@ -235,7 +235,7 @@ def group_memory(world: GroupModel, loop: GroupLoop, ports: int) -> GroupMemory:
 
 
 class GroupRun(NamedTuple):
-    """A kernel from its first SYNC on."""
+    """A run of a kernel, from its first SYNC."""
 
     step: Callable[[int, Sequence[float], Sequence[float]], GroupHold]
     torques: Matrix  # rows of the commands
@@ -288,7 +288,7 @@ class SteppedGroup:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything; see `GroupController`."""
+        """Return to the initial state; see `GroupController`."""
         self._step, self._torques, self._interactions, self._withhold = self._begin()
         self._missed = self._newest = 0
         self.energy_resolution = 0.0

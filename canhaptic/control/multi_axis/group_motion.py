@@ -105,7 +105,7 @@ class RequestedEfforts(NamedTuple):
 
 
 def world_of(environment: NetworkEnvironment, kinematics: Kinematics, loops: tuple[LoopProperties, ...]) -> GroupModel:
-    """Fits environment, mechanism and loops together.
+    """Return a model from environment, mechanism and loops.
 
     Raises:
         ParameterError: They do not fit.
@@ -122,7 +122,7 @@ def world_of(environment: NetworkEnvironment, kinematics: Kinematics, loops: tup
 
 
 def why_not_world(world: GroupModel) -> str:
-    """Reason why a part of a world cannot be compiled, or ""."""
+    """Reason why a part of a group model cannot be compiled, or ""."""
     parts = (world.mechanism, world.geometry, world.functions)
     names = [type(part).__name__ for part in parts if not hasattr(part, "_fields") or hasattr(part, "kinematics")]
     return f"got {', '.join(names)}, which is Python code of its own" if names else ""
@@ -150,7 +150,7 @@ def motion_memory(world: GroupModel, settings: MotionSettings) -> MotionMemory:
 def begin_motion(
     world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer
 ) -> None:
-    """Take the first positions, of a state at rest."""
+    """Take the first positions, at rest."""
     motion.elapsed = settings.sample_time
     for i in range(len(positions)):
         if settings.counts[i] > 0.0:
@@ -165,7 +165,7 @@ def follow(
     world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer,
     displacement: Buffer, holds: int,
 ) -> None:  # fmt: skip
-    """Take positions and the motion since the last ones, and let the network follow them."""
+    """Take positions and the displacement since the last ones, and advance the network by it."""
     move(world, settings, motion, memory, positions, displacement, holds)
     motion.internal, motion.entered = 0.0, 1.0
     if not motion.located:
@@ -190,7 +190,7 @@ def move(
     world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer,
     displacement: Buffer, holds: int,
 ) -> None:  # fmt: skip
-    """Take positions and the motion since the last ones, over one hold or several; the network stays.
+    """Take positions and the displacement since the last ones, over one hold or several; the network is not advanced.
 
     Args:
         world: Network and kinematics of the group.
@@ -216,7 +216,7 @@ def move(
 
 
 def settle_motion(motion: GroupMotion) -> None:
-    """Take energy and engagement of the network."""
+    """Update energy and engagement of the network."""
     motion.energy = motion.network.energy
     motion.engaged = motion.network.engaged and motion.limit == _NONE
 
@@ -247,7 +247,7 @@ def locate(
 def measure_velocity(
     settings: MotionSettings, memory: MotionMemory, positions: Buffer, displacement: Buffer, holds: int
 ) -> None:
-    """Take the velocity of the motor axes."""
+    """Update the velocity of the motor axes."""
     elapsed = holds * settings.sample_time
     for i in range(len(positions)):
         velocity, count = displacement[i] / elapsed, settings.counts[i]
@@ -273,7 +273,7 @@ def mover_motion(world: GroupModel, settings: MotionSettings, first: int, last: 
 def write_carried(
     world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, after: int, into: Buffer
 ) -> None:
-    """Write the least motion of the motors that moves the ports as the mover does in one hold, at this pose.
+    """Write the smallest motor motion that moves the ports as the mover does in one hold, at this pose.
 
     Args:
         world: Network and kinematics of the group.
@@ -322,7 +322,7 @@ def write_efforts(
 def write_springs(
     world: GroupModel, motion: GroupMotion, memory: MotionMemory, lead: float, way: Buffer, request: RequestedEfforts
 ) -> None:
-    """Write the efforts of the springs now, and their change until the motors are at the predicted positions.
+    """Write the present efforts of the springs, and their change until the motors reach the predicted positions.
 
     Args:
         world: Network and kinematics of the group.
@@ -342,7 +342,7 @@ def write_springs(
 
 
 def to_ports(memory: MotionMemory, moved: Buffer, carried: float, into: Buffer) -> None:
-    """Write the motion of the ports [m or rad] for one of the motors, less the mover's."""
+    """Write the port motion [m or rad] due to a motor motion, less the mover's."""
     for j in range(len(into)):
         row, total = memory.at_motors[j], 0.0
         for axis in range(len(row)):
@@ -351,7 +351,7 @@ def to_ports(memory: MotionMemory, moved: Buffer, carried: float, into: Buffer) 
 
 
 def write_port_motion(settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, into: Buffer) -> None:
-    """Write the motion of the ports in one hold, from the smoothed velocity where an encoder is coarse."""
+    """Write the port motion in one hold, from the smoothed velocity where an encoder is coarse."""
     holds = motion.holds
     for j in range(len(into)):
         if settings.smooth:

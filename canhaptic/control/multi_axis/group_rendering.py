@@ -2,7 +2,7 @@
 
 Parameters, state and buffers of `guarded` of a group.
 
-The certificates of a group: the energy reserved for torques under way, and the certified share of the next ones.
+The certificates of a group: the energy reserved for queued torques, and the certified share of the next ones.
 """
 
 from dataclasses import dataclass, field
@@ -223,7 +223,7 @@ class QueuedTorques(NamedTuple):
 def worst_case(
     settings: AccountSettings, memory: AccountMemory, torques: Buffer, under_way: QueuedTorques, count: int
 ) -> float:
-    """Return the base of torques that act after some of those under way [J]; see `base_of`."""
+    """Return the base of torques that act after some of the queued ones [J]; see `base_of`."""
     axes, sent, first = settings.axes, under_way.torques, under_way.first
     along = along_last(axes, torques, memory.displacement, memory.position_uncertainty)
     if not axes.timing.is_ideal:
@@ -232,7 +232,7 @@ def worst_case(
 
 
 def extraction_of(settings: AccountSettings, memory: AccountMemory, under_way: QueuedTorques, hold: int) -> float:
-    """Return the most energy [J] that the torques of one of the holds under way may take out in it."""
+    """Return the most energy [J] that the torques of one of the queued holds may take out in it."""
     axes, torques = settings.axes, under_way.torques[under_way.first + hold]
     taken = worst_case(settings, memory, torques, under_way, hold) + gain_of(axes, torques)
     if not axes.timing.is_ideal:
@@ -241,7 +241,7 @@ def extraction_of(settings: AccountSettings, memory: AccountMemory, under_way: Q
 
 
 def moved_at_most(settings: AccountSettings, memory: AccountMemory, under_way: QueuedTorques) -> float:
-    """Energy that a mover takes [J] in the holds of torques under way, where that is positive."""
+    """Energy that a mover gives [J] in the holds of queued torques, where that is positive."""
     total = 0.0
     if settings.moves:
         for hold in range(under_way.holds):
@@ -250,7 +250,7 @@ def moved_at_most(settings: AccountSettings, memory: AccountMemory, under_way: Q
 
 
 def needed_under_way(settings: AccountSettings, memory: AccountMemory, under_way: QueuedTorques) -> float:
-    """Return the most energy [J] that the torques under way may give out to a hand within its force."""
+    """Return the most energy [J] that the queued torques may give out to a hand within its force."""
     worst = given = 0.0
     for hold in range(under_way.holds):
         given += extraction_of(settings, memory, under_way, hold)
@@ -265,14 +265,14 @@ def needed_under_way(settings: AccountSettings, memory: AccountMemory, under_way
 def late_of(
     settings: AccountSettings, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer, size: float
 ) -> LateShare:
-    """Energy that older torques give out besides those held, by the share of a part of new ones."""
+    """Energy that older torques give out beyond those held, as a function of the share of new ones."""
     return share_of_late(settings.axes, memory, under_way.torques, under_way.first, under_way.holds, torques, size)
 
 
 def free_energy(
     settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: QueuedTorques, energy: float
 ) -> float:
-    """Part of `energy` [J] that the certificates of the torques under way do not need."""
+    """Part of `energy` [J] that the certificates of the queued torques do not need."""
     axes = settings.axes
     if settings.apart.is_apart:
         return free_if_apart(settings, account, memory, under_way, energy)
@@ -303,7 +303,7 @@ def shares(
         settings: Constants of the account.
         account: Account of the group.
         memory: Buffers of the account.
-        under_way: Torques that act before these.
+        under_way: Torques that act first.
         torques: W, for the next free hold [N*m or N].
         energy: Energy budget [J].
     """
@@ -339,9 +339,9 @@ def by_hand_force(
     energy: float,
     moved: float,
 ) -> float:
-    """Return the share by hand force; up to 1 where torques come late, see `group_account`.
+    """Return the share by hand force; at most 1 where torques come late, see `group_account`.
 
-    `moved` is what a mover takes of the torques [J]; the other arguments are those of `shares`.
+    `moved` is the energy of a mover on the torques [J]; the other arguments are as for `shares`.
     """
     axes = settings.axes
     for hold in range(under_way.holds):
@@ -368,7 +368,7 @@ def by_hand_force(
 def share_beyond(energy: float, base: float, gain: float, late: LateShare, size: float) -> float:
     """Return the share, up to `size`, of torques beyond what the older ones give out.
 
-    `late` is that of `size`, its constant no more than the energy; `base` and `gain` are those of all of the torques.
+    `late` is for `size`, its constant at most the energy; `base` and `gain` are for all of the torques.
     """
     start, more = size * base + late.linear, max(0.0, size * size * gain + late.square)
     return size * min(1.0, hand_force_bound(energy - late.constant, start, more))
@@ -377,9 +377,9 @@ def share_beyond(energy: float, base: float, gain: float, late: LateShare, size:
 def share_in_debt(
     axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer, base: float, gain: float
 ) -> float:
-    """Return the share of torques that takes energy in for certain, where older ones may give out more than there is.
+    """Return the share of torques that absorbs energy for certain, where older ones may give out more than the budget.
 
-    `memory.now` is the range at the SYNC of the torques; the other arguments are those of `by_hand_force`.
+    `memory.now` is the range at the SYNC of the torques; the other arguments are as for `by_hand_force`.
     """
     own = given_in_debt(axes, memory, under_way.torques, under_way.first, under_way.holds, torques)
     return min(1.0, hand_force_bound(0.0, base + own.linear, max(0.0, gain + own.square)))
@@ -510,9 +510,9 @@ def write_wish(
     memory: GuardedGroupMemory,
     under_way: QueuedTorques,
 ) -> float:
-    """Write the requested efforts at the predicted motor positions; return as `write_efforts`.
+    """Write the requested efforts at the predicted motor positions; returns the same as `write_efforts`.
 
-    What moves inside a network is not predicted: it goes on as in the last hold, and the motors with it.
+    Motion inside a network is not predicted: it continues as in the last hold, and the motors with it.
     """
     loop, motion, followed, request = settings.loop.motion, state.group.motion, memory.group.motion, memory.request
     way, steady = memory.way, memory.steady
@@ -548,10 +548,10 @@ def split(
     energy: float,
     certificate: int,
 ) -> int:
-    """Set a command to the larger part of the requested torques: one share of all, or inward torques first.
+    """Set a command to the larger part of the requested torques, by a common share or by inward torques first.
 
     Returns:
-        Its certificate.
+        Certificate of the command.
     """
     account, commands, together, found = settings.account, memory.group.commands, memory.sent, memory.scaled
     for i in range(len(found)):
@@ -566,9 +566,9 @@ def split(
 
 
 def within_limits(settings: GuardedGroupSettings, state: GuardedGroupState, memory: GuardedGroupMemory) -> float:
-    """Largest share of the requested torques, up to 1, that no limiter cuts: see `drive.profile.limiter`.
+    """Largest share of the requested torques, up to 1, that no limiter reduces: see `drive.profile.limiter`.
 
-    What is cut of one axis after all were certified together turns the torque of the group.
+    Reducing one axis after all were certified together would turn the torque of the group.
     """
     loop, torques, most = settings.loop, memory.torques, 1.0
     newest, moved = memory.group.commands.torques[state.group.oldest - 1], memory.group.ended.displacement
@@ -593,7 +593,7 @@ def certify(
     most: float,
     covered: bool,
 ) -> tuple[float, int]:
-    """Write the torques to send; return their share of those asked for, and the certificate."""
+    """Write the torques to send; return their share of the requested ones, and the certificate."""
     torques, sent = memory.torques, memory.sent
     if not acts(torques):
         for i in range(len(sent)):
@@ -633,9 +633,9 @@ def put_on_grid(
     energy: float,
     factor: float,
 ) -> float:
-    """Write torques rounded towards 0 to what the drives apply, and certified as such; return their share.
+    """Write torques rounded towards 0 to the drives' quanta, and certified as such; return their share.
 
-    Rounding one axis alone is safe; of several it turns the force a little, so that the certificate is asked again.
+    Rounding a single axis is safe; rounding several turns the force a little, so that it is certified again.
     """
     sent = memory.sent
     for _ in range(_GRID_TRIES):
@@ -658,7 +658,7 @@ def put_on_grid(
 def write_dampers(
     settings: GuardedGroupSettings, state: GuardedGroupState, memory: GuardedGroupMemory, share: float
 ) -> float:
-    """Write the efforts of the damper and of the modulated one (eq. 19); return the damping rendered."""
+    """Write the efforts of the damper and of the modulated damper (eq. 19); return the damping rendered."""
     request, damper, modulated, h_dis = memory.request, memory.damper, memory.modulated, state.account.h_dis
     square = along = extra = 0.0
     for i in range(len(damper)):

@@ -1,6 +1,6 @@
 """`guarded` for a group: the network keeps the state of its model, the energy account limits the torques together.
 
-Of one axis with a spring and a damper it is `passivity.guarded` to rounding. Of several axes the account is one scalar;
+On one axis with a spring and a damper it equals `passivity.guarded` to rounding. On several axes the account is scalar;
 efforts are compared in the norm in which every axis has its own damping cap, |f|^2 = sum(f_i^2 / cap_i), and are scaled
 together, so that a limited force keeps its direction.
 """
@@ -144,7 +144,7 @@ def write_passed(
     hold: int,
     holds: int,
 ) -> None:
-    """Write the mover's motion in one of the holds that ended, as motor motion [rad or m]."""
+    """Write the mover's motion in one of the holds that ended, in motor coordinates [rad or m]."""
     motion, account = memory.group.motion, memory.account
     if hold < settings.account.apart.holds:
         for i in range(len(account.passing)):
@@ -162,7 +162,7 @@ def book(
     h_pas: float,
     lost: float,
 ) -> tuple[float, float, float, float]:
-    """Book one hold into store and surplus; return (h_r, deficit, leak, paid) [J].
+    """Book one hold into stored energy and surplus; return (h_r, deficit, leak, paid) [J].
 
     Args:
         settings: Constants of the run.
@@ -170,8 +170,8 @@ def book(
         memory: Buffers of the group.
         under_way: Torques that act before the next command.
         h_i: Interaction energy of the hold, supplied energy included [J].
-        h_pas: Part of it taken by the modulated damper [J].
-        lost: Energy that the dissipators of the network took [J]; below 0 counts as 0.
+        h_pas: Energy taken by the modulated damper [J].
+        lost: Energy that the network's dissipators took [J]; negative values count as 0.
     """
     account, ceiling = state.account, state.group.motion.energy
     h_s, surplus = account.h_s + h_i - h_pas, account.h_dis - h_pas

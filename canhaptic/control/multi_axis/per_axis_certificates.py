@@ -1,7 +1,7 @@
 """The certificates axis by axis: each holds its new torque or an older one.
 
-`group_certificates` holds for torques that act together. Where a frame is lost the group's torque turns: one axis still
-has an older torque, and energy that it was to bring in with the new one may be missing. Declared is
+`group_certificates` covers torques that act together. Where a frame is lost the group's torque turns: one axis still
+has an older torque, and energy that the new one was to bring in may be missing. Declared is
 `max_consecutive_losses` = L: axis i has in hold j from now one of the torques sent for it that are no more than L holds
 older than the newest. With s_q those torques, W the new one, d the delay and D_ij the displacement of axis i in hold j,
 they give out no more than
@@ -63,7 +63,7 @@ class PerAxisLimits(NamedTuple):
 
 
 class PerAxisMemory(NamedTuple):
-    """Torques that may still act, and the energy of each axis with them; [J] but for torques and starts."""
+    """Torques that may still act, and the energy of each axis with them; [J] except torques and starts."""
 
     sent: Matrix  # torques held in the hold that ended, and those under way, (delay + 1, axes) [N*m or N]
     largest: Buffer  # size of any of them on each axis, (axes,)
@@ -113,7 +113,7 @@ def per_axis_memory(limits: PerAxisLimits) -> PerAxisMemory:
 
 
 def write_parabolas(memory: PerAxisMemory, place: int, old: float, new: float, base: float, slope: float) -> int:
-    """Write the energy of an axis that moves by base + slope l, with an old torque, and with l times a new one."""
+    """Write the energy of an axis that moves by base + slope l, for an old torque and for l times a new one."""
     if old > 0.0:
         memory.constant[place], memory.linear[place], memory.square[place] = old * base, old * slope, 0.0
         place += 1
@@ -200,7 +200,7 @@ def take_sent(
         position_uncertainty: Uncertainty of each displacement (axes,).
         torques: Torques held in it, (axes,) [N*m or N].
         under_way: Torques sent, a ring (delay + 1, axes).
-        first: Place of the torques that act next; below 0 it wraps.
+        first: Index of the torques that act next; negative indices wrap.
         older: Range of all torques at the last SYNC, where torques come late.
     """
     for i in range(len(torques)):
@@ -231,7 +231,7 @@ def write_largest(limits: PerAxisLimits, memory: PerAxisMemory) -> None:
 
 
 def take_older(axes: AxisLimits, memory: PerAxisMemory, older: Acting, axis: int) -> None:
-    """Take the range of the torques of an axis at the last SYNC, holds of any length, and friction within them."""
+    """Take the range of the torques of an axis at the last SYNC, for holds of any length, and the friction in them."""
     highest, lowest = older.highest[axis], older.lowest[axis]
     memory.older.highest[axis], memory.older.lowest[axis] = highest, lowest
     memory.largest[axis] = max(memory.largest[axis], highest, -lowest)
@@ -247,7 +247,7 @@ def first_of(limits: PerAxisLimits, hold: int) -> int:
 
 
 def end_of(limits: PerAxisLimits, hold: int) -> int:
-    """Return the row after that of the newest torques under way that may act in a hold."""
+    """Return the row after the newest queued torques that may act in a hold."""
     return min(hold, limits.delay) + 1
 
 
@@ -311,7 +311,7 @@ def write_courses(
     limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torque: float, fixed: float, norm: float,
     more: float, axis: int, place: int,
 ) -> int:  # fmt: skip
-    """Write the energy of an axis for any course between 0 and the torques of each hold; return the next index."""
+    """Write the energy of an axis for any torque course from 0 to the torques of each hold; return the next index."""
     root = limits.roots[axis]
     for index in range(limits.holds):
         mine, sign, moved = index - limits.delay, 1.0, mover_motion[index][axis]
@@ -333,7 +333,7 @@ def write_courses(
 def worst_of(memory: PerAxisMemory, first: int, end: int, share: float, least: float) -> tuple[int, float]:
     """Index and value [J] of the largest parabola at a share.
 
-    If none exceeds `least`, that is the last of all, which is 0.
+    If none exceeds `least`, the result is the last parabola, which is 0.
     """
     active, largest = -1, least
     for place in range(first, end):
@@ -344,7 +344,7 @@ def worst_of(memory: PerAxisMemory, first: int, end: int, share: float, least: f
 
 
 def given_at_most(limits: PerAxisLimits, memory: PerAxisMemory, share: float) -> tuple[float, float, float]:
-    """Return the parabola A + B l + C l^2 that at a share l is the most that all axes may give out [J]."""
+    """Return a parabola A + B l + C l^2 equal, at a share l, to the most that all axes may give out [J]."""
     least = 0.0 if limits.is_late else -inf
     fixed = linear = square = 0.0
     cell = place = 0
@@ -368,7 +368,7 @@ def given_at_most(limits: PerAxisLimits, memory: PerAxisMemory, share: float) ->
 
 
 def needed_by_hand(axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix) -> float:
-    """Return the most energy [J] that the torques under way may give out to a hand within its declared force."""
+    """Return the most energy [J] that the queued torques may give out to a hand within its declared force."""
     write_cells(axes, limits, memory, mover_motion, memory.nothing, memory.nothing)
     return given_at_most(limits, memory, 0.0)[0]
 
@@ -391,7 +391,7 @@ def largest_share(limits: PerAxisLimits, memory: PerAxisMemory, budget: float) -
 def share_by_hand(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torques: Buffer, budget: float
 ) -> float:
-    """Return the largest share l <= 1 of new torques within a budget [J]; 0 where none is.
+    """Return the largest share l <= 1 of new torques within a budget [J]; 0 where there is none.
 
     Args:
         axes: Properties of the motor axes.
@@ -409,11 +409,11 @@ def inward_first(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torques: Buffer,
     quanta: Buffer, budget: float, found: Buffer,
 ) -> None:  # fmt: skip
-    """Write torques: as large as certified on axes that move against theirs, a common share on the others.
+    """Write torques: the largest certified ones on axes that move against theirs, a common share on the others.
 
-    Such an axis takes energy in, independent of the others; without it no group would begin from an empty account, as
-    the first torque of an axis at rest gives out F^2 T^2 / 2m. It turns the force of a group while the account is
-    short. Torques without any cost are sent in debt as well.
+    An axis that moves against its torque absorbs energy, independently of the others; otherwise no group would leave
+    an empty account, as the first torque of an axis at rest gives out F^2 T^2 / 2m. The force turns while the account
+    is short. Torques that cost nothing are sent in debt as well.
 
     Args:
         axes: Properties of the motor axes.
@@ -452,12 +452,12 @@ def inward_first(
 
 
 def write_needs(limits: PerAxisLimits, memory: PerAxisMemory, torques: Buffer, squared: bool) -> None:
-    """Write sums over all holds of |f_i| or f_i^2 of the torques under way, and their increase by l or l^2 of new ones.
+    """Write sums over all holds of |f_i| or f_i^2 of the queued torques, and their increase by l or l^2 of new ones.
 
     Args:
         limits: Per-axis limits of the group.
-        memory: Its `old` and `new` are written.
-        torques: W, (axes,); zeros for those under way alone.
+        memory: Buffers; `old` and `new` are written.
+        torques: W, (axes,); zeros for the queued torques alone.
         squared: Whether the squares are summed.
     """
     for i in range(len(torques)):
@@ -481,7 +481,7 @@ def taken_at_most(
         limits: Per-axis limits of the group.
         memory: Buffers of the certificates, after `take_sent`.
         mover_motion: Motion of a mover in future holds, (holds, axes) [m or rad].
-        torques: W, (axes,); zeros for those under way alone.
+        torques: W, (axes,); zeros for the queued torques alone.
     """
     old = new = 0.0
     for index in range(limits.holds):

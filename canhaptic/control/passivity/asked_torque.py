@@ -1,9 +1,9 @@
-"""Torques that a program asks for, and their guard: the account as a tank, within the certificates of `guarded`.
+"""Torques requested by a program, and their guard: the account as an energy tank, within the certificates of `guarded`.
 
-Nothing is known of what a program stores. So nothing is rendered, predicted or dissipated here: what came in and was
-not given back is in the account, as far as `earned_energy` where that is given, and the declared certificates bound
-each torque by it as they bound one of `guarded`. What they do not hold is cut; a torque that is not cut goes out as it
-was asked for. Dissipation of the device is forgotten beyond what the asked torque needs, as in `guarded`.
+What a program stores is unknown. So nothing is rendered, predicted or dissipated here: energy that came in and was
+not given back is in the account, up to `earned_energy` where that is given, and the declared certificates bound
+each torque by the account as in `guarded`. A torque beyond that is reduced; any other is sent as
+requested. Device dissipation is discarded beyond what the requested torque needs, as in `guarded`.
 
 A program without a guard has an account, and no certificate.
 """
@@ -41,14 +41,14 @@ _LONGEST_WINDOW = 0.02
 
 
 class Program(FreeSpace):
-    """The program in the place of an environment: nothing is known of it."""
+    """A program in the place of an environment, of which nothing is known."""
 
 
 class AskedEffort:
-    """The program as an environment: an effort that is the same everywhere, and stores nothing.
+    """The program as an environment: an effort that is the same everywhere and stores nothing.
 
     Attributes:
-        asked: Torque that was asked for [N or N*m].
+        asked: Requested torque [N or N*m].
     """
 
     damping = 0.0
@@ -75,7 +75,7 @@ class AskedEffort:
         return 0.0
 
     def effort(self, state: float) -> float:
-        """Return the effort whose torque was asked for [N or N*m]."""
+        """Return the effort of the requested torque [N or N*m]."""
         return -self.asked
 
     def state_of_energy(self, energy: float, like: float) -> float:
@@ -123,13 +123,13 @@ def step(
 def granted(
     settings: GuardedSettings, state: AskedState, memory: Memory, asked: float, moved: float
 ) -> tuple[float, int]:
-    """Return the part of an asked torque, not 0, that limits and certificates let pass [N or N*m], and which one.
+    """Return the part of a requested torque, not 0, that is permitted [N or N*m], and the certificate that limits it.
 
     Args:
         settings: Constants of the run.
         state: State of the axis.
         memory: Buffers of the axis.
-        asked: Torque that was asked for [N or N*m].
+        asked: Requested torque [N or N*m].
         moved: Displacement in a hold [m or rad].
     """
     bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
@@ -198,7 +198,7 @@ class GuardedProgram(_Asks, Guarded):
 
 
 class UnguardedProgram(_Asks):
-    """A program's torques as they are."""
+    """A program's torques without a guard."""
 
     parameters_type = Unprotected.parameters_type
     kernel = Unprotected.kernel

@@ -63,7 +63,7 @@ class Controller(Protocol):
     """A passivity algorithm with its environment. Not shared between axes."""
 
     def reset(self) -> None:
-        """Clear the state: zero stored energy, no torque in flight, no last position."""
+        """Clear the state: zero stored energy, no queued torque, no last position."""
 
     def sample_lost(self) -> EnergyBalance:
         """Balance of a SYNC whose position was lost: the last command is repeated, and nothing booked.

@@ -1,28 +1,28 @@
 """`guarded`: the paper's energy balance with a certified bound on the torque of every hold. The default for rigs.
 
 What is rendered is the environment at its true state, predicted to the hold in which the torque acts (`prediction`). A
-torque held at the middle value lets a spring take in, and give back, what a continuous one would; a torque held at the
+torque held at the middle value lets a spring absorb, and give back, what a continuous one would; a torque held at the
 starting value gives k D^2 / 2 too much in every hold, which is where the energy of a sampled wall comes from. Aimed a
-quarter of a hold further, a spring without a damper calms down. The damper has the predicted velocity too.
+quarter of a hold further ahead, a spring without a damper calms down. The damper uses the predicted velocity too.
 
 The account is (8) with the damper between port and ground: h_r = f_d D with f_d the damper effort inside the torque
-that was applied, never negative, never more than what the torques under way leave. Nothing is created at the start of
-contact: the store begins empty and pushing on fills it. What the account does not cover is not rendered:
+was applied, never negative, never more than the queued torques leave. Nothing is created at the start of
+contact: the stored energy begins at zero and pushing in fills it. What the account does not cover is not rendered:
 
 * the spring effort stays below that of a spring with the energy in the account, as stiff as the certificate holds;
 * beyond it, only while moving inward, a damper brings in the missing energy, all of it stored; and a spring whose
-  account is short is led as if no torque slowed the axis down;
-* and the torque stays below what the declared certificates hold together (`certified_torque`): that is the proof.
+  account is short is predicted as if no torque slowed the axis down;
+* and the torque stays below what all declared certificates together permit (`certified_torque`): that is the proof.
 
-What came in beyond the store (a drag in free motion, a wall left behind) or was dissipated by the device for certain is
-kept for contacts to come as far as `earned_energy`. From no energy at all no torque begins below an inward speed of
+Energy beyond what is stored (from a drag in free motion, or a wall left behind), or dissipated by the device, is
+kept for later contacts up to `earned_energy`. From zero energy no torque begins below an inward speed of
 (1 + delay) F_h T / m: a hand of F_h could turn every slower motion outward before the torque ends, so that energy would
 come out first. Only certain dissipation of the device allows a slower start.
 
 For every user without exception, sum(h_i) >= 0 admits no torque at all: a larger promise relies on something known
 of the hand or of the device. A hand force of 0 is the usual setting: it covers every hand that does not pull the axis
 along the torque, and is not the same as "never active". Where stiffness or damping cannot be rendered the environment
-gets softer, and the balance says so: `certificate` is not EXACT, `damping_rendered` is below the one asked.
+gets softer, and the balance says so: `certificate` is not EXACT, `damping_rendered` is below the requested one.
 
 The account of `guarded`: its state between two SYNCs, and the booking of a hold that ended.
 
@@ -133,7 +133,7 @@ def end(
 def end_several(
     settings: GuardedSettings, state: GuardedState, memory: Memory, displacement: float, torque_applied: float
 ) -> float:
-    """End several holds of which only the last sample came; return the uncertain energy [J]."""
+    """End several holds of which only the last has a sample; return the uncertain energy [J]."""
     axis, commands, holds = state.axis, memory.axis.commands, state.axis.missed + 1
     largest, apart = abs(torque_applied), 0.0
     for _ in range(axis.missed):
@@ -163,17 +163,17 @@ def book(
     damped: float,
     ceiling: float,
 ) -> tuple[float, float, float, float]:
-    """Book one hold into store and surplus; return (h_r, deficit, leak, paid) [J].
+    """Book one hold into stored energy and surplus; return (h_r, deficit, leak, paid) [J].
 
     Args:
         settings: Constants of the run.
         state: State of the axis; changed.
         memory: Buffers of the axis.
         h_i: Interaction energy of the hold [J].
-        h_pas: Part of it taken by the modulated damper [J].
+        h_pas: Energy taken by the modulated damper [J].
         damped: Damper effort inside the applied torque times the displacement [J].
-        ceiling: Energy that the environment stores at its true state [J]; no more is kept than `earned_energy` beyond
-            it.
+        ceiling: Energy that the environment stores at its true state [J]; at most `earned_energy` is kept
+            beyond it.
     """
     axis = state.axis
     h_s, surplus = state.h_s + h_i - h_pas, axis.h_dis - h_pas
@@ -204,7 +204,7 @@ def relax(
 
 
 def fade(settings: GuardedSettings, state: GuardedState) -> None:
-    """Reduce the device's past dissipation, out of contact, to what is kept for later contacts."""
+    """Reduce the device's past dissipation, out of contact, to the energy kept for later contacts."""
     bound, energy = state.bound, state.h_s - state.axis.h_dis
     have = max(0.0, energy + bound.dissipated)
     keep(bound, energy, max(_FADE * have, settings.earned))
@@ -229,12 +229,12 @@ def render(
         state: State of the axis.
         memory: Buffers of the axis.
         true: State of the storage [m or rad].
-        spring: Effort there [N or N*m].
-        ceiling: Energy stored there [J].
+        spring: Spring effort at that state [N or N*m].
+        ceiling: Energy stored at that state [J].
         travel: Motion of the storage in a hold [m or rad].
         inside: Motion of the axis in contact, in a hold [m or rad].
         moved: Motion of the axis in a hold [m or rad].
-        same: Whether the contact was there before.
+        same: Whether the contact existed before.
     """
     bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
     if settings.longest_window:
@@ -275,7 +275,7 @@ def render(
 def permitted_size(
     settings: GuardedSettings, state: GuardedState, memory: Memory, torque: float, energy: float, moved: float
 ) -> tuple[float, int]:
-    """Largest permitted size of a torque, up to its own [N or N*m], and its certificate.
+    """Largest permitted magnitude of a torque, at most its own [N or N*m], and its certificate.
 
     Limits and certificates bound it.
 
@@ -318,7 +318,7 @@ def certain_energy(state: GuardedState, energy: float) -> float:
 def within_limits(settings: GuardedSettings, newest: float, sign: float, moved: float) -> float:
     """Return the largest torque along `sign` that the limiter lets pass [N or N*m]; see `drive.profile.limiter`.
 
-    What it cuts after a torque was certified would take energy in no more on which the next one counts.
+    If the limiter reduced a certified torque, it would absorb less energy than the next torque counts on.
 
     Args:
         settings: Constants of the run.
@@ -384,9 +384,9 @@ def soft_and_further(
 ) -> tuple[float, float]:
     """Effort of the spring that dry friction sustains, and the largest effort beyond it [N or N*m].
 
-    What that spring stores is kept for it, so that the wall gets softer and never vanishes; what is there beyond pays
-    for further efforts, and for the count that raising and lowering them leaves open. With less than half of it there,
-    after a motion faster than friction pays for, it is softer still.
+    That spring's stored energy is reserved for it, so that the wall gets softer and never vanishes; the rest covers
+    further efforts, and the count that raising and lowering them leaves uncertain. With less than half of it left,
+    after a motion too fast for friction to cover, the spring is softer still.
 
     Args:
         settings: Constants of the run.
@@ -432,11 +432,11 @@ def energy_permitted(
 
 
 def drag(settings: GuardedSettings, state: GuardedState, memory: Memory, moved: float) -> tuple[float, int]:
-    """Return the torque out of contact and its certificate: a drag, until enough is earned [N or N*m].
+    """Return the torque out of contact and its certificate: a drag, until enough energy is earned [N or N*m].
 
     Args:
         settings: Constants of the run.
-        state: State of the axis; it goes on earning while its energy is below `earned_energy`.
+        state: State of the axis; earns while its energy is below `earned_energy`.
         memory: Buffers of the axis.
         moved: Displacement in a hold [m or rad].
     """
@@ -516,9 +516,9 @@ def start(
 
 
 def take_stretch(environment: Any, settings: GuardedSettings, bound: TorqueBound, position: float, true: float) -> None:
-    """Take the stretch around a position [m or rad] in which the effort points one way, and the way of its torque.
+    """Store the stretch around a position [m or rad] in which the effort points one way, and its torque's direction.
 
-    The environment has `one_way` wherever `knows_turns` says so.
+    The environment has `one_way` where `knows_turns` is true.
     """
     bound.out = bound.above = bound.below = 0.0
     effort = environment.effort(true) if settings.knows_turns and environment.contact(position) else 0.0
@@ -531,17 +531,17 @@ def motion_inside(
     environment: Environment, settings: GuardedSettings, axis: Axis, travel: float, displacement: float, holds: float,
     true: float, same: bool,
 ) -> tuple[float, float]:  # fmt: skip
-    """Return the motion of storage and damper in a hold [m or rad], the smooth one where an encoder is coarse.
+    """Return the motion of storage and damper in a hold [m or rad], smoothed where an encoder is coarse.
 
     Args:
         environment: Environment rendered.
         settings: Constants of the run.
         axis: The axis, after its motion.
-        travel: Motion of the storage in a hold, where the contact was there before [m or rad].
+        travel: Motion of the storage in a hold, if the contact existed before [m or rad].
         displacement: Displacement since the last position [m or rad].
         holds: Number of holds since then.
         true: State of the storage [m or rad].
-        same: Whether the contact was there before.
+        same: Whether the contact existed before.
     """
     inside = displacement / holds
     if not same:
@@ -566,7 +566,7 @@ class Guarded(SteppedController):
 
     @property
     def lacks_push(self) -> bool:
-        """Whether the way out of its environment changes, and how hard the hand pushes is not declared."""
+        """Whether the direction out of the environment changes while the hand's push is undeclared."""
         settings: GuardedSettings = self._settings
         return settings.turns and settings.declared.response.push == inf
 
@@ -580,7 +580,7 @@ class Guarded(SteppedController):
         return resolution
 
     def sample_lost(self) -> EnergyBalance:
-        """Repeat the last command at a SYNC without a position; see `Controller.hold`.
+        """Repeat the last command at a SYNC without a position; see `Controller.sample_lost`.
 
         The next `step` books the displacement over all holds with the torque read back, less the uncertainty.
         """

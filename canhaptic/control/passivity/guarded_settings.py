@@ -2,9 +2,9 @@
 
 Prediction of the axis to the hold in which the next torque acts: a model of the moving mass, corrected every hold.
 
-With v the velocity at the last SYNC, f_1 ... f_n the torques under way and w the rest of the force on the mass,
+With v the velocity at the last SYNC, f_1 ... f_n the queued torques and w the rest of the force on the mass,
 
-    x_i = x_(i-1) + v_(i-1) T + (f_i + w) T^2 / 2m,   v_i = v_(i-1) + (f_i + w) T / m.
+    With v the velocity at the last SYNC, f_1 ... f_n the queued torques and w the rest of the force on the mass,
 
 The displacement of the hold that ended corrects v at once: v = D/T + (f_0 + w) T / 2m. It corrects w by a small share,
 so that at rest w is what the hand holds against the torque, and nothing is predicted. A prediction from the last
@@ -12,7 +12,7 @@ displacement alone has no f: one sample late it turns unstable at k T^2 / m = 0.
 certified. The share is small because a mass that is declared too small makes w follow the torque. With the share of
 1/16 that is taken here, no motion of a free mass at a spring that is certified grows for true masses up to 3 times the
 declared one at a delay of one sample (2 times at two), and by no more than 0.51 % a hold for any. w has a rise that is
-learnt in the same way, so that a hand that presses harder and harder is followed.
+learnt in the same way, so that a hand that presses ever harder is followed.
 """
 
 from dataclasses import dataclass, replace
@@ -79,7 +79,7 @@ def prediction_settings(
         damping: Certain damping of the device [N*s/m or N*m*s/rad].
         sample_time: Sample time [s].
         delay: Whole holds between computation and action.
-        beyond: Additional holds of prediction beyond those under way.
+        beyond: Additional holds of prediction after the queued ones.
         count: Encoder count [m or rad]; 0: ideal.
     """
     if mass is None:
@@ -113,9 +113,9 @@ def predicted(
     Args:
         settings: Constants of the run.
         motion: Motion at the last SYNC.
-        torques: Ring of torques, including those under way [N or N*m].
-        first: Place of the one that acts first; below 0 it wraps.
-        travel: Present motion per hold [m or rad]; all that a coarse encoder resolves of a slow motion.
+        torques: Ring of torques, queued ones included [N or N*m].
+        first: Index of the torque that acts first; negative indices wrap.
+        travel: Present motion per hold [m or rad], used where a coarse encoder resolves nothing finer.
     """
     way, step, gain, lost, rest = 0.0, motion.step, settings.gain, settings.lost, motion.push
     for place in range(first, first + settings.delay):
@@ -140,7 +140,7 @@ _LARGEST: Final = 1e9  # [N or N*m]
 class GuardedParameters(Parameters):
     """Assumptions behind the certificates of an axis or a group. Mass and damping of the device belong to the loop.
 
-    A group refuses what only one axis can honour: `drag`, `earned_energy`, and a `hand_push` above `hand_force`.
+    A group refuses keys that only one axis can honour: `drag`, `earned_energy`, and a `hand_push` above `hand_force`.
     """
 
     hand_force: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = 0.0
@@ -271,8 +271,8 @@ def kept_for_contacts(
 ) -> float:
     """Energy that is kept for later contacts [J]; see `start_energy`.
 
-    If the environment is no spring, or is stiffer than half of what the certificate holds at the largest force, it is
-    the energy for this half, which holds any contact up to a push of half of the hand's pull.
+    If the environment is no spring, or is stiffer than half of what the certificate permits at the largest force, it is
+    the energy for that half, which allows any contact up to a push of half the hand's pull.
 
     Raises:
         ParameterError: A drag that earns nothing.

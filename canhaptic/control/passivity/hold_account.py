@@ -85,7 +85,7 @@ def axis_memory(delay: int, longest_window: int, make_buffer: MakeBuffer) -> Axi
     Args:
         delay: Whole holds between computation and action.
         longest_window: Longest window of the velocity, in samples; 0 without one.
-        make_buffer: List or array.
+        make_buffer: Constructor of a buffer, list or array.
     """
     return AxisMemory(make_buffer(longest_window + 1 if longest_window else 0), no_commands(delay, make_buffer))
 
@@ -98,7 +98,7 @@ class _WithHold(Protocol):
 
 
 def hold_memory(settings: _WithHold, make_buffer: MakeBuffer) -> AxisMemory:
-    """Return the buffers of one axis of an algorithm that needs no others."""
+    """Return the buffers of one axis for an algorithm without buffers of its own."""
     return axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
 
 
@@ -114,7 +114,7 @@ def open_hold(settings: HoldSettings, axis: Axis, memory: AxisMemory, position: 
 
     Args:
         settings: Constants of the run.
-        axis: Moved to the position.
+        axis: Axis; advanced to the position.
         memory: Buffers of the axis.
         position: Position at the end of the hold [m or rad].
         torque_applied: Torque applied in the hold [N or N*m].
@@ -141,14 +141,14 @@ def let_samples_pass(
 ) -> float:
     """Account for lost samples; return the largest error of torque applied times displacement [J].
 
-    Inside the holds the axis may have gone out and back, so that the excursion is not the displacement; it is taken as
-    that and the motion before, for every hold lost. Any torque of the gap may have acted while SYNCs were skipped.
+    Within the holds the axis may have gone out and back, so that the excursion is not the displacement; it is taken
+    as that and the motion before, for every lost hold. Any torque of the gap may have acted while SYNCs were skipped.
 
     Args:
-        axis: The axis; afterwards no sample of it is missing.
+        axis: The axis; its count of missing samples is cleared.
         commands: Commands of the axis.
         displacement: Total displacement of the holds [m or rad].
-        torque_applied: Torque applied in the last of them [N or N*m].
+        torque_applied: Torque applied in the last of the holds [N or N*m].
         torque_limit: Largest torque that limiter and drive let act [N or N*m].
     """
     differences = largest = 0.0
@@ -177,14 +177,14 @@ def close_hold(
 
     Args:
         settings: Constants of the run.
-        axis: Its surplus and commands change.
+        axis: Axis; its surplus and commands are updated.
         memory: Buffers of the axis.
         hold: The hold as it was opened.
         account: Account of the hold by the algorithm.
         efforts: Parts of the command [N or N*m].
         rendered: Total damping inside the command [N*s/m or N*m*s/rad].
         state: Displacement of the storage [m or rad].
-        h_s: Energy stored there [J].
+        h_s: Energy stored at that displacement [J].
     """
     h_i, h_pas = hold.h_i, hold.h_pas
     branch, h_r, gen, deficit, leak = account
@@ -200,7 +200,7 @@ def close_hold(
 
 
 def surplus_after(axis: Axis, hold: Hold, account: HoldAccount) -> tuple[float, float]:
-    """Surplus, and the part of the leak that paid for it, after a hold [J]."""
+    """Surplus after a hold, and the part of the leak that reduced it [J]."""
     _, _, gen, deficit, leak = account
     surplus = axis.h_dis + gen + deficit - hold.h_pas
     paid = min(leak, surplus) if leak > 0.0 and surplus > 0.0 else 0.0

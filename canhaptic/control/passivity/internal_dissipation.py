@@ -1,20 +1,20 @@
-"""`internal_dissipation`: the paper. Dissipation is found a posteriori, with the state change that balances it (eq. 8).
+"""`internal_dissipation`: the paper's algorithm. Dissipation follows from the state change that balances it (eq. 8).
 
 Flow of one step (Fig. 6): out of contact - free, or exit; in contact without stored energy - the deadlock, left by a
 first-order start (eq. 14); else the exact solution (eqs. 15-17), or without one the approximate solution (eq. 18).
 Surplus energy is recovered by the modulated damper (eq. 19).
 
-Where the printed equations are departed from, and why:
+Departures from the printed equations, and their reasons:
 
-- eq. 18 takes the state on the side of the contact; printed it is positive, where contact has x < 0.
-- eq. 16 is solved for the root nearest zero, which is the printed one and, sticking, the other (`root`).
+- eq. 18 takes the state on the side of the contact; the printed sign is positive, where contact has x < 0.
+- eq. 16 is solved for the root nearest zero: the printed one or, when sticking, the other (`root`).
 - eq. 15 is computed with the damper effort that was inside the torque applied in that very hold. Without delay this is
   the printed one; with delay the printed one is unstable.
-- a motion that reverses would make H_R of eq. 15 negative, dissipation that gives energy: solved again without it.
+- a motion that reverses would make H_R of eq. 15 negative, dissipation that gives energy: it is solved without it.
 - eq. 14 takes the velocity from the displacement, and only once the user pushes inward: switched on deep inside a wall,
   x / T is no velocity. A store emptied inside the contact is the same deadlock, left in the same way.
 - the state never crosses to the other side of the contact: there is no tension spring behind a wall.
-- the hold in which the contact ends, and those whose torque was still under way, are booked; the rest is leaked.
+- the hold in which the contact ends, and those whose torque was still queued, are booked; the rest is leaked.
 
 Kept as printed: every start creates k x^2 / 2, and the state creeps away from the true penetration under tremor.
 """
@@ -70,8 +70,8 @@ def touch(
 ) -> HoldAccount:
     """Account for a hold that ended in contact.
 
-    After a start the user does not feel a torque before `delay` more holds have ended. Until then nothing can be
-    exchanged, and the first-order approximation goes on.
+    After a start the user does not feel a torque before `delay` more holds have ended. Until then no energy can be
+    exchanged, and the first-order approximation continues.
     """
     storage, displacement = state.storage, hold.displacement
     fresh = entered or is_deadlocked(storage)

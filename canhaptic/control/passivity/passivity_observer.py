@@ -1,7 +1,7 @@
 """`passivity_observer`: PO/PC of ref. [9] in its exact sampled form.
 
 The observer sums the interaction energy (eq. 2), which for a held torque is exact and needs no estimate of velocity.
-While the sum is negative - more was drawn than ever put in - the passivity controller adds a damper sized to win the
+While the sum is negative - more was drawn than ever put in - the passivity controller adds a damper that recovers the
 shortfall back in one hold like the last. It guards eq. 3 and knows nothing of what the model should have dissipated
 (eq. 4): a spring and damper that creates energy may feel like a spring alone before it acts, as sec. II of the paper
 says.
@@ -75,7 +75,7 @@ def respond(run: SampledRun[PassivityObserverParameters, ObserverState], hold: H
 
 
 def controlling_damping(limit: float, missing: float, hold: Hold) -> float:
-    """Return the damping [N*s/m or N*m*s/rad] that wins back an energy below zero [J] in one hold like the last."""
+    """Return the damping [N*s/m or N*m*s/rad] that recovers an energy shortfall [J] in one hold like the last."""
     displacement = hold.displacement
     if missing >= 0.0 or displacement == 0.0:
         return 0.0

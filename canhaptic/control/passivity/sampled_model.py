@@ -1,6 +1,6 @@
-"""The environment sampled as it is, and the one step of every algorithm that renders it so.
+"""The unprotected environment, and the step shared by every algorithm that renders it.
 
-The state and velocity of the model come straight from the position. `unprotected` is this and nothing else; every other
+The state and velocity of the model come straight from the position. `unprotected` is exactly this; every other
 algorithm changes its efforts. What sampling creates is booked as `gen`, what it loses as `leak`, so that the account
 closes like every other. Such an algorithm is a parameter model, the state that it keeps beyond that of every axis, and
 one function `respond`; `sampled_kernel` makes the kernel of them::
@@ -48,7 +48,7 @@ class SampledModel:
 
 
 class Asked(NamedTuple):
-    """What the sampled environment did in one hold, and its request for the next."""
+    """Outcome of the sampled environment in one hold, and its request for the next."""
 
     branch: int
     h_r: float  # [J]
@@ -70,8 +70,8 @@ def follow(environment: Environment, model: SampledModel, position: float, hold:
     """Follow one hold; return its dissipation and the efforts for the next. `settle` must follow.
 
     Args:
-        environment: The environment sampled.
-        model: Its true state moves.
+        environment: The sampled environment.
+        model: Model; its true state is updated.
         position: Position at the end of the hold [m or rad].
         hold: The hold as it was opened.
     """
@@ -103,8 +103,8 @@ def settle(environment: Environment, model: SampledModel, share: float, h_m: flo
     """Store the state that is rendered and close the account; return (gen, leak) [J].
 
     Args:
-        environment: The environment sampled.
-        model: Its rendered state moves.
+        environment: The sampled environment.
+        model: Model; its rendered state is updated.
         share: Part of the model's effort that is rendered in the next hold, 0..1.
         h_m: Energy the model received in this hold [J].
         h_r: Energy dissipated in it [J].
@@ -170,7 +170,7 @@ def sampled_settings(
 
 
 def respond(run: SampledRun[Any, Any], hold: Hold, asked: Asked) -> Reply:
-    """Placeholder of an algorithm: its part of the step, after a hold, with the efforts of the model for the next."""
+    """Placeholder for an algorithm's part of the step: it receives the model's efforts for the next hold."""
     raise NotImplementedError
 
 
@@ -201,8 +201,8 @@ def sampled_kernel(
     """Return the kernel of an algorithm that samples its environment.
 
     Args:
-        respond_as: Step function of the algorithm, in the place of `respond`.
-        state: Makes the state at rest.
+        respond_as: Step function of the algorithm, replacing `respond`.
+        state: Factory of the state at rest.
         settings: (environment, parameters, loop) -> constants of a run.
         kept: Length of the algorithm's own buffer.
     """

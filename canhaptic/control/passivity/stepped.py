@@ -2,12 +2,12 @@
 
 Commands between their computation and the end of the hold in which they acted.
 
-With a delay of n samples, n + 1 commands are under way when a new one is computed (a synchronous RPDO delays by one).
+With a delay of n samples, n + 1 commands are queued when a new one is computed (a synchronous RPDO delays by one).
 The damper and modulated efforts of a command are kept with it, so that the hold is booked with the efforts that were
 parts of the torque applied in that very hold. Booked with the newest efforts instead, the velocity of the paper's
 algorithm has a pole at -1.618 for a delay of one sample.
 
-Division of one hold's energy between store and surplus, as `guarded` does it for one axis and for a group.
+Division of one hold's energy between stored energy and surplus, as in `guarded` for one axis and for a group.
 """
 
 from math import isfinite
@@ -25,7 +25,7 @@ _WHOLE: Final = 2.0**53
 class Commands(NamedTuple):
     """Torques of the holds that have not ended and their component efforts, rings of shape (delay + 1,) [N or N*m].
 
-    torque = -(spring + damper + modulated). With n = delay + 1 and `oldest` the place of the command whose hold ends
+    torque = -(spring + damper + modulated). With n = delay + 1 and `oldest` the index of the command whose hold ends
     next, those that act after it are at oldest + 1 - n, oldest + 2 - n, ... and the newest is at oldest - 1.
     """
 
@@ -40,7 +40,7 @@ def no_commands(delay: int, make_buffer: MakeBuffer) -> Commands:
 
 
 def send(commands: Commands, oldest: int, torque: float, damper: float, modulated: float) -> int:
-    """Put a command in the place of the one whose hold ended; return the place of the next oldest."""
+    """Replace the command whose hold ended; return the index of the next oldest."""
     commands.torques[oldest] = torque
     commands.dampers[oldest] = damper
     commands.modulated[oldest] = modulated
@@ -49,18 +49,18 @@ def send(commands: Commands, oldest: int, torque: float, damper: float, modulate
 
 
 def repeat(commands: Commands, oldest: int) -> int:
-    """Account for a hold without a new command, in which the drive repeats the newest; return as `send`."""
+    """Account for a hold without a new command: the drive repeats the last one. Returns the index as `send` does."""
     newest = oldest - 1
     return send(commands, oldest, commands.torques[newest], commands.dampers[newest], commands.modulated[newest])
 
 
 def as_far_as_limit(torque: float, torque_limit: float) -> float:
-    """Clip a torque that was sent to the limits of limiter and drive [N or N*m]."""
+    """Clip a sent torque to the limits of limiter and drive [N or N*m]."""
     return min(max(torque, -torque_limit), torque_limit)
 
 
 def towards_zero(torque: float, quantum: float) -> float:
-    """Return a torque rounded towards 0 to the grid of a drive [N or N*m]; 0 is an ideal one."""
+    """Return a torque rounded towards 0 to the quanta of a drive [N or N*m]; a quantum of 0 is ideal."""
     if quantum == 0.0:
         return torque
     steps = torque / quantum
@@ -87,9 +87,9 @@ def settle(
     Args:
         h_s: Stored energy including the hold's; below 0 is a deficit.
         surplus: Energy still to be dissipated.
-        lost: Energy that the dissipators of the model took; below 0 counts as 0.
-        ceiling: Energy that the model stores at its true state; more is not kept.
-        slack: Part of `h_s` that the certificates of the torques under way do not need; the rest may not be given up.
+        lost: Energy that the dissipators of the model took; negative values count as 0.
+        ceiling: Energy that the model stores at its true state; the stored energy is limited to it.
+        slack: Part of `h_s` that the certificates of the queued torques do not need; the rest must be kept.
     """
     h_r = deficit = leak = paid = 0.0
     if lost > 0.0 and slack > 0.0:
@@ -163,7 +163,7 @@ class SteppedController:
         self.reset()
 
     def reset(self) -> None:
-        """Clear the state: zero stored energy, no torque in flight, no last position."""
+        """Clear the state: zero stored energy, no queued torque, no last position."""
         self._state = self.kernel.state()
         self._axis = self._state.axis
         self._memory = with_quick_fields(self.kernel.memory(self._settings, list_of_zeros))

@@ -1,7 +1,7 @@
-"""The common step of `a_priori_dissipation` and `internal_dissipation`, which render a stored state.
+"""The step shared by `a_priori_dissipation` and `internal_dissipation`, which render a stored state.
 
-They differ in how a hold changes the state, `touch` and `exchange`. The rest of the step is here: how a hold is opened,
-and which command follows from the state.
+They differ in how a hold changes the state, `touch` and `exchange`. The rest of the step is here: opening a hold,
+and deriving the command from the state.
 
 The energy balance of eq. 8 solved for the state change: closed for a linear spring, safeguarded for any other.
 
@@ -10,7 +10,7 @@ by zero at k = 0, and needs the other sign for the sticky rule. The root nearest
 
     dx = 2 H / (b + sgn(b) sqrt(b^2 + 2 k H)),    b = k x + f_d,    H = energy received
 
-has none of these faults and covers the sticky rule. Near the double root the discriminant cancels, so it is formed from
+has neither fault and covers the sticky rule. Near the double root the discriminant cancels, so it is formed from
 exact products (Dekker 1971) and an exact sum.
 
 The storage of `a_priori_dissipation` and `internal_dissipation`: its state never holds energy that was not received.
@@ -80,8 +80,8 @@ def solve_balance(stiffness: float, effort: float, energy: float, displacement: 
     Args:
         stiffness: k >= 0 [N/m or N*m/rad].
         effort: b, the whole effort opposing motion at the old state: k x + f_d [N or N*m].
-        energy: H, what the model received [J].
-        displacement: Measured motion of the hold [m or rad]; its sign decides between two roots equally near, and it
+        energy: H, energy received by the model [J].
+        displacement: Measured motion of the hold [m or rad]; its sign decides between roots equally near zero, and it
             is the answer itself where nothing opposes motion and nothing was received (k = b = 0).
     """
     if energy == 0.0:
@@ -122,16 +122,16 @@ def solve_balance_nonlinear(
     """Return the root nearest zero of gain(dx) = H for a nonlinear storage, or NaN where no state change balances.
 
     The direction follows from the sign of H and of the slope at 0. Within it the root is bracketed - by the limit, or
-    by the place where the slope turns - and found by Newton steps that fall back to bisection when they leave the
+    by the point where the slope reverses - and found by Newton steps that fall back to bisection when they leave the
     bracket or do not halve; never more than 80 of them.
 
     Args:
         environment: Environment with a nonlinear storage.
-        old: The state before.
-        energy: H, what the model received [J].
-        limit: Largest state change to look at [m or rad]; its sign decides where nothing opposes motion at first.
-            With more received than the limit takes up the answer is the limit, and the caller leaks the rest.
-        tolerance: Rounding of `gain` [J]; nothing finer is looked for.
+        old: Previous state.
+        energy: H, energy received by the model [J].
+        limit: Largest state change to consider [m or rad]; its sign decides where nothing opposes motion at first.
+            If more was received than the limit takes up, the result is the limit, and the caller leaks the rest.
+        tolerance: Rounding of `gain` [J]; convergence is no finer.
     """
     if energy == 0.0 or limit == 0.0:
         return 0.0 if energy >= 0.0 else math.nan
@@ -208,7 +208,7 @@ UNTOUCHED: Final = HoldAccount(Branch.FREE.value, 0.0, 0.0, 0.0, 0.0)
 
 @dataclass(slots=True)
 class Storage:
-    """State, velocity and stored energy of one environment, and where the continuous environment would be."""
+    """State, velocity and stored energy of one environment, and the state of the continuous environment."""
 
     zone: int = 0  # of contact, 0 out of contact
     true: float = 0.0  # state of the continuous environment [m or rad]
@@ -228,7 +228,7 @@ def is_deadlocked(storage: Storage) -> bool:
 
 
 def begin_storage(environment: Environment, storage: Storage, position: float) -> None:
-    """Take the first position; in contact there it is a deadlock, for the user has not pushed in."""
+    """Take the first position; contact there is a deadlock, as the user has not pushed in."""
     empty(storage)
     storage.zone = zone = environment.contact(position)
     storage.true = environment.true_state(position, 0.0, 0.0) if zone else 0.0
@@ -260,8 +260,8 @@ def start(environment: Environment, storage: Storage, change: float, elapsed: fl
     """First-order start (eq. 14): the state is the true one, and the energy for it is created.
 
     Args:
-        environment: The environment rendered.
-        storage: Moved.
+        environment: The rendered environment.
+        storage: Storage; its state is updated.
         change: State change from which the velocity is taken [m or rad].
         elapsed: Time of the hold [s].
         h_m: Energy received in this hold [J].
@@ -279,8 +279,8 @@ def move(
     """Take a state change found by eq. 8; return (h_r with what relaxation dissipates, leak) [J].
 
     Args:
-        environment: The environment rendered.
-        storage: Moved.
+        environment: The rendered environment.
+        storage: Storage; its state is updated.
         change: Change of the state [m or rad].
         elapsed: Time of the hold [s].
         h_r: Energy dissipated with it [J].
@@ -299,11 +299,11 @@ def move(
 def approximate(
     environment: Environment, storage: Storage, elapsed: float, dissipation: float, h_m: float
 ) -> HoldAccount:
-    """Dissipate a given energy, as far as it is there, and take the state of what remains (eqs. 6, 7, 18).
+    """Dissipate a given energy, as far as it is available, and take the state of what remains (eqs. 6, 7, 18).
 
     Args:
-        environment: The environment rendered.
-        storage: Moved.
+        environment: The rendered environment.
+        storage: Storage; its state is updated.
         elapsed: Time of the hold [s].
         dissipation: T d v^2 with the velocity inside the torque of this hold [J].
         h_m: Energy received [J].
@@ -322,7 +322,7 @@ def approximate(
 
 
 def relax(environment: Environment, storage: Storage, state: float, h_s: float, elapsed: float, h_r: float) -> float:
-    """Take a state and its energy after one hold of relaxation; return h_r with what that dissipated [J]."""
+    """Take a state and its energy after one hold of relaxation; return h_r with the relaxation's dissipation [J]."""
     if environment.relaxes:
         strained = h_s
         state = environment.relaxed(state, elapsed)
@@ -457,9 +457,9 @@ def close(
     """Send spring, damper and the modulated damper of eq. 19, and return the balance of the hold.
 
     Args:
-        environment: The environment rendered.
+        environment: The rendered environment.
         settings: Constants of the run.
-        axis: Its surplus and commands change.
+        axis: Axis; its surplus and commands are updated.
         memory: Buffers of the axis.
         storage: Storage after the hold.
         hold: The hold as it was opened.

@@ -1,4 +1,4 @@
-"""`unprotected`: the sampled environment without protection, as most haptic loops run it: what sampling creates."""
+"""`unprotected`: the sampled environment without protection, as most haptic loops run it; sampling creates energy."""
 
 from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.passivity.hold_account import Hold
@@ -8,11 +8,11 @@ from canhaptic.kernels import new
 
 
 class UnprotectedParameters(DamperVelocity):
-    """Nothing to choose but the velocity of the damper."""
+    """Parameters of `unprotected`: the velocity of its damper."""
 
 
 def respond(run: SampledRun[UnprotectedParameters, SampledState], hold: Hold, asked: Asked) -> Reply:
-    """Render what the model asks for: torque = -effort(x) - d v with x and v straight from the position."""
+    """Render the model directly: torque = -effort(x) - d v with x and v straight from the position."""
     return new(Reply, (1.0, asked.spring, asked.damper, 0.0, asked.damping))
 
 

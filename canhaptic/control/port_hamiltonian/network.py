@@ -1,4 +1,4 @@
-"""A port-Hamiltonian network: storages, dissipators, structure and ports, checked when it is made (section III).
+"""A port-Hamiltonian network: storages, dissipators, structure and ports, checked on construction (section III).
 
 xdot = (J(x) - R(x)) e + g u,    e = dH/dx,    y = g'e + S u,    effort on the user's side = -y
 

@@ -1,4 +1,4 @@
-"""A network followed sample by sample with the measured motion of its ports: the model-consistent state.
+"""A network advanced sample by sample with the measured motion of its ports: the model-consistent state.
 
 The equation of one sample of a network at a given step of its state: efforts, losses, residual and Jacobian.
 
@@ -82,7 +82,7 @@ def drive(tables: NetworkTables, state: Buffer, displacement: Buffer, room: Work
 
 
 def engaged_share(tables: NetworkTables, index: int, value: float, change: float) -> float:
-    """Return the share of a state's change during which its storage was engaged; 0 where it is not at the end."""
+    """Return the share of a state's change during which its storage was engaged; 0 where it ends disengaged."""
     after = extension(tables, index, value + change)
     if tables.lower[index] == tables.upper[index]:
         return 1.0
@@ -127,7 +127,7 @@ def evaluate(
 ) -> float:
     """Write the residual of the equation at `room.step`; return its largest entry over the size of its terms.
 
-    Infinite where an entry is no finite number.
+    Infinite where an entry is not finite.
     """
     n = len(room.step)
     discrete_gradient(tables, state, room.step, room.efforts, room.slopes)
@@ -238,7 +238,7 @@ def advance(
         state: x at the start of the hold, (n,).
         displacement: Motion of the ports during it, (r,).
         sample_time: T, or several of them where samples were lost [s].
-        room: `step` holds a guess, and the solution afterwards.
+        room: Buffers; `step` holds a guess, and the solution afterwards.
         functions: Energies and structure given as functions.
     """
     drive(tables, state, displacement, room)
@@ -318,9 +318,9 @@ def by_power(
     functions: Functions,
     spent: int,
 ) -> int:
-    """Continue where the residual falls no more; return all evaluations, negative if they were not enough.
+    """Continue where the residual no longer falls; return all evaluations, negative if they were not enough.
 
-    The first step is a whole one: after it the equations without forces hold, and the power is that of the forces.
+    The first step is a full one: after it the equations without forces hold, and the power is that of the forces.
     """
     worst = evaluate(tables, state, displacement, sample_time, room, functions)
     evaluations, whole = spent + 1, True
@@ -456,7 +456,7 @@ def network_memory(tables: NetworkTables) -> NetworkMemory:
 def begin_network(
     tables: NetworkTables, functions: Functions, network: NetworkState, memory: NetworkMemory, coordinates: Buffer
 ) -> None:
-    """Start at given coordinates of the ports: walls where they are, masses at rest."""
+    """Start at given coordinates of the ports: walls at their positions, masses at rest."""
     for j in range(len(coordinates)):
         memory.first[j] = coordinates[j]
     for i in range(len(memory.state)):
@@ -478,14 +478,14 @@ def advance_network(
     displacement: Buffer,
     elapsed: float,
 ) -> bool:
-    """Follow one motion of the ports; return False if no solution was found: only the ports then moved the state.
+    """Advance by one motion of the ports; return False if no solution was found: then only the ports moved the state.
 
     Args:
         tables: The network.
         functions: Energies and structure given as functions.
         network: State of the network; changed.
         memory: Buffers of the network; changed.
-        coordinates: Coordinates of the ports at its end [m or rad].
+        coordinates: Coordinates of the ports at the end [m or rad].
         displacement: Motion of the ports, less the mover's [m or rad].
         elapsed: One sample time, or several [s].
     """
@@ -530,7 +530,7 @@ def propose(
 
 
 def place_state(tables: NetworkTables, memory: NetworkMemory, coordinates: Buffer, into: Buffer) -> None:
-    """Write the state of a network that only its ports have moved: from their positions, free of rounding."""
+    """Write the state of a network that only its ports have moved: from their positions, without rounding drift."""
     for i in range(len(into)):
         row, total = tables.gain[i], memory.begun[i]
         for j in range(len(coordinates)):
@@ -569,7 +569,7 @@ def springs(
         tables: The network.
         functions: Energies and structure given as functions.
         memory: Buffers of the network.
-        lead: Holds of prediction, in which the network's own motion goes on as in the last step.
+        lead: Holds of prediction, in which the network's own motion continues as in the last step.
         holds: Number of holds that the last step spanned.
         way: Predicted motion of the ports [m or rad].
         spring: Receives the efforts, (ports,).
@@ -603,13 +603,13 @@ def springs(
 def dampers(
     tables: NetworkTables, memory: NetworkMemory, displacement: Buffer, elapsed: float, state: Buffer, efforts: Buffer
 ) -> None:
-    """Write the efforts of the dissipators at the ports for a motion of them; call it before `springs`.
+    """Write the efforts of the dissipators at the ports for a given motion; call it before `springs`.
 
     Args:
         tables: The network.
         memory: Buffers of the network.
         displacement: Motion of the ports [m or rad].
-        elapsed: Time of it [s].
+        elapsed: Duration of that motion [s].
         state: State that determines the engaged storages, (states,).
         efforts: Receives the efforts, (ports,).
     """
@@ -634,7 +634,7 @@ def dampers(
 
 
 def internal_motion(tables: NetworkTables, room: Workspace) -> float:
-    """Return how far the storages at the ports moved by themselves in the last step, as a norm [m or rad]."""
+    """Return the motion of the storages at the ports, less the ports' own, in the last step, as a norm [m or rad]."""
     total = 0.0
     if tables.moving:
         for i in range(len(room.step)):

@@ -3,7 +3,7 @@
 Dissipators of a network: each element acts on one flow f = a . e + b . u with an effort phi(f), phi(f) f >= 0.
 
 e are the efforts of the states (a mass has its velocity), u the velocities of the ports. The effort acts back on the
-same states and ports, so that it takes out phi(f) f and nothing else, wherever it sits.
+same states and ports, so that it removes phi(f) f and nothing else, wherever it acts.
 
 Energies and structures that a user gives as functions: discrete gradient, and derivatives for Newton's method.
 """
@@ -79,7 +79,7 @@ class QuadraticForm(Parameters):
 
 @dataclass(frozen=True)
 class UserEnergy:
-    """An energy of one's own over `size` states, with its gradient; in Python only.
+    """A user-defined energy over `size` states, with its gradient; in Python only.
 
     The gradient is compared with differences of the energy when the network is made.
     """
@@ -115,14 +115,14 @@ def symmetric_positive(matrix: tuple[_Row, ...], name: str, consequence: str) ->
 
 
 def states_of(storage: Storage | UserEnergy) -> int:
-    """Return how many states a storage has."""
+    """Return the number of states of a storage."""
     if isinstance(storage, UserEnergy):
         return storage.size
     return len(storage.matrix) if isinstance(storage, QuadraticForm) else 1
 
 
 def edges(spring: Spring) -> tuple[float, float]:
-    """Return (lower, upper) with an absent edge at infinity [m or rad]."""
+    """Return (lower, upper); a missing edge is at infinity [m or rad]."""
     lower = -math.inf if spring.lower is None else spring.lower
     return lower, math.inf if spring.upper is None else spring.upper
 
@@ -201,7 +201,7 @@ _DIFFERENCE: Final = 1e-6
 
 
 class NoFunctions(NamedTuple):
-    """Takes the place of `UserFunctions` where a network is its tables alone, which numba compiles."""
+    """Placeholder for `UserFunctions` in a network made only of tables, which numba compiles."""
 
     unused: int = 0  # numba passes no empty tuple
 
@@ -231,7 +231,7 @@ class _Placed(NamedTuple):
 
 
 class UserFunctions:
-    """The user's storages of one network, each at its place in the state, and its structure; in Python only.
+    """User-defined storages of a network, each with its index in the state, and the structure function; in Python only.
 
     Attributes:
         structure_at: J(x) as a function of the state; None where it is constant.
@@ -254,7 +254,7 @@ class UserFunctions:
 
     @property
     def exist(self) -> bool:
-        """Whether there are any."""
+        """Whether there are user-defined functions."""
         return bool(self._placed) or self.structure_at is not None
 
     def fill_structure(self, state: Buffer, structure: Matrix) -> None:

@@ -1,7 +1,7 @@
-"""An admittance display on a CAN bus: what its start adds, its force in the TPDO, its command in the RPDO.
+"""An admittance display on a CAN bus: additions to the start, force in the TPDO, command in the RPDO.
 
-It runs in the same cycle as a `ServoDrive`: a sample holds minus the force of the hand where that of an impedance
-display holds the torque, and the command is a velocity.
+It runs in the same cycle as a `ServoDrive`: a sample holds minus the hand's force in place of the torque of an
+impedance display, and the command is a velocity.
 
 Additions to the start of an admittance display: no ramps, no offsets, a quick stop that stops.
 """
@@ -97,7 +97,7 @@ class AdmittanceDrive(ServoDrive):
         return take
 
     def part(self, bits: int) -> str:
-        """Return the names of the frames of a sample; that of the sensor comes last."""
+        """Return the names of the frames of a sample; the sensor's frame comes last."""
         sensor, frames = self._sensor, super().part(bits)
         if sensor is None or not bits >> len(self.map.tpdos):
             return frames
@@ -113,7 +113,7 @@ class AdmittanceDrive(ServoDrive):
             self.link.send(od.NMT_COB_ID, bytes([command, self._sensor.node_id]))
 
     def sensor_sdo(self) -> SdoChannel | None:
-        """Return the access to a sensor that is a CANopen node; None for another."""
+        """Return the SDO channel of a sensor that is a CANopen node; None for any other."""
         if self._sensor is None or self._sensor.node_id is None:
             return None
         timeout, name = round(self.axis.sdo_timeout * 1e9), f"force sensor of {self.axis.name}"
@@ -125,7 +125,7 @@ class AdmittanceDrive(ServoDrive):
         super().leave_operational()
 
     def reset(self) -> None:
-        """Forget everything received and commanded."""
+        """Clear everything received and commanded."""
         super().reset()
         self.force.reset()
         self._target = 0
@@ -150,13 +150,13 @@ class AdmittanceDrive(ServoDrive):
         return sample
 
     def fault(self, now: int) -> StopReason:
-        """Reason why the rig must stop because of this drive; NONE while all is well."""
+        """Reason why the rig must stop because of this drive; NONE where there is none."""
         if self.force.is_wrong:
             return StopReason.FORCE_RANGE if self.force.is_beyond_range else StopReason.FORCE_FROZEN
         return super().fault(now)
 
     def command_per_mille(self, torque: float) -> int:
-        """Command in counts for a requested velocity [m/s or rad/s]; limited as a torque is.
+        """Command in counts for a requested velocity [m/s or rad/s]; limited like a torque.
 
         At a position limit no velocity leads further towards it.
 
@@ -173,7 +173,7 @@ class AdmittanceDrive(ServoDrive):
         return self.command_scaling.torque_per_mille(torque, limiter.low, limiter.high)
 
     def write(self, torque_per_mille: int) -> None:
-        """Send controlword and command as one image; in mode 8 the target position moves on by the command.
+        """Send controlword and command as one image; in mode 8 the target position advances by the command.
 
         Raises:
             LinkError: It could not be sent.
@@ -187,7 +187,7 @@ class AdmittanceDrive(ServoDrive):
         super().write(torque_per_mille)
 
     def rests_at(self, target: int) -> bool:
-        """Whether a target read from the drive is that of a drive at rest."""
+        """Whether a target read from the drive is consistent with rest."""
         if not self._is_position:
             return target == 0
         if target in self._rest_targets:  # a hand may move the axis meanwhile
@@ -263,7 +263,7 @@ class AdmittanceBringUp(CanBringUp):
             self._write_confirmed(step, index, 0, value)
 
     def command_operational(self) -> None:
-        """Send NMT start to the drive and to a sensor with a node of its own, tared where asked; raise StartError."""
+        """Send NMT start to the drive and to a sensor with a node of its own, tared if configured; raise StartError."""
         node, channel = self._drive.display.force.node, self._drive.sensor_sdo()
         if channel is not None and node is not None:
             if self._drive.restores:  # an older master left the sensor alone

@@ -3,8 +3,8 @@
     value = rig.sdo("handle").read(0x6079).result(timeout=1.0)
 
 A request is queued without a lock. The thread of the cycle sends at most one SDO frame per bus and cycle, after the
-RPDOs, and looks at answers only then; between SYNC and RPDO an answer is put aside by its COB-ID. Results are handed
-over by another thread, so that nothing hung on a future runs in the cycle. Each bus has one transfer under way.
+RPDOs, and reads answers only then; between SYNC and RPDO an answer is set aside by its COB-ID. Results are handed
+over by another thread, so that no callback of a future runs in the cycle. Each bus has one transfer at a time.
 """
 
 import threading
@@ -119,7 +119,7 @@ class BackgroundSdo:
         return self._ask("read", index, subindex, sdo.upload(*_checked(index, subindex)), bytes)
 
     def download(self, index: int, subindex: int, data: bytes) -> "Future[None]":
-        """Write the bytes of an object and return the future of its confirmation, which raises as of `upload`.
+        """Write the bytes of an object and return the future of its confirmation, which raises as for `upload`.
 
         Raises:
             SdoError: As `upload`, or the object belongs to the cycle.
@@ -132,12 +132,12 @@ class BackgroundSdo:
         return self._ask("write", index, subindex, transfer, lambda _: None)
 
     def read(self, index: int, subindex: int = 0) -> "Future[int]":
-        """Read an integer object, as long and with the sign that the dictionary says; raise as `upload`."""
+        """Read an integer object with the length and sign given by the dictionary; raise as `upload`."""
         transfer = sdo.upload(*_checked(index, subindex))
         return self._ask("read", index, subindex, transfer, partial(self._drive.sdo.decode, index, subindex))
 
     def write(self, index: int, subindex: int, value: int, size: int | None = None) -> "Future[None]":
-        """Write an integer object of `size` bytes, by default those of the dictionary; raise as `download`."""
+        """Write an integer object of `size` bytes, by default as long as the dictionary says; raise as `download`."""
         return self.download(index, subindex, self._drive.sdo.encode(index, subindex, value, size))
 
     def _ask(
@@ -162,7 +162,7 @@ class SdoLine:
         has_room: Whether each cycle has room for an SDO frame.
 
     Attributes:
-        busy: Whether `step` is to be called in this cycle.
+        busy: Whether `step` must be called in this cycle.
     """
 
     def __init__(self, link: Link, *, has_room: bool) -> None:
@@ -210,7 +210,7 @@ class SdoLine:
     # --- the thread of the cycle --------------------------------------------------------------------------------------
 
     def open(self) -> None:
-        """Take requests from now on, unless it does."""
+        """Accept requests; no effect if already open."""
         with self._starting:  # the first request for SDO may open it while the rig starts
             if self._is_open:
                 return
@@ -219,7 +219,7 @@ class SdoLine:
             self._is_open = self._has_room
 
     def close(self) -> None:
-        """Take no more requests and fail those that wait."""
+        """Accept no more requests and fail the waiting ones."""
         if not self._is_open:
             return
         self._is_open = False

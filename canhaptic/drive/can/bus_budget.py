@@ -4,7 +4,7 @@ A data frame of n bytes takes at most 47 + 8 n bits and floor((34 + 8 n - 1) / 4
 (Davis et al. 2007, eq. 1). One cycle holds SYNC, every TPDO, the host's latency, every RPDO, one blocking frame that
 had just begun, every heartbeat and the EMCY reserve.
 
-Requirements of the drives of one bus: COB-IDs that no other master sends, distinct node IDs, time on the wire.
+Requirements on the drives of one bus: COB-IDs that no other master sends, distinct node IDs, time on the wire.
 """
 
 from collections.abc import Sequence
@@ -50,7 +50,7 @@ class _BudgetRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class BusBudget:
-    """The arithmetic of one cycle."""
+    """Timing of one cycle."""
 
     rows: tuple[_BudgetRow, ...]
     bitrate: int  # [bit/s]
@@ -64,7 +64,7 @@ class BusBudget:
 
     @property
     def periodic_load(self) -> float:
-        """Part of the bus that SYNC and PDOs take in every cycle, 0 to 1."""
+        """Fraction of the bus time that SYNC and PDOs take in every cycle, 0 to 1."""
         bits = sum(row.bits for row in self.rows if row.what in ("SYNC", "TPDO", "RPDO"))
         return bits / self.bitrate / self.sample_time
 
@@ -101,16 +101,16 @@ def bus_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
 def torque_latency(bus: BusParameters, maps: Sequence[AxisMap]) -> float:
     """Longest time [s] from a SYNC until the torques that answer it have arrived.
 
-    Every TPDO and RPDO, the host between them, and before either one frame that had just begun.
+    Every TPDO and RPDO, the host between them, and before each of the two one frame that had just begun.
     """
     rows = [row for row in bus_budget(bus, maps).rows if row.what in ("TPDO", "RPDO")]
     return (sum(row.bits for row in rows) + 2 * worst_frame()) / bus.bitrate + bus.compute_latency
 
 
 def shortest_answer(bitrate: float, axis: AxisMap) -> float:
-    """Return the least time [s] from a SYNC until the torque of an axis that answers it can have come.
+    """Return the shortest time [s] from a SYNC to the arrival of the torque of an axis that answers it.
 
-    SYNC, TPDOs and RPDO of this axis alone, without a stuff bit and without the host.
+    It takes SYNC, TPDOs and RPDO of this axis alone, without a stuff bit and without the host.
     """
     lengths = [0, axis.rpdo.length, *[tpdo.length for tpdo in axis.tpdos]]
     return sum([_FRAME_BITS + 8 * length for length in lengths]) / bitrate
@@ -122,7 +122,7 @@ def round_rate(limit: float) -> float:
 
 
 def has_room_for_sdo(budget: BusBudget, bus: BusParameters) -> bool:
-    """Whether each cycle has room for one SDO request behind its RPDOs, and the next for the answer.
+    """Whether each cycle has room for one SDO request after its RPDOs, and the next for the answer.
 
     The request takes the place of one EMCY, which would end the run, or needs room of its own. The answer has a lower
     priority than every PDO: it is the blocking frame that each cycle reserves.
@@ -132,7 +132,7 @@ def has_room_for_sdo(budget: BusBudget, bus: BusParameters) -> bool:
 
 
 def require_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
-    """Return the budget of a bus whose cycle fits.
+    """Return the budget of a bus; raise where its cycle does not fit.
 
     Raises:
         BusBudgetError: It does not; shows the arithmetic and what would fit.
@@ -177,7 +177,7 @@ def _without_read_back(budget: BusBudget, maps: Sequence[AxisMap]) -> float | No
 
 
 def own_frames(link: Link, drives: Sequence[ServoDrive], bus: BusParameters) -> dict[int, str]:
-    """Return the COB-IDs that this master alone sends on a bus, with their names.
+    """Return the COB-IDs that only this master may send on a bus, with their names.
 
     Args:
         link: The bus.
@@ -200,7 +200,7 @@ def own_frames(link: Link, drives: Sequence[ServoDrive], bus: BusParameters) -> 
 
 
 def budget_of(drives: Sequence[ServoDrive], bus: BusParameters) -> BusBudget:
-    """Return the budget of one bus, which has a bit rate of its own.
+    """Return the budget of one bus at its own bit rate.
 
     Args:
         drives: Drives on this bus.

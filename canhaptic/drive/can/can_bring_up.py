@@ -35,7 +35,7 @@ class CanBringUp(BringUp):
         super().__init__(drive, _REMEDIES)
 
     def refusal(self, name: str, seen: str, expected: str, remedy: str = "") -> StartError:
-        """Return the error of a step; two nodes with one ID are the cause of anything else."""
+        """Return the error of a step; two nodes with the same ID take precedence as the cause."""
         drive = self._drive
         if drive.sdo.is_doubled:
             name, seen, expected = "node ID", "more than one answer to each SDO request", "one"

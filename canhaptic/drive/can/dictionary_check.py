@@ -19,8 +19,8 @@ def check_dictionary(
 
     Args:
         dictionary: Dictionary of the drive.
-        axis: Its parameters.
-        bus: Bus of the axis; None if unknown, and values that depend on it are not judged.
+        axis: Parameters of the axis.
+        bus: Bus of the axis; None: unknown, so that values that depend on it are not judged.
     """
     return [
         *profile_findings(dictionary, axis, None if bus is None else bus.sample_time_ns),
@@ -32,7 +32,7 @@ def check_dictionary(
 
 
 def require_fit(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None = None) -> None:
-    """Return if the dictionary gives no reason to refuse cyclic torque.
+    """Return if the dictionary gives no reason to refuse cyclic torque; raise otherwise.
 
     Raises:
         DictionaryError: It does; lists every reason.

@@ -22,17 +22,17 @@ class Exchange:
     Args:
         links: The buses; the first sets the clock.
         drives: All drives, each on one of the links.
-        bus: Rate, windows, heartbeat.
+        bus: Parameters of the bus: rate, windows, heartbeat.
 
     Attributes:
         sample_time_ns: Sample time of the cycle [ns].
         silence: Longest silence of the master that a drive tolerates [ns].
-        beat_cycles: Sample times from one heartbeat of the master to the next.
+        beat_cycles: Sample times between heartbeats of the master.
         periods: Sample times between the last two SYNCs; more than 1 after a skip.
         uneven: Deviation of the last hold from its sample times [ns].
-        skipped: Deadlines missed and left out since `begin`.
+        skipped: Deadlines missed and skipped since `begin`.
         deadline: Deadline of the last SYNC [ns].
-        woken: Time at which the wait for it ended [ns].
+        woken: Time at which the wait for that SYNC ended [ns].
         heard: Time at which the last TPDO arrived, or the window closed [ns].
     """
 
@@ -58,7 +58,7 @@ class Exchange:
         self.begin()
 
     def begin(self) -> None:
-        """Let the next SYNC go out at once and count from there."""
+        """Send the next SYNC at once and count from there."""
         self.periods = 1
         self.uneven = self.skipped = 0
         self._is_whole, self._slowest = True, -1
@@ -68,7 +68,7 @@ class Exchange:
         self._next = self.deadline = self.woken = self.heard = self._synced = self._logged = self.clock.now()
 
     def leave_one_out(self) -> None:
-        """Let the next SYNC go out one sample time later, and handle what comes until the present window ends.
+        """Delay the next SYNC by one sample time, and handle arriving frames until the present window ends.
 
         Raises:
             LinkError: A bus failed.
@@ -79,7 +79,7 @@ class Exchange:
             link.pump(self._synced + self._window_ns)
 
     def sync(self) -> None:
-        """Wait for the deadline, send SYNC on every bus and take the TPDOs until all arrived or their time is over.
+        """Wait for the deadline, send SYNC on every bus and take the TPDOs until all have arrived or the window closes.
 
         Raises:
             LinkError: A bus failed; SYNC still went out on the others.
@@ -162,7 +162,7 @@ class Exchange:
         self.beat()
 
     def beat(self, *, at_once: bool = False) -> None:
-        """Send the master's heartbeat when its number of periods has passed, or at once.
+        """Send the master's heartbeat when it is due, or at once.
 
         Skipped SYNCs count: a master that runs late must not seem dead to drives that time its heartbeat.
 

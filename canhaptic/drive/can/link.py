@@ -45,13 +45,13 @@ class Link:
     """Sends and receives through a python-can bus, by a clock.
 
     Args:
-        bus: The bus; it stays the caller's to shut down.
+        bus: The bus; the caller shuts it down.
         clock: Clock for every wait.
         recorder: Called with every frame, for the bus log.
         echoes: Whether the interface returns the frames it was sent (`udp_multicast` does).
 
     Attributes:
-        intruder: Name of the first frame from elsewhere that this master alone may send; empty without one.
+        intruder: Name of the first frame from another sender that only this master may send; empty without one.
     """
 
     def __init__(
@@ -70,12 +70,12 @@ class Link:
         self.intruder = ""
 
     def reserve(self, names: Mapping[int, str]) -> None:
-        """Name the COB-IDs that this master alone sends, and forget an intruder."""
+        """Set the COB-IDs that only this master may send, and clear the intruder."""
         self._own = names
         self.intruder = ""
 
     def subscribe(self, can_id: int, handler: _Handler) -> None:
-        """Call `handler(data)` for each frame of this COB-ID from now on, in place of the one before."""
+        """Call `handler(data)` for each frame of this COB-ID from now on, replacing any earlier handler."""
         self._handlers[can_id] = handler
 
     def unsubscribe(self, can_id: int) -> None:
@@ -86,7 +86,7 @@ class Link:
         """Send one data frame.
 
         Returns:
-            The time that the bus log gives it [ns].
+            Timestamp of the frame in the bus log [ns].
 
         Raises:
             LinkError: The interface refused it, at once and once more (a full queue, ENOBUFS, bus-off).
@@ -145,7 +145,7 @@ class Link:
         return True
 
     def pump(self, deadline: int) -> None:
-        """Handle frames until `deadline` [ns] and then those that still wait.
+        """Handle frames until `deadline` [ns], then those still waiting.
 
         Raises:
             LinkError: The bus failed, or what waits does not end.
@@ -156,7 +156,7 @@ class Link:
                 return
 
     def drain(self) -> None:
-        """Handle the frames that wait already.
+        """Handle the frames that are waiting.
 
         Raises:
             LinkError: They do not end.
@@ -170,7 +170,7 @@ class Link:
     def wait_for(self, condition: Callable[[], bool], timeout: int) -> bool:
         """Handle frames until `condition()` holds; return False when `timeout` [ns] passed first.
 
-        What came before the call counts: the condition looks at state, not at the next frame.
+        Frames received before the call count: the condition looks at state, not at the next frame.
         """
         deadline = self.clock.now() + timeout
         while not condition():

@@ -85,11 +85,11 @@ class LssMaster:
         return answers[0]
 
     def configure(self, node_id: int) -> None:
-        """Give the node that is selected a node ID; raise LinkError where it refuses."""
+        """Give the selected node a node ID; raise LinkError where it refuses."""
         self._confirmed(_CONFIGURE_NODE_ID, bytes([node_id]))
 
     def store(self) -> None:
-        """Let the node that is selected keep its node ID over power-off; raise LinkError where it refuses."""
+        """Store the selected node's ID so that it survives power-off; raise LinkError where it refuses."""
         self._confirmed(_STORE, b"")
 
     def _confirmed(self, service: int, data: bytes) -> None:
@@ -117,14 +117,14 @@ def give_node_id(
     confirm: Callable[[str], bool],
     tell: Callable[[str], None],
 ) -> bool:
-    """Give one node its node ID, asking before each step that changes something; return whether it has it.
+    """Give one node its node ID, asking before each step that changes something; return whether it succeeded.
 
     Args:
         link: The bus.
         node_id: The node ID, 1 to 127.
         identity: Identity of the node; None: it is alone on the bus.
-        confirm: Returns whether the person agrees.
-        tell: Says what was found.
+        confirm: Function that returns whether the person agrees.
+        tell: Function that reports what was found.
 
     Raises:
         LinkError: No node answers, several, or it refuses.

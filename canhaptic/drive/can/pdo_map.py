@@ -1,7 +1,7 @@
 """The PDOs of one axis: chosen from its dictionary, packed by one codec each, written by SDO and read back.
 
 Preferred: one TPDO of statusword, position and torque (0x6074, else 0x6077), one RPDO of controlword and target
-torque. Mappings that a drive lets us write are written; fixed ones (`ro`) are selected, several TPDOs if need be.
+torque. Writable mappings are written; fixed ones (`ro`) are selected, several TPDOs if need be.
 
 One struct codec per PDO: its bytes as one image, so that no value is ever torn and no offset can shift.
 
@@ -65,7 +65,7 @@ class MappedObject:
 
 
 def decode_entry(entry: int) -> MappedObject:
-    """Return the mapped object of an UNSIGNED32 mapping entry; its sign is not in there."""
+    """Return the mapped object of an UNSIGNED32 mapping entry, which does not contain its sign."""
     return MappedObject(entry >> 16, entry >> 8 & 0xFF, entry & 0xFF)
 
 
@@ -117,7 +117,7 @@ _FORCE_BITS: Final[dict[int, int]] = {od.DataType.INTEGER16: 16, od.DataType.INT
 
 @dataclass(frozen=True, slots=True)
 class PdoPlan:
-    """A planned PDO: where it is configured, its COB-ID, its contents."""
+    """A planned PDO: its number, COB-ID and contents."""
 
     kind: Literal["RPDO", "TPDO"]
     number: int
@@ -159,7 +159,7 @@ class AxisMap:
 
 @dataclass(frozen=True, slots=True)
 class PdoCapability:
-    """A PDO that the dictionary has."""
+    """A PDO that the dictionary lists."""
 
     kind: Literal["RPDO", "TPDO"]
     number: int
@@ -201,7 +201,7 @@ def pdo_numbers(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> 
 
 
 def pdo_capabilities(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> list[PdoCapability]:
-    """Return every PDO whose mapping can be written or is stated whole, in order."""
+    """Return every PDO whose mapping can be written or is completely given, in order."""
     return list(_candidates(dictionary, kind))
 
 
@@ -400,9 +400,9 @@ def write_map(
         sdo: The drive, in NMT pre-operational.
         chosen: The PDOs to use.
         rpdo_type: Transmission type of the RPDO.
-        expect: Judges each value read back.
-        rpdo_deadline: Silence of the RPDO after which the drive itself shall act [ms], where its dictionary has that
-            (CiA 301: the event timer of an RPDO); None: it is left as it is.
+        expect: Function that judges each value read back.
+        rpdo_deadline: Silence of the RPDO after which the drive itself must react [ms], where its dictionary has that
+            (CiA 301: the event timer of an RPDO); None: unchanged.
 
     Raises:
         SdoError: The drive refused a step.

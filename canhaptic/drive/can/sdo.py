@@ -2,11 +2,11 @@
 
 canopen's client waits on a queue that its Notifier thread fills, never repeats a request, takes a late answer for the
 next request, aborts with index 0 and reads an object without end for ever. Here the answer is pumped from the bus, an
-unanswered first request is repeated, and an answer for another object is counted as late and left out.
+unanswered first request is repeated, and an answer for another object is counted as late and ignored.
 
 One SDO transfer of a client as the frames it sends and takes (CiA 301, 7.2.4.3): no bus, no waiting, no clock.
 
-A transfer is a generator: it yields a request and is sent the answer to it, until it returns what was uploaded.
+A transfer is a generator: it yields a request and receives its answer, until it returns the uploaded bytes.
 """
 
 from collections.abc import Generator, Iterator
@@ -38,11 +38,11 @@ Transfer = Generator[bytes, bytes, bytes]
 
 
 class ProtocolError(Exception):
-    """An answer that is none to the request; its text says what came."""
+    """An answer that does not match the request; its text says what arrived."""
 
 
 def address(index: int, subindex: int) -> bytes:
-    """Return an object as requests and answers name it."""
+    """Return the address of an object in requests and answers."""
     return index.to_bytes(2, "little") + bytes([subindex])
 
 
@@ -95,7 +95,7 @@ def initiates(request: bytes) -> bool:
 
 
 def first_answer(request: bytes) -> bytes:
-    """Returns how the first answer to a request begins, unless it is an abort: specifier and object."""
+    """Return how the first answer to a request begins, unless it is an abort: specifier and object."""
     specifier = _UPLOAD_ANSWER if request[0] & _SPECIFIER == _UPLOAD else _DOWNLOAD_ANSWER
     return bytes([specifier]) + request[1:4]
 
@@ -228,7 +228,7 @@ class SdoChannel:
 
     Args:
         link: The bus.
-        node_id: Node ID of the drive.
+        dictionary: Names, sizes and signs of objects; objects it lacks can still be read, as unsigned.
         dictionary: Gives names, sizes and signs; objects it lacks can be read all the same, as unsigned.
         name: Name of the axis, for messages.
         timeout: Time limit of one answer [ns].
@@ -287,7 +287,7 @@ class SdoChannel:
         Args:
             index: Index of the object.
             subindex: Subindex of the object.
-            value: Value, signed or unsigned as its type.
+            value: Value, signed or unsigned according to its type.
             size: Length in bytes; None takes it from the dictionary.
 
         Raises:
@@ -315,7 +315,7 @@ class SdoChannel:
         changes.append(change._replace(before=earlier))
 
     def decode(self, index: int, subindex: int, data: bytes) -> int:
-        """Return the integer in the bytes of an object, as long and with the sign that the dictionary says."""
+        """Return the integer in the bytes of an object, with the length and sign given by the dictionary."""
         variable = self.dictionary.get_variable(index, subindex)
         signed = variable is not None and variable.data_type in datatypes.SIGNED_TYPES
         is_integer = variable is not None and variable.data_type in datatypes.INTEGER_TYPES
@@ -338,7 +338,7 @@ class SdoChannel:
 
     @property
     def is_doubled(self) -> bool:
-        """Whether most requests were answered more than once, as where two nodes have one ID."""
+        """Whether most requests were answered more than once, as happens when two nodes have one ID."""
         return self._client.surplus >= _FEWEST_SURPLUS and 2 * self._client.surplus > self._client.asked
 
     def describe(self, index: int, subindex: int = 0) -> str:
@@ -347,7 +347,7 @@ class SdoChannel:
         return f"{index:#06x}:{subindex:02x}" + (f" {variable.name}" if variable is not None else "")
 
     def listen(self) -> None:
-        """Receive the answers of the drive from now on, as after a transfer of `background_sdo`."""
+        """Receive the answers of the drive again, after a transfer of `background_sdo`."""
         self._client.listen()
 
     def aborted(self, verb: str, index: int, subindex: int, code: int) -> SdoError:

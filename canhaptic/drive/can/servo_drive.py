@@ -28,7 +28,7 @@ class SyncWindow:
 
     Attributes:
         synced: Time of that SYNC [ns].
-        latest: Time after a SYNC until which an answer that follows a missing one counts as one to this SYNC [ns].
+        latest: Time after a SYNC until which an answer that follows a missing one counts for this SYNC [ns].
     """
 
     __slots__ = ("is_open", "latest", "pending", "synced")
@@ -42,17 +42,17 @@ class ServoDrive(TorqueAxis):
     """A drive that is a CANopen node.
 
     Args:
-        link: The bus it is on.
-        axis: Its parameters.
-        dictionary: Its object dictionary.
-        bus: The parameters of the bus.
+        link: Link to its bus.
+        axis: Parameters of the axis.
+        dictionary: Object dictionary of the drive.
+        bus: Parameters of the bus.
         dry_run: Whether every RPDO carries a target torque of 0.
 
     Attributes:
         map: PDOs of the drive.
         nmt_state: NMT state in its last heartbeat; None before the first.
-        hold_is_checked: Whether a commissioning of this very drive found the hold in which its torques act.
-        window: Window of the present SYNC, shared by the drives of a bus; the exchange sets it.
+        hold_is_checked: Whether commissioning of this very drive determined the hold in which its torques act.
+        window: Window of the present SYNC, shared by the drives of a bus; set by the exchange.
 
     Raises:
         DictionaryError: The dictionary is not fit for cyclic torque.
@@ -82,7 +82,7 @@ class ServoDrive(TorqueAxis):
         self.reset()
 
     def signature(self) -> str:
-        """Return drive, serial number, process data and rate in one word: a check of the hold is of these alone.
+        """Return drive, serial number, process data and rate as one word: a check of the hold is valid only for these.
 
         Raises:
             SdoError: The drive does not answer.
@@ -106,7 +106,7 @@ class ServoDrive(TorqueAxis):
         return "-".join(parts)
 
     def reset(self) -> None:
-        """Forget everything received and commanded."""
+        """Clear everything received and commanded."""
         super().reset()
         self.nmt_state = None
         self._stage: list[Any] = [0, 0, 0]  # statusword, position counts, torque per mille: of the SYNC that is open
@@ -162,7 +162,7 @@ class ServoDrive(TorqueAxis):
         self.link.send(od.SDO_REQUEST_BASE + self.axis.node_id, _DISABLE_BY_SDO)
 
     def command_brake(self, *, is_open: bool) -> None:
-        """Open or set a brake that the host works, and await no answer; raise LinkError."""
+        """Open or set a brake operated by the host, and await no answer; raise LinkError."""
         brake = self.axis.brake
         if brake is not None and brake.output is not None:
             value = self.outputs | is_open << brake.output
@@ -182,7 +182,7 @@ class ServoDrive(TorqueAxis):
         self.command_nmt(od.NmtCommand.PRE_OPERATIONAL)
 
     def await_pre_operational(self) -> None:
-        """Return when the heartbeat says pre-operational, or has been silent for too long; raise LinkError."""
+        """Return when the heartbeat shows pre-operational, or has been silent for too long; raise LinkError."""
         self.link.wait_for(lambda: self.nmt_state == od.NmtState.PRE_OPERATIONAL, self.bus.drive_silence_ns)
 
     def disarm(self) -> None:

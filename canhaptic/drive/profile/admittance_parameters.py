@@ -132,10 +132,10 @@ class ForceChannel:
 
     Args:
         force: Its parameters.
-        sample_time: T [s].
+        same: Consecutive SYNCs with the same count, within the error of the sensor.
 
     Attributes:
-        force: Last force [N or N*m].
+        is_wrong: Whether the force is beyond the range, or the sensor has shown one count for too long.
         same: SYNCs in a row with one count, within the error of the sensor.
         is_wrong: Whether it is beyond the range, or the sensor has shown one count for too long.
     """
@@ -158,7 +158,7 @@ class ForceChannel:
         return (counts - self._offset) * self._per_count
 
     def take(self, counts: int, periods: int = 1) -> float:
-        """Return the force of the hand towards +q [N or N*m]; of a running impulse its mean over the holds between.
+        """Return the force of the hand towards +q [N or N*m]; for a running impulse, its mean over the holds between.
 
         Args:
             counts: Counts in the process data.

@@ -1,6 +1,6 @@
-"""The fail-closed start of one drive through its objects: every step confirmed or refused.
+"""The fail-closed start of one drive by its objects: every step confirmed or refused.
 
-The steps are those of CiA 402. What a fieldbus adds (its states, watchdog and process data) a derived class supplies.
+The steps are those of CiA 402. A derived class adds the fieldbus: its states, watchdog and process data.
 """
 
 from abc import ABC, abstractmethod
@@ -136,7 +136,7 @@ class BringUp(ABC):
         """Confirmation that the drive sends its process data."""
 
     def check_rest(self) -> None:
-        """Check the drive's report before it is enabled; raise StartError where it must not be."""
+        """Check the drive's report before it is enabled; raise StartError where it must not be enabled."""
         return
 
     # --- the tools ------------------------------------------------------------------------------------------------
@@ -265,7 +265,7 @@ class BringUp(ABC):
         return self._drive.read_state()
 
     def fault_text(self) -> str:
-        """Return the state with the drive's own error code, where it has one."""
+        """Return the state with the drive's own error code, if there is one."""
         text = self._state().value
         if od.ERROR_CODE in self._drive.dictionary:
             try:

@@ -1,4 +1,4 @@
-"""The limits, ramps and reactions that a drive keeps itself, and that a scene may set."""
+"""Limits, ramps and reactions stored in a drive, which a scene may set."""
 
 from typing import Final
 
@@ -21,7 +21,7 @@ DRIVE_OBJECTS: Final = {
 
 
 def place_of(key: object) -> tuple[int, int]:
-    """Return (index, subindex) of `0x6065` or `0x607D.1`; raise ValueError for no object of these."""
+    """Return (index, subindex) of `0x6065` or `0x607D.1`; raise ValueError for any other object."""
     text = f"{key:#x}" if isinstance(key, int) else str(key)
     index, _, subindex = text.partition(".")
     try:

@@ -45,7 +45,7 @@ def listed(dictionary: Dictionary, index: int, subindex: int = 0) -> Variable | 
 
 
 def objection(dictionary: Dictionary, use: ObjectUse) -> str | None:
-    """Reason why the dictionary does not allow a use, with the expected value; None where it allows it."""
+    """Reason why the dictionary does not allow a use, with the expected value; None where it does."""
     variable = listed(dictionary, use.index, use.subindex)
     if variable is None:
         return "missing"
@@ -151,7 +151,7 @@ def profile_findings(
 
     Args:
         dictionary: Dictionary of the drive.
-        axis: Its parameters.
+        axis: Parameters of the axis.
         sample_time_ns: Sample time of the cycle [ns]; None if unknown.
     """
     findings = [
@@ -173,7 +173,7 @@ def agreed_rated_torque(axis: TorqueAxisParameters, counts: int | None, resoluti
     """Return the rated torque of the axis [N*m or N] on which drive and configuration agree.
 
     Args:
-        axis: May state `rated_torque`.
+        axis: Parameters of the axis, which may state `rated_torque`.
         counts: 0x6076 of the motor; None or 0 when the drive does not know it.
         resolution: Newton metres (or newtons) per count of 0x6076.
 
@@ -308,7 +308,7 @@ def largest_value(dictionary: Dictionary, index: int) -> int:
 
 
 def steepest_ramp(dictionary: Dictionary) -> float:
-    """Return the least of the largest values that the ramps of a drive take [counts/s^2]; infinite without ramps."""
+    """Return the smallest of the maximum ramp values of a drive [counts/s^2]; infinite without ramps."""
     return min((largest_value(dictionary, index) for index in RAMPS if is_writable(dictionary, index, 0)), default=inf)
 
 

@@ -1,7 +1,7 @@
 """The independent torque limiter: after the controller, before the bus. It limits every torque and reports what it cut.
 
-Each limit leaves an interval of torques that contains zero, so that what remains under all of them is an interval too,
-the order of the limits means nothing, and zero is never forbidden:
+Each limit leaves an interval of torques that contains zero, so that their intersection is an interval too,
+the order of the limits does not matter, and zero is never forbidden:
 
     magnitude   -torque_limit .. torque_limit
     rate        from the last torque by one step further out, and by one step beyond zero on the other side: a torque
@@ -31,15 +31,15 @@ class TorqueLimiter:
     Args:
         torque_limit: Largest magnitude [N*m or N].
         sample_time: Sample time [s].
-        rate_limit: Largest rise per second, on either side of zero [N*m/s or N/s]; None: any.
-        power_limit: Largest power into the user's side [W]; None: any.
+        rate_limit: Largest rise per second, on either side of zero [N*m/s or N/s]; None: no limit.
+        power_limit: Largest power into the user's side [W]; None: no limit.
 
     Attributes:
         last: Torque of the last cycle after the limits [N*m or N].
         low: Least torque that the last cycle allowed, 0 or below [N*m or N]; a rounded `last` must not pass it.
         high: Largest torque that the last cycle allowed, 0 or above [N*m or N].
-        saturation: Limits that cut it.
-        saturated_cycles: Number of cycles with a cut so far.
+        saturation: Limits that reduced that torque.
+        saturated_cycles: Number of cycles with a reduced torque so far.
 
     Raises:
         ParameterError: A limit is not positive, and so would limit nothing or allow nothing.
@@ -68,7 +68,7 @@ class TorqueLimiter:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last torque and the counts."""
+        """Clear the last torque and the counts."""
         self.last = self.low = self.high = 0.0
         self.saturation = 0
         self.saturated_cycles = 0
@@ -127,7 +127,7 @@ class DryRunLimiter(TorqueLimiter):
     __slots__ = ("withheld",)
 
     def reset(self) -> None:
-        """Forget the last torque and the counts."""
+        """Clear the last torque and the counts."""
         super().reset()
         self.withheld = 0.0
 

@@ -16,7 +16,7 @@ from canhaptic import errors
 
 
 class StopReason(IntEnum):
-    """Why a rig stopped; the number is in the log."""
+    """Reason why a rig stopped; the number is in the log."""
 
     NONE = 0
     OPERATOR = 1
@@ -195,8 +195,8 @@ class LinkPolicy:
         stop_cycles: Missed cycles after which the rig stops.
 
     Attributes:
-        missed: SYNCs in a row without a TPDO, or without that of an axis that renders together with this one.
-        missed_total: The same since the start, in a row or not.
+        missed: Consecutive SYNCs without a TPDO, of this axis or of one that renders together with it.
+        missed_total: All such SYNCs since the start, consecutive or not.
         cycles: SYNCs since the start.
     """
 
@@ -225,7 +225,7 @@ class LinkPolicy:
         self.missed_total += 1
 
     def action(self) -> Action:
-        """Return what to do in this cycle."""
+        """Return the action in this cycle."""
         if self.missed == 0:
             return Action.RUN
         if self.missed <= self._hold_cycles:
@@ -240,5 +240,5 @@ class LinkPolicy:
         return max(0.0, 1.0 - (self.missed - self._hold_cycles) / ramp_cycles)
 
     def success_rate(self) -> float:
-        """Return the part of all SYNCs that were answered; 1 before the first."""
+        """Return the fraction of all SYNCs that were answered; 1 before the first."""
         return 1.0 - self.missed_total / self.cycles if self.cycles else 1.0

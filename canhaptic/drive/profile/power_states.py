@@ -1,4 +1,4 @@
-"""The CiA 402 power state machine (IEC 61800-7-201, 6.3) as data: statusword -> state, and the way to a state.
+"""The CiA 402 power state machine (IEC 61800-7-201, 6.3) as data: statusword -> state, and the path to a state.
 
 Our own table instead of canopen's p402: that one sends 0x0F first for a quick stop from SWITCHED ON, re-enables after a
 fault reset, and matches states as substrings.
@@ -11,7 +11,7 @@ from canhaptic.canopen.objects import Controlword
 
 
 class PowerState(Enum):
-    """States of the power state machine, named as the standard does."""
+    """States of the power state machine, named as in the standard."""
 
     NOT_READY_TO_SWITCH_ON = "NOT READY TO SWITCH ON"
     SWITCH_ON_DISABLED = "SWITCH ON DISABLED"

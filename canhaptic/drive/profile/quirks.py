@@ -44,7 +44,7 @@ class Quirks(Parameters):
 
     @property
     def torque_scale(self) -> float:
-        """Torque of 1000 counts, as a part of the rated torque."""
+        """Torque of 1000 counts, as a fraction of the rated torque."""
         return round(1000.0 * self.torque_resolution, 9)
 
 
@@ -78,7 +78,7 @@ _QUIRKS: Final[Mapping[str, Mapping[str, Any]]] = {
 
 @cache
 def quirks_of(names: Sequence[str]) -> Quirks:
-    """Return the deviations of a drive; those of a plain CiA 402 drive for no names.
+    """Return the deviations of a drive; without names, those of a plain CiA 402 drive.
 
     Args:
         names: A tuple of names of `_QUIRKS`.

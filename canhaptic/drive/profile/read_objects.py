@@ -1,4 +1,4 @@
-"""The limits, ramps and reactions that a drive has now, compared with the scene."""
+"""The present limits, ramps and reactions of a drive, compared with the scene."""
 
 from collections.abc import Iterator
 
@@ -10,7 +10,7 @@ from canhaptic.errors import SdoError
 
 
 def read_objects(drive: TorqueAxis) -> Iterator[Finding]:
-    """Yield a finding for each of these objects that a drive has; raise SdoError where it does not answer."""
+    """Yield a finding for each listed object that a drive has; raise SdoError where it does not answer."""
     asked = drive.axis.written_objects
     for place, meaning in DRIVE_OBJECTS.items():
         try:

@@ -1,6 +1,6 @@
-"""Puts back what a start wrote into a drive, last written first, once the drive says that it is disabled.
+"""Restores what a start wrote into a drive, last written first, once the drive reports that it is disabled.
 
-A drive in a fault, or one that is silent, is left as it is. Commands are no settings, and stay at rest.
+A drive in a fault, or a silent one, is left as it is. Commands are not settings, and stay at rest.
 """
 
 from collections.abc import Iterator
@@ -16,11 +16,11 @@ _KEPT: Final = "a limit, kept (restore_limits: true puts it back)"
 
 
 def restore(drive: TorqueAxis, problem: str = "") -> None:
-    """Put back what the start wrote; what was not is in `drive.unrestored`, by object.
+    """Restore what the start wrote; objects that could not be restored are listed in `drive.unrestored`.
 
     Args:
-        drive: Drive out of operation.
-        problem: Why it is not known to be disabled; "" where it is.
+        drive: Drive that is no longer in operation.
+        problem: Reason why it is not known to be disabled; "" where it is disabled.
     """
     changes, drive.sdo.changes = drive.sdo.changes or [], None
     firsts: dict[tuple[int, int], Written] = {}

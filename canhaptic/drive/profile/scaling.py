@@ -17,7 +17,7 @@ _PER_MILLE: Final = 1000.0
 
 
 class AxisScaling:
-    """Converts one axis; remembers the last position so that a wrapped counter goes on.
+    """Converts one axis; remembers the last position so that a wrapped counter continues.
 
     Args:
         counts_per_unit: Position counts per metre or radian.
@@ -40,7 +40,7 @@ class AxisScaling:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last position: the next one is taken as an INTEGER32 seen from 0."""
+        """Clear the last position: the next one is taken as an INTEGER32 seen from 0."""
         self._counts = 0
 
     def position(self, position_counts: int) -> float:
@@ -59,7 +59,7 @@ class AxisScaling:
         """Return the nearest target torque (0x6071) that is not beyond `low` or `high`.
 
         Args:
-            torque: Finite, from `low` to `high` [N*m or N].
+            torque: Requested torque, finite, from `low` to `high` [N*m or N].
             low: Least torque allowed, 0 or below [N*m or N].
             high: Largest torque allowed, 0 or above [N*m or N].
         """
@@ -84,8 +84,8 @@ def axis_scaling(axis: TorqueAxisParameters, rated_torque: float) -> AxisScaling
     """Return the scaling of an axis.
 
     Args:
-        axis: Its parameters; its quirks may change the unit of torque.
-        rated_torque: Rated torque of the axis [N*m or N], as drive and configuration agree.
+        axis: Parameters of the axis; its quirks may change the unit of torque.
+        rated_torque: Rated torque of the axis [N*m or N], as agreed between drive and configuration.
 
     Raises:
         ParameterError: A factor is not positive and finite.

@@ -4,9 +4,9 @@ Interface of the cycle for the start and the stop of a rig, on any fieldbus.
 
 The start of a rig after the configuration of each drive: SYNC, operational, zero torque on the wire, enable.
 
-How a rig ends: zero torque first, then disabled, then pre-operational; confirmed, and without trusting the bus.
+Stop of a rig: zero torque first, then disabled, then pre-operational; confirmed, and without trusting the bus.
 
-Nothing in here raises for a bus or drive that is already failing: each part is tried, and what was not confirmed is
+None of this raises for a bus or drive that is already failing: each part is tried, and what was not confirmed is
 returned as text.
 """
 
@@ -37,7 +37,7 @@ class CyclicExchange(Protocol):
 
     @property
     def skipped(self) -> int:
-        """SYNCs missed and left out since `begin`."""
+        """SYNCs missed and skipped since `begin`."""
 
     @property
     def sample_time_ns(self) -> int:
@@ -45,7 +45,7 @@ class CyclicExchange(Protocol):
 
     @property
     def beat_cycles(self) -> int:
-        """Sample times from one sign of life of the master to the next."""
+        """Sample times between signs of life of the master."""
 
     @property
     def silence(self) -> int:
@@ -58,10 +58,10 @@ class CyclicExchange(Protocol):
         """Return when `deadline` [ns] has come."""
 
     def begin(self) -> None:
-        """Let the next SYNC go out at once and count from there."""
+        """Send the next SYNC at once and count from there."""
 
     def leave_one_out(self) -> None:
-        """Let the next SYNC go out one sample time later, and take what still answers the last; raise LinkError."""
+        """Delay the next SYNC by one sample time, and take late answers to the last one; raise LinkError."""
 
     def sync(self) -> None:
         """Wait for the next deadline, send SYNC and take its answers; raise LinkError."""
@@ -85,7 +85,7 @@ def start(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
     """Take every drive to OPERATION ENABLED with zero torque; return after the first SYNC that found all enabled.
 
     Args:
-        exchange: The cycle.
+        exchange: Cyclic exchange of the rig.
         bring_ups: One for each drive of the exchange, in its order.
 
     Raises:
@@ -279,7 +279,7 @@ _ROUNDS: Final = 2  # of SDO and NMT before the loop of PDOs is given up
 
 
 class Trust(Enum):
-    """How far RPDOs and SYNCs are trusted to reach the drives."""
+    """Trust that RPDOs and SYNCs reach the drives."""
 
     FULL = "the operator stops a rig that is well"
     SOME = "something is wrong, but not with the link"
@@ -287,10 +287,10 @@ class Trust(Enum):
 
 
 def ramp_down(exchange: CyclicExchange, duration: float) -> None:
-    """Take the torque of every axis to zero along a straight line, through the limiter; behind its brake if it has one.
+    """Ramp the torque of every axis linearly to zero, through the limiter; after setting its brake, if it has one.
 
     Args:
-        exchange: The cycle.
+        exchange: Cyclic exchange of the rig.
         duration: Duration of the ramp [s], at most 0.05 s.
 
     Raises:
@@ -324,9 +324,9 @@ def disable(exchange: CyclicExchange, trust: Trust) -> list[str]:
     """Send zero torque, disable every drive and take it to pre-operational.
 
     Args:
-        exchange: The drives.
-        trust: Without any, disable goes out by SDO right behind the zero torque: it needs neither RPDO nor SYNC to
-            arrive. Unless it is full, SDO and NMT pre-operational follow a few SYNCs later to every drive that may
+        exchange: Cyclic exchange of the rig.
+        trust: With no trust, disable goes out by SDO right after the zero torque: it needs neither RPDO nor SYNC to
+            arrive. Unless trust is full, SDO and NMT pre-operational follow a few SYNCs later to every drive that may
             still hold a torque.
 
     Returns:

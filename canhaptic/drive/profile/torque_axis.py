@@ -42,7 +42,7 @@ class ObjectAccess(Protocol):
         """Return the value of an object."""
 
     def probe(self, index: int, subindex: int = 0) -> int:
-        """Return the value of an object; ask once only."""
+        """Return the value of an object; ask only once."""
 
     def read_within(self, limit: int, index: int, subindex: int = 0) -> int:
         """Return the value of an object; all attempts together take at most `limit` [ns]."""
@@ -64,7 +64,7 @@ _REMOTE: Final = int(od.StatusBit.REMOTE)
 
 
 class ReceivedEmergency(NamedTuple):
-    """An EMCY as it came (CiA 301, 7.2.7)."""
+    """An EMCY as received (CiA 301, 7.2.7)."""
 
     code: int  # 0x0000 means that the error is gone
     register: int  # 0x1001
@@ -89,42 +89,42 @@ class CycleRules(NamedTuple):
 
 
 class TorqueAxis(ABC):
-    """The master's picture of one drive.
+    """The master's image of one drive.
 
     Args:
-        axis: Its parameters.
-        dictionary: Its object dictionary.
-        sdo: Access to its objects.
+        axis: Parameters of the axis.
+        dictionary: Object dictionary of the drive.
+        sdo: Access to the drive's objects.
         rules: Properties of the cycle.
         read_back: Torque in its process data.
         dry_run: Whether the torque sent is always 0.
 
     Attributes:
         statusword: Statusword of the last complete process data.
-        is_complete: Whether all process data of the last SYNC came in their window.
+        is_complete: Whether all process data of the last SYNC arrived in their window.
         is_operational: Whether the drive exchanges process data, by its last report.
         alive_at: Time of the drive's last sign of life [ns].
         answers: Whether the drive answered an SDO since the last start.
-        left_out: Objects that the start leaves out, as an older master did whose run is replayed.
-        restores: Whether the stop puts back what the start wrote; False as an older master whose run is replayed.
-        unrestored: What the stop did not put back, in words.
+        left_out: Objects that the start skips, as the older master of a replayed run did.
+        restores: Whether the stop restores what the start wrote; False for the older master of a replayed run.
+        unrestored: Objects that the stop did not restore, in words.
         outputs: Digital outputs of the drive (0x60FE:01) with the brake set.
-        elsewhere: The same of other nodes, whose objects are not put back.
+        elsewhere: Writes to other nodes, whose objects are not restored.
         controlword: Controlword sent with the next torque.
-        unasked: Process data since the last `reset` that came in no window of a SYNC.
-        culprit: The process data that came so, or did not come in the last window, in words.
-        unheard: SYNCs since the last `reset` whose process data did not come in their window.
+        unasked: Number of process data since the last `reset` that arrived in no SYNC window.
+        culprit: Process data that arrived outside a window, or not in the last one, in words.
+        unheard: Number of SYNCs since the last `reset` whose process data did not arrive in their window.
         read_back_bound: Error bound of a torque that is measured (0x6077): sum over the holds of its largest difference
             from
             that of the hold before and from the one sent, and half a per mille of rounding, times the displacement
             [J]. The true torque of a hold lies between them unless the current loop overshoots, so that the
-            computed energy is not farther from the true one. Of one that is not read back: the same with its
-            largest difference from 0 and from every command before it, because any of them goes on where RPDOs are
-            lost that no frame shows; for holds of which only the whole displacement is known, with the farthest
+            computed energy is no farther from the true one. Without read-back: the same with its
+            largest difference from 0 and from every earlier command, because any of them may continue if lost RPDOs
+            go unnoticed; for holds of which only the total displacement is known, with the farthest
             that `speed_limit` allows. 0 where the demand is read back, which is exact.
-        unchanged: SYNCs in a row whose process data, with a torque, were the same to the bit: a handle held still, or
-            an encoder that is stuck, or process data that are not made anew.
-        uncommanded: Holds whose torque read back was larger than its command, or turned, and is no older command: no
+        unchanged: Consecutive SYNCs whose process data, with a torque, were identical to the bit: a handle held still,
+            a stuck encoder, or process data that are no longer updated.
+        uncommanded: Holds whose read-back torque exceeded its command, or changed sign, and is no older command: no
             certificate bounded it.
         longest_hold: The most sample times for which one torque was held since the last `reset`: 1 where all went well,
             more where SYNCs were skipped, their TPDOs missed, or RPDOs lost as far as the demand read back shows; what
@@ -172,7 +172,7 @@ class TorqueAxis(ABC):
         self._largest_step = axis.largest_speed * rules.sample_time + 1.0 / axis.counts_per_unit
 
     def reset(self) -> None:
-        """Forget everything received and commanded; a derived class calls it when it is complete."""
+        """Clear everything received and commanded; a derived class calls it once constructed."""
         self.statusword = 0
         self.is_operational = False
         self.alive_at = self.now()
@@ -216,7 +216,7 @@ class TorqueAxis(ABC):
 
     @abstractmethod
     def pump(self, deadline: int) -> None:
-        """Take what the bus brings until `deadline` [ns]; raise LinkError."""
+        """Handle arriving frames until `deadline` [ns]; raise LinkError."""
 
     @abstractmethod
     def write(self, torque_per_mille: int) -> None:
@@ -228,19 +228,19 @@ class TorqueAxis(ABC):
 
     @abstractmethod
     def leave_operational(self) -> None:
-        """Ask the drive to exchange no more process data; raise LinkError."""
+        """Ask the drive to stop exchanging process data; raise LinkError."""
 
     @abstractmethod
     def await_pre_operational(self) -> None:
-        """Return when the drive has confirmed that it left, or its time is over; raise LinkError."""
+        """Return when the drive has confirmed that it left, or the timeout is over; raise LinkError."""
 
     @abstractmethod
     def disarm(self) -> None:
-        """Switch the drive's watchdog off, so that the end of the master is no fault; raise SdoError."""
+        """Switch off the drive's watchdog, so that the end of the master is not a fault; raise SdoError."""
 
     @abstractmethod
     def command_brake(self, *, is_open: bool) -> None:
-        """Open or set a brake that the host works, and await no answer; raise LinkError."""
+        """Open or set a brake operated by the host, and await no answer; raise LinkError."""
 
     # --- in ---------------------------------------------------------------------------------------------------------
 
@@ -274,8 +274,8 @@ class TorqueAxis(ABC):
 
         Args:
             sync_index: Index of that SYNC.
-            periods: Sample times since the SYNC before; more than 1 when SYNCs were skipped.
-            is_whole: False where another drive, whose position is needed together with this one, was not heard: no
+            periods: Sample times since the previous SYNC; more than 1 when SYNCs were skipped.
+            is_whole: False where another drive, whose position is needed together with this one, did not answer: no
                 torque can
                 be computed from it, and the link policy counts the SYNC as missed.
         """
@@ -410,9 +410,9 @@ class TorqueAxis(ABC):
         return drive_state(self.sdo.read(od.STATUSWORD))
 
     def watch_statusword(self) -> None:
-        """Watch more than the state from now on, the rig being enabled.
+        """Watch more than the state from now on, once the rig is enabled.
 
-        A drive that shows that it follows its target (bit 12), or that the bus commands it (bit 9), must go on to do
+        A drive that shows that it follows its target (bit 12), or that the bus commands it (bit 9), must continue to do
         so. One whose torque is not read back must not begin to limit it (bit 11).
         """
         follows = self.statusword & (_FOLLOWS | _REMOTE)
@@ -420,7 +420,7 @@ class TorqueAxis(ABC):
         self._watched, self._expected = ENABLED_MASK | follows | limits, ENABLED_VALUE | follows
 
     def fault(self, now: int) -> StopReason:
-        """Reason why the rig must stop because of this drive; NONE while all is well."""
+        """Reason why the rig must stop because of this drive; NONE where there is none."""
         if (
             self.emergency is not None or self.statusword & self._watched != self._expected or not self.is_operational
         ) and (reason := self._state_fault()):
@@ -462,13 +462,13 @@ class TorqueAxis(ABC):
     # --- out --------------------------------------------------------------------------------------------------------
 
     def rests_at(self, target: int) -> bool:
-        """Whether a target read from the drive is that of a drive at rest."""
+        """Whether a target read from the drive is consistent with rest."""
         return target == 0
 
     def command_per_mille(self, torque: float) -> int:
         """Target torque (0x6071) for a requested torque [N*m or N], after policy and limiter.
 
-        While TPDOs are missing, the torque held when the first went missing, reduced by its ramp, is an upper bound;
+        the operator's stop may reduce it. After a skipped SYNC the last torque is the bound: a controller takes the
         the operator's stop may ask for less. After a skipped SYNC the last torque is the bound: a controller takes the
         motion of several sample times for that of one and would brake several times too hard.
 

@@ -7,8 +7,8 @@
 **One source.** The kernels of a controller (`canhaptic.kernels`), the plant and the sums of the figures run in one loop
 (`closed_loop`): in machine code, or in Python with the same bits (but for the functions of the C library, sine and
 exponential, whose last bit is that of its library). A linear plant moves by its flow over a hold (`plants`), one with
-events by the stepper of `canhaptic.sim.plant` (`event_plant`). Scenes are computed one after the other, so that none
-knows of another.
+events by the stepper of `canhaptic.sim.plant` (`event_plant`). Scenes are computed one after the other, and none
+depends on another.
 
 Compiling takes some 10 s once for each algorithm and environment; the machine code is kept (`compiler`).
 """
@@ -64,17 +64,17 @@ def run_batch(
     seeds: Array | None = None,
     stopped: dict[int, str] | None = None,
 ) -> Mapping[str, Array]:
-    """Return the figures of many scenes, each of shape (n_scenes,); the order of the scenes changes nothing.
+    """Return the figures of many scenes, each of shape (n_scenes,); the order of the scenes does not matter.
 
     Args:
         scene: Common part of the scenes; `why_not_batchable(scene)` must be "".
         varied: Key of `BATCH_KEYS` -> value of each scene, shape (n_scenes,), in SI.
         cycles: SYNCs, at least 2.
-        engine: "numba" needs the extra `fast`; "auto" takes it where it is installed and pays, else "python".
+        engine: "numba" needs the extra `fast`; "auto" takes it where it is installed and worthwhile, else "python".
         metrics: Names of `ALL`; None for `METRICS`. Those of
             `CONTINUOUS` march a continuous run with every loop and are NaN where it has no closed form.
         seeds: Seed of everything random in each scene, shape (n_scenes,); by default that of the scene.
-        stopped: Called with the numbers of scenes whose plant could not be moved on, and why; their figures are NaN.
+        stopped: Called with the numbers of scenes whose plant could not be advanced, and why; their figures are NaN.
 
     Raises:
         ParameterError: A key that cannot vary inside a batch, a value out of its range, an unknown metric.

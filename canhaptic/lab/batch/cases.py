@@ -6,7 +6,7 @@ The numbers of a batch, scene by scene: environment, settings of the algorithm, 
 
 The continuous environments of many loops: their modes as matrices, for the kernel that follows them.
 
-The environments are those with a flow in closed form: `why_not_continuous` says why another has none.
+The environments are those with a flow in closed form: `why_not_continuous` gives the reason for any other.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -58,13 +58,13 @@ class NotBatchableError(InputError, NotImplementedError):
 class BatchCase:
     """The common part of many loops, and the numbers in which they differ.
 
-    A linear plant is among the numbers; plants with events are separate, each different one once.
+    A linear plant is among the numbers; plants with events are separate, each distinct one once.
 
     `numbers` holds varied values by name: of the models `environment`, `passivity` and `loop` field by field; of the
     drive `counts_per_unit`, `torque_quantum` and `torque_limit`; of the meter `last_from`, `damping_per_time` and
     `friction`; `seed` of the encoder's noise; of plants with events `plant`, the place in `plants`; of a linear plant
     `start.ROW`, `flow.ROW.COLUMN` and, where it is known in closed form, `rate.ROW.COLUMN`. A
-    name that is absent has the value of its model.
+    Return the numbers of a parameter model under the names of `BatchCase.numbers`.
     """
 
     environment: Environment
@@ -99,7 +99,7 @@ class SceneRow(NamedTuple):
 
 
 def kernel_of(algorithm: str) -> Kernel | None:
-    """Return the kernel of an algorithm; None for a class of one's own that has none."""
+    """Return the kernel of an algorithm; None for a user-defined class that has none."""
     kernel: Kernel | None = getattr(load(ALGORITHMS, algorithm, "passivity algorithm"), "kernel", None)
     return kernel
 
@@ -110,7 +110,7 @@ def scene_rows(case: BatchCase, kernel: Kernel, numbers: Numbers, count: int) ->
     Args:
         case: Common part of the scenes.
         kernel: Kernel of the algorithm.
-        numbers: Varied numbers, one or of shape (count,) each.
+        numbers: Varied numbers, each scalar or of shape (count,).
         count: Number of scenes.
     """
     environment = _Varied("environment", case.environment, numbers)
@@ -235,7 +235,7 @@ class ContinuousModes(NamedTuple):
 
     @property
     def exist(self) -> Any:
-        """Whether each scene has one, shape (n,)."""
+        """Whether each scene has continuous modes, shape (n,)."""
         return np.array([settings.exists for settings in self.settings])
 
 
@@ -348,7 +348,7 @@ _PLANT_DAMPING: Final = "simulation.plant.damping"
 def why_not_batchable(scene: Scene) -> str:
     """Return "" when the whole loop of a scene can run in a batch, else the reason by name.
 
-    "effect coulomb_friction has events", "scene has 2 axes, expected one", ...
+    For example "effect coulomb_friction has events", "scene has 2 axes, expected one".
 
     Args:
         scene: Validated; only its types matter, not its values.
@@ -378,14 +378,14 @@ def why_not_compiled(case: LoopCase) -> str:
 
 
 def why_not_compared(scene: Scene, metrics: Sequence[str]) -> str:
-    """Reason why a batch lacks the quantities that metrics compare a scene with; empty where it has them."""
+    """Reason why a batch lacks the quantities for comparing a scene; empty where it has them."""
     if set(metrics).isdisjoint(CONTINUOUS) or is_linear(simulation_of(scene.axes[0])):
         return ""
     return "a plant with events has its continuous run by itself"
 
 
 def why_not_beforehand(scene: Scene) -> str:
-    """Return the answer of `why_not_batchable` as far as it does not depend on the algorithm."""
+    """Return the part of `why_not_batchable` that does not depend on the algorithm."""
     if scene.groups:
         return f"group {scene.groups[0].name!r} renders on {len(scene.groups[0].axes)} axes together"
     if len(scene.axes) != 1:
@@ -457,7 +457,7 @@ def loop_in_arrays(
     numbers: Mapping[str, Array],
     varied: Mapping[str, Array] | None = None,
 ) -> BatchCase:
-    """Return a loop that is not of a scene (an ideal encoder, an ideal torque) for many scenes.
+    """Return a loop without a scene (an ideal encoder, an ideal torque), for many cases.
 
     Args:
         case: Common part of the loops.
@@ -472,7 +472,7 @@ def loop_in_arrays(
 
 
 def loop_alone(case: LoopCase) -> BatchCase:
-    """Return one loop for which `why_not_compiled` is ""."""
+    """Return a single loop for which `why_not_compiled` is ""."""
     simulation = cast(AxisSimulation, case.simulation)
     return _case(case, simulation, _numbers(case, simulation, float(case.sample_time_ns), {}), {})
 

@@ -76,7 +76,7 @@ class ReferenceMemory(NamedTuple):
 
 
 def follow(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory, cycle: int) -> float:
-    """Go to a SYNC; return the mean torque in the hold before it [N or N*m]."""
+    """Advance to a SYNC; return the mean torque in the previous hold [N or N*m]."""
     if cycle:
         return follow_hold(settings, reference, memory)
     begin_reference(settings, reference, memory)
@@ -173,7 +173,7 @@ def move_in_pieces(settings: ReferenceSettings, reference: ReferenceState, memor
 
 
 def surface_ahead(settings: ReferenceSettings, mode: int, way: float) -> float:
-    """Surface that a motion along `way` meets next [m or rad], infinite if there is none."""
+    """Surface that a motion along `way` meets next [m or rad]; infinite where there is none."""
     if way > 0.0:
         return settings.lower if mode == LOWER else settings.upper if mode == OUTSIDE else inf
     return settings.upper if mode == UPPER else settings.lower if mode == OUTSIDE else -inf

@@ -80,12 +80,12 @@ def own_step(environment: Environment, run: AxisRun, position: float, torque_app
 
 
 def step_with(environment: Any, run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
-    """Replace `step`: the NamedTuple of an environment is of this process alone, its numbers are of any."""
+    """Replace `step`: the NamedTuple of an environment belongs to this process, its numbers are valid in any."""
     return step_of_numbers(environment[0:], run, position, torque_applied)
 
 
 def step_of_numbers(numbers: tuple[float, ...], run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
-    """Take a step of the algorithm in an environment of these numbers; what is kept on disk of a controller."""
+    """Take a step of the algorithm in an environment given by numbers; this part of a controller is stored on disk."""
     return own_step(new_environment(*numbers), run, position, torque_applied)
 
 
@@ -102,7 +102,7 @@ def run_loops(
     references: Records, mode_flows: Array, mode_rates: Array, mode_starts: Array, state: Buffer,
     moved_state: Buffer, series: Matrix, outcomes: Numbers, cycles: int,
 ) -> int:  # fmt: skip
-    """Run one loop after the other, from the place in `outcomes`, see `run_loop`; return how many are over.
+    """Run one loop after the other, from the position in `outcomes`, see `run_loop`; return the number completed.
 
     An interrupted loop continues at the next call: outcomes = [completed loops, reason of the return, 1 if the next
     loop has begun].
@@ -269,7 +269,7 @@ def _memory(kernel: Kernel, settings: object) -> tuple[object, Array]:
 
 
 def compiled_world(world: GroupModel) -> tuple[Any, Records]:
-    """A world for compiled kernels, and its tables.
+    """A group model for compiled kernels, and its tables.
 
     Raises:
         ParameterError: A part of it is given as functions in Python.

@@ -6,14 +6,14 @@ drives apply for the command.
 Motors and the controller of a group in one loop, from SYNC to SYNC: a kernel, as `closed_loop` is for one axis.
 
 Plants that move by one flow are in the loop; others replace `move_motors`. The network's request at the true positions,
-without sampling errors, is followed along with the controller: the torques held are explained by it, as shares of
-spring and damper.
+without sampling errors, is followed along with the controller: the held torques are split into shares of
+spring and damper by it.
 
 Motors of a group whose plants have events, current loops or forces over substeps, in the loop of the group.
 
-Plants of their own side by side are one `EventPlant` each; a stage is one plant of several motors. All modes that a
+Separate plants side by side are one `EventPlant` each; a stage is one plant of several motors. All modes that a
 plant can enter are compiled beforehand, so that the loop is never interrupted. All plants use the features of the
-stepper that any of them needs, a booked work or substeps: one loop moves them all.
+stepper that any of them needs, booked work or substeps: one loop moves them all.
 
 The motors of a five-bar in the loop of a group; kernels.
 
@@ -239,7 +239,7 @@ def send(rig: GroupRig, room: GroupRoom, torques: Buffer) -> None:
 
 
 def is_away(rig: GroupRig, room: GroupRoom) -> bool:
-    """Whether a motor is farther than any user moved it."""
+    """Whether a motor is farther away than any user could move it."""
     for i in range(len(room.true)):
         if not -rig.furthest < room.true[i] < rig.furthest:
             return True
@@ -270,7 +270,7 @@ def take_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, 
 
 
 def explain(world: GroupModel, rig: GroupRig, room: GroupRoom, followed: GroupMotion, meter: GroupMeter) -> None:
-    """Follow the network with the true motion, and add a hold that began and ended in contact to the sums."""
+    """Follow the network with the true motion, and add any hold that began and ended in contact to the sums."""
     was_engaged, request = followed.engaged, room.request
     follow(world, rig.true, followed, room.asked, room.true, room.moved, 1)
     if followed.engaged:
@@ -297,8 +297,8 @@ def explain(world: GroupModel, rig: GroupRig, room: GroupRoom, followed: GroupMo
 def shares(meter: GroupMeter) -> tuple[float, float]:
     """Return the shares of spring and damper that were rendered; NaN without any.
 
-    The spring's share is that in the torques held, by least squares with the damper; the damper's is the damping that
-    the controller booked over the requested one.
+    The spring's share is found from the held torques by least squares with the damper; the damper's is the damping
+    booked by the controller over the requested one.
     """
     both, nothing = meter.spring_spring * meter.damper_damper, float("nan")
     apart = both - meter.spring_damper * meter.spring_damper
@@ -350,7 +350,7 @@ class EventMotors(NamedTuple):
 
 
 class EventMotorsPlan(NamedTuple):
-    """Plants of motors with events, and the places of the motors in them."""
+    """Plants of motors with events, and the indices of the motors in them."""
 
     models: Sequence[Callable[[], PlantModel]]
     accuracy: Sequence[AccuracyParameters | None]
@@ -467,7 +467,7 @@ def move_five_bar(motors: FiveBarMotors, room: GroupRoom, cycle: int) -> float:
 
 
 def motors_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> LinearMotors | EventMotorsPlan | FiveBarPlan | str:
-    """Return the motors of a group at their start; the reason by name where they cannot move in its loop.
+    """Return the motors of a group at their start, or the reason why they cannot run in the group's loop.
 
     Args:
         scene: Scene with the group alone.
@@ -694,7 +694,7 @@ class GroupRecorder(Recorder):
             raise DivergedError(f"the group is at {tuple(hold.true)}, expected within {self._furthest:g}")
 
     def run(self, ended: str = "", reason: str = "") -> LoopRun:
-        """Everything recorded so far; see `Recorder`."""
+        """Return everything recorded so far; see `Recorder`."""
         seen, true, held = (np.array(flat).reshape(-1, self._axes) for flat in (self._seen, self._true, self._held))
         return super().run(ended, reason)._replace(position=seen, true_position=true, torque=held)
 

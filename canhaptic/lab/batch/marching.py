@@ -1,4 +1,4 @@
-"""Runs many loops of one kind, in parts whose rows fit the memory; parts and engine change no figure.
+"""Runs many loops of one kind, in parts whose rows fit the memory; parts and engine do not change any figure.
 
 Loops of a batch run by Python, one after the other: where numba is missing, and as reference for compiled ones.
 """
@@ -55,7 +55,7 @@ class InterpretedLoops:
 
     Attributes:
         meters: Meter of every scene.
-        references: Memory of its continuous run.
+        references: Memory of each scene's continuous run.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class InterpretedLoops:
         """Run some of the scenes.
 
         Args:
-            some: Numbers of the scenes.
+            some: Indices of the scenes.
             plants: Plants of the scenes.
             interrupted: (plants, number of a scene, its state, reason) -> plants to continue with; None ends that
                 scene.
@@ -136,7 +136,7 @@ def march(
         cycles: SYNCs, the first included.
         engine: See `run_batch`.
         metrics: Names of `ALL`.
-        stopped: Called with the number of a scene whose plant could not be moved on, and why; its metrics are NaN.
+        stopped: Called with the number of a scene whose plant could not be advanced, and why; its metrics are NaN.
 
     Raises:
         NotBatchableError: The algorithm is no kernel, or numba cannot compile the environment.

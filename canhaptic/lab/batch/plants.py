@@ -4,7 +4,7 @@
 
 The states are those of `Plant`, in its order, and so is the flow: exp(F T) by a series and doubling. The sum of a row
 is taken term by term and not by a matrix product, so that a position may differ from that of `Plant` by a few units in
-its last place per hold. Plants with other linear effects are made one by one, each different one once.
+its last place per hold. Plants with other linear effects are made one by one, each distinct one once.
 
 A plant with events in the loop of a batch: replacements of `closed_loop.move_plant`; kernels.
 
@@ -22,7 +22,7 @@ Scenes with the same plant share its modes, which cost some milliseconds each.
 
 Loops with plants that have events, grouped by plant.
 
-Effects of a plant that change a number and not a motion: the encoder reading, and the torque that acts.
+Effects of a plant that change a number and not the motion: the encoder reading, and the acting torque.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -99,7 +99,7 @@ class EventState:
 
 
 class EventPlant(NamedTuple):
-    """A plant with events, used by many loops in turn; all but the tables is changed in place."""
+    """A plant with events, shared by many loops in turn; everything except the tables is changed in place."""
 
     tables: ModeTables
     settings: StepperSettings
@@ -156,7 +156,7 @@ def move_events(plant: EventPlant, torque: float, cycle: int) -> int:
 
 
 def move_held(plant: EventPlant, cycle: int) -> int:
-    """The same under the torque held in its state."""
+    """Move a plant to a SYNC under the torque held in its state; see `move_events`."""
     counts, now = plant.counts, plant.now[0]
     keep(plant)
     end = cycle * TICKS
@@ -185,12 +185,12 @@ def move_held(plant: EventPlant, cycle: int) -> int:
 
 
 def run_ticks(plant: EventPlant, ticks: int, most: int) -> int:
-    """Move by some ticks; return those left at the limit of events, or before a missing mode."""
+    """Move by some ticks; return the ticks left at the limit of events, or before a missing mode."""
     return run_on(plant, ticks, most)
 
 
 def run_on(plant: EventPlant, ticks: int, most: int) -> int:
-    """The same by the stepper alone, through every event."""
+    """Move by some ticks with the stepper alone, through every event."""
     plant.counts[LIMIT] = most
     state, _, left = run(
         plant.tables, plant.settings, plant.state, plant.spare, plant.books, plant.counts, plant.values, ticks
@@ -201,7 +201,7 @@ def run_on(plant: EventPlant, ticks: int, most: int) -> int:
 
 
 def tidy(plant: EventPlant) -> None:
-    """Bring the hand's oscillators back to unit amplitude."""
+    """Restore the hand's oscillators to unit amplitude."""
     state = plant.state
     for i in range(len(plant.sines)):
         sine, cosine = state[plant.sines[i]], state[plant.sines[i] + 1]
@@ -305,7 +305,7 @@ def solve(plant: EventPlant, ticks: int, most: int) -> float:
 
 
 def residual_of_plant(plant: EventPlant, force: float) -> float:
-    """Replace `splitting.residual`; 0 where the plant cannot be moved on, which ends the search."""
+    """Replace `splitting.residual`; 0 where the plant cannot be advanced, which ends the search."""
     state, counts, now = plant.state, plant.counts, plant.now[0]
     if counts[MISSING] != NONE or now.is_stopped:
         return 0.0
@@ -488,7 +488,7 @@ class EventModes:
 
 
 def by_its_way() -> dict[object, object]:
-    """Replacements in a loop where the motor's work is its torque times displacement."""
+    """Functions to replace in a loop where the motor's work is its torque times displacement."""
     return {**_PRODUCTS, stepper.book: book_nothing}
 
 
@@ -498,7 +498,7 @@ def works_are_booked(scene: PlantModel) -> bool:
 
 
 def replacements(scene: PlantModel) -> dict[object, object]:
-    """Replacements in a loop of plants with events.
+    """Functions to replace in a loop of plants with events.
 
     Args:
         scene: Model of one of the plants.
@@ -523,7 +523,7 @@ def run_event_plants(
         loops: `InterpretedLoops` or `CompiledLoops`.
         plants: Each different plant.
         which: Number of the plant of each loop, shape (n,).
-        stopped: Called with the numbers of loops whose plants could not be moved on, and why.
+        stopped: Called with the numbers of loops whose plants could not be advanced, and why.
         listed: Whether Python runs the loops.
     """
     for number in np.unique(which).tolist():
@@ -546,7 +546,7 @@ def _going_on(modes: EventModes, stopped: dict[int, EventLimitError]) -> Interru
 
 
 def uninterrupted(*_what: object) -> None:
-    """Placeholder, which no loop of a linear plant calls."""
+    """Placeholder, never called by a loop of a linear plant."""
 
 
 def loop_replacements(plants: Sequence[PlantValues]) -> dict[object, object]:
@@ -572,7 +572,7 @@ class SignalEffects:
         return cls(tuple(effect for effect in effects if effect.name in SIGNAL_EFFECTS))
 
     def at(self, sample_time: float, seed: int) -> Signals:
-        """The effects as numbers.
+        """Return the effects as numbers.
 
         Args:
             sample_time: Sample time [s].

@@ -34,9 +34,9 @@ def loop_matrices(loops: Loops, sample_time: Array | float, delay: int) -> Array
     """Return the matrix of one hold of each loop, shape (n_loops, 3 + delay, 3 + delay).
 
     Args:
-        loops: Broadcast against each other.
+        loops: Loops, broadcast against each other.
         sample_time: T, one or of shape (n_loops,) [s].
-        delay: Whole holds between computing a torque and its hold, 0 or 1.
+        delay: Whole holds between the computation of a torque and the hold in which it acts, 0 or 1.
 
     Raises:
         ParameterError: A mass or sample time that is not positive, or another delay.

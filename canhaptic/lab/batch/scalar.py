@@ -2,7 +2,7 @@
 
 One loop with a record of every SYNC, by Python or compiled; the choice for a study, and the note about it.
 
-One group compiled with its motors, every SYNC of which is kept; see `compiled_loops`.
+One group compiled with its motors, with a record of every SYNC; see `compiled_loops`.
 
 One group of a scene in a loop without a bus, with the names of the batch.
 
@@ -116,7 +116,7 @@ _BRANCH, _CERTIFICATE = (EnergyBalance._fields.index(name) for name in ("branch"
 
 
 def keep_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, hold: GroupHold) -> None:
-    """Replace `take_group`: write a row, first the energy that came in, then each motor, then the account."""
+    """Replace `take_group`: write a row, first the energy received, then each motor, then the account."""
     row, account, motors = rows[int(meter.figures.cycles)], hold.account, len(room.held)
     meter.figures.cycles += 1.0
     row[0] = meter.supplied - meter.work
@@ -227,7 +227,7 @@ class _Moved:
 
 
 def group_figures(meter: GroupMeter, metrics: Sequence[str] | None = None) -> dict[str, float]:
-    """Figures made of sums; NaN for those of a position."""
+    """Figures from sums; NaN for those that need a position."""
     names, sums = list(METRICS if metrics is None else metrics), meter.figures
     own = [name for name in names if name not in _OF_A_POSITION]
     figures = metrics_of(own, {name: np.array([getattr(sums, name)]) for name in sums_of(own)})

@@ -15,7 +15,7 @@ from canhaptic.view.run_lines import make_console
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Measure and print; return 0, or 130 or 143 after a signal, with the results by then.
+    """Measure and print; return 0, or 130 or 143 after a signal, with the results obtained so far.
 
     Raises:
         InputError: A scene, an axis or a file that cannot be used.

@@ -23,7 +23,7 @@ STORE: Final = "cases.jsonl"
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Run the arena and print its standings; return 0, or 130 and 143 after a signal.
+    """Run the arena and print its ranking; return 0, or 130 and 143 after a signal.
 
     Raises:
         InputError: A scene, an algorithm or a file that cannot be used.

@@ -1,4 +1,4 @@
-"""The arguments of the laboratory's subcommands, as `canhaptic.cli.options` has those of the others."""
+"""The arguments of the laboratory's subcommands, as `canhaptic.cli.options` declares those of the others."""
 
 import argparse
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""What a hand feels of a wall: a hand that is guided, the stiffness held, the depth and drag of a slow approach.
+"""What a hand feels at a wall: a guided hand, the stiffness held, the depth and drag of a slow approach.
 
 A hand guided from outside: its position and its push change at rates that are set between two holds.
 
@@ -219,13 +219,13 @@ class LargestHeld(NamedTuple):
 
 
 def largest_held(bench: Bench, leaning: Leaning, softest: float, stiffest: float) -> LargestHeld:
-    """Largest stiffness that is held; counts the softer walls that are not.
+    """Largest stiffness that is held; also counts softer walls that are not.
 
     Args:
         bench: Device and loop.
         leaning: Push on the walls.
         softest: Stiffness tried first [N/m or N*m/rad].
-        stiffest: Largest stiffness tried; below the softest none is.
+        stiffest: Largest stiffness tried; where it is below the softest, none is tried.
     """
     if stiffest < softest:
         return LargestHeld(0.0, 0, 0)

@@ -126,7 +126,7 @@ class ReferenceHand(_Smooth):
     """K (x_u - q) + D (v_u - v) + push on the last body; its work goes to the last state.
 
     Args:
-        place: Place of the held body.
+        place: Index of the held body.
         grasps: (from time, stiffness, damping), ascending.
         push: Constant force.
         rest: Rest position of the spring.
@@ -201,7 +201,7 @@ class ReferenceContact:
         limit: Distance at which the faces meet.
         stiffness: Stiffness of the faces.
         damping: Damping of the faces.
-        depth: Place of the state.
+        depth: Index of the state.
     """
 
     modes: tuple[str, ...] = ("apart", "touching")
@@ -299,7 +299,7 @@ class ReferenceWinding:
 
     Args:
         limit: Supply U, constant K of back-EMF and torque, resistance R and inductance L.
-        place: Place of the motor's torque in the state.
+        place: Index of the motor's torque in the state.
         wanted: (state, torque held) -> rate of the torque that the current loop asks for.
     """
 

@@ -102,7 +102,7 @@ def bounded_share(device: Device, torques: Buffer, oldest: int, energy: float, w
     Args:
         device: Certain properties of the device.
         torques: Torques in flight, a ring [N or N*m].
-        oldest: Place of the torque whose hold ended; the others act before the wanted one.
+        oldest: Index of the torque whose hold ended; the others act before the wanted one.
         energy: Energy from `known_energy` [J].
         wanted: Size of the torque [N or N*m].
     """

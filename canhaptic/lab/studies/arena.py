@@ -89,7 +89,7 @@ class CaseGroup:
         path: Path of the scene.
         rate: [Hz].
         delays: 0 or 1 each.
-        algorithms: Names, and `FILE.py:Class` of one's own.
+        algorithms: Names, and `FILE.py:Class` of the user's own.
         longest: Duration of a run at most [s].
         allow_code: Whether the files named may run.
     """
@@ -119,7 +119,7 @@ def scenes_named(names: Sequence[str] | None) -> list[Path]:
 
 
 def label_of(algorithm: str) -> str:
-    """Return the name of an algorithm in results: of one's own the file without its folder, and the class."""
+    """Return the name of an algorithm in results: of the user's own the file without its folder, and the class."""
     return Path(algorithm).name if is_own(algorithm) else algorithm
 
 
@@ -129,7 +129,7 @@ def is_own(algorithm: str) -> bool:
 
 
 def entry_of(reference: str, path: Path, allow_code: bool) -> ComponentSpec:
-    """Return the algorithm of one's own that `FILE.py:Class` names, for a scene.
+    """Return the algorithm of the user's own that `FILE.py:Class` names, for a scene.
 
     Args:
         reference: File and class.
@@ -605,7 +605,7 @@ class ArenaPlan:
 
     Attributes:
         scenes: Files, of one simulated axis each.
-        algorithms: Names, and `FILE.py:Class` of one's own.
+        algorithms: Names, and `FILE.py:Class` of the user's own.
         rates: [Hz].
         delays: Whole holds, 0 or 1.
         longest: Duration of a run at most [s].

@@ -1,4 +1,4 @@
-"""A python-can bus with faults: frames lost, late, doubled, out of order, short, wrong, refused, or kept waiting.
+"""A python-can bus with faults: frames lost, late, doubled, out of order, truncated, corrupted, refused, or delayed.
 
 It wraps one connection, the master's or the drives', and disturbs both directions. The same frames and the same seed
 give the same faults. In lock-step a delayed frame arrives at its own virtual instant, because the bus takes part in the
@@ -63,7 +63,7 @@ class BusEffects(Parameters):
     """Faults of frames between master and drives. Probabilities are per frame and direction.
 
     `direction`, `ids` and `during` select the frames for the effects on single frames: drop, duplicate, reorder,
-    truncate, corrupt, refuse, delay, jitter. The others act on the bus as a whole; frames of other devices keep to
+    truncate, corrupt, refuse, delay, jitter. The others act on the bus as a whole; frames of other devices respect
     `during` too.
     """
 
@@ -127,7 +127,7 @@ class BusEffects(Parameters):
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Effects other than their defaults, in the order in which they are listed."""
+        """Effects that differ from their defaults, in the order in which they are listed."""
         return tuple(name for name in _EFFECTS if getattr(self, name))
 
     def suffers(self, direction: Direction) -> bool:
@@ -148,7 +148,7 @@ class Schedule:
         )
 
     def end(self, time: int) -> int:
-        """End of the window around `time` [ns], joined with those that follow it at once; 0 in none."""
+        """End of the window around `time` [ns], joined with adjoining ones; 0 where there is none."""
         latest = time
         for begin, duration, every in self._windows * len(self._windows):  # any of them may follow any other
             since = latest - begin
@@ -160,7 +160,7 @@ class Schedule:
 
 
 class Flight(NamedTuple):
-    """A frame on its way."""
+    """A frame in transit."""
 
     message: can.Message
     due: int  # when it arrives [ns]
@@ -332,7 +332,7 @@ def _worst_case_bits(length: int) -> int:
 
 
 class Wire:
-    """A medium that carries one frame at a time; of those that wait when it falls free, the lowest COB-ID goes first.
+    """A medium that carries one frame at a time; of the frames waiting for it, the lowest COB-ID goes first.
 
     Args:
         bitrate: Bit rate of the wire [bit/s].
@@ -355,7 +355,7 @@ class Wire:
 
         Args:
             now: Time [ns].
-            frozen_until: End of a freeze, before which no frame begins [ns]; not later than `now` without one.
+            frozen_until: End of a freeze, before which no frame begins [ns]; at or before `now` where there is none.
         """
         if self._current is not None and self._end <= now:
             (message, deliver), self._current, self._end = self._current, None, NEVER
@@ -393,7 +393,7 @@ class Foreign:
         self._schedule()
 
     def take(self) -> can.Message:
-        """Frame that is due; the next one becomes due later."""
+        """Return the frame that is due, and schedule the next one."""
         self._schedule()
         data = self._random.randbytes(self._random.randrange(9))
         return can.Message(arbitration_id=next(self._ids), is_extended_id=False, data=data)
@@ -410,9 +410,9 @@ class BusSegment:
         effects: Effects of the bus.
         direction: Direction of the frames.
         seed: Seed of everything random.
-        counts: Counts every frame affected.
+        counts: Counter of affected frames.
         wire: Wire on which frames are arbitrated after their delays; None: they arrive at once.
-        deliver: Takes the frames that arrive.
+        deliver: Function that takes the arriving frames.
     """
 
     def __init__(
@@ -451,7 +451,7 @@ class BusSegment:
             self._enter(flight.message, due, keeps_order=flight.keeps_order)
 
     def pass_through(self, message: can.Message, now: int) -> None:
-        """Take a frame without effects; it still waits for those before it."""
+        """Take a frame without effects; it still waits for earlier ones."""
         self._enter(message, now, keeps_order=True)
 
     def _enter(self, message: can.Message, due: int, *, keeps_order: bool) -> None:
@@ -468,7 +468,7 @@ class BusSegment:
             self._deliver(message, now)
 
     def next_due(self) -> int:
-        """Return when the next frame arrives [ns]; `NEVER` when none is on its way."""
+        """Return when the next frame arrives [ns]; `NEVER` when none is in transit."""
         return self._queue[0][0] if self._queue else NEVER
 
 
@@ -542,7 +542,7 @@ class FaultyBus(can.BusABC):
         self.advance(now)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Return the next frame that has arrived; None when none did within `timeout` [s], None for ever."""
+        """Return the next frame that has arrived; None when none did within `timeout` [s]; None waits for ever."""
         now = self._awake()
         deadline = NEVER if timeout is None else now + round(timeout * 1e9)
         while True:
@@ -563,7 +563,7 @@ class FaultyBus(can.BusABC):
         return self.recv(timeout), False  # python-can's own way in, for its Notifier and iterator
 
     def shutdown(self) -> None:
-        """Shut the connection down; frames on their way are lost."""
+        """Shut the connection down; frames in transit are lost."""
         super().shutdown()
         self._bus.shutdown()
 
@@ -594,7 +594,7 @@ class FaultyBus(can.BusABC):
                 self._wire.run(due, self._freeze.end(due - epoch) + epoch if self._epoch is not None else 0)
 
     def collect(self, now: int) -> None:
-        """Take over what the connection has received up to `now` [ns]."""
+        """Collect what the connection has received up to `now` [ns]."""
         receive = self._bus.recv
         while (message := receive(0)) is not None:
             self._take(message, now)

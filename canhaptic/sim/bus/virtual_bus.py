@@ -1,8 +1,8 @@
 """A lean form of python-can's virtual bus for classic frames within one process.
 
-The same channels, and any other `virtual` connection of the process may take part. The difference is speed: a frame
-is copied field by field instead of by `copy.deepcopy`, it waits in a deque instead of behind a condition variable, and
-asking an empty bus costs next to nothing: one frame for 0.6 us instead of 6 to 10.
+It uses the same channels, and any other `virtual` connection of the process may take part. The difference is speed: a
+frame is copied field by field instead of by `copy.deepcopy`, it waits in a deque instead of behind a condition, and
+polling an empty bus costs almost nothing: one frame takes 0.6 us instead of 6 to 10.
 """
 
 from _thread import allocate_lock
@@ -67,7 +67,7 @@ class LeanVirtualBus(VirtualBus):
         channel: Name of the bus that connections share.
 
     Attributes:
-        waiting: Frames received and not taken yet. Looking here costs less than asking an empty
+        waiting: Frames received and not yet taken. Looking here costs less than polling an empty
             bus; taking here needs no timeout and applies no filters.
     """
 
@@ -79,7 +79,7 @@ class LeanVirtualBus(VirtualBus):
         self.waiting = inbox.frames
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Put the frame, or a copy of one that the sender may use again, into the queue of every other connection.
+        """Put the frame, or a copy if the sender may reuse it, into the queue of every other connection.
 
         Raises:
             can.CanOperationError: The connection was shut down.
@@ -110,7 +110,7 @@ class LeanVirtualBus(VirtualBus):
                 queue.put(copy)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Return the next frame; None when none came within `timeout` [s], None for ever.
+        """Return the next frame; None when none came within `timeout` [s]; a timeout of None waits for ever.
 
         Raises:
             can.CanOperationError: The connection was shut down.

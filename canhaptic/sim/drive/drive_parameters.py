@@ -56,25 +56,25 @@ class AdmittanceScaling(Parameters):
 
 
 class SimulatedDriveParameters(Parameters):
-    """A simulated drive.
+    """Parameters of a simulated drive.
 
     Attributes:
         counts_per_unit: Encoder counts of 0x6064 per m or rad, at the axis.
         rated_torque: Torque of 1000 per mille [N or N*m]; from 0x6076 of the dictionary when not given.
         rated_torque_resolution: One count of 0x6076 [N or N*m]; milli by the standard, micro on some drives.
         torque_limit: Limit of the drive besides 0x6072 [N or N*m]; none when not given.
-        objects: Object -> value, for what the dictionary lists without a value, or in place of its value. Keys are
+        objects: Object -> value, for objects listed without a value, or to replace a value. Keys are
             `0x6502` or `"0x1018.1"` (index.subindex, hexadecimal).
         encoder: Rounding of the position to counts: to the nearest, or down to the last line passed.
         torque_read_back: Whether 0x6074 and 0x6077 of a SYNC show the hold that ended, or already the next torque.
         acts_at_once: Whether a synchronous RPDO acts on arrival, as an event-driven one, though its type is confirmed.
-        syncs_late: SYNCs after the one that follows a synchronous RPDO until it acts.
-        torque_resolution: Part of the rated torque per count of 0x6071, 0x6072, 0x6074 and 0x6077.
+        syncs_late: Additional SYNCs until a synchronous RPDO acts, after the SYNC that follows it.
+        torque_resolution: Fraction of the rated torque per count of 0x6071, 0x6072, 0x6074 and 0x6077.
         torque_lag: Time constant with which 0x6077 follows the motor's torque, as a filter of the drive; none at 0.
-        torque_ripple: Variation of 0x6077 with position, as a part of the torque (error of a current sensor).
-        torque_ripple_pitch: Period of that [rad or m].
+        torque_ripple: Variation of 0x6077 with position, as a fraction of the torque (error of a current sensor).
+        torque_ripple_pitch: Period of that ripple [rad or m].
         direction: -1 for a drive mounted the other way round: position and torque both count against the axis.
-        reversed: A wrong wiring: only the encoder, or only the motor, counts against the axis.
+        reversed: Wrong wiring: only the encoder, or only the motor, counts against the axis.
         rated_torque_stated: False for a drive whose 0x6076 is 0 until the master writes it.
         absent: Objects that the dictionary lists and the drive lacks; keys as in `objects`, or a whole index.
         refused: Object -> value that the drive does not take, though the dictionary allows it.

@@ -7,7 +7,7 @@ NEVER: Final = 1 << 62  # [ns], later than any clock
 
 
 class Timers:
-    """Due times with an action each.
+    """Due times, each with an action.
 
     Restarting a timer costs a comparison or two: a deadline that every cycle postpones is only checked when its
     earliest value would have come.
@@ -29,7 +29,7 @@ class Timers:
         return len(self._due) - 1
 
     def start(self, timer: int, due: int) -> None:
-        """Set a timer to `due` [ns], in place of its former time."""
+        """Set a timer to `due` [ns], replacing its former time."""
         if due <= self.earliest:
             self.earliest, self._is_exact = due, True
         elif self._due[timer] == self.earliest:

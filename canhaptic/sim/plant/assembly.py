@@ -1,4 +1,4 @@
-"""A plant before it is compiled: states, bodies, parts, and the rows they write for one mode.
+"""A plant before it is compiled: states, bodies, parts, and the rows that the parts write for one mode.
 
 The state is one vector z = [states..., torque, one]: the held torque and the constant 1 are components of it, so that
 every force, rate and guard is a row (force = row . z) and every power a quadratic form z'Sz. A scene holds only what
@@ -25,10 +25,10 @@ All are upper bounds for every spectrum; they fall as h^2 and as h, so that halv
 up to rounding, which is below the part of a guard's largest term that `stepper.py` takes for zero.
 
 They hold at every length, also where h is a million periods of a fast mode: the doublings ask for the flow and the
-triangle inequality, and for nothing of the spectrum. So a step may be as long as the hold. A mode at rest has no part
-in d and widens no bound; of one that swings the step is halved until its swing is small against the guard. With every
-level E and S of an undamped mode grow by a factor; they are cut at a number that excludes nothing and stays finite,
-since infinity times a rate of 0 would be no number.
+triangle inequality, and nothing of the spectrum. So a step may be as long as the hold. A mode at rest has no part
+in d and widens no bound; where one oscillates, the step is halved until its oscillation is small against the guard.
+With every level E and S of an undamped mode grow by a factor; they are capped at a number that excludes nothing and is
+finite, since infinity times a rate of 0 would not be a number.
 
 PlantModel -> data of one mode: flows, work forms and guards. No scene-specific code is made or run.
 """
@@ -61,7 +61,7 @@ class Body(NamedTuple):
 
 
 class Guard(NamedTuple):
-    """Leaves a mode when row . z falls below zero."""
+    """Condition to leave a mode: row . z falls below zero."""
 
     row: Array
     mode: str  # of the same part
@@ -69,7 +69,7 @@ class Guard(NamedTuple):
 
 
 class Part(Protocol):
-    """Something with forces and, perhaps, modes; piecewise affine."""
+    """Something with forces and, possibly, modes; piecewise affine."""
 
     @property
     def name(self) -> str:
@@ -81,7 +81,7 @@ class Part(Protocol):
 
     @property
     def has_guards(self) -> bool:
-        """False when it has one mode, or changes it by the clock only."""
+        """Whether it has guards; False when it has one mode, or changes mode by the clock only."""
 
     def assemble(self, rows: "Rows", mode: str) -> None:
         """Add rates, forces, powers and stored energy of this mode."""
@@ -90,7 +90,7 @@ class Part(Protocol):
         """Called when all forces are known: may stop a body."""
 
     def guards(self, rows: "Rows", mode: str) -> Sequence[Guard]:
-        """Guards of this mode; called last."""
+        """Return the guards of this mode; called last."""
 
 
 class PlainPart:
@@ -102,7 +102,7 @@ class PlainPart:
         """No-op: no body is constrained."""
 
     def guards(self, rows: "Rows", mode: str) -> Sequence[Guard]:
-        """No guards."""
+        """Return no guards."""
         return ()
 
 
@@ -132,12 +132,12 @@ class _HandPart(Protocol):
 
 
 class TorqueCommand(Protocol):
-    """Changes the torque of a hold before it reaches the motor; one without states inherits the defaults.
+    """Changes the torque of a hold before it reaches the motor; a stateless one inherits the defaults.
 
     Attributes:
         state_names: States of its own.
-        passes: Largest torque that it lets through as it is, in both directions [N or N*m]; -1 when it changes or
-            remembers any.
+        passes: Largest torque that passes unchanged, in both directions [N or N*m]; -1 when any is changed or
+            remembered.
     """
 
     state_names: tuple[str, ...] = ()
@@ -161,7 +161,7 @@ class _Encoder(Protocol):
 class NonlinearForce(Protocol):
     """A force on the motor's body that is not piecewise affine: held over a substep, solved together with its motion.
 
-    One without state or stored energy inherits the rest and defines `account` and `force` alone.
+    One without state or stored energy inherits the rest and defines only `account` and `force`.
 
     Attributes:
         state_names: States of its own.
@@ -207,7 +207,7 @@ class PlantModel:
     motor_torque: str = "torque"  # state or input that drives the motor's body
 
     def add_state(self, name: str, initial: float = 0.0) -> None:
-        """Add a state; names are unique in a scene."""
+        """Reserve a role that only one effect may have."""
         if name in self.states:
             raise ParameterError(f"state {name!r} twice, expected once; give each effect of one type its own place")
         self.states[name] = initial
@@ -340,12 +340,12 @@ _USELESS: Final = 1e140  # a bound this large excludes nothing; its square is st
 
 
 class GuardBounds(NamedTuple):
-    """Bounds of one mode, for steps of T / 2^level; y = `scaled` z are the rates of the state, scaled.
+    """Bounds of one mode, for steps of T / 2^level; y = `scaled` z are the scaled rates of the state.
 
     Attributes:
         scaled: Rates that are not always zero, each scaled, as rows, shape (m, n).
         slack: |y| * slack[level, guard] is at least the distance of the guard from its chord; shape (levels + 1, c).
-        chord: The same, tighter: sum of |y_j| * chord[level, guard, j]; shape (levels + 1, c, m).
+        chord: The same bound, tighter: sum of |y_j| * chord[level, guard, j]; shape (levels + 1, c, m).
         bend: Second derivative of the guard at the start of a step: bend[guard] . y; shape (c, m).
         spread: Bound of its change in the step: sum of |y_j| * spread[level, guard, j]; shape (levels + 1, c, m).
     """
@@ -421,7 +421,7 @@ _Product = Callable[[Array, Array], object]
 
 
 class Exit(NamedTuple):
-    """Mode behind a guard."""
+    """Mode reached through a guard."""
 
     part: int
     mode: str
@@ -453,10 +453,10 @@ def _equations(scene: PlantModel, key: tuple[str, ...]) -> Rows:
 
 
 def fastest_swing(scene: PlantModel) -> tuple[float, str]:
-    """Return the phase [rad] through which the fastest swing before a guard goes in one sample time, and its mode.
+    """Return the phase [rad] of the fastest oscillation seen by a guard in one sample time, and its mode.
 
-    A swing that is damped counts for its time constant. It tells what a hold may cost: three to five products for
-    each radian while it lasts, and nothing while it rests. 0 where no guard looks at a swing.
+    A damped oscillation counts for its time constant. The phase indicates the cost of a hold: three to five products
+    per radian while it lasts, and nothing while it is at rest. 0 where no guard sees an oscillation.
     """
     most, where, seen, found = 0.0, "", set(), [first_key(scene)]
     while found:

@@ -1,4 +1,4 @@
-"""The same plant and any controller without a bus: for sweeps, for the accuracy study, and as a judge of the CAN path.
+"""The same plant and any controller without a bus: for sweeps, for the accuracy study, and to check the CAN path.
 
 With the same quantisation (encoder counts, torque quantum) it gives the same floats as the path over the bus:
 
@@ -21,7 +21,7 @@ from canhaptic.sim.plant.propagator import Array
 
 
 class Motion(NamedTuple):
-    """Shapes (n_holds,)."""
+    """Motion at the ends of holds; shapes (n_holds,)."""
 
     position: Array  # [m or rad]
     velocity: Array  # [m/s or rad/s]
@@ -71,9 +71,9 @@ class DirectRig:
         plant: Plant before `begin`; its epoch becomes SYNC 0.
         controller_step: (position, torque applied in the hold that ended) -> object with `.torque`.
         sample_time_ns: Time between two SYNCs [ns].
-        delay: Whole holds between computing a torque and its hold, 0 or 1.
+        delay: Whole holds between the computation of a torque and the hold in which it acts, 0 or 1.
         counts_per_unit: Encoder counts per m or rad; None for an ideal encoder.
-        torque_quantum: Step of the command [N or N*m], on CANopen a per mille of the rated torque; None: ideal.
+        torque_quantum: Step of the command [N or N*m], on CANopen one per mille of the rated torque; None: ideal.
         torque_limit: Largest torque commanded [N or N*m]; None for none.
 
     Raises:
@@ -105,7 +105,7 @@ class DirectRig:
         self._torque_limit = float("inf") if torque_limit is None else torque_limit
 
     def run(self, cycles: int) -> DirectRecord:
-        """Run SYNC 0 .. cycles-1 from the plant's initial state and return what happened."""
+        """Run SYNC 0 .. cycles-1 from the plant's initial state and return the record."""
         flat = array("d")
         plant, period, step = self.plant, self._sample_time_ns, self._step
         plant.begin(0)

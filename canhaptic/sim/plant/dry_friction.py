@@ -1,6 +1,6 @@
 """Dry friction with stiction: its two levels, and the part that holds a body still or slides on it.
 
-Stuck is a mode of its own instead of a steep slope, which creeps (Karnopp, ASME J. Dynamic Systems 107, 1985).
+Sticking is a mode of its own instead of a steep slope, which creeps (Karnopp, ASME J. Dynamic Systems 107, 1985).
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class DryFriction(Parameters):
-    """Dry friction with stiction: one level while it slides, one at which it breaks away."""
+    """Dry friction with stiction: a sliding level and a breakaway level."""
 
     kinetic: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
     """Friction while it slides; of a fast slide, where it depends on the velocity."""
@@ -29,7 +29,7 @@ class DryFriction(Parameters):
 
 
 class StickSlip:
-    """Dry friction on a body, the motor's by default, as a part: one level for sliding and one for breaking away.
+    """Dry friction on a body, the motor's by default, as a part with a sliding and a breakaway level.
 
     Args:
         name: Name of the part and of its work.

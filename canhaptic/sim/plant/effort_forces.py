@@ -16,7 +16,7 @@ _TURN: Final = 2.0 * pi
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """One force, of any kind; what a kind does not have is 0."""
+    """One force of any kind; parameters that a kind does not have are 0."""
 
     kind: int
     amplitude: float = 0.0  # of a detent [N or N*m], of a ripple as a part of the torque
@@ -84,7 +84,7 @@ def bristle_force(effort: Effort, bristle: Bristle, travel: float, duration: flo
 
 
 def bend(effort: Effort, bristle: Bristle, travel: float, duration: float) -> None:
-    """Accept a substep."""
+    """Advance the bristle by a substep."""
     if effort.kind == BRISTLE:
         bristle.deflection = bent(effort, bristle, travel, duration)[0]
 
@@ -104,7 +104,7 @@ def bent(effort: Effort, bristle: Bristle, travel: float, duration: float) -> tu
 
 
 def held_energy(effort: Effort, bristle: Bristle, position: float) -> float:
-    """Energy stored in a force [J]; 0 at the middle of a detent and for a straight bristle."""
+    """Energy stored in a force [J]; 0 at the middle of a detent and for a relaxed bristle."""
     if effort.kind == DETENT:
         wave_number = _TURN / effort.pitch
         half = sin(0.5 * (wave_number * position + effort.phase))
@@ -126,7 +126,7 @@ class EffortForce(NonlinearForce):
         self._bristle = Bristle()
 
     def reset(self) -> None:
-        """Straighten the bristle."""
+        """Relax the bristle."""
         self._bristle.deflection = 0.0
 
     def force(self, position: float, travel: float, duration: float, torque: float) -> float:

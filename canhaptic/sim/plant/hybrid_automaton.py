@@ -1,6 +1,6 @@
 """State, mode and energies of one scene, moved by the functions of `stepper.py`.
 
-Modes are compiled when they are first entered; a scene that never slides backward never pays for that mode.
+Modes are compiled when they are first entered; a scene that never slides backward does not pay for that mode.
 
 Number of whole sample times in which torques within a limit cannot reach any guard of a mode.
 
@@ -49,8 +49,8 @@ class GuardHorizon:
 
     Args:
         guards: Rows of the guards, shape (c, n).
-        scaled: Rows of the scaled rates, shape (m, n), and
-        slack: how far a guard may be from its chord over T, by unit of their length, shape (c,).
+        scaled: Rows of the scaled rates, shape (m, n).
+        slack: Largest distance of a guard from its chord over T, per unit of their length, shape (c,).
         flow: Flow over T under a held torque, the last component but one, shape (n, n).
     """
 
@@ -154,7 +154,7 @@ class HybridAutomaton:
 
     @property
     def first_mode(self) -> Mode:
-        """The mode the scene starts in."""
+        """Initial mode of the scene."""
         return self._modes[self._first]
 
     @property
@@ -164,7 +164,7 @@ class HybridAutomaton:
 
     @property
     def products(self) -> int:
-        """Steps of flows tried since the start, a machine-independent price."""
+        """Number of flow steps tried since the start, a machine-independent cost."""
         return int(self._counts[PRODUCTS]) + self._periods
 
     def save(self) -> _Snapshot:
@@ -173,7 +173,7 @@ class HybridAutomaton:
         return _Snapshot(self.state.copy(), counts[MODE], self.totals.copy(), counts[EVENTS])
 
     def restore(self, saved: _Snapshot) -> None:
-        """Go back to a copy."""
+        """Return to a saved copy."""
         np.copyto(self.state, saved.state)
         np.copyto(self.totals, saved.totals)
         counts = self._counts
@@ -208,7 +208,7 @@ class HybridAutomaton:
     def tidy(self) -> None:
         """Bound the growth of rounding errors over a run; called at fixed times, never by a reader.
 
-        Folds the totals into compensated sums and brings the hand's oscillators back to unit amplitude.
+        It adds the totals to compensated sums and restores the hand's oscillators to unit amplitude.
         """
         before, totals = np.array(self._sums), self.totals
         sums = before + totals
@@ -250,7 +250,7 @@ class HybridAutomaton:
         return horizon.holds(self.state, largest)
 
     def period(self, torque: float) -> float:
-        """Take one whole sample time in one step, known to be free of events; return the position after it.
+        """Take one whole sample time, known to be free of events, in one step; return the position after it.
 
         The same as `run_free`, written flat and with motion and work in one product: this is the whole plant of most
         scenes, at every SYNC.
@@ -297,7 +297,7 @@ class HybridAutomaton:
         return self._run_on(ticks)
 
     def check_limit(self, left: int) -> None:
-        """Refuse to go on when time is left in a hold that has had too many events.
+        """Refuse to continue when time is left in a hold that has had too many events.
 
         Raises:
             EventLimitError: It has.
@@ -351,7 +351,7 @@ class HybridAutomaton:
         self._tables.targets[mode][guard] = self._mode_of(self._key_with(self._modes[mode], through.part, through.mode))
 
     def number_with(self, mode: int, part: str, part_mode: str) -> int:
-        """Return the number of a mode in which one part is in another mode, compiled if need be."""
+        """Return the number of the mode with one part in another mode, compiled if need be."""
         return self._mode_of(self._key_with(self._modes[mode], self._part_index[part], part_mode))
 
     @property
@@ -361,7 +361,7 @@ class HybridAutomaton:
 
     @property
     def targets(self) -> Sequence[Sequence[int]]:
-        """By mode and guard the number of the mode it leads to, NONE where that is not compiled yet."""
+        """Number of the mode behind each guard of each mode; NONE where it is not compiled yet."""
         targets: Sequence[Sequence[int]] = self._tables.targets
         return targets
 

@@ -57,7 +57,7 @@ def pace(values: Buffer, first: int) -> float:
 
 
 def largest_term(guards: Matrix, guard: int, state: Buffer) -> float:
-    """Return the largest term in the sum that is the value of a guard."""
+    """Return the largest term in the sum that gives the value of a guard."""
     largest = 0.0
     for column in range(len(state)):
         largest = max(largest, abs(guards[guard][column] * state[column]))

@@ -1,7 +1,7 @@
 """The functions of `stepper.py` compiled by numba, and the machine that runs them; needs the extra `fast`.
 
 The logic is the same source: each function of the stepper is compiled unchanged. Only the six that process numbers in
-bulk are others, loops over arrays (`mode_arrays`): for a dozen states a call into BLAS costs more than the product.
+bulk are replaced by loops over arrays (`mode_arrays`): for a dozen states a call into BLAS costs more than the product.
 """
 
 from collections.abc import Callable
@@ -71,7 +71,7 @@ def _compiled_stepper(name: str) -> Any:
 
 
 class CompiledMachine(HybridAutomaton):
-    """A machine whose holds, and whose whole runs, are compiled."""
+    """An automaton whose holds, and whose whole runs, are compiled."""
 
     def __init__(self, scene: PlantModel, max_events: int, event_bits: int) -> None:
         self._run, self._free, self._holds = map(_compiled_stepper, ("run", "run_free", "run_holds"))

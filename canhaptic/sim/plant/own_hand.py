@@ -1,4 +1,4 @@
-"""Base of a hand of one's own: write the force that it adds to the grip.
+"""Base of a user-defined hand: write the force that it adds to the grip.
 
     class Startled(OwnHand):
         def force(self, time: float, position: float, velocity: float) -> float:
@@ -18,7 +18,7 @@ from canhaptic.sim.plant.user import UserParameters
 
 
 class OwnHand(UserParameters):
-    """A grip and a force of one's own on the handle."""
+    """A user-defined hand: a grip, and a force on the handle."""
 
     order: ClassVar[int | None] = 2  # of the error in the substep, by the splitting
 

@@ -6,7 +6,7 @@ around that core (`splitting.py`). A hold that no guard can end costs as little 
 (`hybrid_automaton.py`). A plant contains only what its parameters name. Time is an integer number of ticks of T / 2^24
 since the plant's epoch, so that k whole sample times are exactly k steps.
 
-Choice of the stepper: interpreted, or compiled by numba, which is imported only then.
+Choice of the stepper: interpreted, or compiled by numba, which is imported only in that case.
 """
 
 import math
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 def machine_type(compiled: bool) -> type[HybridAutomaton]:
-    """Return the machine whose holds are interpreted, or compiled.
+    """Return the class of automaton whose holds are interpreted, or compiled.
 
     Raises:
         ParameterError: numba is not installed.
@@ -123,14 +123,14 @@ class Plant:
         seed: Seed of every random effect.
         accuracy: Events and substeps; the defaults when None.
         compiled: Whether holds run compiled by numba (the extra `fast`). Worth its seconds of compiling for whole runs
-            (`run`) and for stiff scenes; a light hold called from Python costs more than interpreted.
+            (`run`) and for stiff scenes; a light hold called from Python is faster when interpreted.
 
     Attributes:
         position: True position of the motor [m or rad].
-        encoder_position: The same after the effects of the encoder; what a drive reads.
-        has_ideal_encoder: True when there are none, and both are the same.
+        encoder_position: True position after the effects of the encoder; the value that a drive reads.
+        has_ideal_encoder: Whether the encoder has no effects, so that both positions agree.
         stored_at_start: Kinetic and elastic energy at the start [J].
-        state_names: Every state of the scene, and nothing else.
+        state_names: Names of all states of the scene.
     """
 
     def __init__(
@@ -216,7 +216,7 @@ class Plant:
 
     @property
     def motor_torque(self) -> float | None:
-        """Torque of the motor behind its current loop [N*m or N]; None without one, when it equals the torque held."""
+        """Torque of the motor behind its current loop [N*m or N]; None without one, where it equals the torque held."""
         names = self.scene.names
         return self._machine.state.item(names.index("motor_torque")) if "motor_torque" in names else None
 
@@ -257,26 +257,26 @@ class Plant:
 
     @property
     def events(self) -> int:
-        """Mode changes (sticking, contact, ...) since the start."""
+        """Number of mode changes (sticking, contact, ...) since the start."""
         return self._machine.events
 
     @property
     def products(self) -> int:
-        """Steps of the core tried since the start: the price, independent of the machine it runs on."""
+        """Number of core steps tried since the start, a machine-independent cost."""
         return self._machine.products
 
     def fastest_swing(self) -> tuple[float, str]:
-        """Return the phase [rad] of the fastest swing in one sample time, and its mode; see `assembly`."""
+        """Return the phase [rad] of the fastest oscillation in one sample time, and its mode; see `assembly`."""
         return fastest_swing(self.scene)
 
     @property
     def first_mode(self) -> Mode:
-        """The mode the scene starts in, as data."""
+        """Initial mode of the scene, as data."""
         return self._machine.first_mode
 
     @property
     def is_linear(self) -> bool:
-        """True when nothing but a held torque acts on it: no guards, efforts, schedule or commands."""
+        """Whether nothing but a held torque acts on it: no guards, efforts, schedule or commands."""
         return self._is_linear
 
     def whole_flow(self) -> Array:
@@ -289,7 +289,7 @@ class Plant:
 
     @property
     def is_exact(self) -> bool:
-        """True when every effect is solved exactly between its events."""
+        """Whether every effect is solved exactly between its events."""
         return self._splitting is None
 
     def begin(self, now: int) -> None:
@@ -302,8 +302,8 @@ class Plant:
         """Move the plant to `now` under a torque that was constant since the last call; still before `begin`.
 
         Args:
-            now: Time [ns] on the clock that `begin` was given; rounded to a tick of T / 2^24.
-            torque: Held by the actuator since the last call [N or N*m].
+            now: Time [ns] on the clock of `begin`; rounded to a tick of T / 2^24.
+            torque: Torque held by the actuator since the last call [N or N*m].
 
         Raises:
             ParameterError: `now` lies before the last call.

@@ -21,7 +21,7 @@ class PointerHand(UserParameters):
     """Where the hand is at the start."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Add the hand and its place."""
+        """Add the hand and its position."""
         _PlacedHand(self).add_to(scene)
         scene.add_state(PLACE, self.place)
         scene.deflection[PLACE] = -1.0

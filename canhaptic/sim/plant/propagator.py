@@ -1,4 +1,4 @@
-"""Exact flows of a linear system over T / 2^j, j = 0..24, and the energies spent on the way.
+"""Exact flows of a linear system over T / 2^j, j = 0..24, and the energy integrals along them.
 
 The matrix exponential is our own: a Taylor series at the smallest step, then doubling. What is doubled is the
 exponential MINUS the identity, E(2h) = 2 E(h) + E(h)^2; doubling exp(F h) itself would amplify the rounding of its ones
@@ -60,7 +60,7 @@ def _taylor_work(rates: Array, power: Array, step: float) -> Array:
 
 
 def halvings_of(rates: Array, sample_time: float, levels: int) -> int:
-    """Number of halvings of T: `levels`, and more where the fastest mode needs it for the series."""
+    """Number of halvings of T: `levels`, or more where the series needs them for the fastest mode."""
     needed = levels
     while float(np.abs(rates).sum(axis=0).max()) * sample_time * 0.5**needed > _LARGEST_STEP:
         needed += 1
@@ -107,7 +107,7 @@ def _congruent(works: Array, change: Array) -> Array:
 def flow_changes(rates: Array) -> Array:
     """Return exp(F) - I of many matrices, shape (n, k, k); each is independent of the others.
 
-    A series of a fixed number of terms at F / 2^h with a norm of at most 1/4, then h doublings, h of each its own.
+    A series of a fixed number of terms at F / 2^h with a norm of at most 1/4, then h doublings; h may differ by matrix.
 
     Args:
         rates: F, each multiplied by its step, shape (n, k, k).

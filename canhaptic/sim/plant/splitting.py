@@ -103,7 +103,7 @@ class Splitting:
         return force
 
     def residual(self, force: float) -> float:
-        """Sum of the forces along the displacement that a force causes, less that force."""
+        """Sum of the forces along the displacement that a given force causes, less that force."""
         self._machine.restore(self._saved)
         state = self._machine.state
         state[self._effort], state[self._travel] = force, 0.0
@@ -126,15 +126,15 @@ def mean_torque(begin: float, end: float, held: float) -> float:
 
 
 def residual(piece: Any, force: float) -> float:
-    """Return target force minus force [N or N*m]; falls with the force."""
+    """Return target force minus force [N or N*m]; decreasing in the force."""
     found: float = piece.residual(force)
     return found
 
 
 def fixed_point(piece: Any, start: float, slope: float) -> tuple[float, float, bool]:
-    """Return (root, slope near it, True) of a residual that falls; the root is the last argument that was evaluated.
+    """Return (root, slope near it, True) of a decreasing residual; the root is the last argument that was evaluated.
 
-    A bracketed secant. Where the residual jumps over zero, the side of the jump that errs less, and False.
+    A bracketed secant. Where the residual jumps over zero: the side of the jump with the smaller residual, and False.
 
     Args:
         piece: Argument of `residual`.

@@ -2,9 +2,9 @@
 
 A hold is taken in the largest steps that the mode allows. When a guard is below zero at the end of a step, or the
 strict bound of `assembly.py` does not exclude that it was inside, the step is halved, down to one tick; there the
-mode changes. After a step that was accepted, longer ones are tried, up to the whole hold: the flow is exact and the
+mode changes. After an accepted step, longer ones are tried, up to the whole hold: the flow is exact and the
 bound strict at every length, so that guards alone keep a step short, and no fast mode at rest does. No root finder, and
-no step that an error estimate adapts. It stops at a number of events, or of products, that the caller sets.
+no step size adapted by an error estimate. It stops at a number of events, or of products, that the caller sets.
 
 The first six functions are all that process numbers in bulk. Interpreted, a table holds bound products of NumPy
 (`flow.dot`: half the cost of `numpy.dot`); compiled, it holds arrays, and these six are replaced.
@@ -107,7 +107,7 @@ def pace(values: Any, first: int) -> float:
 
 
 def largest_term(guards: Any, guard: int, state: Array) -> float:
-    """Return the largest term in the sum that is the value of a guard."""
+    """Return the largest term in the sum that gives the value of a guard."""
     return float(np.abs(guards[guard] * state).max())
 
 
@@ -168,7 +168,7 @@ def least(value: float, rate: float, curvature: float, length: float) -> float:
 def leave(
     tables: ModeTables, state: Array, moved: Array, books: Any, counts: Indices, guard: int
 ) -> tuple[Array, Array]:
-    """Change the mode through a guard, with the jump that belongs to it; return the state and the spare state."""
+    """Change the mode through a guard, with its jump; return the state and the spare state."""
     mode = counts[MODE]
     after = tables.targets[mode][guard]
     counts[EVENTS] += 1
@@ -184,7 +184,7 @@ def leave(
 def settle(
     tables: ModeTables, state: Array, moved: Array, books: Any, counts: Indices, values: Any
 ) -> tuple[Array, Array, Any]:
-    """Leave every mode whose guards do not hold at this state; return state, spare and the guards' values."""
+    """Leave every mode whose guards are violated at this state; return state, spare and the guards' values."""
     for _ in range(_CHAIN):
         mode = counts[MODE]
         guards = tables.guards[mode]
@@ -203,7 +203,7 @@ def settle(
 def judge(
     tables: ModeTables, mode: int, level: int, before: Any, after: Any, state: Array, moved: Array, step: float
 ) -> int:
-    """Guard that a step broke, NONE, or _DOUBTFUL; a step of 0 is not halved any more."""
+    """Return the guard that a step broke, NONE, or _DOUBTFUL; a step of 0 is never halved."""
     count, guards = tables.guard_counts[mode], tables.guards[mode]
     broken = first_broken(guards, count, after, moved)
     if broken == NONE and step > 0.0:
@@ -292,7 +292,7 @@ def run_holds(
 
     Returns:
         State, spare state, sample times begun, and the ticks left of the last one: above zero at a limit;
-        above zero, or zero, with counts[MISSING] set, when a mode has to be compiled first.
+        above zero, or zero, with counts[MISSING] set, when a mode must be compiled first.
     """
     for k in range(len(torques)):
         state[-2] = torques[k]

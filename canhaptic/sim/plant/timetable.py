@@ -11,10 +11,10 @@ class Timetable:
 
     Args:
         machine: Automaton whose parts change mode.
-        run: Moves the machine by some ticks without scheduled changes.
+        run: Function that moves the machine by some ticks without scheduled changes.
 
     Attributes:
-        tick: Where the machine is; set before a run by one who moved it without a change on the way.
+        tick: Present tick; set before a run by a caller that advanced the machine without a change.
     """
 
     def __init__(self, machine: HybridAutomaton, run: Callable[[int], object]) -> None:
@@ -28,7 +28,7 @@ class Timetable:
         self.tick = self._done = 0
 
     def holds_from(self, tick: int) -> int:
-        """Return the number of whole sample times from a tick on without a change; `HOLDS` at most."""
+        """Return the number of whole sample times after a tick without a change; at most `HOLDS`."""
         if self._done == len(self._entries):
             return HOLDS
         return min(HOLDS, max(0, self._entries[self._done][0] - tick) // TICKS)

@@ -36,7 +36,7 @@ class SinusoidMotion(Parameters):
 
 
 class UserParameters(Parameters):
-    """The hand; every part absent unless it is given."""
+    """The hand; every part is absent unless given."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e8)] = 0.0
     """Stiffness of the hand's grip, between voluntary motion and handle."""
@@ -62,7 +62,7 @@ class UserParameters(Parameters):
 
 
 class Hand(PlainPart):
-    """The part: the force of the hand on the handle, one mode per grasp."""
+    """The force of the hand on the handle, with one mode per grasp."""
 
     def __init__(self, user: UserParameters) -> None:
         self.name = _HAND

@@ -1,7 +1,7 @@
 """The plant of an admittance display: a mass that a velocity loop moves, a force sensor, and the hand behind it.
 
     drive          M v' = f + F - friction,   f = c (r - v) + f_I,   f_I' = k (r - v),   r held from SYNC to SYNC
-    sensor         F on the mass, by the grip: a spring and a damper between the mass and the mass behind the sensor
+    sensor         F on the mass, from the grip: a spring and a damper between that mass and the mass behind the sensor
     behind it      the mass behind the sensor, and the hand
 
 The loop is part of the piecewise-affine plant, so that a hold stays exact. With a torque limit its torque has three
@@ -151,7 +151,7 @@ class GripParameters(Parameters):
 
 
 class AdmittanceSimulation(Parameters):
-    """Simulation of an admittance display besides mass, hand and effects."""
+    """Simulation parameters of an admittance display in addition to mass, hand and effects."""
 
     loop: VelocityLoopParameters
     """The drive's own velocity loop."""
@@ -272,7 +272,7 @@ class _Sensor(PlainPart):
 
 
 class AdmittancePlant(Plant):
-    """One simulated axis with a velocity loop and a force sensor; the input of a hold is the velocity commanded.
+    """One simulated axis with a velocity loop and a force sensor; the input of a hold is the commanded velocity.
 
     Args:
         parameters: Mass before the sensor, and its bearings.
@@ -324,7 +324,7 @@ class AdmittancePlant(Plant):
         self.reading.reset()
 
     def power(self, *, on: bool) -> None:
-        """Switch the power stage; without power the mass moves freely. On again, the integral is empty."""
+        """Switch the power stage; without power the mass moves freely. Switching on clears the integral."""
         if on == self._is_on:
             return
         self._is_on = on
@@ -351,9 +351,9 @@ class AdmittancePlant(Plant):
         AdmittancePlant.__init__(self, parameters, display, user, effects, sample_time_ns, seed, accuracy)
 
     def feed_forward(self, torque: float) -> None:
-        """Add a torque to that of the loop from now on, in place of the one before, as 0x60B2 does.
+        """Add a torque to that of the loop from now on, replacing the previous one, as 0x60B2 does.
 
-        With an integral it adds to that; without one it is converted to an additional velocity command.
+        With an integral it is added to the integral; otherwise it is converted to an additional velocity command.
 
         Args:
             torque: Additional torque [N or N*m].

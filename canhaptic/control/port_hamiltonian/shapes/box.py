@@ -50,7 +50,7 @@ class Box(Surface):
 
 
 class BoxInside(NamedTuple):
-    """Distance from the nearest face; inside the body it is continuous, and the face changes on its ridges."""
+    """Distance from the nearest face; inside the body it is continuous, and the nearest face changes at ridges."""
 
     lower: Buffer
     upper: Buffer

@@ -11,7 +11,7 @@ from canhaptic.units import Coordinates, Parameters, quantity
 class CoupledHandles(Parameters):
     """The first half of task space is the first handle, the second half the second; extension = p1 - scale p2 - offset.
 
-    Forces scale as motion does, F2 = scale F1: any other ratio would make power.
+    Forces scale as motion does, F2 = scale F1: any other ratio would generate power.
     """
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]

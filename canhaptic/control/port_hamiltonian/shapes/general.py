@@ -1,4 +1,4 @@
-"""A network written out: storages, dissipators, structure and gain, at coordinates of task space."""
+"""A network given in full: storages, dissipators, structure and gain, at coordinates of task space."""
 
 from pydantic import model_validator
 

@@ -19,7 +19,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class Geometry(Protocol):
-    """Where the ports of a network are in task space. Immutable; a NamedTuple of numbers and buffers is compiled.
+    """Positions of a network's ports in task space. Immutable; a NamedTuple of numbers and buffers is compiled.
 
     Attributes:
         dimensions: Number of dimensions of task space.
@@ -45,7 +45,7 @@ class Geometry(Protocol):
 
 
 class Mover(NamedTuple):
-    """A prescribed motion w(t) = half (1 - cos(rate t)), taken off every coordinate; its energy has its own port."""
+    """A prescribed motion w(t) = half (1 - cos(rate t)), subtracted from each coordinate; its energy has a port."""
 
     half: float = 0.0  # 0: nothing moves [m or rad]
     rate: float = 0.0  # [rad/s]
@@ -60,7 +60,7 @@ def moved_by(mover: Mover, time: float) -> float:
 
 
 class Rendered(NamedTuple):
-    """A network, where it is, and what moves it."""
+    """A network, its geometry, and its mover."""
 
     network: Network
     geometry: Geometry
@@ -165,7 +165,7 @@ def unit_vector(owner: str, name: str, vector: Sequence[float], dimensions: int)
 
 
 def radial(row: Buffer, radius: float, sign: float) -> float:
-    """Return the distance from a round surface [m or rad]; turns the offset from centre or axis into its gradient.
+    """Return the distance from a round surface [m or rad]; replaces the offset from centre or axis by its gradient.
 
     Args:
         row: Offset from the centre, or from the nearest point of the axis [m or rad]; the gradient afterwards.

@@ -14,7 +14,7 @@ from canhaptic.units import Coordinates, Parameters, quantity
 
 
 class GuidedPath(Parameters):
-    """Straight pieces from point to point; nothing is felt within `width` of them."""
+    """Straight segments from point to point; nothing is felt within `width` of them."""
 
     points: tuple[Coordinates, ...]
     """Task coordinates [m or rad] of the corners, two at least."""
@@ -46,7 +46,7 @@ class GuidedPath(Parameters):
 
 
 class FromPath(NamedTuple):
-    """Distance from the nearest of some straight pieces."""
+    """Distance from the nearest of several straight segments."""
 
     starts: Matrix  # (pieces, dimensions) [m or rad]
     along: Matrix  # from start to end
@@ -59,7 +59,7 @@ class FromPath(NamedTuple):
         return len(self.starts[0])
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
-        """Write the distance from the nearest place of the path and the direction away from it."""
+        """Write the distance from the nearest point of the path and the direction away from it."""
         least, nearest, place = inf, 0, 0.0
         for piece in range(len(self.squares)):
             start, along, total = self.starts[piece], self.along[piece], 0.0

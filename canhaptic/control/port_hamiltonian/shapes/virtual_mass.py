@@ -52,7 +52,7 @@ class VirtualMass(Parameters):
 
 
 class MassOnSpring(VirtualMass):
-    """The same mass, held by a spring to a point of task space."""
+    """A virtual mass held by a spring to a point of task space."""
 
     anchor: Coordinates
     """Task coordinates [m or rad] of the point."""

@@ -69,12 +69,12 @@ class SimulatedDrive:
 
     Args:
         bus: Connection of the drive to the bus.
-        node_id: 1..127.
+        node_id: Node ID, 1..127.
         dictionary: Path of its EDS or DCF, or the dictionary read from it.
         motor: Motor that it drives; at rest until the first SYNC that finds operation enabled.
         parameters: Values that the dictionary does not state.
-        sample_time_ns: Time between two SYNCs [ns] until two have come. A fault reaction or quick stop takes one and a
-            half of the time between the master's own SYNCs.
+        sample_time_ns: Time between two SYNCs [ns], used until two arrived. A fault reaction or quick stop takes 1.5
+            times the interval between the master's own SYNCs.
 
     Attributes:
         nmt_state: NMT state in its heartbeat.
@@ -168,7 +168,7 @@ class SimulatedDrive:
         return _tuple(Truth, (motor.position, motor.energy()))
 
     def inject_fault(self, code: int = 0x5000) -> None:
-        """Inject a fault with an error code (0x603F), as of failed hardware."""
+        """Inject a fault with an error code (0x603F), as if hardware had failed."""
         self._fault(code)
         self.follow_up()
 
@@ -360,7 +360,7 @@ class Drives(Protocol):
         """Handle all frames and timers of all drives up to `now` [ns]."""
 
     def next_due(self) -> int:
-        """Return when the next of them is due [ns]."""
+        """Return when the next event of any drive is due [ns]."""
 
 
 class DriveGroup:
@@ -368,7 +368,7 @@ class DriveGroup:
 
     Args:
         bus: The connection that the drives were made with.
-        drives: Each with a node ID of its own.
+        drives: Drives, each with a node ID of its own.
     """
 
     def __init__(self, bus: can.BusABC, drives: Sequence[SimulatedDrive]) -> None:
@@ -427,8 +427,8 @@ class DriveGroups:
     """The drives of several buses (a `SimulatedPeer`).
 
     Args:
-        groups: One per bus.
-        drives: All of them, in the order of the axes.
+        groups: Groups, one per bus.
+        drives: All drives, in the order of the axes.
     """
 
     def __init__(self, groups: Sequence[DriveGroup], drives: Sequence[SimulatedDrive]) -> None:

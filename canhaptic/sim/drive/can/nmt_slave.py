@@ -37,7 +37,7 @@ _REGISTER_BITS: Final = {0x2: 1 << 1, 0x3: 1 << 2, 0x4: 1 << 3, 0x8: 1 << 4, 0xF
 
 
 class EmergencyProducer:
-    """Present errors: one EMCY when an error comes, and EMCY 0x0000 when errors go.
+    """Present errors: one EMCY when an error appears, and EMCY 0x0000 when errors disappear.
 
     Args:
         store: Object store (0x1001, 0x1003, 0x1014, 0x603F are used).
@@ -126,7 +126,7 @@ _COMMANDS: Final = frozenset(int(command) for command in NmtCommand)
 
 
 def command_for(content: bytes, node_id: int) -> NmtCommand | None:
-    """Return the command of an NMT frame, or None when it is for another node or is none."""
+    """Return the command of an NMT frame, or None when it addresses another node or is not valid."""
     if len(content) != 2 or content[0] not in _COMMANDS or content[1] not in (0, node_id):
         return None
     return NmtCommand(content[0])
@@ -167,7 +167,7 @@ class HeartbeatConsumer:
     """Watches the nodes of 0x1016, each from its first heartbeat on.
 
     Args:
-        store: The objects.
+        store: Object store.
         timers: Timers of the node.
         now: Returns the time [ns].
         on_lost: Called when a heartbeat is overdue.

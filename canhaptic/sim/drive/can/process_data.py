@@ -54,16 +54,16 @@ class Pdo:
     """One PDO: its guarded objects, and its codec.
 
     Args:
-        store: The objects.
-        number: 0 for the first PDO.
-        is_transmit: TPDO or RPDO, as the drive sees it.
+        store: Object store.
+        number: Number of the PDO, from 0.
+        is_transmit: Whether it is a TPDO, from the drive's point of view.
         on_change: Called when a communication or mapping object was written.
 
     Attributes:
         pack: Makes the frame of a TPDO with the present values.
         is_active: Whether its COB-ID is valid and its map is not empty.
         cob_id: CAN identifier.
-        transmission_type: 0..240, 254, 255.
+        transmission_type: Transmission type: 0..240, 254, 255.
         entries: The mapped objects, in order.
         length: Length of its frame [bytes].
         event_time: Longest silence of a TPDO, or timeout of an RPDO [ns]; 0 for none.
@@ -260,7 +260,7 @@ class ProcessData:
     """Every PDO of one drive.
 
     Args:
-        store: The objects.
+        store: Object store.
         servo: Power stage, which measures and follows the objects.
         timers: Timers of the node.
         emergency: Announces frames of a wrong length.
@@ -339,7 +339,7 @@ class ProcessData:
         self._stop_timers()
 
     def sync_period(self) -> int | None:
-        """Usual time between the last SYNCs [ns], robust to one lost or late; None before two."""
+        """Usual time between the last SYNCs [ns], robust to one lost or late SYNC; None before two."""
         steps = sorted(later - sooner for sooner, later in pairwise(self._syncs))
         return steps[(len(steps) - 1) // 2] if steps else None
 

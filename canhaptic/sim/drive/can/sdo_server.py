@@ -1,6 +1,6 @@
 """The SDO server of the simulated drive (CiA 301, 7.2.4): expedited and segmented transfers, abort codes.
 
-Frames in, frames out, no bus and no time. Block transfer is refused, as CiA 301 lets a server do.
+Frames in, frames out, without bus or time. Block transfer is refused, which CiA 301 permits.
 """
 
 from typing import Final
@@ -18,7 +18,7 @@ class SdoServer:
     """Answers the requests of one client.
 
     Args:
-        store: The objects.
+        store: Object store.
         indicates_size: False for drives that leave out the length of an expedited answer (0x42 instead of 0x43).
     """
 
@@ -28,7 +28,7 @@ class SdoServer:
         self.reset()
 
     def reset(self) -> None:
-        """Discard a transfer that was under way."""
+        """Discard a transfer in progress."""
         self._place = (0, 0)
         self._rest: bytes | None = None  # of an upload
         self._received: bytearray | None = None  # of a download
@@ -36,7 +36,7 @@ class SdoServer:
         self._toggle = 0
 
     def answer(self, request: bytes) -> bytes | None:
-        """Answer to a request of 8 bytes; None when there is none to give (an abort, a short frame)."""
+        """Answer to a request of 8 bytes; None when no answer is due (an abort, a short frame)."""
         specifier = request[0] >> 5 if len(request) == 8 else _ABORT
         if specifier == _ABORT:
             self.reset()

@@ -68,7 +68,7 @@ class SensorNode:
 
     @property
     def request_cob_id(self) -> int | None:
-        """COB-ID of SDO requests to it; None for a sensor that is no CANopen node."""
+        """COB-ID of SDO requests to the sensor; None for a sensor that is not a CANopen node."""
         return None if self._node.node_id is None else SDO_REQUEST_BASE + self._node.node_id
 
     def take_sdo(self, content: Content) -> None:
@@ -91,7 +91,7 @@ class SensorNode:
         self._send(HEARTBEAT_BASE + node.node_id, bytes((NmtState.BOOT_UP,)))
 
     def take_nmt(self, content: Content) -> None:
-        """Follow an NMT command addressed to it."""
+        """Execute an NMT command addressed to the sensor."""
         if self._node.node_id is None or (command := command_for(bytes(content), self._node.node_id)) is None:
             return
         if command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):

@@ -1,6 +1,6 @@
 """The power stage of a simulated drive in the cyclic modes 8 and 9, with a force sensor at its analog input. No bus.
 
-In mode 9 the velocity demanded follows the target along the ramps of the drive: once for each SYNC, by no more than the
+In mode 9 the demanded velocity follows the target along the ramps of the drive: once for each SYNC, by no more than the
 smaller of 0x6083 and 0x60C5 allows in that time, or of 0x6084 and 0x60C6 towards zero; an object at 0 limits nothing.
 """
 
@@ -48,7 +48,7 @@ class AdmittanceMotor(Motor, Protocol):
         """Lower the limit of the torque before the motor begins."""
 
     def feed_forward(self, torque: float) -> None:
-        """Add a torque to that of the loop."""
+        """Add a feed-forward torque to the output of the velocity loop."""
 
 
 class AdmittanceServo(Servo):
@@ -97,7 +97,7 @@ class AdmittanceServo(Servo):
         return self._target_velocity, self._target_position, self._velocity_offset, self._position_offset
 
     def reset(self) -> None:
-        """Return to the state after power-on: no power; the motor moves on."""
+        """Return to the state after power-on: no power; the motor keeps moving."""
         for commanded in self._commands():
             commanded.value = commanded.number
         super().reset()
@@ -184,7 +184,7 @@ class AdmittanceServo(Servo):
         return step * self._per_position_count / self._period
 
     def settle(self) -> None:
-        """Make the transitions that need no command; a drive that brakes stays until it is at rest."""
+        """Make the transitions that need no command; a braking drive keeps its state until it is at rest."""
         if self._braking_since >= 0 and self.is_running:
             self._move()
             is_late = self.now - self._braking_since >= _LONGEST_BRAKING
@@ -202,7 +202,7 @@ class AdmittanceServo(Servo):
         self.update(before)
 
     def abort_connection(self, option: int) -> None:
-        """React to a lost connection as 0x6007 asks; the power follows the state."""
+        """React to a lost connection as 0x6007 demands; the power stage follows the state."""
         before = self.machine.state
         super().abort_connection(option)
         self.update(before)

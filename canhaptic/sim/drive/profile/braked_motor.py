@@ -11,7 +11,7 @@ class BrakedMotor:
 
     Args:
         motor: The motor.
-        brake: Its times.
+        brake: Holding brake with its delays.
     """
 
     def __init__(self, motor: Any, brake: Brake) -> None:
@@ -22,7 +22,7 @@ class BrakedMotor:
         self._seen = self._age = 0  # time of the last call, and that of the motor, which stands still meanwhile [ns]
 
     def command(self, now: int, *, is_open: bool) -> None:
-        """Open or set the brake; it follows after its time."""
+        """Open or set the brake; it follows after its delay."""
         if is_open and not self._is_open:
             self._opens, self._holds = now + self._release, inf
         elif self._is_open and not is_open:

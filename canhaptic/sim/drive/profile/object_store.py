@@ -1,6 +1,6 @@
 """The object store of the simulated drive: every object of its dictionary, with access, type and range checks.
 
-Built from any EDS or DCF. An object without a value answers "no data" (SDO abort 0x08000024): nothing is made up.
+Built from any EDS or DCF. An object without a value answers "no data" (SDO abort 0x08000024): no value is invented.
 Objects that the drive needs internally but its dictionary does not list are kept here too, invisible to SDO and PDO.
 """
 
@@ -55,10 +55,10 @@ class Entry:
 
     Attributes:
         size: Length [bytes]; 0 when it varies (strings, domains).
-        code: Its `struct` code in a PDO; empty when it cannot be part of one.
-        low: Least value allowed, of the type or of the dictionary; a real number has none unless stated.
+        code: `struct` code of the value in a PDO; empty when it cannot be mapped.
+        low: Smallest value allowed by the type or the dictionary; a real number has none unless stated.
         high: Largest value allowed.
-        value: None while the object has no value.
+        value: Present value; None while the object has none.
         check: Called with a value before it is stored by SDO; returns the abort code or None.
         changed: Called after a value was stored by SDO.
         refresh: Called before a value is read by SDO.
@@ -161,7 +161,7 @@ class ObjectStore:
         self.reset()
 
     def entry(self, index: int, data_type: int, subindex: int = 0) -> Entry:
-        """Return an object of the dictionary; one that only the drive itself sees when the dictionary lacks it.
+        """Return an object of the dictionary; if the dictionary lacks it, one that only the drive itself sees.
 
         Raises:
             ParameterError: The dictionary has it with another type than the drive.
@@ -178,9 +178,9 @@ class ObjectStore:
         return self._hidden.setdefault(place, Entry(index, subindex, data_type, access="ro"))
 
     def optional(self, index: int, data_type: int, subindex: int = 0) -> Entry:
-        """Object as from `entry`; where the dictionary has it with another type, one internal to the drive.
+        """Return an object as from `entry`; where the dictionary has it with another type, one internal to the drive.
 
-        The object of the dictionary then is a value without effect, as the master needs none of these to run.
+        The object of the dictionary is then a value without effect, as the master needs none of these to run.
         """
         found = self._entries.get((index, subindex))
         if found is not None and found.data_type != data_type:

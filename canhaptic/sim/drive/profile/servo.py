@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 class TorqueStage:
     """Limits a target torque (0x6071) to a demand (0x6074) and scales it to the axis.
 
-    The rated torque is what 0x6076 shows, so that master and drive cannot differ by a rounding; where the dictionary
+    The rated torque is the one in 0x6076, so that master and drive cannot differ by a rounding; where the dictionary
     has no 0x6076 it is the parameter itself. A dictionary without 0x6071 gives a stage without torque.
 
     Raises:
@@ -200,8 +200,8 @@ _POWERED: Final = frozenset(
 class Motor(Protocol):
     """The plant that the drive moves: motor, load and user.
 
-    A motor with `encoder_position` or `motor_torque` is read there; one without, or with `has_ideal_encoder`, has an
-    encoder, or a current loop, without effects.
+    A motor's `encoder_position` and `motor_torque` are used where it has them; a motor without them, or with
+    `has_ideal_encoder`, has an ideal encoder or current loop.
     """
 
     @property
@@ -234,16 +234,16 @@ class Servo:
     """Power stage and motor.
 
     Args:
-        store: The objects.
+        store: Object store.
         motor: Motor of the drive; at rest until the first SYNC that finds operation enabled.
         parameters: Scales and limits.
 
     Attributes:
         now: Present time [ns]; set by the owner.
         demand: Torque demand in force [per mille of rated torque].
-        torque: The same at the axis [N*m or N].
-        has_event: The statusword changed since the owner last cleared this.
-        was_reset: A fault was reset since the owner last cleared this.
+        torque: That torque demand at the axis [N*m or N].
+        has_event: Whether the statusword changed since the owner last cleared this.
+        was_reset: Whether a fault was reset since the owner last cleared this.
         fault_code: Code of a fault that the stage itself detected, for the owner to announce; 0 for none.
     """
 
@@ -292,7 +292,7 @@ class Servo:
             entry.refresh = self.measure
 
     def reset(self) -> None:
-        """Return to the state after power-on: no torque; the motor moves on."""
+        """Return to the state after power-on: no torque; the motor keeps moving."""
         self._move()
         self.machine.reset()
         self.demand, self.torque = 0, 0.0
@@ -316,7 +316,7 @@ class Servo:
 
     @property
     def is_powered(self) -> bool:
-        """Whether power is about to be on or is on, so that a lost connection affects the drive."""
+        """Whether power is on or about to be, so that a lost connection affects the drive."""
         return self.machine.state in _POWERED
 
     def obey(self) -> None:
@@ -387,7 +387,7 @@ class Servo:
         self.update()
 
     def abort_connection(self, option: int) -> None:
-        """React to a lost connection as 0x6007 asks: 0 nothing, 2 disable voltage, 3 quick stop, else fault."""
+        """React to a lost connection as 0x6007 demands: 0 nothing, 2 disable voltage, 3 quick stop, else fault."""
         if option == 0 or not self.is_powered:
             return
         if option == 2:

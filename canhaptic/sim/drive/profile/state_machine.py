@@ -83,8 +83,8 @@ def command_of(controlword: int) -> PowerCommand:
 class StateMachine:
     """State of one drive.
 
-    In cyclic torque the reaction of every stop is torque 0 at once, so that the option codes 0x605B, 0x605C and 0x605E
-    make no difference here; 0x605A decides where a quick stop ends.
+    In cyclic torque mode every stop sets the torque to 0 at once, so that the option codes 0x605B, 0x605C and 0x605E
+    have no effect here; 0x605A decides where a quick stop ends.
     """
 
     def __init__(self) -> None:
@@ -131,7 +131,7 @@ class StateMachine:
             self.state = DriveState.FAULT_REACTION_ACTIVE
 
     def settle(self, quick_stop_option: int) -> bool:
-        """Do the transitions that need no command (1, 14, and 12 at standstill); return whether one was due."""
+        """Make the transitions that need no command (1, 14, and 12 at standstill); return whether there was one."""
         before = self.state
         if before is DriveState.NOT_READY_TO_SWITCH_ON:
             self.state = DriveState.SWITCH_ON_DISABLED

@@ -42,7 +42,7 @@ class Effect(Protocol):
 
     @property
     def type(self) -> str:
-        """Its name in a scene."""
+        """Name of the effect in a scene."""
 
     order: ClassVar[int | None]
     """Order of the error in the substep; None when the effect is exact."""

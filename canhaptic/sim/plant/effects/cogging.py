@@ -1,7 +1,7 @@
 """Cogging: the detent torque of magnets and slots, F = -amplitude * sin(2 pi q / pitch + phase), torque or none.
 
-A potential force: over a substep the mean along the travel is taken in closed form (a discrete gradient), so that what
-it stores it gives back. States added: none (travel and effort of the splitting). Order 2.
+A potential force: over a substep the mean along the travel is taken in closed form (a discrete gradient), so that the
+energy it stores is returned. States added: none (travel and effort of the splitting). Order 2.
 Energy: stored. Typical: 0.5..3 % of the rated torque, pitch = one turn / lcm(poles, slots).
 Source: Hanselman, "Brushless Permanent Magnet Motor Design", 2nd ed., 2003, ch. 4.
 """

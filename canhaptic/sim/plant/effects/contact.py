@@ -38,7 +38,7 @@ class Contact(PlainPart):
         self._stiffness, self._damping = stiffness, damping
 
     def add_to(self, scene: PlantModel) -> None:
-        """Add the part, its depth and its work."""
+        """Add the contact, its depth as a state, and its work to the plant."""
         scene.add_state(self.depth)
         scene.works[self.name] = "dissipated"
         scene.parts.append(self)

@@ -16,7 +16,7 @@ _GAMMA: Final = 0x9E3779B97F4A7C15  # golden ratio, splitmix64
 
 
 class EncoderNoise(Parameters):
-    """Noise on the position that is read."""
+    """Noise on the measured position."""
 
     order: ClassVar[int | None] = None
     rank: ClassVar[int] = 1
@@ -49,12 +49,12 @@ def noise(deviation: float, seed: int, tick: int) -> float:
 
 
 def uniform(seed: int, tick: int) -> float:
-    """Return a number in [0, 1), by seed and tick."""
+    """Return a number in [0, 1), determined by seed and tick."""
     return _mix(_mix(seed * _GAMMA + tick) + _GAMMA) / (_MASK + 1)
 
 
 def gaussian(deviation: float, first: float, second: float) -> float:
-    """Return a normal deviate out of two uniform ones: first in (0, 1], second in [0, 1)."""
+    """Return a normal deviate from two uniform ones: first in (0, 1], second in [0, 1)."""
     return deviation * math.sqrt(-2.0 * math.log(first)) * math.cos(2.0 * math.pi * second)
 
 

@@ -12,7 +12,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class GraspChange(Parameters):
-    """Another grasp from some time on; name it again for further changes."""
+    """Another grasp from a given time on; name the effect again for further changes."""
 
     order: ClassVar[int | None] = None
     rank: ClassVar[int] = 1
@@ -26,7 +26,7 @@ class GraspChange(Parameters):
     """Damping of the hand's grip from then on."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Add a grasp to the hand and the time at which it comes.
+        """Add a grasp to the hand and the time at which it begins.
 
         Raises:
             ParameterError: There is no hand.

@@ -12,7 +12,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class HardStop(Parameters):
-    """One end of travel; name it twice for two ends."""
+    """One end of travel; name the effect twice for two ends."""
 
     order: ClassVar[int | None] = None
     rank: ClassVar[int] = 1

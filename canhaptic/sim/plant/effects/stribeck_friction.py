@@ -35,5 +35,5 @@ class StribeckFriction(DryFriction):
         scene.efforts.append(EffortForce(Effort(FALLING, **levels), "dissipated"))
 
     def fastest(self, mass: float, torque: float) -> float:
-        """Return the rate at which the falling friction speeds a mass [kg or kg*m^2] up [1/s]."""
+        """Return the rate at which the falling friction accelerates a mass [kg or kg*m^2] [1/s]."""
         return (self.static - self.kinetic) / (self.stribeck_velocity * mass)

@@ -18,7 +18,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class ThermalDerating(Parameters):
-    """A winding that protects itself."""
+    """A winding with thermal protection."""
 
     order: ClassVar[int | None] = 1
     rank: ClassVar[int] = 1

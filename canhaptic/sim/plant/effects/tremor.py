@@ -27,7 +27,7 @@ class Tremor(Parameters):
     """At the start of the plant."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Add an oscillator to what the hand follows.
+        """Add an oscillator to the motion that the hand follows.
 
         Raises:
             ParameterError: There is no hand that could transmit it.

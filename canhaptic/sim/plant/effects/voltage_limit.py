@@ -2,8 +2,8 @@
 
     voltage = resistance i + inductance di/dt + back_emf v,   |voltage| <= supply,   torque = back_emf i
 
-Within the supply the current follows as `current_loop` says; at the supply it follows the winding's own equation. In SI
-the torque of an ampere is the back-EMF of a unit of speed. Above supply / back_emf the motor brakes, torque or none.
+Within the supply the current follows as in `current_loop`; at the supply it follows the winding's own equation. In SI
+the torque per ampere equals the back-EMF per unit of speed. Above supply / back_emf the motor brakes, torque or none.
 Needs `current_loop`. States added: none (3 modes). Exact. Energy: motor work is that of the true torque.
 Typical: 24..48 V, 0.05..5 ohm, 0.05..5 mH. Source: Leonhard, "Control of Electrical Drives", 2001, ch. 5 and 7.
 """
@@ -46,14 +46,14 @@ class VoltageLimit(Parameters):
         scene.parts.append(_Winding(self))
 
     def slowest_lag(self, time_constant: float, torque: float, speed: float) -> float:
-        """Return the time constant [s] that the torque follows with at least; infinite where it may not follow at all.
+        """Return the largest time constant [s] with which the torque follows; infinite where it may not follow at all.
 
-        With the voltage that remains, w = supply - resistance i - back_emf v, the torque changes by back_emf w /
-        inductance, and what is left of a step is 2 `torque` at most.
+        With the remaining voltage, w = supply - resistance i - back_emf v, the torque changes by back_emf w /
+        inductance, and the remainder of a step is at most 2 `torque`.
 
         Args:
             time_constant: Time constant of the current loop [s].
-            torque: Largest torque that is asked for [N or N*m].
+            torque: Largest requested torque [N or N*m].
             speed: Largest speed [m/s or rad/s].
         """
         rest = self.supply - self.resistance * torque / self.back_emf - self.back_emf * speed

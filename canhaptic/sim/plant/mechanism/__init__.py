@@ -1,6 +1,6 @@
 """Mechanisms that several drives move together, one a file, and the table that names them.
 
-A mechanism is a frozen parameter model with `build(hand, sample_time_ns, substeps)`; what a scene does not name is
+A mechanism is a frozen parameter model with `build(hand, sample_time_ns, substeps)`; one that a scene does not name is
 never imported. Its hand holds the handle in task space, in metres, for linear and rotary motors.
 """
 
@@ -32,7 +32,7 @@ class Mechanism(Protocol):
 
     @property
     def handle(self) -> tuple[float, float]:
-        """Where the handle is in task space [m]."""
+        """Position of the handle in task space [m]."""
 
     def begin(self, now: int) -> None:
         """Start its clock at `now` [ns]; until then it is at rest."""

@@ -18,7 +18,7 @@ With M(q) the inertia, W = 1/M, p the momentum, H = p'W p / 2 + V(q), one subste
 
 (Gonzalez, "Time integration and discrete Hamiltonian systems", J. Nonlinear Science 6, 1996), so that H+ - H is
 tau . dq - dq'B dq / h + F . dq to rounding: the work of each motor is torque times displacement, friction only takes,
-and the hand's spring, whose force F is mapped by a Jacobian J with J dq = dx exactly, gives back what it got. Order 2.
+and the hand's spring, whose force F is mapped by a Jacobian J with J dq = dx exactly, returns its energy. Order 2.
 """
 
 import math
@@ -44,7 +44,7 @@ Rows = tuple[Pair, Pair]
 
 @dataclass(frozen=True, slots=True)
 class Linkage:
-    """The links, left and right alike."""
+    """The links, identical left and right."""
 
     half_base: float  # half the distance of the motors [m]
     proximal: float  # length of the links on the motors [m]
@@ -128,7 +128,7 @@ def pose_at(links: Linkage, left: float, right: float) -> LinkagePose:
 
 
 def singular(links: Linkage, left: float, right: float, span: float) -> ParameterError:
-    """Error for elbows that meet, or are as far apart as the distal links reach."""
+    """Error for elbows that meet, or are farther apart than the distal links reach."""
     return ParameterError(
         f"five_bar: at {left:.6g} and {right:.6g} rad the elbows are {span:.6g} m apart, which is a singular "
         f"pose (expected between 0, where they meet, and {2.0 * links.distal:g} m, the distal links stretched); "
@@ -198,7 +198,7 @@ def _over(r: Rows, sides: Rows) -> Rows:
 
 @dataclass(frozen=True, slots=True)
 class HandForce:
-    """A hand in numbers."""
+    """Parameters of a hand as numbers."""
 
     k_xx: float = 0.0  # stiffness [N/m]
     k_xy: float = 0.0
@@ -219,7 +219,7 @@ class HandForce:
 
 
 def force_of_hand(hand: TaskHand | None) -> HandForce:
-    """Return a hand in numbers; zeros for None."""
+    """Return the parameters of a hand as numbers; zeros for None."""
     if hand is None:
         return HandForce()
     swings = [(m.offset, m.amplitude, 2.0 * math.pi * m.frequency, m.phase) if m else (0.0,) * 4 for m in hand.motions]
@@ -263,9 +263,9 @@ def mean_pull(hand: HandForce, before: Pair, after: Pair, time: float, step: flo
 
     Args:
         hand: Hand that holds the handle.
-        before: Handle at `time` [m].
-        after: Handle at `time + step` [m].
-        time: Since the start [s].
+        before: Position of the handle at `time` [m].
+        after: Position of the handle at `time + step` [m].
+        time: Time since the start [s].
         step: Duration of the substep [s].
     """
     middle = (0.5 * (before[0] + after[0]), 0.5 * (before[1] + after[1]))
@@ -343,7 +343,7 @@ class FiveBarPlace(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """What a solver found for a substep."""
+    """Result of a solver for a substep."""
 
     is_found: bool
     after: FiveBarPlace
@@ -352,7 +352,7 @@ class Solved(NamedTuple):
 
 
 def five_bar_stack() -> FiveBarStack:
-    """Buffer for the halvings."""
+    """Return a buffer for halved substeps."""
     room = _HALVINGS + 2
     return FiveBarStack(list_of_zeros(room), list_of_zeros(room), [0] * room)
 
@@ -367,13 +367,13 @@ def advance_five_bar(
     settings: FiveBarSettings, state: FiveBarState, stack: FiveBarStack, place: FiveBarPlace, begin: int, ticks: int,
     torques: Pair,
 ) -> FiveBarPlace:  # fmt: skip
-    """Move under torques [N*m]; return the final place, or the one where it got stuck.
+    """Move under torques [N*m]; return the final pose, or the one where the solver failed.
 
     Args:
         settings: Properties of links and hand.
         state: State of the motion; changed in place.
-        stack: Buffer for the halvings.
-        place: Place of the state.
+        stack: Buffer for halved substeps.
+        place: Pose of the state.
         begin: Tick at which the motion begins.
         ticks: Length of the motion [ticks].
         torques: Torques of the left and the right motor.
@@ -587,7 +587,7 @@ class ElbowStop(Parameters):
 
 
 class FiveBarLinkage(Parameters):
-    """Lengths and masses of a five-bar; left and right alike."""
+    """Lengths and masses of a five-bar; identical left and right."""
 
     motion: ClassVar[Motion] = "rad"
     axes: ClassVar[int] = 2
@@ -629,7 +629,7 @@ class FiveBarLinkage(Parameters):
         )  # fmt: skip
 
     def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> "FiveBarMotion":
-        """Return it at rest at its initial angles.
+        """Return the five-bar at rest at its initial angles.
 
         Raises:
             ParameterError: These are a singular pose.
@@ -638,7 +638,7 @@ class FiveBarLinkage(Parameters):
 
 
 class FiveBarMotion:
-    """The five-bar in motion.
+    """A five-bar in motion.
 
     Args:
         links: Lengths and masses of the links.
@@ -679,12 +679,12 @@ class FiveBarMotion:
 
     @property
     def handle(self) -> tuple[float, float]:
-        """Where the handle is [m]."""
+        """Position of the handle [m]."""
         return self._place.pose.handle
 
     @property
     def iterations(self) -> int:
-        """Solver iterations since the start, a machine-independent price."""
+        """Number of solver iterations since the start, a machine-independent cost."""
         return self.state.iterations
 
     @property
@@ -725,7 +725,7 @@ class FiveBarMotion:
 
     @property
     def stored_error(self) -> float:
-        """Energy of the state beyond the accounts of both motors [J]: the integrator's error."""
+        """Energy of the state less the accounts of both motors [J]: the integrator's error."""
         return self.stored - self._stored_at_start - sum(self.energy(axis).stored for axis in (0, 1))
 
     def _stuck(self, step: float) -> ParameterError:

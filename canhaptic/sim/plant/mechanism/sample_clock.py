@@ -5,7 +5,7 @@ from canhaptic.sim.plant.propagator import TICKS
 
 
 class SampleClock:
-    """Ticks since the epoch.
+    """Clock of a mechanism, in ticks since its epoch.
 
     Args:
         sample_time_ns: T [ns].
@@ -32,7 +32,7 @@ class SampleClock:
             self._epoch = now
 
     def pass_until(self, now: int) -> int:
-        """Return the ticks from the last call to `now` [ns], rounded to whole ones; 0 before `begin`.
+        """Return the ticks from the last call to `now` [ns], rounded; 0 before `begin`.
 
         Raises:
             ParameterError: `now` lies before the last call.

@@ -1,7 +1,7 @@
 """One mechanism behind several drives: each drive has its motor, and every motor moves with all the others.
 
 A drive moves its motor by (time, its torque); the torques of the other motors in that time are read from their drives.
-That is right because a drive moves its motor BEFORE it changes its torque.
+This is valid because a drive moves its motor BEFORE it changes its torque.
 """
 
 from collections.abc import Callable

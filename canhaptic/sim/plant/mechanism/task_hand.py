@@ -35,7 +35,7 @@ class PlaneMotion(Parameters):
 
 
 class TaskHand(Parameters):
-    """The hand at the handle; every part absent unless it is given."""
+    """The hand at the handle; every part is absent unless given."""
 
     stiffness: Annotated[float, quantity("N/m", ge=0.0, le=1e6)] = 0.0
     """Along the major axis of the ellipse."""

@@ -61,10 +61,10 @@ class XYMotion:
         sample_time_ns: T [ns].
 
     Attributes:
-        state_names: Every state, and nothing else.
-        force_places: Places of the motors' forces in the state.
-        position_places: Places of the positions in the state.
-        is_linear: Whether one flow moves it: there is no dry friction.
+        state_names: Names of all states.
+        force_places: Indices of the motors' forces in the state.
+        position_places: Indices of the positions in the state.
+        is_linear: Whether a single flow moves it, without dry friction.
     """
 
     def __init__(self, stage: XYStage, hand: TaskHand | None, sample_time_ns: int) -> None:
@@ -109,12 +109,12 @@ class XYMotion:
 
     @property
     def handle(self) -> tuple[float, float]:
-        """Where the handle is [m]: on the carriage."""
+        """Position of the handle [m]: on the carriage."""
         x, y = self.positions
         return x, y
 
     def move_hand(self, x: float, y: float) -> None:
-        """Move a `PointerTaskHand` to a position [m] for the following holds; between two holds only."""
+        """Move a `PointerTaskHand` to a position [m] for the following holds; only between two holds."""
         for name, place in zip(_NAMES, (x, y), strict=True):
             self._machine.state[self._scene.names.index(f"{name}_hand_place")] = place
 
@@ -146,7 +146,7 @@ class XYMotion:
                 machine.tidy()
 
     def energy(self, axis: int) -> PlantEnergy:
-        """Return the true energies of one direction since the start [J]; its mass is its own."""
+        """Return the true energies of one direction since the start [J]; each direction has its own mass."""
         works = self._machine.works()
         motor, user, dissipated = (sum(works[i] for i in places) for places in self._works[axis])
         return PlantEnergy(motor, user, dissipated, 0.5 * self._masses[axis] * self.velocities[axis] ** 2)
