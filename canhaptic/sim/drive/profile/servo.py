@@ -241,7 +241,7 @@ class Servo:
     Attributes:
         now: Present time [ns]; set by the owner.
         demand: Torque demand in force [per mille of rated torque].
-        torque: That torque demand at the axis [N*m or N].
+        torque: Torque at the axis for that demand [N*m or N].
         has_event: Whether the statusword changed since the owner last cleared this.
         was_reset: Whether a fault was reset since the owner last cleared this.
         fault_code: Code of a fault that the stage itself detected, for the owner to announce; 0 for none.
