@@ -51,18 +51,18 @@ class ActiveLimits(NamedTuple):
 
 
 def active_limits(accuracies: Sequence[Accuracy], allowance: float) -> ActiveLimits:
-    """Thresholds below which a port has given out energy for certain.
+    """Return the thresholds below which a port has certainly given out energy.
 
     Args:
         accuracies: Accuracy of each axis of the port.
-        allowance: Energy that it may give out [J].
+        allowance: Energy that the port may give out [J].
     """
     floor = -inf if any(accuracy.is_estimate for accuracy in accuracies) else -(allowance + ROUNDING)
     return ActiveLimits(floor, sum(each.most_dissipated for each in accuracies), accuracies[0].sample_time)
 
 
 class Activity:
-    """The first holds after which a port had given out energy for certain; see `control.verdict`.
+    """The first holds after which a port had certainly given out energy; see `control.verdict`.
 
     Args:
         limits: Constants.
@@ -71,7 +71,7 @@ class Activity:
         limits: Constants, as given.
         active: Bits of the log's column `active`.
         since: Sample times from the first SYNC to the first such hold, at the motor; None: there was none.
-        at_handle_since: The same at the handle.
+        at_handle_since: Sample times to the first such hold at the handle.
     """
 
     __slots__ = ("active", "at_handle_since", "limits", "since")
@@ -82,10 +82,10 @@ class Activity:
         self.at_handle_since: int | None = None
 
     def take(self, most: float, deadline: int) -> None:
-        """Take a sum that is below the floor, or was.
+        """Take a sum that is, or was, below the limit.
 
         Args:
-            most: Booked energy and resolution together [J].
+            most: Booked energy plus resolution [J].
             deadline: Sample times from the first SYNC.
         """
         limits = self.limits
@@ -124,16 +124,16 @@ class AxisPort:
         drives: Torque records of the port.
         least_at_handle: Least sum of interaction and certain dissipation of the device after any hold [J]; None where
             no damping of the device is declared.
-        books_least: Whether the least that may have come in is booked, so that no resolution is taken off.
+        books_least: Whether the least energy that may have come in is booked, so that no resolution is subtracted.
         least_certain: Least sum of interaction less its resolution after any hold [J].
-        least_certain_at_handle: The same with that dissipation.
+        least_certain_at_handle: The same, including that dissipation.
         contacts: Holds in contact.
-        silent: Those of them whose next torque is zero.
+        silent: Holds in contact whose next torque is zero.
         damping: Sum of the damping rendered in contact [N*s/m].
         asked: Sum of the effort requested by the environment of an axis [N].
-        rendered: Sum of the effort rendered there [N].
-        sizes_asked: Sum of the sizes of that effort, each at most the drive's limit [N].
-        sizes_sent: Sum of the sizes of the torques that were sent there [N].
+        rendered: Sum of the effort rendered in those holds [N].
+        sizes_asked: Sum of the magnitudes of the requested effort, each at most the drive's limit [N].
+        sizes_sent: Sum of the magnitudes of the torques sent in those holds [N].
     """
 
     __slots__ = (
@@ -158,10 +158,10 @@ class AxisPort:
         """Take a hold; return the figures so far.
 
         Args:
-            sample: Sample at its end.
+            sample: Sample at the end of the hold.
             balance: Balance of the hold; one that was not booked waits for the next position.
-            ledger: Ledger that took it.
-            sent: Sample times from the first SYNC to its end, which may be late.
+            ledger: Ledger that booked the hold.
+            sent: Sample times from the first SYNC to the end of the hold, which may be late.
         """
         meter, branch = self._meter, balance[_BRANCH]
         touches = branch not in OUT_OF_CONTACT
@@ -205,11 +205,11 @@ class AxisPort:
 
     @property
     def friction_excess(self) -> float | None:
-        """Force beyond declared friction and hand that the axis showed [N or N*m]; None without that check."""
+        """Force in excess of declared friction and hand [N or N*m]; None without that check."""
         return None if self._meter.watch is None else self._meter.watch.excess
 
     def measured(self) -> Measured:
-        """Figures so far."""
+        """Return the figures so far."""
         return self._measured(self._resolution())
 
     def _resolution(self) -> float:
@@ -281,7 +281,7 @@ class GroupPort:
         return left + sum([drive.read_back_bound for drive in self.drives])
 
     def measured(self) -> Measured:
-        """Figures so far."""
+        """Return the figures so far."""
         return Measured(
             self._resolution(),
             sum([meter.dissipated for meter in self._meters]),
@@ -296,15 +296,15 @@ class RunMeters:
     """Meters of all axes, and their sums for axes and groups.
 
     Args:
-        axes: One for each axis.
+        axes: Meters, one per axis.
         drives: Torque record of each axis.
-        controllers: Controller of each axis that is in no group, in their order.
+        controllers: Controllers of the axes outside groups, in their order.
         groups: Axes that render together.
 
     Attributes:
-        axes: Axes, as given.
+        axes: Meters of the axes, as given.
         of_axes: Figures of each axis.
-        ports: The same, then figures of each group.
+        ports: Figures of each axis, then of each group.
         deadline: Sample times since the first SYNC; ahead of its index where SYNCs were skipped.
     """
 
@@ -338,10 +338,10 @@ class RunMeters:
 
         Args:
             samples: Sample of each axis, then of each group.
-            balances: Balance of each, in the same order.
-            ledgers: Ledger of each, in the same order.
+            balances: Balances of these, in the same order.
+            ledgers: Ledgers of these, in the same order.
             deadline: Sample times since the first SYNC.
-            late: Lateness of the SYNC against it [sample times].
+            late: Lateness of the SYNC against its deadline [sample times].
         """
         self.deadline, sent, known = deadline, deadline + late, []
         for place in self._places:  # walked by number, see `Cycle`

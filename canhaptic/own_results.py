@@ -1,4 +1,4 @@
-"""What own code gives back: a number of a size that forces have, or the run ends with who gave what."""
+"""Check of the results of user code: each must be a finite number of plausible size, or the run ends with an error."""
 
 import sys
 from collections.abc import Callable, Iterable
@@ -16,12 +16,12 @@ _ANY: Final = 1e100
 
 
 def watch(kind: type, names: Iterable[str], largest: float = _ANY) -> None:
-    """Make methods of an own class refuse all but a number, or a balance whose torque is one; others stay as they are.
+    """Make methods of a user-defined class return only numbers, or balances with a numeric torque; others are the same.
 
     Args:
         kind: The class; methods that it inherits from canhaptic are not touched.
-        names: Methods that return a number, where it has them.
-        largest: Largest size of the numbers.
+        names: Methods that return a number, if the class has them.
+        largest: Largest allowed magnitude.
     """
     for owner in kind.__mro__:
         if not owner.__module__.startswith("canhaptic."):

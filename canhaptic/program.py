@@ -1,13 +1,13 @@
-"""A rig for a program of the user's own: iterate over its SYNCs, and ask for torques.
+"""A rig for a user's own program: iterate over its SYNCs, and ask for torques.
 
     with canhaptic.open_rig("rig.yaml") as rig:
-        for sample in rig:                                       # one SYNC a turn
+        for sample in rig:                                       # one SYNC per turn
             rig["knob"].torque = -2.0 * sample["knob"].position  # sent at its end, as far as the guard lets it pass
 
 Bring-up, limits, link policy, account, logs and verdict are those of `canhaptic run`; the program takes the place of
 environment and algorithm. The drives are enabled at the first turn and not before, as SYNCs must follow one another
-from then on. However the loop ends, zero torque is sent first and the drives are disabled second. What no code can
-answer (SIGKILL, `os._exit`, a crash of the interpreter) ends the watchdog of each drive; a rig without one is refused.
+on. However the loop ends, zero torque is sent first and the drives are disabled second. Where no code can
+react (SIGKILL, `os._exit`, a crash of the interpreter), each drive's watchdog acts; a rig without one is refused.
 """
 
 import atexit
@@ -65,19 +65,19 @@ def open_rig(
     """Return a rig to iterate over, inside `with`; nothing is sent before its first turn.
 
     Args:
-        scene: A scene file, a mapping with the keys of one, or a scene that was loaded. Environment and algorithm are
-            left aside.
-        changes: Replace values of the scene, by path, as for `simulate`. Not for a loaded scene.
-        guard: "none": torques go out as they are asked for. On a real rig the scene must say so too, by `guard: none`
+        scene: A scene file, a mapping with its keys, or a loaded scene. Environment and algorithm are
+            ignored.
+        changes: Values of the scene to replace, by path, as for `simulate`. Not for a loaded scene.
+        guard: "none": torques are sent as requested. On a real rig the scene must agree, by `guard: none`
             or `algorithm: unprotected`.
         pace: As for `build`.
         duration: Time after which the loop ends [s]; by default the scene's, or never.
         energy_log: Energy log (HDF5) to write; by default the scene's.
-        bus_log: Bus log (candump text) to write; the same.
+        bus_log: Bus log (candump text) to write; by default the scene's.
         force: Whether logs may replace files.
         no_torque: Whether the torque sent is always 0: a dry run.
-        replay: Bus log of an earlier run, whose drives answer in place of real ones; what the program lets the rig send
-            is compared with what was sent then.
+        replay: Bus log of an earlier run, whose drives answer in place of real ones; the frames that the program causes
+            are compared with the recorded ones.
         allow_code: As for `simulate`.
 
     Raises:
@@ -134,7 +134,7 @@ def _require_watchdogs(scene: Scene) -> None:
 
 
 class AxisSample(NamedTuple):
-    """What an axis reports at a SYNC."""
+    """Report of an axis at a SYNC."""
 
     sync_index: int  # of the SYNC, counted from 0
     position: float  # [m or rad]
@@ -149,9 +149,9 @@ class ProgramAxis:
     Attributes:
         name: Name of the axis.
         unit: Unit of its position.
-        granted: Torque that the guard let pass in the last turn [N or N*m].
-        limited_by: Why that is not the one asked for: `start` in the first turn, `lost sample`, `torque_limit`, the
-            name of the certificate that held no more, or `account` where there was no energy for any; empty: it is.
+        granted: Torque that the guard permitted in the last turn [N or N*m].
+        limited_by: Why `granted` differs from the request: `start` in the first turn, `lost sample`, `torque_limit`,
+            the name of the limiting certificate, or `account` where no energy was left; empty where it does not differ.
     """
 
     __slots__ = ("_asked", "_before", "_controller", "_grid", "_limit", "_rig", "_velocity", "granted", "limited_by",
@@ -167,7 +167,7 @@ class ProgramAxis:
 
     @property
     def torque(self) -> float:
-        """Torque asked for in this turn [N or N*m]; 0 until it is set, in every turn anew.
+        """Torque requested in this turn [N or N*m]; reset to 0 for every turn.
 
         Raises:
             InputError: On setting what is no finite number, or outside a turn; zero torque was sent before.
@@ -187,7 +187,7 @@ class ProgramAxis:
         self._asked = value
 
     def begin_turn(self, sample: Sample, now: int) -> AxisSample:
-        """Take what the axis reports; of the rig alone. `now` are the sample times since the first SYNC."""
+        """Take the report of the axis; called by the rig only. `now` counts the sample times since the first SYNC."""
         index, position, torque, _, fresh = sample
         if fresh:
             periods = now - self._before if self._before >= 0 else 0
@@ -195,11 +195,11 @@ class ProgramAxis:
         return _new(AxisSample, (index, position, self._velocity, torque, fresh))
 
     def end_turn(self) -> None:
-        """Ask for the torque of this turn; of the rig alone."""
+        """Request the torque of this turn; called by the rig only."""
         self._controller.ask(self._asked)
 
     def take_answer(self, balance: EnergyBalance, index: int) -> None:
-        """Note what was granted at a SYNC, and ask for nothing any more; of the rig alone."""
+        """Store the torque granted at a SYNC, and clear the request; called by the rig only."""
         torque, branch, certificate = balance.torque, balance.branch, balance.certificate
         asked, self._asked, self.granted = self._asked, 0.0, torque
         if -self._grid < asked - torque < self._grid:
@@ -216,8 +216,8 @@ class OpenRig:
     """A rig that a program iterates over, inside `with`; see `open_rig`.
 
     Attributes:
-        scene: The scene, its axes for a program.
-        is_open: Whether a turn is open, in which torques may be set.
+        scene: Scene with its axes prepared for a program.
+        is_open: Whether a turn is open; torques may be set only then.
         replayed: Outcome of the comparison, after the block of a replayed rig; None for any other.
     """
 
@@ -238,7 +238,7 @@ class OpenRig:
 
     @property
     def account(self) -> Account:
-        """Energies of each port, after the block.
+        """Energies of each port; available after the block.
 
         Raises:
             InputError: The block has not ended.
@@ -322,7 +322,7 @@ class OpenRig:
             self._left = error
 
     def refusal(self, what: str) -> InputError:
-        """Send zero torque, stop the rig, and return the error of a torque that cannot be asked for."""
+        """Send zero torque, stop the rig, and return the error of a request that is not valid."""
         if self._source is not None:
             self._stop(self._source.cycle.rig.stop, StopReason.CONTROLLER)
         return InputError(f"{what}; the torque is zero and the rig has stopped; set finite numbers, inside the loop")

@@ -16,7 +16,7 @@ def load(table: Mapping[str, str], name: str, kind: str) -> Any:
 
     Args:
         table: Name -> "module:Class".
-        name: The name asked for.
+        name: Requested name.
         kind: Kind of entries in the table, for the message ("environment", "passivity algorithm", ...).
 
     Raises:
@@ -34,7 +34,7 @@ def load_algorithm(table: Mapping[str, str], name: str, kind: str, parameters: o
 
     Args:
         table: As for `load`; every class has a `parameters_type`.
-        name: The name asked for.
+        name: Requested name.
         kind: Kind of entries in the table.
         parameters: Parameters of its type; None for its defaults.
 
@@ -53,7 +53,7 @@ def load_algorithm(table: Mapping[str, str], name: str, kind: str, parameters: o
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """Return `; did you mean 'stiffness'?` for the end of a message, or nothing when no name is near."""
+    """Return `; did you mean 'stiffness'?` for the end of a message, or nothing when no name is similar."""
     near = difflib.get_close_matches(name, list(names), n=1)
     return f"; did you mean {near[0]!r}?" if near else ""
 

@@ -8,10 +8,10 @@ The drives' side of a recording: returns the recorded response to each frame of 
 
 Time of a recording: it advances only when the master waits, and then moves to the next recorded frame.
 
-The master sends each frame when it was sent in the recording, however long it computes today and for any deadline it
-waits for. So a SYNC that was late then is as late now, and the same deadlines are skipped.
+The master sends each frame at its recorded time, however long it computes today and whatever deadline it
+waits for. So a SYNC that was late in the recording is equally late now, and the same deadlines are skipped.
 
-A rig that joins a bus whose drives are enabled already: for recordings that lack the start.
+A rig that joins a bus with enabled drives: for recordings that lack the start.
 
 The first difference of a replay as text: both frames decoded, and the bus traffic before them.
 
@@ -75,7 +75,7 @@ class Roles(NamedTuple):
     def asks_to_leave(self, data: bytes) -> bool:
         """Whether an RPDO of the first axis revokes OPERATION ENABLED.
 
-        0x0F keeps it and 0x00 revokes it; decided by the majority of bits, so that one flipped bit moves no end.
+        0x0F keeps it and 0x00 revokes it; the majority of bits decides, so that one flipped bit does not move the end.
         """
         (controlword,) = self.controlword.unpack(data) if len(data) == self.controlword.size else (_ENABLE_BITS,)
         return (int(controlword) & _ENABLE_BITS).bit_count() < _ENABLE_BITS.bit_count() // 2
@@ -122,14 +122,14 @@ _SYNC: Final[Address] = (0, od.SYNC_FRAME_COB_ID)
 class Recording:
     """The frames of one bus log, without the master's heartbeats.
 
-    Those follow the wall clock of the host. After skipped SYNCs, microseconds decide when the next one is due, and the
-    times of a log differ from those of the master by some.
+    The heartbeats follow the wall clock of the host. After skipped SYNCs, microseconds decide when one is due, and the
+    times of a log differ from the master's by some.
 
     Attributes:
         path: The log.
         frames: All other data frames, in the order of the log.
         skipped: Frames that were left out, by kind.
-        buses: Place of each frame's bus among those of the scene.
+        buses: Index of each frame's bus in the scene.
         heartbeat: COB-ID of the master's heartbeat.
         is_master: Whether the master sent each frame.
         has_boot: Whether the start of the drives is in the log.
@@ -165,14 +165,14 @@ class Recording:
         return any(address in addresses and frame.data[1:4] == named for address, frame in pairs)
 
     def reads_before_writing(self, bus: int, node_id: int) -> bool:
-        """Return whether the master asked a node for its heartbeat period before it wrote it, to put it back."""
+        """Return whether the master read a node's heartbeat period before writing it, in order to restore it."""
         named, address = struct.pack("<HB", od.PRODUCER_HEARTBEAT_TIME, 0), (bus, od.SDO_REQUEST_BASE + node_id)
         requests = (f.data for a, f in zip(self._addresses, self.frames, strict=True) if a == address)
         return next((data[0] == _UPLOAD for data in requests if data[1:4] == named), True)
 
     @property
     def restoring(self) -> int:
-        """Index of the frame after the last SYNC that asks for a state, before drives get their values back."""
+        """Index of the frame after the last SYNC that requests a state, before the drives' values are restored."""
         asks = bytes([_UPLOAD]) + struct.pack("<HB", od.STATUSWORD, 0)
         last = max((n for n, address in enumerate(self._addresses) if address == _SYNC), default=0)
         after = range(last, len(self.frames))
@@ -185,7 +185,7 @@ class Recording:
         and followed by one more. After a fault it was answered by zero torque alone.
 
         Args:
-            ramp_cycles: Cycles in which the master takes the torque to zero.
+            ramp_cycles: Cycles in which the master ramps the torque to zero.
         """
         syncs = commands = 0
         for address, frame in self._since_first_sync():
@@ -222,7 +222,7 @@ NEVER: Final = 1 << 62  # [ns]
 class ReplayOverError(BaseException):
     """Ends the run: the recording is at its end, or the master departed from it.
 
-    Not an `Exception`: no handler on the way out may treat it as a fault of drive or link and go on sending.
+    Not an `Exception`: no handler on the way out may treat it as a fault of drive or link and continue sending.
     """
 
 
@@ -236,21 +236,21 @@ class _Departure(NamedTuple):
 
 
 class RecordedSide:
-    """Plays the frames that the master did not send (a `SimulatedPeer`), and compares its frames but its heartbeats.
+    """Plays the frames of other nodes (a `SimulatedPeer`), and compares the master's frames except heartbeats.
 
-    Order and times are those of the recording: a frame comes once the master has sent everything that was recorded
-    before it. Recorded frames of the drives that precede a frame of the master have reached the master when it sends
-    it.
+    Order and times are those of the recording: a frame is played once the master has sent everything recorded
+    before it. Recorded frames of the drives that precede a frame of the master have reached it when it sends
+    that frame.
 
     Args:
-        buses: Its connections to the buses, in the order of the scene.
+        buses: Connections to the buses, in the order of the scene.
         recording: Recording to play.
         first: Index of the first frame to play.
 
     Attributes:
         compared: Frames of the master found equal so far.
         played: Frames of the drives sent so far.
-        reached: Time of the master's last frame in the recording [ns]; its computation until then took that long.
+        reached: Recorded time of the master's last frame [ns], which includes its computation.
         departure: First difference; None while there is none.
     """
 
@@ -290,13 +290,13 @@ class RecordedSide:
             self._play()
 
     def next_due(self) -> int:
-        """Return when the next frame of the drives is due [ns]; never while the master has to send first."""
+        """Return when the next frame of the drives is due [ns]; never while the master must send first."""
         if self._next == self._end or self._is_master[self._next]:
             return NEVER
         return self._frames[self._next].timestamp_ns
 
     def next_command(self) -> int:
-        """Time of the master's next frame, if nothing comes from the drives before [ns]."""
+        """Time of the master's next frame, if no frame of the drives comes earlier [ns]."""
         if self._next == self._end or not self._is_master[self._next]:
             return NEVER
         return self._frames[self._next].timestamp_ns
@@ -344,9 +344,9 @@ class RecordedClock:
     """A `Clock` that a recording drives.
 
     Args:
-        side: The drive's side of the recording.
+        side: Drives' side of the recording.
         start: The time at the beginning [ns].
-        pace: A clock to keep pace with; None to go as fast as the machine allows.
+        pace: Clock to keep pace with; None to run as fast as the machine allows.
     """
 
     def __init__(self, side: RecordedSide, start: int, pace: Clock | None = None) -> None:
@@ -366,7 +366,7 @@ class RecordedClock:
             self._move(min(deadline, max(self._now + 1, self._side.next_due())))
 
     def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
-        """Next frame of the drives; None when the master's turn comes before, or at `deadline` [ns]."""
+        """Return the next frame of the drives; None when the master's frame is due first, or at `deadline` [ns]."""
         side = self._side
         while True:
             side.process(self._now)
@@ -440,7 +440,7 @@ class FrameWords(TypedDict):
 
 
 class FrameBefore(_FramePlace, FrameWords):
-    """One of the last frames that were still equal."""
+    """A frame among the last equal ones."""
 
     direction: str
 
@@ -515,7 +515,7 @@ _BUS: Final[dict[str, object]] = {"interface": "virtual", "channel": None, "opti
 
 
 class ReplayedFrames(TypedDict):
-    """Numbers of frames."""
+    """Counts of frames."""
 
     recorded: int
     played: int
@@ -552,8 +552,8 @@ def replay_bus_log(
     Args:
         bus_log: candump text, BLF, TRC or ASC.
         scene: Scene of the run; its bus is replaced by a virtual one and nothing is simulated.
-        realtime: Keeps the pace of the recording instead of going as fast as the machine allows.
-        from_sync: Leaves the start out even if it was recorded.
+        realtime: Whether to keep the pace of the recording instead of running as fast as the machine allows.
+        from_sync: Whether to leave the start out even if it was recorded.
         dry_run: Whether the recorded run was a dry run.
 
     Raises:
@@ -654,11 +654,11 @@ class OpenReplay:
         self._stack.close()
 
     def result(self, elapsed: float, ended: str = "by the program") -> ReplayResult:
-        """Return what was compared, after a run of the cycle.
+        """Return the result of the comparison, after a run of the cycle.
 
         Args:
             elapsed: Duration of the run [s].
-            ended: How it ended, if without a difference.
+            ended: How the run ended, if without a difference.
 
         Raises:
             InputError: No whole cycle was compared.

@@ -3,13 +3,13 @@
     {status, config_hash, cycles, verdict, passive, ports: {NAME: {verdict, passive, ...}}, truth: {NAME: {...}},
      timing, link, method}
 
-`passive` is the account's own verdict, from frames alone, on the sum of the energy that came in against the motor's
+`passive` is the account's own verdict, from frames alone, on the sum of the energy received against the motor's
 torque (eq. 3); `passive_at_handle`, where a damping of the device is declared, on that sum with the energy that the
 device dissipated. `plant_passive` and `plant_passive_at_handle` are those of the simulated plant. `verdict` is the
-displayed word: the plant's verdict where there is one, else the account's.
+headline word: the plant's verdict where there is one, else the account's.
 
-A port is an axis or a group of axes. An axis in a group has `group` and what came in and went out by it; the account,
-whether it is passive included, is that of the group, which has `axes`. Energies in [J], times in [s].
+A port is an axis or a group of axes. An axis in a group has `group` and the energy received and given out by it; the
+account, including its verdict, is that of the group, which has `axes`. Energies in [J], times in [s].
 """
 
 from collections.abc import Mapping, Sequence
@@ -84,7 +84,7 @@ _HEADLINES: Final[tuple[Headline, ...]] = ("no contact", "dry run", "yes", "in d
 
 
 class Verdicts(TypedDict):
-    """The worst verdicts of all accounts; one that no account has is left out."""
+    """The worst verdicts of all accounts; a verdict that no account has is left out."""
 
     verdict: Headline
     passive: Verdict
@@ -94,7 +94,7 @@ class Verdicts(TypedDict):
 
 
 def overall(ports: Mapping[str, PortResult]) -> Verdicts:
-    """Return the worst verdicts of all accounts; "in doubt" where there is none, as of a run without a cycle."""
+    """Return the worst verdict over all accounts; "in doubt" where there are no accounts."""
     accounts = [account for account in ports.values() if "passive" in account]
     found: Verdicts = {
         "verdict": max((of.get("verdict", of["passive"]) for of in accounts), key=_HEADLINES.index, default="in doubt"),
@@ -231,8 +231,8 @@ def rendered_shares(asked: float, given: float, damping_asked: float, damping: f
 def withdraw_certificates(account: PortResult, *, longest_gap: int) -> None:
     """Withdraw the certificates of an account where a torque acted longer than they covered, or was not commanded.
 
-    The same where one hold had none, being longer or shorter than declared, where the axis moved as it cannot with
-    the friction that is declared (`friction_watch`), and where its own energies refute them.
+    Also where one hold was longer or shorter than declared, where the motion contradicts the declared
+    friction (`friction_watch`), and where the port's own energies refute them.
 
     A certificate covers `max_consecutive_losses` sample times without a new torque. A skipped SYNC is no lost frame:
     the queued torque acts for longer, and the one behind it, which counted on a single hold, acts all the same.
@@ -259,9 +259,9 @@ def with_groups(
     """Accounts of axes and groups with their verdicts, and the cross-references between them.
 
     Args:
-        accounts: Accounts by the name of the port, each formed as if the port were alone.
+        accounts: Accounts by port name, each formed as if the port were alone.
         groups: Names of the axes of each group. An axis of a group alone proves nothing: its account keeps only the
-            energy that came in and went out through it.
+            energy received and given out through it.
         truth: Energies of the simulated plant by port; None without a simulation.
     """
     found = {name: account.copy() for name, account in accounts.items()}

@@ -5,7 +5,7 @@ setting is a note.
 
 Bus-off (the controller gave up after too many errors) ends a run, and nothing may restart it unnoticed. With
 `restart-ms 0` the controller stays off until a person restarts it. With a restart after the rig has certainly stopped
-`restart-ms 0` the controller stays off until a person restarts it. With a restart after the rig has certainly stopped
+(`stop_cycles` sample times) the bus comes back to drives that are disabled. A restart before that would let a run
 continue unnoticed, and is refused.
 """
 

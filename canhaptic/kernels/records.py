@@ -21,7 +21,7 @@ _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
 class Binding:
-    """instead: Replacements by reached function or by global name.
+    """Copies of functions with global names bound to replacements, each copied once.
 
     Args:
         instead: Replacements by function reached, or by global name.

@@ -1,9 +1,9 @@
 """The continuous environment rendered to the same user and plant: the ideal for comparison.
 
-The continuous environment on the textbook plant, by event-located DOP853; needs extra `study`.
+The continuous environment on the reference plant, by event-located DOP853; needs extra `study`.
 
 Independent of the sampled loop and of the plant's own stepper. It takes every effect and environment for which there
-are equations, and refuses the others.
+equations, and refuses any other.
 
 The continuous environment rendered to the same user and plant: the reference for every sampled algorithm.
 
@@ -19,7 +19,7 @@ A network on the motors of a group in continuous time, by DOP853: what the hands
 
 The equations are those of `canhaptic.control.port_hamiltonian`, in time and not in steps; energies and geometry are the
 network's own. Where a contact begins the solver takes shorter steps by itself; a second run with a coarser tolerance
-says how far that can be trusted.
+shows how far the result can be trusted.
 """
 
 import math
@@ -96,11 +96,11 @@ def continuous_run(
     """Motion that the user would feel without sampling.
 
     Args:
-        environment: Rendered without sampling.
+        environment: Environment to render without sampling.
         model: Plant, user and effects; the environment is added to it.
-        times: Ascending, from 0 [s].
+        times: Times, ascending from 0 [s].
         rtol: Relative tolerance of the solver.
-        stop: Polled now and then; true gives up.
+        stop: Polled regularly; true aborts.
 
     Raises:
         InputError: There are no equations for the environment, scipy is missing, the solver fails, or it was stopped.
@@ -113,7 +113,7 @@ def continuous_run(
 
 
 def surfaces(environment: Environment) -> list[float]:
-    """Return the positions where contact begins or ends [m or rad]; where the torque may jump.
+    """Return the positions where contact begins or ends [m or rad], and the torque may jump.
 
     Raises:
         InputError: There are no equations for an environment of this class.
@@ -410,7 +410,7 @@ def continuous_reference(
     """Motion and force that the user would feel from the continuous environment.
 
     Args:
-        environment: Rendered without sampling.
+        environment: Environment to render without sampling.
         plant: Moving mass.
         user: The hand.
         effects: Effects of the plant; those of encoder and command are left out.
@@ -472,14 +472,14 @@ def textbook_model(simulation: AxisSimulation, without: Callable[[str], bool] = 
 
     Args:
         simulation: Simulation of the axis.
-        without: Whether an effect of this name is left out.
+        without: Whether the effect with this name is left out.
     """
     effects = [effect_of(effect) for effect in simulation.effects if not without(effect.name)]
     return Model(simulation.plant, simulation.user, effects)
 
 
 def readings_per_hold(sample_time_ns: int, cycles: int) -> int:
-    """Return how often the reference is read in a hold [ns] of a run of some cycles."""
+    """Return the number of readings of the reference per hold [ns] in a run of some cycles."""
     least = max(2, -(-sample_time_ns // _FINEST))
     least = min(least, max(2, _MOST_READINGS // max(1, cycles)))
     return next((n for n in range(least, 2 * least + 8) if sample_time_ns % n == 0), least)
@@ -533,13 +533,13 @@ def group_model(scene: Scene) -> ReferenceGroup:
 def continuous_group(
     scene: Scene, step_ns: int, steps: int, stop: Callable[[], bool] = lambda: False
 ) -> ContinuousGroup:
-    """Return what the hands would feel without sampling.
+    """Return the motion and forces that the hands would feel without sampling.
 
     Args:
         scene: Scene with one group, alone.
         step_ns: Time between two readings [ns].
         steps: Readings after the first.
-        stop: Polled now and then; true gives up.
+        stop: Polled regularly; true aborts.
 
     Raises:
         InputError: There are no equations, scipy is missing, the solver fails, the mechanism leaves its workspace, or

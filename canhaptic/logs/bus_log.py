@@ -25,7 +25,7 @@ class BusLogWriter:
         pace: "real" or "free".
         file_size: Bytes after which the file is renamed to NAME.00001.log, ...; 0 for one file without limit.
         files: Number of files kept in all when `file_size` is given.
-        last: Above 0, nothing is written while the run goes well; after a bad end, the frames of this last time are
+        last: If above 0, nothing is written during a good run; after a bad end, the frames of this final period are
             written [s].
         on_failure: Called once, from another thread, with the reason when the log can no longer be written; frames are
             then dropped and counted at any pace.
@@ -70,12 +70,12 @@ class BusLogWriter:
 
     @property
     def failure(self) -> str:
-        """Why the log stopped before it was closed; empty while all is well."""
+        """Reason why the log stopped before it was closed; empty while there is none."""
         return self._process.failure
 
     @property
     def writer_pid(self) -> int:
-        """Process id of the writer at work."""
+        """Process ID of the present writer."""
         return self._process.pid
 
     def __call__(self, timestamp_ns: int, can_id: int, data: bytes | bytearray, is_rx: bool) -> None:
@@ -87,7 +87,7 @@ class BusLogWriter:
         self._record(timestamp_ns, can_id, data, is_rx)
 
     def on(self, bus: int) -> Recorder:
-        """Recorder of the frames of one bus, by its place among the channels; the log itself takes the first's.
+        """Recorder of the frames of one bus, by its index among the channels; the log itself records the first.
 
         Raises:
             ParameterError: There is no such bus.

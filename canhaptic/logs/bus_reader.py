@@ -1,4 +1,4 @@
-"""Reads recorded frames: candump text by ourselves, to the microsecond; BLF, TRC and ASC through python-can."""
+"""Reads recorded frames: candump text directly, to the microsecond; BLF, TRC and ASC through python-can."""
 
 import re
 from collections import Counter
@@ -62,7 +62,7 @@ def read_bus_log(path: str | Path, skipped: Counter[SkippedKind] | None = None) 
 
     Args:
         path: The log.
-        skipped: Counts the frames left out because CANopen rigs do not use them: CAN FD, error, remote.
+        skipped: Counter of frames left out because CANopen rigs do not use them: CAN FD, error, remote.
 
     Raises:
         LogFormatError: Missing, empty, or a line that is no frame; names file and line.

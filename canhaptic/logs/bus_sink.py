@@ -31,7 +31,7 @@ class BusSink:
         area: Shared memory with one ring of frames.
         file_size: Bytes after which the file is renamed to NAME.00001.log, NAME.00002.log, ...; 0 for no limit.
         files: Number of files kept in all, the one being written included; the oldest is deleted.
-        convert_to: A .blf, .trc or .asc file to turn the text into in the end; None to leave it.
+        convert_to: A .blf, .trc or .asc file to convert the text to at the end; None for no conversion.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class BusSink:
         self._convert_to = convert_to
 
     def open(self, restart: bool) -> None:
-        """Create the file; after a restart continue behind its last whole line."""
+        """Create the file; after a restart continue after its last whole line."""
         self._next = self._frames.tail
         if restart and self._path.exists():
             self._recover()
@@ -88,7 +88,7 @@ class BusSink:
             os.fsync(self._descriptor)
 
     def check(self) -> None:
-        """Return while the file is as it was written; raise LogWriteError."""
+        """Return while the file is unchanged since it was written; raise LogWriteError otherwise."""
         require_same_file(self._path, self._descriptor, self._size)
 
     def _write(self, text: bytes) -> None:

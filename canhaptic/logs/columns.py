@@ -1,4 +1,4 @@
-"""Columns of an energy log: one list, from which the ring's record, the file and the reader are all made."""
+"""Columns of an energy log: one list that defines the ring's record, the file and the reader."""
 
 import json
 from dataclasses import dataclass
@@ -100,7 +100,7 @@ EVENT_RING: Final = RingShape("=q" + "".join(f"{size}s" for size in EVENT_TEXT_S
 
 @dataclass(frozen=True, slots=True)
 class LogSchema:
-    """Columns of the log and what else the writer process needs to make the file."""
+    """Columns of the log, and further data that the writer process needs to make the file."""
 
     ports: tuple[PortDescription, ...]
     sample_time_ns: int

@@ -1,8 +1,8 @@
 """Text for every frame of a CANopen bus: NMT, SYNC, EMCY, SDO with object names, PDO fields, heartbeats.
 
-The PDO maps are learnt from the bring-up in the log itself, so no configuration is needed; with one, objects get the
+The PDO maps are learnt from the bring-up in the log itself, so no configuration is needed. With one, objects get the
 names of the drive's dictionary and positions and torques their units. It shares no code with the master's codecs, so
-that it can judge them.
+that it can check them.
 
 The power state in a statusword (0x6041), decoded bit by bit in the words of IEC 61800-7-201, 6.3.
 
@@ -67,8 +67,8 @@ class SdoDecoder:
     """The SDO traffic of one node.
 
     Args:
-        name_of: Gives the text for (index, subindex).
-        value_of: Gives the text for the value of (index, subindex, bytes).
+        name_of: Function that returns the text for (index, subindex).
+        value_of: Function that returns the text for the value of (index, subindex, bytes).
     """
 
     def __init__(
@@ -198,8 +198,8 @@ class PdoMaps:
     """Known PDOs of one node.
 
     Args:
-        node_id: 1..127.
-        dictionary: Its object dictionary, whose defaults hold until the log shows other values; None if unknown.
+        node_id: Node ID, 1..127.
+        dictionary: Object dictionary, whose defaults apply until the log shows other values; None if unknown.
     """
 
     def __init__(self, node_id: int, dictionary: Mapping[int, Any] | None) -> None:
@@ -246,7 +246,7 @@ class PdoMaps:
         return {cob_id: mapping for cob_id, _, mapping in self.cob_ids() if mapping >= od.TPDO_MAPPING}
 
     def fields(self, mapping_index: int, data: bytes) -> list[PdoField] | str:
-        """Fields of a frame, or a text why it cannot be decoded."""
+        """Return the fields of a frame, or a text that says why it cannot be decoded."""
         entries = self._entries.get(mapping_index, {})
         count = entries.get(0, 0)
         mapped = [entries.get(number, 0) for number in range(1, min(count, len(entries)) + 1)]
@@ -300,7 +300,7 @@ _TIME_COB_ID: Final = 0x100
 
 @dataclass(frozen=True, slots=True)
 class NodeDescription:
-    """Description of one node that the log does not contain."""
+    """Description of one node, which the log does not contain."""
 
     node_id: int
     name: str = ""

@@ -68,12 +68,12 @@ class EnergyLogWriter:
 
     @property
     def failure(self) -> str:
-        """Reason why the log stopped before it was closed; empty while all is well. Cheap enough for every cycle."""
+        """Reason why the log stopped before it was closed; empty while there is none. Cheap enough for every cycle."""
         return self._process.failure
 
     @property
     def writer_pid(self) -> int:
-        """Process id of the writer at work."""
+        """Process ID of the present writer."""
         return self._process.pid
 
     def append(
@@ -90,12 +90,12 @@ class EnergyLogWriter:
 
         Args:
             sync_index: Index k of the SYNC.
-            samples: One per port.
-            balances: One per port.
+            samples: Samples, one per port.
+            balances: Balances, one per port.
             timing: Timing of this cycle.
-            truths: One per port when the log was made with truth.
+            truths: True values, one per port when the log was made with truth.
             deadline: Sample times since the first SYNC; None: none was skipped.
-            measured: One per port; none where only the balances are known.
+            measured: Figures, one per port; none where only the balances are known.
 
         Raises:
             LogStoppedError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
@@ -120,8 +120,8 @@ class EnergyLogWriter:
 
         Args:
             sync_index: Index k of the SYNC.
-            kind: One word.
-            port: Name of the axis, empty for the whole rig.
+            kind: Kind of the event, one word.
+            port: Name of the axis; empty for the whole rig.
             text: Description of the event.
         """
         texts = zip((kind, port, text), EVENT_TEXT_SIZES.values(), strict=True)

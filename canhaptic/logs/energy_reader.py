@@ -5,7 +5,7 @@ with EnergyLog.open("run.h5") as log:
     power = handle["h_i"] / log.sample_time          # [W]
     print(handle.unit("h_i"), log.status, log.attributes["config_hash"])
 
-Check of the columns of an energy log: all present, of their type, and of one length.
+Check of the columns of an energy log: all present, of the right type, and of equal length.
 """
 
 import json
@@ -40,7 +40,7 @@ FoundColumns = Mapping[str, Dataset]
 
 
 def checked_rows(path: Path, file: Hdf5File, ports: Sequence[str], status: str) -> int:
-    """Number of rows that every column has.
+    """Number of rows common to all columns.
 
     Args:
         path: The log, for messages.
@@ -61,7 +61,7 @@ def checked_rows(path: Path, file: Hdf5File, ports: Sequence[str], status: str) 
 def found_columns(path: Path, file: Hdf5File, ports: Sequence[str]) -> tuple[FoundColumns, FoundColumns]:
     """Return the columns of the rows and those of the events, by path.
 
-    The format of an older version has fewer.
+    The format of an older version has fewer columns.
 
     Raises:
         LogFormatError: One is missing or of another type.
@@ -165,10 +165,10 @@ class EnergyLog:
     Attributes:
         path: The file.
         attributes: Attributes stored with the run (configuration, hashes, versions, ...).
-        format_version: Version of the format; 1 and 2 are of earlier releases.
+        format_version: Version of the format; 1 and 2 are from earlier releases.
         ports: Name of the axis -> its quantities; `position`, `torque_command`, `torque_applied`, `h_i`, ...
-        truth: The same for the true values of a simulation; empty on a real rig.
-        groups: Ports that are groups, and the names of their axes; the accounts of these are the group's.
+        truth: True values of a simulation, in the same form; empty on a real rig.
+        groups: Ports that are groups, and the names of their axes; the group's account counts for these axes.
         timing: Times of each cycle and `sync_index`.
         rows: Number of cycles in the log.
         rows_lost: Cycles missing at the start because the file is damaged.
@@ -264,7 +264,7 @@ class EnergyLog:
 
     @property
     def group_of(self) -> dict[str, str]:
-        """The group of each axis that is in one."""
+        """Return the group of each axis that is in one."""
         return {axis: group for group, axes in self.groups.items() for axis in axes}
 
     @property
@@ -283,11 +283,11 @@ class EnergyLog:
         return np.asarray(self.deadlines() * (self.sample_time_ns * 1e-9))
 
     def deadlines(self, start: int = 0, stop: int | None = None) -> Array:
-        """Return the sample times from the first SYNC to that of each row; of an older log the index of the SYNC."""
+        """Return the sample times from the first SYNC to that of each row; for an older log, the index of the SYNC."""
         return self.timing.read("deadline_index" if "deadline_index" in self.timing else "sync_index", start, stop)
 
     def time_of(self, sync_index: int) -> float:
-        """Time of a SYNC [s], also of one after the last row."""
+        """Time of a SYNC [s], even of one after the last row."""
         if not self.rows:
             return sync_index * self.sample_time
         index = self.timing["sync_index"]

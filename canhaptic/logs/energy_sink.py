@@ -42,7 +42,7 @@ def trim(file: Hdf5File) -> tuple[int, int]:
 
 
 def unfinished(path: Path) -> Path:
-    """Temporary name of a log, in the folder of its final one; a leftover of a killed run is deleted."""
+    """Return the temporary name of a log, in the folder of its final one; a leftover of a killed run is deleted."""
     temporary = path.with_name(f".{path.name}.new")
     temporary.unlink(missing_ok=True)
     return temporary
@@ -82,7 +82,7 @@ class EnergySink:
 
     Args:
         path: The file.
-        schema: Its columns.
+        schema: Columns of the log.
         area: Shared memory with two rings: rows and events.
     """
 
@@ -99,7 +99,7 @@ class EnergySink:
         self._lost = 0
 
     def open(self, restart: bool) -> None:
-        """Make the file; after a restart continues the one that a killed writer left, from its first missing row."""
+        """Make the file; after a restart, continue the one left by a killed writer, from its first missing row."""
         if restart and self._recover():
             return
         self._next_row = self._lost = self._rows.tail
@@ -190,7 +190,7 @@ class EnergySink:
             os.fsync(self._descriptor)
 
     def check(self) -> None:
-        """Return while the file is as it was written; raise LogWriteError."""
+        """Return while the file is unchanged since it was written; raise LogWriteError otherwise."""
         require_same_file(self._path, self._descriptor, self._size)
 
     def finish(self, status: str) -> None:

@@ -17,7 +17,7 @@ _BLOCK: Final = 65_536  # rows held in memory at a time
 
 
 def export(log: EnergyLog, path: str | Path) -> None:
-    """Write a log as a table; the suffix says which kind: .csv, .parquet, .mat or .mcap.
+    """Write a log as a table; the suffix gives the format: .csv, .parquet, .mat or .mcap.
 
     Floats in CSV are the shortest text that reads back to the same bits.
 
@@ -37,7 +37,7 @@ def export(log: EnergyLog, path: str | Path) -> None:
 
 
 def require_library(path: Path) -> None:
-    """Import the library that writes a table of this suffix.
+    """Import the library that writes tables with this suffix.
 
     Raises:
         InputError: It is not installed.

@@ -1,4 +1,4 @@
-"""The frames of the last seconds, written only when a run ends badly; nothing grows while all is well."""
+"""The frames of the last seconds, written only when a run ends badly; no file grows meanwhile."""
 
 import os
 import struct
@@ -37,7 +37,7 @@ class FaultSink:
         self._blocks: deque[bytes] = deque()
 
     def open(self, restart: bool) -> None:
-        """Prove early that the file can be created; the file of an earlier fault stays."""
+        """Check early that the file can be created; the file of an earlier fault stays."""
         del restart
         self._next = self._frames.tail
         probe = self._path.with_name(f".{self._path.name}.new")
@@ -46,10 +46,10 @@ class FaultSink:
         probe.unlink()
 
     def check(self) -> None:
-        """Nothing is written before the end."""
+        """Do nothing: the file is written only at the end."""
 
     def drain(self, heads: list[int], final: bool) -> None:
-        """Take all frames up to `heads[0]` and discard those that have grown old."""
+        """Take all frames up to `heads[0]` and discard old ones."""
         del final
         while self._next < heads[0]:
             count = min(_BLOCK, heads[0] - self._next)
@@ -66,7 +66,7 @@ class FaultSink:
         """Leave the file as it is: its format has no place for a status."""
 
     def finish(self, status: str) -> None:
-        """Write the frames kept, unless the run ended well."""
+        """Write the kept frames, unless the run ended well."""
         if status in _GOOD_ENDINGS or not self._blocks:
             return
         oldest = self._oldest()

@@ -1,4 +1,4 @@
-"""A log that grows: opened as a regular file, and watched, since somebody may delete or truncate it meanwhile."""
+"""A log that grows: opened as a regular file, and watched, since it may be deleted or truncated meanwhile."""
 
 import errno
 import os
@@ -36,7 +36,7 @@ def cause_of(error: Exception) -> str:
 
 
 def require_same_file(path: Path, descriptor: int, size: int) -> None:
-    """Require that a log is still the file that was opened, and as long as it was written.
+    """Require that a log is still the opened file, with its written length.
 
     Args:
         path: The log.

@@ -1,4 +1,4 @@
-"""Typed interface to the part of h5py that the logs use: the only place that touches the untyped library."""
+"""Typed interface to the part of h5py that the logs use: the only module that touches the untyped library."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -35,21 +35,21 @@ class Dataset:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Its lengths; () for a single value."""
+        """Shape of the column; () for a single value."""
         return tuple(self._dataset.shape or ())
 
     @property
     def chunk(self) -> int:
-        """Elements that are written at once; 1 where the column is contiguous."""
+        """Number of elements per chunk; 1 where the column is contiguous."""
         return int(self._dataset.chunks[0]) if self._dataset.chunks else 1
 
     def refreshed_length(self) -> int:
-        """Return its length now, while another process writes it."""
+        """Return the present length while another process writes the column."""
         self._dataset.refresh()
         return len(self)
 
     def read_tables(self) -> None:
-        """Read its type, its attributes and the places of its chunks, but no element."""
+        """Read type, attributes and chunk addresses, but no element."""
         self._dataset.dtype, self.attributes  # noqa: B018 - for what the library does to find them
         with _bounded_memory():
             if self._dataset.chunks:
@@ -57,13 +57,13 @@ class Dataset:
 
     @property
     def dtype(self) -> np.dtype[np.generic]:
-        """Type of its elements."""
+        """Type of the elements."""
         dtype: np.dtype[np.generic] = self._dataset.dtype
         return dtype
 
     @property
     def attributes(self) -> dict[str, Attribute]:
-        """Its attributes."""
+        """Attributes of the column."""
         with _bounded_memory():
             return dict(self._dataset.attrs)
 
@@ -92,8 +92,8 @@ class Hdf5File:
 
     Args:
         path: The file.
-        mode: "live" read, also while another process writes it or after that was killed; "x" make a file that is not
-            there; "x live" the same, to be read by others while it is written.
+        mode: "live": read, even while another process writes or after it was killed; "x": create a new
+            file; "x live": create a new file that others read while it is written.
 
     Nothing newer than the format of HDF5 1.10 (2016) is written, so that MATLAB and old readers can open it.
     """
@@ -123,7 +123,7 @@ class Hdf5File:
 
     @property
     def attributes(self) -> dict[str, Attribute]:
-        """Attributes of the root; bytes of a text that are no UTF-8 are replaced."""
+        """Attributes of the root; bytes that are not valid UTF-8 are replaced."""
         with _bounded_memory():
             return {name: _text(value) if isinstance(value, str) else value for name, value in self._file.attrs.items()}
 
@@ -146,12 +146,12 @@ class Hdf5File:
         return Dataset(found)
 
     def names(self, group: str) -> list[str]:
-        """Return the names inside a group; none when the group is missing."""
+        """Return the names inside a group; empty when the group is missing."""
         with _bounded_memory():
             return list(self._file[group]) if isinstance(self._file.get(group), h5py.Group) else []
 
     def datasets(self) -> Iterator[tuple[str, Dataset]]:
-        """Yield path and column of everything in the file that is one."""
+        """Yield path and column of every dataset in the file."""
         found: list[tuple[str, Dataset]] = []
 
         def visit(path: str | bytes, item: h5py.Dataset | h5py.Group) -> None:  # h5py leaves a damaged name as bytes
@@ -163,9 +163,9 @@ class Hdf5File:
         yield from found
 
     def read_tables(self) -> None:
-        """Read what the library keeps: the root's attributes, and of every column name, type, attributes and chunks.
+        """Read the metadata: the root's attributes, and name, type, attributes and chunks of every column.
 
-        Continues after damaged entries: another reader may come there first.
+        Continues after damaged entries: another reader may reach them first.
         """
         with suppress(Exception):
             self.attributes  # noqa: B018 - for what the library does to find them
@@ -183,7 +183,7 @@ class Hdf5File:
     def start_live(self) -> None:
         """Let other processes read while this one writes; no more columns or attributes can be added.
 
-        The library's cache of its own tables, which grows to megabytes in the first hour of a log, is bounded.
+        The library's cache of metadata, which grows to megabytes in the first hour of a log, is bounded.
         """
         cache = self._file.id.get_mdc_config()
         cache.set_initial_size, cache.initial_size = True, _TABLE_CACHE

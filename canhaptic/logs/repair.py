@@ -1,6 +1,6 @@
 """Recovery of an energy log after a kill, a full disk or a bad sector.
 
-Reads a damaged file in a copy of this process: HDF5 follows damaged addresses, and may crash or never end.
+Reads a damaged file in a copy of this process: HDF5 follows damaged addresses, and may crash or never return.
 """
 
 import ctypes
@@ -36,7 +36,7 @@ def in_own_process(path: Path, work: Callable[[], _Result]) -> _Result:
 
     Args:
         path: The file that is read, for the error.
-        work: Returns or raises something that can be pickled; its changes in memory are lost.
+        work: Function whose result can be pickled; its changes in memory are lost.
 
     Raises:
         LogFormatError: There is no file, or the copy crashed or took more CPU time than any log of this size needs.
@@ -109,7 +109,7 @@ _BLOCK: Final = 1 << 18  # rows read at a time
 
 
 def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
-    """Copy every whole row up to the first that is damaged or that a column lacks into a clean, packed log.
+    """Copy every whole row, up to the first damaged or incomplete one, into a clean, packed log.
 
     Args:
         source: The log; it is not changed.
@@ -134,7 +134,7 @@ def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
 
 
 def require_readable(source: Path) -> None:
-    """Require that HDF5 survives everything in a file; damage that it reports is left to the reader.
+    """Require that HDF5 can read everything in a file without a crash; reported damage is left to the reader.
 
     Raises:
         LogFormatError: It crashes, or does not come to an end; or there is no file.

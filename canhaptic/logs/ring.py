@@ -70,7 +70,7 @@ class SharedArea:
 
     @property
     def mark(self) -> int:
-        """A number that one writer leaves for the next one, should it be killed."""
+        """Number that a writer leaves for its successor, in case it is killed."""
         return self._cells[_MARK_CELL]
 
     @mark.setter
@@ -78,7 +78,7 @@ class SharedArea:
         self._cells[_MARK_CELL] = mark
 
     def text(self, name: str) -> str:
-        """Return the text left under `name` ("failure" or "status"), empty when none was."""
+        """Return the text left under `name` ("failure" or "status"); empty when there is none."""
         start = _TEXT_OFFSETS[name]
         (size,) = struct.unpack_from("=Q", self._map, start)
         return bytes(self._map[start + 8 : start + 8 + size]).decode("utf-8", "replace")
@@ -128,7 +128,7 @@ class Ring:
 
         Args:
             bus: Index of the bus among the channels.
-            when_full: Called with the record that finds no room.
+            when_full: Called with a record that does not fit.
         """
         memory, cells, pack_into, size = self._memory, self._cells, self._pack_into, self._size
         first, capacity, head = self._start, self.capacity, self._head_cell
@@ -191,7 +191,7 @@ def _fill(descriptor: int, size: int) -> None:
 
 
 def allocate(size: int) -> int:
-    """Return the descriptor of an unlinked file of `size` bytes, every page of it really there.
+    """Return the descriptor of an unlinked file of `size` bytes, with every page allocated.
 
     A memory file system is preferred: pages of a file on a disk stall the control thread while they are written back.
     """

@@ -1,9 +1,9 @@
 """The writer process (`writer_process` starts it): a descriptor as argument, its job as JSON on standard input.
 
 It takes records out of the shared ring and puts them into a file, in ordinary priority, away from the control thread.
-It ends when the producer says so, or when the producer is gone: then everything still in the ring is written first.
+It ends when the producer requests it, or when the producer has ended: then everything still in the ring is written.
 
-One run writes a log: a lock file next to it, held by the writer process and released with it, however it ends.
+One run writes a log: a lock file next to it, held by the writer process and released when that ends in any way.
 """
 
 import json
@@ -165,7 +165,7 @@ def _open(job: dict[str, Any], sink: _Sink) -> LogLock:
 
 
 def main() -> None:
-    """Read the job, say `ready` once the file is open, and serve."""
+    """Read the job, report `ready` once the file is open, and serve."""
     job = json.load(sys.stdin)
     _become_ordinary(patient=job["pace"] == "real")
     area, sink = make_sink(job, int(sys.argv[1]))

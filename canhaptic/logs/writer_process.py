@@ -74,7 +74,7 @@ class WriterProcess:
 
     @property
     def pid(self) -> int:
-        """Process id of the writer at work."""
+        """Process ID of the present writer."""
         return self._process.pid
 
     def push_patiently(self, ring: Ring, record: Record) -> bool:

@@ -8,7 +8,7 @@ from canhaptic.scene.models import AxisScene, Scene
 
 
 def check_display(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: Diagnostics) -> None:
-    """Note what an admittance display lacks, and an impedance display simulated as an admittance display."""
+    """Note missing properties of an admittance display, and an impedance display simulated as an admittance display."""
     display, simulation = axis.parameters.admittance, axis.simulation
     if display is None:
         if simulation is not None and simulation.admittance is not None:

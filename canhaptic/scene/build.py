@@ -7,7 +7,7 @@ Nothing is sent before `run`.
 
 Opens the CAN buses of a scene through python-can, and wraps them in the effects that it names.
 
-Limit of the energy that each port of a scene may give out beyond the declared energy, before the rig stops.
+Limits of the energy that each port of a scene may give out beyond the declared energy, before the rig stops.
 
 Log paths of a scene: those outside its own folder and the current one are reported and overwrite nothing.
 
@@ -63,12 +63,12 @@ _PRIVATE: Final = itertools.count()
 
 
 def private_channel() -> str:
-    """Return a channel of the virtual interface that nothing else in this process uses."""
+    """Return a channel of the virtual interface that is unused in this process."""
     return f"canhaptic-{os.getpid()}-{next(_PRIVATE)}"
 
 
 def echoes(bus: BusParameters) -> bool:
-    """Return whether the interface gives back the frames that were sent through it."""
+    """Return whether the interface returns the frames sent through it."""
     return bus.interface in _ECHOING or bool(bus.options.get("receive_own_messages"))
 
 
@@ -96,9 +96,9 @@ def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"]
     """Return a connection with the effects that a scene names on its buses.
 
     Args:
-        bus: The connection as it was opened.
-        scene: Has `bus_effects`.
-        side: The side whose connection it is.
+        bus: Opened connection.
+        scene: Scene with `bus_effects`.
+        side: Side that owns the connection.
         index: Index of the bus among those of the scene.
     """
     from canhaptic.sim.bus.faulty_bus import FaultyBus
@@ -153,13 +153,13 @@ def _limit(axis: AxisScene, is_on: bool) -> float | None:
 
 
 def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
-    """Notes on logs that a scene itself puts outside its folder and the current one, one line each.
+    """Notes on logs that a scene puts outside its own folder and the current one, one line each.
 
-    A scene may come from somebody else: its log paths must not overwrite a file elsewhere.
+    A scene may come from another person: its log paths must not overwrite a file elsewhere.
 
     Args:
         scene: The scene.
-        energy: Whether the scene's energy log is used, the user having named none.
+        energy: Whether the scene's energy log is used, because the user named none.
         bus: Whether the scene's bus log is used.
 
     Raises:
@@ -199,7 +199,7 @@ class Experiment:
         cycle: Rig, controllers and accounts, ready for `canhaptic.cycle.run`.
         energy_log: Energy log, with every cycle; None without one.
         bus_log: Bus log, with every frame; None without one.
-        code: Process in which own code runs; None where it runs in the cycle, or there is none.
+        code: Process in which user code runs; None where it runs in the cycle, or there is none.
     """
 
     def __init__(
@@ -304,10 +304,10 @@ def build(
     Args:
         scene: Scene from `load_scene`.
         pace: "real" or "free"; by default free where the drives are simulated in this process, else real.
-        energy_log: Energy log (HDF5) to write, over an earlier one; by default none: the paths under `log` of a scene
+        energy_log: Energy log (HDF5) to write, replacing any earlier one; by default none: paths under `log` of a scene
             are
-            of the command `run` alone.
-        bus_log: Bus log (candump text) to write; the same.
+            used by the command `run` only.
+        bus_log: Bus log (candump text) to write; by default none.
         no_torque: Whether the torque sent is always 0: a dry run.
 
     Raises:
@@ -355,7 +355,7 @@ def _require_push(scene: Scene, controllers: Sequence[object]) -> None:
 
 
 def require_buildable(scene: Scene) -> None:
-    """Build and discard what a run of a simulated scene builds; nothing is sent and no log is opened.
+    """Build everything that a run of a simulated scene needs, and discard it; nothing is sent and no log is opened.
 
     Raises:
         InputError: A run would refuse the scene, for example a simulated drive without a rated torque.
@@ -368,8 +368,8 @@ def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) ->
     """Return the simulated drives of a scene on one connection to the bus.
 
     Args:
-        scene: Has a `simulation`.
-        bus: The connection.
+        scene: Scene with a `simulation`.
+        bus: Connection to the bus.
         name: Name of that bus; None for the only one.
 
     Raises:

@@ -1,9 +1,9 @@
-"""Own code of a scene in a process of its own: it answers one hold later, and cannot stall the cycle.
+"""User code of a scene in a process of its own: it answers one hold later, and cannot stall the cycle.
 
-What stalls a loop of Python is the lock of its interpreter, and a second interpreter has none of it. The sample of each
-SYNC goes out and the torques for the hold after the next come back, each in one slot of memory that both map: a
-sequence lock, no pickling, nothing to wait for. To the cycle they are torques that a program asks for, so that its own
-guard and account go on, however late the answers are and if none comes any more.
+Python code stalls the cycle through the lock of its interpreter, which a second process does not share. The sample of
+each SYNC is sent and the torques for the hold after the next come back, each in one slot of shared memory under a
+sequence lock: no pickling, no waiting. To the cycle they are torques requested by a program, so that its own
+guard and account continue, however late the answers are, or if none comes any more.
 """
 
 import json
@@ -49,10 +49,10 @@ main()
 
 
 def apart(scene: Scene) -> Scene:
-    """Scene whose own environments and algorithms run in a process of their own; unchanged where they run in the cycle.
+    """Scene whose user-defined environments and algorithms run in a separate process; unchanged if they need none.
 
-    The cycle asks for what they answer, under the certificates of `guarded` where that is their algorithm. It runs
-    them itself in a simulation, unless `code_runs_in` says otherwise.
+    The cycle requests the torques that they answer, under the certificates of `guarded` if that is their algorithm. It
+    runs them itself in a simulation, unless `code_runs_in` says otherwise.
     """
     where = scene.run.code_runs_in or ("cycle" if scene.simulated else "process")
     axes = tuple(replace(axis, guard=_guard_of(axis)) if axis.is_own else axis for axis in scene.axes)
@@ -82,10 +82,10 @@ def _guard_of(axis: AxisScene) -> str:
 
 
 class LaterLaw:
-    """Own environments and algorithms of a scene, whose torques act a hold later than in the cycle.
+    """User-defined environments and algorithms of a scene, whose torques act a hold later than in the cycle.
 
     Attributes:
-        places: Their axes among those of the scene.
+        places: Indices of their axes in the scene.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -101,7 +101,7 @@ class LaterLaw:
         """Return the torque of each axis for the hold after the next [N or N*m].
 
         Args:
-            periods: Sample times since the SYNC before.
+            periods: Sample times since the previous SYNC.
             missed: SYNCs since the last step whose samples were not seen.
             reports: Position, torque applied and whether both are fresh, of each axis in turn.
         """
@@ -117,7 +117,7 @@ class LaterLaw:
 
 
 def ask_in_cycle(scene: Scene, cycle: Cycle) -> None:
-    """Let a cycle run the law itself, as late as the process did: for replays."""
+    """Let a cycle run the user code itself, with the delay of the process: for replays."""
     law, controllers = LaterLaw(scene), askers(scene, cycle.controllers)
     due = [0.0] * len(controllers)
 
@@ -130,13 +130,13 @@ def ask_in_cycle(scene: Scene, cycle: Cycle) -> None:
 
 
 def askers(scene: Scene, controllers: Sequence[Any]) -> list[Any]:
-    """Return those of the controllers outside groups that ask own code for their torques."""
+    """Return the controllers outside groups that request their torques from user code."""
     alone = [axis for axis in scene.axes if not axis.group]
     return [controller for axis, controller in zip(alone, controllers, strict=True) if axis.is_own]
 
 
 def reports_of(samples: Sequence[Sample], places: Sequence[int]) -> list[float]:
-    """Return position, torque applied and freshness of some axes, one behind the other."""
+    """Return position, torque applied and freshness of some axes, concatenated."""
     return [value for place in places for value in (samples[place][1], samples[place][2], samples[place][4])]
 
 
@@ -181,18 +181,18 @@ class _Slot:
 
 
 class CodeProcess:
-    """Own code of a scene in a process of its own: the sample of a SYNC goes out, its torques come a hold later.
+    """User code of a scene in a separate process: the sample of a SYNC goes out, its torques come back a hold later.
 
-    Where no answer has come the torque asked for is zero, and the hold is counted.
+    Where no answer has arrived the requested torque is zero, and the hold is counted.
 
     Args:
-        scene: From `apart`.
-        cycle: The cycle that asks.
-        pace: At free pace the cycle waits for each answer.
+        scene: Scene from `apart`.
+        cycle: Cycle that requests the torques.
+        pace: Pace of the run; at free pace the cycle waits for each answer.
 
     Attributes:
-        late: Holds without an answer.
-        longest: The most of them in a row.
+        late: Number of holds without an answer.
+        longest: Largest number of consecutive holds without an answer.
 
     Raises:
         InputError: The code did not become ready.
@@ -224,11 +224,11 @@ class CodeProcess:
 
     @property
     def pid(self) -> int:
-        """Number of the process."""
+        """Process ID."""
         return self._process.pid
 
     def turn(self, samples: Sequence[Sample]) -> None:
-        """Ask for what was answered to the sample before, and hand over this one.
+        """Request the torques that answer the previous sample, and hand over this one.
 
         Raises:
             OwnCodeError: The code raised, or returned what is no number.
@@ -332,7 +332,7 @@ class _Printed:
 
 
 def main() -> None:
-    """Run the code in this process, until the cycle's ends."""
+    """Run the user code in this process until the process of the cycle ends."""
     shared, wake, answers = map(int, sys.argv[2:5])
     memory = mmap.mmap(shared, 3 * _SLOT)
     job = json.loads(sys.stdin.readline())

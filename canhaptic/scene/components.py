@@ -46,11 +46,11 @@ class SceneReading(Protocol):
 
     @property
     def code(self) -> _CodeReading:
-        """Own code that may be read."""
+        """User code that may be read."""
 
     @property
     def displays(self) -> Set[str]:
-        """Names of the axes that are admittance displays, as far as they are read."""
+        """Names of the admittance displays among the axes read so far."""
 
     @property
     def is_display(self) -> bool:
@@ -75,7 +75,7 @@ class ComponentSpec(NamedTuple):
 
 
 class UnreadParameters(Parameters):
-    """Placeholder for the parameters of own code that was not read."""
+    """Placeholder for the parameters of user code that was not read."""
 
     written: dict[str, Any]
     """The section as written."""
@@ -87,8 +87,8 @@ class ComponentOf:
     Args:
         table: Name -> "module:Class", of parameter models or of classes with a `parameters_type`.
         kind: Kind of entries in the table, for messages.
-        selector: Key of the section that has the name.
-        apart: Further keys of the section, read by another field; a model that has one of the same name reads it
+        selector: Key of the section that contains the name.
+        apart: Further keys of the section, read by another field; a model with a field of the same name reads it
             too.
     """
 
@@ -103,12 +103,12 @@ class ComponentOf:
         return f"{self.selector} (one of {', '.join(sorted(self.table))}) and more"
 
     def model_of(self, section: object) -> type[Parameters] | None:
-        """Return the model of the table that a section names; None when it names none, or a user's own code."""
+        """Return the model in the table that a section names; None when it names none, or user code."""
         name = section.get(self.selector) if isinstance(section, MarkedMapping) else None
         return self._model(name) if isinstance(name, str) and name in self.table else None
 
     def table_for(self, _section: object) -> "ComponentOf":
-        """Return the table that a section is read from."""
+        """Return the table from which a section is read."""
         return self
 
     def _model(self, name: str) -> type[Parameters]:
@@ -119,7 +119,7 @@ class ComponentOf:
         return core_schema.with_info_plain_validator_function(self.read, serialization=plain)
 
     def read(self, value: object, info: ValidationInfo[SceneReading]) -> ComponentSpec:
-        """Return what a section names."""
+        """Return the component that a section names."""
         if isinstance(value, ComponentSpec):
             return value
         if value is None:
@@ -189,7 +189,7 @@ class ComponentOf:
 
 
 class OwnModel(OnDemand):
-    """Annotation of a field whose section, where it has `type`, is read by a subclass of the user's own.
+    """Annotation of a field whose section, if it has `type`, is read by a user-defined subclass.
 
     Args:
         path: "module:Class" of the model of any other section.
@@ -232,7 +232,7 @@ def _with_type(value: Parameters | None) -> dict[str, object] | None:
 
 
 class ComponentByDisplay(ComponentOf):
-    """Annotation of a `ComponentSpec` whose table depends on the kind of display that the axis, or the group, is.
+    """Annotation of a `ComponentSpec` whose table depends on the kind of display, impedance or admittance.
 
     Args:
         impedance: Table for an axis that takes motion and gives torque.
@@ -244,7 +244,7 @@ class ComponentByDisplay(ComponentOf):
         self._admittance = admittance
 
     def table_for(self, section: object) -> ComponentOf:
-        """Table whose model has more of the section's keys: errors refer to that model."""
+        """Return the table whose model has more of the section's keys: errors refer to that model."""
         keys = section.keys() if isinstance(section, MarkedMapping) else set()
 
         def known(table: ComponentOf) -> int:
@@ -254,7 +254,7 @@ class ComponentByDisplay(ComponentOf):
         return self._admittance if known(self._admittance) > known(self) else self
 
     def read(self, value: object, info: ValidationInfo[SceneReading]) -> ComponentSpec:
-        """Return what a section names, from the table of the kind of display that the axis is."""
+        """Return the component that a section names, from the table for the axis's kind of display."""
         of_group = info.data.get("axes")
         is_display = info.context.displays >= set(of_group) if of_group else info.context.is_display
         return self._admittance.read(value, info) if is_display else super().read(value, info)

@@ -4,7 +4,7 @@ Prediction of the axis to the hold in which the next torque acts: a model of the
 
 With v the velocity at the last SYNC, f_1 ... f_n the queued torques and w the rest of the force on the mass,
 
-    With v the velocity at the last SYNC, f_1 ... f_n the queued torques and w the rest of the force on the mass,
+    x_i = x_(i-1) + v_(i-1) T + (f_i + w) T^2 / 2m,   v_i = v_(i-1) + (f_i + w) T / m.
 
 The displacement of the hold that ended corrects v at once: v = D/T + (f_0 + w) T / 2m. It corrects w by a small share,
 so that at rest w is what the hand holds against the torque, and nothing is predicted. A prediction from the last

@@ -228,7 +228,7 @@ class SdoChannel:
 
     Args:
         link: The bus.
-        dictionary: Names, sizes and signs of objects; objects it lacks can still be read, as unsigned.
+        node_id: Node ID of the drive.
         dictionary: Gives names, sizes and signs; objects it lacks can be read all the same, as unsigned.
         name: Name of the axis, for messages.
         timeout: Time limit of one answer [ns].

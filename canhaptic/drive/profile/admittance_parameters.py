@@ -132,10 +132,10 @@ class ForceChannel:
 
     Args:
         force: Its parameters.
-        same: Consecutive SYNCs with the same count, within the error of the sensor.
+        sample_time: T [s].
 
     Attributes:
-        is_wrong: Whether the force is beyond the range, or the sensor has shown one count for too long.
+        force: Last force [N or N*m].
         same: SYNCs in a row with one count, within the error of the sensor.
         is_wrong: Whether it is beyond the range, or the sensor has shown one count for too long.
     """

@@ -468,7 +468,7 @@ class TorqueAxis(ABC):
     def command_per_mille(self, torque: float) -> int:
         """Target torque (0x6071) for a requested torque [N*m or N], after policy and limiter.
 
-        the operator's stop may reduce it. After a skipped SYNC the last torque is the bound: a controller takes the
+        While TPDOs are missing, the torque held when the first went missing, reduced by its ramp, is an upper bound;
         the operator's stop may ask for less. After a skipped SYNC the last torque is the bound: a controller takes the
         motion of several sample times for that of one and would brake several times too hard.
 

@@ -64,7 +64,7 @@ class BatchCase:
     drive `counts_per_unit`, `torque_quantum` and `torque_limit`; of the meter `last_from`, `damping_per_time` and
     `friction`; `seed` of the encoder's noise; of plants with events `plant`, the place in `plants`; of a linear plant
     `start.ROW`, `flow.ROW.COLUMN` and, where it is known in closed form, `rate.ROW.COLUMN`. A
-    Return the numbers of a parameter model under the names of `BatchCase.numbers`.
+    name that is absent has the value of its model.
     """
 
     environment: Environment

@@ -77,7 +77,7 @@ def energy_given_out(run: LoopRun) -> float:
     """Largest energy that the port had given out beyond what was put in, after any hold [J].
 
     Source: the condition that a passivity observer watches, Hannaford and Ryu 2002, doi:10.1109/70.988969; here with
-    the energy of the plant, not the one booked.
+    the energy of the plant instead of the booked one.
     """
     return max(0.0, -run.least_interaction)
 
@@ -86,8 +86,8 @@ def energy_beyond_device(run: LoopRun, device_damping: float, sample_time: float
     """Largest energy given out beyond the energy received and the device's own dissipation, after any hold [J].
 
     A display is passive where this is 0, also where its environment alone is not: Colgate and Schenkel, "Passivity of a
-    class of sampled-data systems", Journal of Robotic Systems 14, 1997 (its condition was read where others cite it).
-    In a hold that moves D a damping b takes at least b D^2 / T.
+    class of sampled-data systems", Journal of Robotic Systems 14, 1997 (its condition is quoted at second hand).
+    In a hold with a displacement D a damping b takes at least b D^2 / T.
 
     Args:
         run: Run of an axis.
@@ -103,7 +103,7 @@ def rate_hardness(run: LoopRun, environment: Environment, sample_time: float) ->
     """Return the largest rate of the force after the first contact over the speed at it [N/m or N*m/rad].
 
     An ideal wall gives its stiffness. Source: Lawrence, Pao, Dougherty, Salada and Pavlou, "Rate-hardness: a new
-    performance metric for haptic interfaces", IEEE Trans. Robotics and Automation 16, 2000 (its abstract was read).
+    performance metric for haptic interfaces", IEEE Trans. Robotics and Automation 16, 2000 (abstract only).
 
     Args:
         run: Run that begins out of contact.
@@ -124,10 +124,10 @@ def rate_hardness(run: LoopRun, environment: Environment, sample_time: float) ->
 
 
 def drag(run: LoopRun) -> float | None:
-    """Return the mean size of the torque held out of contact [N or N*m]; None without such a hold.
+    """Return the mean magnitude of the torque held out of contact [N or N*m]; None without such a hold.
 
     Free motion should feel like nothing: the lower end of the Z-width, Colgate and Brown, "Factors affecting the
-    Z-width of a haptic display", ICRA 1994, pp. 3205-3210 (cited in what was read).
+    Z-width of a haptic display", ICRA 1994, pp. 3205-3210 (quoted from secondary sources).
     """
     free = ~np.isfinite(run.damping[1:])  # no hold ends at the first SYNC
     return float(np.abs(run.torque[1:][free]).mean()) if free.any() else None
@@ -136,7 +136,7 @@ def drag(run: LoopRun) -> float | None:
 def rendered_impedance(run: LoopRun, sample_time: float, frequency: float) -> complex:
     """Return force over velocity at one frequency, over the whole periods of the last half [N*s/m or N*m*s/rad].
 
-    The transparency of a display is how near this is to the requested impedance, over frequency. Held forces are taken
+    A display is transparent where this equals the requested impedance, over frequency. Held forces are taken
     as they act, constant over each hold; positions at their SYNCs.
 
     Args:

@@ -1,6 +1,6 @@
-"""The figures of a run: each is defined here once, by name, unit and its sums.
+"""The figures of a run: each is defined here once, by name, unit and the sums it needs.
 
-The sums are those of `meter`, taken during a run, or from the rows that a run kept.
+The sums are those of `meter`, taken during a run, or from recorded rows.
 Energies [J] are those of the plant unless named as accounted ones (`believed_...`).
 
 The figures of an admittance display in a sweep, by name; a name of impedance displays means the same here.
@@ -195,12 +195,12 @@ def last_rows(cycles: int, sample_time: float) -> slice:
 
 
 def sums_of(metrics: Sequence[str]) -> tuple[str, ...]:
-    """Sums that some metrics are made of, each once."""
+    """Return the sums needed by some metrics, each once."""
     return tuple(dict.fromkeys(name for metric in metrics for name in ALL[metric][1]))
 
 
 def metrics_of(metrics: Sequence[str], sums: Mapping[str, Array]) -> dict[str, Array]:
-    """Return metrics made of the sums of many runs, shape (n_runs,) each; NaN where there is nothing to measure."""
+    """Return metrics from the sums of many runs, shape (n_runs,) each; NaN where there is nothing to measure."""
     with np.errstate(all="ignore"):
         return {metric: _metric(metric, sums) for metric in metrics}
 
@@ -257,7 +257,7 @@ def display_figures(scene: Scene, cycles: int, metrics: Sequence[str] | None = N
     """Return the figures of one display, or of one group of them; NaN for those that only impedance displays have.
 
     Args:
-        scene: Scene of that part alone, simulated.
+        scene: Simulated scene of that axis or group alone.
         cycles: SYNCs.
         metrics: Names; None for all of `DISPLAY_METRICS`.
 

@@ -102,7 +102,7 @@ def take(
         position: Position as the controller read it [m or rad].
         true_position: True position [m or rad].
         torque: Torque applied in the hold that ended [N or N*m].
-        interaction: True energy that came in since the start [J].
+        interaction: True energy received since the start [J].
         balance: Balance booked by the controller.
     """
     meter.cycles = cycle + 1.0

@@ -44,7 +44,7 @@ State = Sequence[float]
 
 
 class ReferenceGroup(SwitchedModel, Protocol):
-    """Motors and their mechanics; the torque of `rates` is one for each motor."""
+    """Motors and their mechanics; the torque of `rates` has one entry per motor."""
 
     @property
     def evaluations(self) -> int:
@@ -64,7 +64,7 @@ class ReferenceGroup(SwitchedModel, Protocol):
 
 
 class AxesModel:
-    """Motors that each move a plant of their own; its modes are theirs, one after the other."""
+    """Motors that each move a plant of their own; its modes are the modes of the plants in sequence."""
 
     def __init__(self, models: Sequence[Model], masses: Sequence[float]) -> None:
         self._models, self._masses = models, masses

@@ -1,7 +1,7 @@
 """The reference plant of a scene: elements collected, states named, and one right-hand side for any solver.
 
 State: position, velocity, [twist, load_velocity], [motor_torque], [temperature], [depths, bristle], work of the motor,
-work of the user. Every effect that acts on the motion is there; those of the encoder are not.
+work of the user. Every effect that acts on the motion is included; effects of the encoder are not.
 
 Forces of the reference plant, one element each: its forces on the bodies, and its transitions between modes.
 
@@ -51,7 +51,7 @@ class Transition(NamedTuple):
 
 
 class BodyPlace(NamedTuple):
-    """Where a body is in the state: the sum of factor times state."""
+    """Position of a body in the state: the sum of factor times state."""
 
     velocity: int
     terms: tuple[tuple[int, float], ...]
@@ -74,7 +74,7 @@ class Element(Protocol):
         """Add its forces and the rates of its own states."""
 
     def ways(self, index: int, mode: str) -> Sequence[Transition]:
-        """Transitions out of a mode; `index` is its own place among the elements."""
+        """Return the transitions out of a mode; `index` is the element's own index."""
 
 
 class _Smooth:
@@ -164,7 +164,7 @@ class ReferenceHand(_Smooth):
 
 
 class ReferenceOwnHand(_Smooth):
-    """A force of the user's own on the motor, by time, position and velocity; its work goes to the last state."""
+    """A user-defined force on the motor, by time, position and velocity; its work goes to the last state."""
 
     def __init__(self, force: Callable[[float, float, float], float]) -> None:
         self._force = force
@@ -197,7 +197,7 @@ class ReferenceContact:
     """A one-sided damped contact whose dented face recovers; `depth` is a state.
 
     Args:
-        sides: (body, its place, factor); distance = sum of factor times position.
+        sides: (body, its position, factor); distance = sum of factor times position.
         limit: Distance at which the faces meet.
         stiffness: Stiffness of the faces.
         damping: Damping of the faces.
@@ -247,13 +247,13 @@ class ReferenceContact:
 
 
 class ReferenceStickSlip:
-    """Dry friction on a body: held up to `static`, then `kinetic`; with Stribeck an excess that falls off.
+    """Dry friction on a body: held up to `static`, then `kinetic`; with Stribeck an excess that decays with speed.
 
     Args:
         kinetic: Level while sliding.
         static: Level at breakaway.
         excess: Excess of the Stribeck characteristic at rest; 0 without it.
-        stribeck_velocity: Velocity over which it falls.
+        stribeck_velocity: Velocity scale of that decay.
         velocity: Velocity at the start.
         others: (time, state, torque) -> sum of the other forces on the body.
         body: Index of the body, and of its velocity in the state; the motor by default.
@@ -295,12 +295,12 @@ class ReferenceStickSlip:
 
 
 class ReferenceWinding:
-    """A winding at a supply that is limited: U = R i + L di/dt + K v, torque K i; the voltage asked for is cut at +-U.
+    """A winding at a limited supply: U = R i + L di/dt + K v, torque K i; the requested voltage is clipped to +-U.
 
     Args:
         limit: Supply U, constant K of back-EMF and torque, resistance R and inductance L.
         place: Index of the motor's torque in the state.
-        wanted: (state, torque held) -> rate of the torque that the current loop asks for.
+        wanted: (state, torque held) -> rate of the torque that the current loop requests.
     """
 
     modes: tuple[str, ...] = ("free", "high", "low")
@@ -313,7 +313,7 @@ class ReferenceWinding:
         return float(p.resistance * ampere + p.inductance * change / p.back_emf + p.back_emf * state[VELOCITY])
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Replace the rate of the torque while the voltage is cut."""
+        """Replace the rate of the torque while the voltage is clipped."""
         if mode != "free":
             p = self._limit
             rest = p.supply if mode == "high" else -p.supply
@@ -321,7 +321,7 @@ class ReferenceWinding:
             rates[self._place] = p.back_emf * rest / p.inductance
 
     def ways(self, index: int, mode: str) -> Sequence[Transition]:
-        """Transitions where the voltage that is asked for passes the supply, either way."""
+        """Transitions where the requested voltage passes the supply, in either direction."""
         supply = self._limit.supply
         rounding = _NEGLIGIBLE * supply
         if mode == "free":
@@ -367,10 +367,10 @@ class Model:
         names: Names of the states.
         start: State at time 0.
         first: Mode of each element at time 0.
-        breaks: Times at which the equations change by the clock [s].
-        kinematics: States that are integrals of velocities: place -> (place of the velocity, factor).
+        breaks: Times at which the equations change [s].
+        kinematics: States that are integrals of velocities: index -> (index of the velocity, factor).
         evaluations: Number of evaluations of the forces.
-        switches: Whether anything may leave its mode.
+        switches: Whether any element can leave its mode.
     """
 
     def __init__(self, parameters: PlantParameters, user: UserParameters | None, effects: Sequence[Effect]) -> None:
@@ -406,7 +406,7 @@ class Model:
         self._close()
 
     def add_state(self, name: str, initial: float = 0.0) -> int:
-        """Add a state before the works and return its place."""
+        """Add a state before the works and return its index."""
         at = len(self.names) - (2 if "user_work" in self.names else 0)
         self.names.insert(at, name)
         self.start.insert(at, initial)
@@ -553,7 +553,7 @@ class Model:
 
     @property
     def dynamic_size(self) -> int:
-        """States without the works, on which nothing depends."""
+        """Number of states without the works, on which nothing depends."""
         return len(self.names) - 2
 
 
@@ -586,7 +586,7 @@ class MotionError(NamedTuple):
 
 
 def motion_of(states: list[Floats]) -> Motion:
-    """Return the motion of states at the ends of holds."""
+    """Return a motion from the states at the ends of the holds."""
     table = np.array(states, dtype=float).reshape(len(states), -1)
     return Motion(table[:, 0], table[:, 1], table[:, MOTOR_WORK], table[:, USER_WORK])
 
@@ -595,8 +595,8 @@ def difference(one: Motion, other: Motion, mass: float, sample_time: float) -> M
     """Difference of two motions; infinite where one of them is not finite.
 
     Args:
-        one: A motion.
-        other: Another over the same holds.
+        one: First motion.
+        other: Second motion, over the same holds.
         mass: Mass of the motor's body [kg or kg*m^2].
         sample_time: Sample time [s].
     """

@@ -2,11 +2,11 @@
 
 Equations with modes by scipy's adaptive solvers, every change of mode located; needs the extra `study`.
 
-DOP853 at 1e-12 is the reference of the accuracy study, LSODA at 1e-9 its witness.
+DOP853 at 1e-12 is the reference of the accuracy study, LSODA at 1e-9 an independent check.
 
 The reference plant by fixed-step methods, as in most simulators: a mode changes at the end of a step only.
 
-So each is of its own order while nothing switches, and of order 1 where something does.
+So each has its own order while no mode switches, and order 1 where one does.
 """
 
 import math
@@ -40,8 +40,8 @@ class SwitchedModel(Protocol):
     Attributes:
         start: State at time 0.
         first: Modes at time 0.
-        breaks: Times at which the equations change by the clock [s].
-        switches: Whether anything may leave its mode.
+        breaks: Times at which the equations change [s].
+        switches: Whether any element can leave its mode.
     """
 
     start: Floats
@@ -65,7 +65,7 @@ def reference(
         model: The plant.
         torques: Torque of each hold [N or N*m].
         sample_time_ns: Duration of a hold [ns].
-        stop: Polled now and then; true gives up.
+        stop: Polled regularly; true aborts.
 
     Raises:
         InputError: scipy is missing, the solver fails, or it was stopped.
@@ -104,7 +104,7 @@ def located_states(
         method: Name of the solver.
         rtol: Relative tolerance.
         atol: Absolute tolerance, of each state in its own unit.
-        stop: Polled now and then; true gives up.
+        stop: Polled regularly; true aborts.
 
     Raises:
         InputError: scipy is missing, the solver fails, or it was stopped.
@@ -135,10 +135,10 @@ def states_at(
 
     Args:
         model: The plant and the forces on it.
-        times: Ascending, from 0 [s].
+        times: Times, ascending from 0 [s].
         rtol: Relative tolerance; a thousandth of it is the absolute one, of each state in its own unit.
-        stop: Polled now and then; true gives up.
-        longest: Longest step, at whose ends guards are checked, where modes may change [s].
+        stop: Polled regularly; true aborts.
+        longest: Longest step [s]; guards are checked, and modes may change, at the ends of steps.
 
     Raises:
         InputError: scipy is missing, the solver fails, or it was stopped.
@@ -209,7 +209,7 @@ def _hold(
 def settled(
     model: SwitchedModel, time: float, state: list[float], torque: Any, modes: Modes
 ) -> tuple[list[float], Modes]:
-    """State and modes after every transition whose value is below zero here."""
+    """Return state and modes after every transition whose value is below zero."""
     for _ in range(_CHAIN):
         ways = model.ways(modes)
         broken = next((way for way in ways if way.value(time, state, torque) < -way.rounding), None)
@@ -257,7 +257,7 @@ def fixed_step_states(
         model: The plant.
         torques: Torque of each hold [N or N*m]; where the plant has several motors, one for each.
         sample_time_ns: Duration of a hold [ns].
-        step: One of `METHODS`.
+        step: Step function, one of `METHODS`.
         substeps: Steps in a hold.
     """
     period = sample_time_ns * 1e-9

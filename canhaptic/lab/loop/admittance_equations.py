@@ -22,7 +22,7 @@ _TOLERANCE = 1e-11
 
 
 def why_no_equations(simulation: AxisSimulation) -> str:
-    """Part of the plant that these equations leave out; empty where they are complete."""
+    """Return the name of the plant's part that these equations omit; empty where they are complete."""
     display, user = simulation.admittance, simulation.user
     if display is None:
         return "no admittance display"

@@ -1,7 +1,7 @@
 """Admittance displays in a loop without a bus: plants, sensors, encoders, a controller, and the energies of the plants.
 
-One axis, or one group of axes with one account. Encoder and force are whole counts, commands whole quanta, and act as
-many holds late as on the bus of the scene; an error that would stop the rig ends the run.
+One axis, or one group of axes with one account. Encoder and force are whole counts, commands whole quanta, with the
+same delay as on the bus of the scene; an error that would stop the rig ends the run.
 """
 
 from collections import deque
@@ -35,7 +35,7 @@ _FEWEST: Final = 30  # SYNCs from which the felt mass is computed
 
 
 def is_display(scene: Scene) -> bool:
-    """Whether the axes of a scene of one part are admittance displays."""
+    """Whether the axes of a scene with a single part are admittance displays."""
     return all(axis.parameters.admittance is not None for axis in scene.axes)
 
 
@@ -93,7 +93,7 @@ def run_display(scene: Scene, cycles: int) -> AdmittanceRun:
     """Result of a run of one axis, or of one group.
 
     Args:
-        scene: Scene of that part alone, simulated.
+        scene: Simulated scene of that axis or group alone.
         cycles: SYNCs.
 
     Raises:
@@ -199,7 +199,7 @@ def _take(motors: list[_Motor], commands: list[float], account: EnergyBalance, f
 
 
 def felt(run: AdmittanceRun, scene: Scene) -> tuple[float, float]:
-    """Mass [kg or kg*m^2] and damping [N*s/m or N*m*s/rad] that fit true forces and velocities best.
+    """Mass [kg or kg*m^2] and damping [N*s/m or N*m*s/rad] that best fit true forces and velocities.
 
     F - k (q - rest) = m v' + b v + F_0, m and b the same for all axes; away from walls and limits of the position. NaN
     where there is too little motion, and on a path, across which a hand feels another mass.

@@ -1,12 +1,12 @@
 """One algorithm on one simulated axis, without a bus: a record of every hold with the plant's true values.
 
-Parts of a scene for a study: the loop of an axis without a bus, and the plant without a controller.
+Loops of an axis without a bus, and plants without a controller, from a scene, for studies.
 
 An axis under another algorithm: common parameters are kept, and undeclared properties are taken from the plant.
 
-Cost of one step of an algorithm: its own run fed to a fresh controller, interleaved with the others.
+Cost of one step of an algorithm: its own run is fed to a fresh controller, interleaved with the others.
 
-Times are of this machine at this moment: for comparing the columns of one table, never a pass mark.
+Times apply to this machine at this moment: for comparing the columns of one table, never a pass mark.
 """
 
 from array import array
@@ -65,7 +65,7 @@ class Case(Protocol):
 class LoopCase:
     """One algorithm, one environment, one plant, and the loop between them.
 
-    `loop` is what the algorithm assumes, the rest is true.
+    `loop` holds what the algorithm assumes; everything else is true.
     """
 
     environment: Environment
@@ -129,7 +129,7 @@ class LoopRun(NamedTuple):
 
 
 class DivergedError(ControlError):
-    """The axis went farther than the user could have moved it."""
+    """The axis went farther than the user could move it."""
 
 
 class Recorder:
@@ -327,7 +327,7 @@ def axis_at(axis: AxisScene, sample_time: float) -> AxisScene:
 
 
 def environment_of(axis: AxisScene) -> Environment:
-    """Return the environment of an axis; every class of `ENVIRONMENTS` is one.
+    """Return the environment of an axis, an instance of a class in `ENVIRONMENTS`.
 
     Raises:
         InputError: A group renders on it.
@@ -405,7 +405,7 @@ class _AbleAxis(NamedTuple):
 
 
 def own_algorithms(scene: Scene) -> list[str]:
-    """Names of the user's own algorithms in a scene."""
+    """Names of the user-defined algorithms in a scene."""
     return list(dict.fromkeys(axis.passivity.name for axis in scene.axes if axis.passivity.own is not None))
 
 
@@ -414,7 +414,7 @@ def chosen_algorithms(algorithms: Sequence[str] | None, own: Sequence[str] = ())
 
     Args:
         algorithms: Requested names.
-        own: Names of the user's own algorithms, also permitted; for None they come first.
+        own: Names of user-defined algorithms, also permitted; for None they come first.
 
     Raises:
         ParameterError: One is unknown.
@@ -483,7 +483,7 @@ def _with_known_plant(axis: AxisScene) -> _AbleAxis:
 
 
 def able_under(axis: AxisScene, name: str, scene: Scene) -> _AbleAxis:
-    """An axis under an algorithm, with indispensable properties taken from the plant where undeclared.
+    """An axis under an algorithm; where properties that it needs are undeclared, they are taken from the plant.
 
     Raises:
         ParameterError: It cannot be built even so.
@@ -507,11 +507,11 @@ _BLOCK: Final = 250
 
 
 def microseconds_per_step(cases: Mapping[str, tuple[Case, LoopRun]], repeats: int) -> dict[str, float]:
-    """Return the time of a step [us]: each block of steps at its least over interleaved repeats.
+    """Return the time of a step [us]: the minimum of each block of steps over interleaved repeats.
 
     Args:
-        cases: Algorithm -> its case and the run that it is fed with; one without steps is left out.
-        repeats: Repeats of each, in turn A B C A B C, so that a drifting machine affects all alike.
+        cases: Algorithm -> its case and the run that feeds it; a run without steps is left out.
+        repeats: Number of repeats of each, in turn A B C A B C, so that a drifting machine affects all alike.
     """
     blocks = {name: _blocks(run) for name, (_, run) in cases.items() if run.position.size}
     best = {name: [float("inf")] * len(of_run) for name, of_run in blocks.items()}

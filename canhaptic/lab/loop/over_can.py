@@ -1,4 +1,4 @@
-"""The same figures over the whole CAN path: frames, drives, limiter and all, in lock-step.
+"""The figures of the bus-less loop over the whole CAN path: frames, drives, limiter and all, in lock-step.
 
 One scene under several algorithms, each over its simulated drives: the account of every run.
 """
@@ -49,7 +49,7 @@ def walk_over_can(scene: Scene, cycles: int, take: _Take) -> list[LedgerSummary]
     """Run the controllers of a scene on its simulated drives, pass every cycle on, and return the accounts.
 
     Args:
-        scene: No axis of it is in a group.
+        scene: Scene without groups.
         cycles: SYNCs.
         take: Called once per cycle and axis.
 
@@ -116,10 +116,10 @@ def known_algorithms(table: Mapping[str, str], kind: str, algorithms: Sequence[s
 def accounts_over_can(
     scene: Scene, names: Sequence[str], cycles: int, under: Callable[[Scene, str], Scene], progress: Progress | None
 ) -> dict[str, dict[str, Any]]:
-    """Return the account of a run under each algorithm, with its `status` and a `remark`; a refused one has no more.
+    """Return the account of a run under each algorithm, with its `status` and a `remark`; a refused one has only these.
 
     Args:
-        scene: Scene with all its drives simulated in this process.
+        scene: Scene with all drives simulated in this process.
         names: Names of the algorithms.
         cycles: SYNCs of each run.
         under: (scene, name) -> the scene under that algorithm; may refuse with a ParameterError.

@@ -4,8 +4,8 @@ Pareto front ringed and joined; the tolerance as a dashed line; a method that is
 
 A study of the accuracy of an admittance display as a picture, and as a page with its table.
 
-One row for each change of the scene: how far position and energy are from the ideal display, the mass that is felt, and
-the energy that was given out.
+One row for each change of the scene: the error of position and energy against the ideal display, the apparent mass, and
+the energy given out.
 """
 
 import math
@@ -69,7 +69,7 @@ _GROUPS: Final[dict[str, str]] = {
 
 
 def draw_accuracy(result: Row, path: str | Path) -> None:
-    """Draw a study into a file; its suffix says how (.png, .svg, .pdf).
+    """Draw a study into a file; its suffix gives the format (.png, .svg, .pdf).
 
     Raises:
         InputError: matplotlib is not installed, the file cannot be written, or nothing was measured.
@@ -251,7 +251,7 @@ def _name(row: ChangeRow) -> str:
 
 
 def draw_display_accuracy(result: AdmittanceStudy, path: str | Path) -> None:
-    """Draw a study into a file; its suffix says how (.png, .svg, .pdf).
+    """Draw a study into a file; its suffix gives the format (.png, .svg, .pdf).
 
     Raises:
         InputError: matplotlib is not installed, the file cannot be written, or nothing was measured.

@@ -1,4 +1,4 @@
-"""An arena as one page that any browser opens without a network: its pictures, and tables sorted by a click."""
+"""An arena as one page that any browser opens without a network: its pictures, and sortable tables."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial

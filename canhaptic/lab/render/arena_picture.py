@@ -1,4 +1,4 @@
-"""The pictures of an arena: K-B plot, impedance, and who gives out energy where; `guarded` is drawn thick and black."""
+"""The pictures of an arena: K-B plot, impedance, energy given out by each algorithm; `guarded` is thick and black."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -161,7 +161,7 @@ def _cell(found: Found, name: str, scene: str, key: str) -> float:
 
 
 def pictures_of(found: Found) -> Sequence[tuple[str, str, Callable[[Found, Path], None]]]:
-    """Return (file name, title, function that draws it) of every picture that an arena has."""
+    """Return (file name, title, drawing function) of every picture that an arena has."""
     whole = [("arena_given_out.png", "Who gives out energy where", _draw_given_out)]
     if found.get("borders"):
         whole.insert(0, ("arena_kb.png", "Stiffness over damping", _draw_borders))

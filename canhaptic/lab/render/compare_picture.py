@@ -1,9 +1,9 @@
 """A comparison as a picture: one column per algorithm, the continuous environment in grey behind each of them.
 
-More algorithms than `_ACROSS` go on in further bands below.
+More algorithms than `_ACROSS` continue in further bands below.
 
 Position, force and energy account share their scale across a row, set by the continuous run, so that columns compare at
-one glance and an algorithm that diverges leaves its panel instead of flattening the others.
+a glance and an algorithm that diverges leaves its panel instead of flattening the others.
 """
 
 from pathlib import Path
@@ -45,7 +45,7 @@ _PAPER: Final[Any] = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", 
 
 
 def draw_comparison(comparison: Comparison, path: str | Path) -> None:
-    """Draw a comparison into a file; its suffix says how (.png, .svg, .pdf).
+    """Draw a comparison into a file; its suffix gives the format (.png, .svg, .pdf).
 
     Raises:
         InputError: matplotlib is not installed, the file cannot be written, or no algorithm ran.

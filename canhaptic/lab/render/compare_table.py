@@ -1,6 +1,6 @@
 """A comparison as tables for a terminal: one column per algorithm, one row per figure, the best of a row in bold.
 
-Axes, groups and admittance displays differ in their rows alone.
+Axes, groups and admittance displays differ in their rows only.
 """
 
 from collections.abc import Callable, Iterator, Mapping

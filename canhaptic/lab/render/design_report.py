@@ -1,4 +1,4 @@
-"""A designed wall in words: the lines to paste into a scene, and what the wall costs."""
+"""A designed wall in words: the lines to paste into a scene, and the cost of the wall."""
 
 from typing import Any
 
@@ -27,7 +27,7 @@ def snippet(result: dict[str, Any]) -> str:
 
 
 def design_report(result: dict[str, Any]) -> RenderableType:
-    """Return what a terminal shows of a design.
+    """Return the text of a design for a terminal.
 
     Args:
         result: Plain values, as `canhaptic design --json` prints them.

@@ -35,7 +35,7 @@ _MARKS: Final = "osv^<>DPX*hpd"
 
 
 def draw_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: str | Path) -> None:
-    """Draw panels into a file; its suffix says how.
+    """Draw panels into a file; its suffix gives the format.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
@@ -53,7 +53,7 @@ def draw_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: str 
 
 
 def write_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: Path) -> None:
-    """Write panels as one self-contained page: the picture, and the numbers of every panel but those of dots.
+    """Write panels as one self-contained page: the picture, and the numbers of every panel except scatter plots.
 
     Raises:
         InputError: matplotlib is not installed, or the page cannot be written.

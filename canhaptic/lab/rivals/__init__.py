@@ -1,1 +1,1 @@
-"""Algorithms to compare with; the tables of `canhaptic.control` name them."""
+"""Algorithms for comparison; the tables of `canhaptic.control` name them."""

@@ -1,8 +1,8 @@
-"""`a_priori_dissipation`: the algorithm of ref. [12], dissipation fixed a priori (eqs. 5-7), on the same ledger.
+"""`a_priori_dissipation`: the algorithm of ref. [12], dissipation fixed a priori (eqs. 5-7), with the same ledger.
 
-The energy to be dissipated in a hold is T d v^2 with the velocity that was computed before it; what remains of stored
+The energy to be dissipated in a hold is T d v^2 with the velocity computed before it; the rest of the stored
 and received energy gives the next state. Early in a contact that a-priori energy can exceed what the user has put in:
-the store falls instead of rising, and empties. The text does not print what follows, and it decides whether the failure
+the stored energy falls instead of rising, down to zero. The text omits what follows, which decides whether the failure
 of Fig. 5 shows. Measured on the wall of Figs. 4-5 (100 N/m, 5 Ns/m; user of 60 N/m, 5 Ns/m, 0.25 kg, 0.1 m
 at 0.5 Hz), force variation over that of the continuous wall's:
 

@@ -56,9 +56,9 @@ def below_reference(state: _AdaptiveReferenceState, observed: float, h_i: float)
     """Return the energy observed less its reference [J], 0 while it rises; then the reference is fitted to it.
 
     Args:
-        state: State of the axis; its coefficient changes.
-        observed: Energy that came in so far [J].
-        h_i: Energy that came in in this hold [J].
+        state: State of the axis; its coefficient is updated.
+        observed: Energy received so far [J].
+        h_i: Energy received in this hold [J].
     """
     square = state.model.true * state.model.true
     if h_i > 0.0:

@@ -1,4 +1,4 @@
-"""`bounded_observer`: a passivity controller whose force stays bounded at rest and never turns the model's force round.
+"""`bounded_observer`: a passivity controller whose force stays bounded at rest and never reverses the model's force.
 
 With D the energy drawn beyond the energy put in, the passivity controller adds the force
 
@@ -85,8 +85,8 @@ def controlling_force(
 
     Args:
         settings: Constants of the run.
-        state: State of the axis; its integral changes.
-        observed: Energy that came in so far [J].
+        state: State of the axis; its integral is updated.
+        observed: Energy received so far [J].
         hold: The hold that ended.
         wanted: Force of the model in the next command [N or N*m].
     """

@@ -2,14 +2,14 @@
 
 Device damping b takes at least (b / T) dx^2 out of every hold. With the account E_n = E_(n-1) + (b/T) dx^2 - F dx the
 next hold ends with E_n + (b/T) dx^2 - F dx >= 0 for EVERY motion dx exactly when F^2 <= 4 E_n b / T. A torque f that is
-already under way may cost up to f^2 T / 4b first, so with delay its square is taken off. This is the device-damping
+already queued may cost up to f^2 T / 4b first, so with delay its square is subtracted. This is the device-damping
 certificate; it limits rendering to a stiffness of about 2 b / T.
 
 T is the longest duration of a hold, and E_n is reduced by the encoder's uncertainty: a position is uncertain by half a
 count e, so that dx counts as |dx| - 2e in the dissipated energy, and e (|F_n| + sum |F_k - F_(k-1)|) of the energy may
 not have
 come in (`axis_meter`). A drive takes whole steps of torque, to which the command is rounded towards zero. The proof
-needs one torque in a hold: where an older one acts in a part of it (window, lag), nothing is certified.
+needs one torque per hold: where an older one acts in a part of it (window, lag), nothing is certified.
 """
 
 from dataclasses import dataclass, field
@@ -34,7 +34,7 @@ from canhaptic.kernels import Buffer, new
 
 
 class EnergyBoundingParameters(DamperVelocity):
-    """Nothing to choose but the velocity of the damper: the device damping is a property of the loop."""
+    """Parameters of `energy_bounding`: the velocity of the damper; device damping is a property of the loop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,14 +97,14 @@ def known_energy(device: Device, sample_time: float, state: _EnergyBoundingState
 
 
 def bounded_share(device: Device, torques: Buffer, oldest: int, energy: float, wanted: float) -> float:
-    """Return the part of a wanted torque that is within the bound, 0..1.
+    """Return the fraction of a requested torque that is within the bound, 0..1.
 
     Args:
         device: Certain properties of the device.
-        torques: Torques in flight, a ring [N or N*m].
+        torques: Ring of queued torques [N or N*m].
         oldest: Index of the torque whose hold ended; the others act before the wanted one.
         energy: Energy from `known_energy` [J].
-        wanted: Size of the torque [N or N*m].
+        wanted: Magnitude of the torque [N or N*m].
     """
     square = 4.0 * device.damping / device.longest * energy
     for place in range(oldest + 1 - len(torques), oldest):

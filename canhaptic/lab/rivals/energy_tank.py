@@ -1,4 +1,4 @@
-"""`energy_tank`: the spring beyond a constant stiffness takes its energy from a tank, and no more than it holds.
+"""`energy_tank`: the spring beyond a constant stiffness takes its energy from a tank, at most what the tank holds.
 
 The force is K_c x + b x (K - K_c) + d v with 0 <= b <= 1. The tank holds T: what the damper dissipates flows in while T
 is below `most_energy`, what the variable spring takes up flows in, and what it gives back flows out. b is the largest
@@ -48,7 +48,7 @@ class _EnergyTankState(SampledState):
 
 
 def respond(run: SampledRun[EnergyTankParameters, _EnergyTankState], hold: Hold, asked: Asked) -> Reply:
-    """Render the constant spring, and of the rest as much as the tank allows."""
+    """Render the constant spring, and as much of the rest as the tank allows."""
     given, state, parts, spring = run.settings.given, run.state, run.memory.own, asked.spring
     place = state.axis.oldest
     fill(given, state, hold, part_applied(parts, place, hold.missed))
@@ -62,7 +62,7 @@ def respond(run: SampledRun[EnergyTankParameters, _EnergyTankState], hold: Hold,
 
 
 def part_applied(parts: Buffer, place: int, missed: int) -> float:
-    """Return the part of the variable spring in the command of the hold that ended, 0..1.
+    """Return the fraction of the variable spring in the command of the hold that ended, 0..1.
 
     Where samples were lost it is unknown which command acted, so that the whole spring counts; the drive repeated the
     newest, which takes the place of those that ended.

@@ -9,7 +9,7 @@ IEEE Trans. Industrial Electronics, 2019, doi:10.1109/TIE.2019.2918500, of which
 are those of `HapticSFA` in `KTBioLabLib.cpp` of the Biorobotics Laboratory of KOREATECH, version 0.1, which was read.
 
 Departures: the contact ends where that of the environment ends; the force never pulls; the offset stays zero in the
-first press, where the source lets it fall by its increments; the damper of the environment acts as it is. It promises
+first press, where the source lets it fall by its increments; the environment's damper is unchanged. It promises
 nothing.
 """
 
@@ -63,13 +63,13 @@ def respond(run: SampledRun[ForceAugmentationParameters, _ForceAugmentationState
 def augmented_force(
     given: ForceAugmentationParameters, state: _ForceAugmentationState, depth: float, full: float
 ) -> float:
-    """Return the size of the spring's force in the next command [N or N*m].
+    """Return the magnitude of the spring's force in the next command [N or N*m].
 
     Args:
         given: Parameters of the run.
         state: State of the contact; changed.
         depth: Depth in the environment, not below 0 [m or rad].
-        full: Size of the force of the environment there [N or N*m].
+        full: Magnitude of the environment's force there [N or N*m].
     """
     if depth <= 0.0:
         return full

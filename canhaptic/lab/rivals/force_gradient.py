@@ -46,7 +46,7 @@ class _ForceGradientState(ObserverState):
 
 
 def respond(run: SampledRun[ForceGradientParameters, _ForceGradientState], hold: Hold, asked: Asked) -> Reply:
-    """Change the force of the last command as that of the model changed, and add a damper."""
+    """Change the force of the last command by the change of the model's force, and add a damper."""
     state, settings, wanted = run.state, run.settings, asked.spring + asked.damper
     observed, depth = add(state.observed, hold.h_i), state.model.true
     force = gradient_force(settings.given.least_force, state, wanted, depth)
@@ -61,10 +61,10 @@ def gradient_force(least_force: float, state: _ForceGradientState, wanted: float
     """Return the force of the next command without the passivity controller [N or N*m].
 
     Args:
-        least_force: Below it there is none [N or N*m].
-        state: Force, force of the model and depth of the last command.
-        wanted: Force of the model now [N or N*m].
-        depth: State of the model now, of the sign of its force [m or rad].
+        least_force: Force below which none is rendered [N or N*m].
+        state: Force, model force and depth of the last command.
+        wanted: Present force of the model [N or N*m].
+        depth: Present state of the model, with the sign of its force [m or rad].
     """
     if abs(wanted) <= least_force:
         return 0.0
@@ -76,7 +76,7 @@ def gradient_force(least_force: float, state: _ForceGradientState, wanted: float
 
 
 class ForceGradient(SteppedController):
-    """The sampled environment by changes of its force, with a passivity controller."""
+    """The sampled environment rendered by changes of its force, with a passivity controller."""
 
     parameters_type = ForceGradientParameters
     kernel = sampled_kernel(respond, _ForceGradientState, partial(observer_settings, "force_gradient"))

@@ -1,9 +1,9 @@
-"""`step_scaling`: the network's step is scaled until its energy balances the hold. The paper's way, on several axes.
+"""`step_scaling`: the network's step is scaled until its energy balances the hold: the paper's method on several axes.
 
     H(x + l s) - H(x) + l L = H_m,    s the step of the model, L what its dissipators take with l = 1
 
 L holds the damper efforts that were inside the torques applied in that very hold, times the displacement, and what is
-dissipated inside the network. Of one axis with spring and damper it is `passivity.internal_dissipation` to rounding,
+dissipated inside the network. On one axis with spring and damper it is `passivity.internal_dissipation` to rounding,
 start by eq. 14, exact and sticky root, eq. 18 where there is none, exit. The state creeps away from that of the model,
 and no torque is limited: `guarded` is more accurate, and certified.
 
@@ -15,7 +15,7 @@ H is convex along most steps but not along all (double wells), so the root is br
 steps that fall back to halving the bracket. In every case at most `_EVALUATIONS` evaluations are made; the caller books
 the remaining energy, so that an early end costs fidelity and never energy.
 
-State of a network that holds only received energy: every change of it balances the energy of a hold.
+State of a network that holds only received energy: every change balances the energy of a hold.
 """
 
 from dataclasses import dataclass, field
@@ -70,7 +70,7 @@ _ROUNDING: Final = 1e-15
 
 
 class StepScaling(NamedTuple):
-    """A share of the step."""
+    """Solution for the share of the step."""
 
     share: float
     found: bool  # False: nothing balances; `share` is where the most is given, or the end where the most is taken
@@ -147,14 +147,14 @@ def stiffness_along(tables: NetworkTables, line: LineMemory) -> float:
 def solve_scale(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, limit: float
 ) -> StepScaling:
-    """Return the share l nearest 0, |l| <= limit, that takes up an energy together with a loss in proportion to it.
+    """Return the share l nearest 0, |l| <= limit, that takes up a given energy plus a proportional loss.
 
     Args:
         tables: The network.
         functions: Energies given as functions.
         line: Line along which its state moves.
-        energy: H_m, the energy that the model received [J].
-        loss: L, what its dissipators take with l = 1 [J].
+        energy: H_m, energy received by the model [J].
+        loss: L, energy taken by its dissipators with l = 1 [J].
         limit: Largest |l|.
     """
     stiffness = stiffness_along(tables, line)
@@ -181,7 +181,7 @@ def search_scale(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, limit: float,
     tolerance: float,
 ) -> StepScaling:  # fmt: skip
-    """Return `solve_scale` of an energy that is not quadratic; `tolerance` is its rounding [J]."""
+    """Solve `solve_scale` for an energy that is not quadratic; `tolerance` is its rounding [J]."""
     if abs(energy) <= tolerance:
         return new(StepScaling, (0.0, True, 0))
     slope = taken(tables, functions, line, loss, 0.0)[1]
@@ -201,7 +201,7 @@ def search_scale(
 def bracket_upwards(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, far: float
 ) -> tuple[float, bool, int]:
-    """Return a place towards `far` that takes up at least an energy > 0, whether there is one, and evaluations."""
+    """Return a share towards `far` that takes up at least an energy > 0, whether it exists, and the evaluations."""
     if taken(tables, functions, line, loss, far)[0] >= energy:
         return far, True, 1
     for piece in range(1, _PIECES):
@@ -214,10 +214,10 @@ def bracket_upwards(
 def bracket_downwards(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, far: float
 ) -> tuple[float, bool, int]:
-    """Return a place that gives at least -energy, from 0 towards the lowest place before `far`.
+    """Return a share that releases at least -energy, from 0 towards the lowest point before `far`.
 
     Returns:
-        The place, or the one of the largest release; whether it suffices; evaluations.
+        Also whether it suffices, otherwise the share with the largest release, and the evaluations.
     """
     near, here, least, best, evaluations = 0.0, far, 0.0, 0.0, 0
     for _ in range(_SEARCH):
@@ -241,7 +241,7 @@ def root_between(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, tolerance: float,
     far: float, evaluations: int,
 ) -> StepScaling:  # fmt: skip
-    """Return the share between 0, which takes up too little of the energy, and `far`, with enough of it."""
+    """Return the share between 0, which takes up too little of the energy, and `far`, which takes up enough."""
     near, share, width = 0.0, far, abs(far)
     if energy > 0.0:
         slope = taken(tables, functions, line, loss, 0.0)[1]
@@ -354,7 +354,7 @@ def exchange(
         state: State of the group; changed.
         memory: Buffers of the group.
         delay: Whole holds between computation and action.
-        h_m: Energy that the model received [J].
+        h_m: Energy received by the model [J].
         damped: Damper efforts inside the torques applied, times the displacements [J].
         power: The same efforts times the velocities they came from, times the hold (eq. 18) [J].
     """
@@ -386,7 +386,7 @@ def start(
 ) -> HoldAccount:
     """First-order start (eq. 14): the state is the model's, and the energy for it is created.
 
-    After it the user feels no torque before `delay` more holds have ended; until then it goes on.
+    After it the user feels no torque before `delay` more holds have ended; until then the start continues.
     """
     paid, network, followed = state.paid, state.group.motion.network, memory.group.motion.network
     model = memory.paid.model
@@ -430,7 +430,7 @@ def balance(
 def approximate(
     world: GroupModel, state: ScaledGroupState, memory: ScaledGroupMemory, h_m: float, power: float, deepest: float
 ) -> HoldAccount:
-    """Dissipate the last velocity's loss, as far as available; the state relaxes to the remaining energy (eq. 18).
+    """Dissipate the last velocity's loss, as far as available; the state takes the remaining energy (eq. 18).
 
     Where that frees too little, the step is taken to its largest energy release, and the rest is a deficit.
     """
@@ -478,7 +478,7 @@ def settle_state(
     h_r: float,
     pace: float,
 ) -> HoldAccount:
-    """Take the energy of the state; book its excess or shortfall."""
+    """Update the energy of the state; book its excess or shortfall."""
     network = state.group.motion.network
     settle_network(world.tables, world.functions, network, memory.group.motion.network)
     state.paid.h_s = h_s = network.energy
@@ -696,7 +696,7 @@ def send(world: GroupModel, settings: ScaledGroupSettings, state: ScaledGroupSta
 
 
 class ScaledGroup(SteppedGroup):
-    """A network whose state holds only energy that was received."""
+    """A network whose state holds only received energy."""
 
     parameters_type: ClassVar[type[Parameters]] = ScaledGroupParameters
     kernel: ClassVar[GroupKernel] = GroupKernel(settings_of, ScaledGroupState, memory_of, step)

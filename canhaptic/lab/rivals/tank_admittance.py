@@ -1,7 +1,7 @@
-"""`energy_tank` of an admittance display: no command gives out more than a tank holds.
+"""`energy_tank` of an admittance display: no command gives out more than the tank holds.
 
-The tank receives F u T of each command and supplies it; it holds `capacity` at most. A command that would overdraw it
-is scaled down. As the observer, it assumes a perfect drive. Franken et al., IEEE Trans. Robotics 27, 2011;
+The tank receives F u T of each command and supplies it; it holds at most `capacity`. A command that would overdraw it
+is scaled down. Like the observer, it assumes a perfect drive. Franken et al., IEEE Trans. Robotics 27, 2011;
 Schindlbeck and Haddadin, ICRA 2015.
 """
 
@@ -32,7 +32,7 @@ def first_energy(environment: AdmittanceEnvironment, given: TankAdmittanceParame
 def respond(
     environment: AdmittanceEnvironment, run: AdmittanceRun[TankAdmittanceParameters], hold: SampledHold
 ) -> AdmittanceReply:
-    """Scales a command that would take more than the tank holds."""
+    """Scale a command that would take more than the tank holds."""
     settings, state, request = run.settings, run.state, hold.request
     state.energy = min(settings.given.capacity, state.energy + hold.force * hold.before * hold.elapsed)
     taken = -hold.force * request * settings.port.sample_time

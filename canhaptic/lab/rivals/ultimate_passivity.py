@@ -1,7 +1,7 @@
-"""`ultimate_passivity`: a switch between the environment as it is and the same with much damping, by observed energy.
+"""`ultimate_passivity`: a switch between the plain environment and one with much damping, by observed energy.
 
 Once the energy that came in has fallen to `lower`, damping `conservative_damping` is added until it has risen to
-`upper`; in between the mode stays. So a bounded amount of energy may be drawn before anything is felt. Source: X. Guo,
+`upper`; in between the mode is kept. So bounded energy may be drawn before anything is felt. Source: X. Guo,
 Z. Liu, V. Crocher, Y. Tan, D. Oetomo, A. H. A. Stienen, "Ultimate passivity: balancing performance and stability in
 physical human-robot interaction", IEEE Trans. Robotics 41, 2025, doi:10.1109/TRO.2025.3546856, which was not read; the
 rule is that of `M2Admittance2` in `M2AdmittanceStates.cpp` of github.com/xinlianggunimelb/UltimatePassivity, which was.
@@ -26,7 +26,7 @@ from canhaptic.units import quantity
 
 
 class UltimatePassivityParameters(PassivityObserverParameters):
-    """The two energies, the damping between them, and how long energy is counted."""
+    """The two energy levels, the damping between them, and how long energy is counted."""
 
     lower: Annotated[float, quantity("J", le=0.0, ge=-1e3)] = -0.01
     """Energy at which the damping is switched on."""

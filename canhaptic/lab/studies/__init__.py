@@ -1,1 +1,1 @@
-"""Many runs of one question: compare, accuracy, sweep, map, design, arena."""
+"""Studies with many runs: compare, accuracy, sweep, map, design, arena."""

@@ -1,22 +1,22 @@
 """The arena: every passivity algorithm on scenes that are hard for it, at several rates and delays.
 
-Which cases an arena has, and the figures of one: an algorithm on a scene at a rate and a delay, without a bus.
+Cases of an arena, and the figures of one: an algorithm on a scene at a rate and a delay, without a bus.
 
-What is measured on one rig under every algorithm: K-B plot, impedance, time of a step; and the M-width of the rig.
+Measurements on one rig under every algorithm: K-B plot, impedance, time of a step; and the M-width of the rig.
 
-A wall counts as passive where the display is, device included: after no hold has more energy come out than went in and
-than what damping and friction of the device dissipate at least. Colgate's condition asks the same of every hand; here
+A wall counts as passive where the display is, device included: after every hold the energy given out is at most what
+went in and what damping and friction of the device certainly take. Colgate's condition asks this of every hand; here
 one hand moves in and out of the wall. So an algorithm may pass above Colgate's line, and none may fail below it.
 
-One row an algorithm: its figures over all cases, its rank in each, and who gives out energy where.
+One row per algorithm: its figures over all cases, its rank in each, and where it gives out energy.
 
-Finished cases of an arena on disk, one a line: an arena that was stopped goes on where it was.
+Finished cases of an arena on disk, one per line: an arena that was stopped continues where it was.
 
-The store of a sweep does not fit: its columns are the figures of one scene, fixed before it begins. A case is known
-again by its scene, rate, delay, algorithm and duration, and by the code that made it: all of the package that computes,
-and the file of an own algorithm. A line that was cut off by a kill is left out.
+The store of a sweep does not fit: its columns are the figures of one scene, fixed before it begins. A case is
+identified by its scene, rate, delay, algorithm and duration, and by the code that made it: all of the package that
+computes, and the file of a user-defined algorithm. A line cut off by a kill is ignored.
 
-All of an arena: cases to workers, finished ones to the store as they come, then the rig, then the ranking.
+The whole arena: cases to workers, finished ones to the store as they arrive, then the rig, then the ranking.
 """
 
 import hashlib
@@ -87,11 +87,11 @@ class CaseGroup:
 
     Attributes:
         path: Path of the scene.
-        rate: [Hz].
-        delays: 0 or 1 each.
+        rate: Rate [Hz].
+        delays: Delays, each 0 or 1.
         algorithms: Names, and `FILE.py:Class` of the user's own.
-        longest: Duration of a run at most [s].
-        allow_code: Whether the files named may run.
+        longest: Largest duration of a run [s].
+        allow_code: Whether the named files may run.
     """
 
     path: Path
@@ -124,7 +124,7 @@ def label_of(algorithm: str) -> str:
 
 
 def is_own(algorithm: str) -> bool:
-    """Whether an algorithm is one's own, named as `FILE.py:Class`."""
+    """Whether an algorithm is user-defined, named as `FILE.py:Class`."""
     return _MARK in algorithm
 
 
@@ -147,7 +147,7 @@ def entry_of(reference: str, path: Path, allow_code: bool) -> ComponentSpec:
 
 
 def scene_under(path: Path, algorithm: str, *, allow_code: bool = False) -> Scene:
-    """Return a scene of one axis under an algorithm that takes from the plant what it cannot do without.
+    """Return a scene of one axis under an algorithm, with indispensable values taken from the plant.
 
     Raises:
         InputError: The scene has groups or several axes, or own code may not run.
@@ -177,8 +177,8 @@ def group_figures(group: CaseGroup, known: Iterable[tuple[int, str]] = ()) -> li
     """Return the figures of every case of a group.
 
     Args:
-        group: The cases.
-        known: (delay, label of the algorithm) of those that are left out.
+        group: Group of cases.
+        known: (delay, algorithm label) of cases to leave out.
     """
     left = set(known)
     asked = [(d, name) for d in group.delays for name in group.algorithms if (d, label_of(name)) not in left]
@@ -269,13 +269,13 @@ def tried_stiffnesses(per_decade: int) -> Array:
 
 
 def borders(rig: Path, algorithm: str, delay: int, per_decade: int, *, allow_code: bool = False) -> Rows:
-    """Return the K-B plot of an algorithm: over the damping the stiffest passive wall, and the stiffest near one.
+    """Return the K-B plot of an algorithm: over the damping, the stiffest passive wall and the stiffest accurate one.
 
     Args:
         rig: Scene of one axis with a wall.
         algorithm: Name, or `FILE.py:Class`.
         delay: Whole holds, 0 or 1.
-        per_decade: Stiffnesses in a decade.
+        per_decade: Number of stiffnesses per decade.
         allow_code: Whether the file may run.
     """
     stiffnesses = tried_stiffnesses(per_decade)
@@ -314,7 +314,7 @@ def _at_delay(scene: Scene, delay: int) -> Scene:
 
 
 def theory(rig: Path, delay: int) -> dict[str, Rows]:
-    """Return the lines of theory in the K-B plot by name, each a list of damping and stiffness.
+    """Return the theoretical limits in the K-B plot by name, each a list of damping and stiffness.
 
     They are those of the plain wall, and the largest stiffness that a certificate of `guarded` holds; see
     `lab.studies.map`.
@@ -336,9 +336,9 @@ def _points(line: Mapping[float, float | None]) -> Rows:
 
 
 def impedances(rig: Path, algorithm: str, delay: int, *, allow_code: bool = False) -> Rows:
-    """Return the impedance that an algorithm renders over the one asked for, at each of `FREQUENCIES`.
+    """Return the impedance that an algorithm renders over the requested one, at each of `FREQUENCIES`.
 
-    The environment is a spring with a damper, always in contact: size of the ratio, and its angle [rad].
+    The environment is a spring with a damper, always in contact; the ratio is given as magnitude and angle [rad].
     """
     try:
         scene = _at_delay(scene_under(rig, algorithm, allow_code=allow_code), delay)
@@ -366,7 +366,7 @@ def _shaken(scene: Scene, frequency: float) -> LoopRun:
 
 
 def times_of_steps(rig: Path, algorithms: Sequence[str], *, allow_code: bool = False) -> dict[str, float]:
-    """Return the time of a step [us] of each algorithm on the rig, interleaved; of this machine at this moment."""
+    """Return the time of a step [us] of each algorithm on the rig, interleaved; valid for this machine and moment."""
     cases: dict[str, tuple[LoopCase, LoopRun]] = {}
     for name in algorithms:
         try:
@@ -379,7 +379,7 @@ def times_of_steps(rig: Path, algorithms: Sequence[str], *, allow_code: bool = F
 
 
 def mass_widths(rig: Path) -> Rows:
-    """Return the M-width of the rig at several rates and delays: no algorithm of one torque axis renders a mass."""
+    """Return the M-width of the rig at several rates and delays: no algorithm of a torque axis renders a mass."""
     plant = simulation_of(scene_under(rig, "unprotected").axes[0]).plant
     found = []
     for rate in _RATES:
@@ -443,10 +443,10 @@ COLUMNS: Final[dict[str, Column]] = {
 
 
 def ranking(algorithms: Sequence[str], cases: Sequence[CaseFigures]) -> list[Standing]:
-    """Return one row an algorithm.
+    """Return one row per algorithm.
 
     Args:
-        algorithms: In the order of the rows.
+        algorithms: Names, in the order of the rows.
         cases: Figures of the cases of all algorithms.
     """
     rows = []
@@ -458,7 +458,7 @@ def ranking(algorithms: Sequence[str], cases: Sequence[CaseFigures]) -> list[Sta
 
 
 def ranks(rows: Sequence[Standing]) -> dict[str, dict[str, int]]:
-    """Return the rank of each algorithm in each ranked figure: one more than how many are better."""
+    """Return the rank of each algorithm in each ranked figure: one more than the number of better ones."""
     found: dict[str, dict[str, int]] = {row["algorithm"]: {} for row in rows}
     for key, column in COLUMNS.items():
         known = {row["algorithm"]: row[key] for row in rows if row[key] is not None}
@@ -469,7 +469,7 @@ def ranks(rows: Sequence[Standing]) -> dict[str, dict[str, int]]:
 
 
 def given_out(algorithms: Sequence[str], cases: Sequence[CaseFigures]) -> dict[str, dict[str, dict[str, float]]]:
-    """Return who gives out energy where: algorithm -> scene -> number of cases beyond the device, and the most [J]."""
+    """Return where energy is given out: algorithm -> scene -> number of cases beyond the device, and the most [J]."""
     found: dict[str, dict[str, dict[str, float]]] = {}
     for name in algorithms:
         of_scene: dict[str, list[float]] = {}
@@ -514,7 +514,7 @@ class ArenaStore:
 
     Args:
         path: Path of the file; created with its folder if need be.
-        force: Whether to begin anew.
+        force: Whether to start afresh.
 
     Raises:
         InputError: It cannot be read or made.
@@ -543,12 +543,12 @@ class ArenaStore:
             return  # cut off by a kill: the case runs again
 
     def finished(self, group: CaseGroup) -> list[CaseFigures]:
-        """Return what is known of the cases of a group."""
+        """Return the stored cases of a group."""
         keys = (_key(group, delay, name) for delay in group.delays for name in group.algorithms)
         return [self._known[key] for key in keys if key in self._known]
 
     def add(self, group: CaseGroup, found: Iterable[CaseFigures]) -> None:
-        """Keep the figures of cases of a group, all of them on disk once this returns.
+        """Store the figures of cases of a group; all of them are on disk on return.
 
         Raises:
             InputError: The file cannot be written.
@@ -582,7 +582,7 @@ def _hash_of(path: Path) -> str:
 
 @cache
 def code_hash() -> str:
-    """Return the hash of the code that computes."""
+    """Return a hash of the code that computes the figures."""
     package, digest = Path(__file__).resolve().parents[2], hashlib.sha256()
     for path in sorted(path for folder in _COMPUTES for path in (package / folder).rglob("*.py")):
         digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
@@ -604,14 +604,14 @@ class ArenaPlan:
     """Scenes, rates, delays and algorithms of an arena.
 
     Attributes:
-        scenes: Files, of one simulated axis each.
+        scenes: Files, each with one simulated axis.
         algorithms: Names, and `FILE.py:Class` of the user's own.
-        rates: [Hz].
-        delays: Whole holds, 0 or 1.
-        longest: Duration of a run at most [s].
+        rates: Rates [Hz].
+        delays: Delays in whole holds, 0 or 1.
+        longest: Largest duration of a run [s].
         rig: Scene of the K-B plot.
-        per_decade: Stiffnesses in a decade of the K-B plot; 0: nothing is measured on the rig.
-        allow_code: Whether the files named may run.
+        per_decade: Stiffnesses per decade of the K-B plot; 0: no measurements on the rig.
+        allow_code: Whether the named files may run.
     """
 
     scenes: tuple[Path, ...]
@@ -624,7 +624,7 @@ class ArenaPlan:
     allow_code: bool = False
 
     def groups(self) -> list[CaseGroup]:
-        """Return the cases, those that share a continuous run together."""
+        """Return the cases, grouped by shared continuous run."""
         return [
             CaseGroup(path, rate, self.delays, self.algorithms, self.longest, self.allow_code)
             for path in self.scenes
@@ -636,7 +636,7 @@ class ArenaPlan:
         return list(dict.fromkeys(map(label_of, self.algorithms)))
 
     def check(self) -> None:
-        """Look at every scene and algorithm before anything runs.
+        """Check every scene and algorithm before anything runs.
 
         Raises:
             InputError: One cannot be used.
@@ -662,14 +662,14 @@ def run_arena(
     progress: Callable[[Progress], None] = lambda _: None,
     stop_requested: Callable[[], bool] = lambda: False,
 ) -> dict[str, Any] | None:
-    """Return everything that was found as plain values; None where it was stopped, what is finished is then kept.
+    """Return all results as plain values; None where it was stopped, with finished cases in the store.
 
     Args:
-        plan: What is run.
+        plan: Plan of the arena.
         store: Store of finished cases.
-        executor: Where groups of cases run; None: in this thread.
-        progress: Called with how many are finished.
-        stop_requested: Asked now and then.
+        executor: Executor for groups of cases; None: this thread.
+        progress: Called with the number of finished cases.
+        stop_requested: Polled regularly; true stops the arena.
 
     Raises:
         InputError: A scene, an algorithm or the store cannot be used.

@@ -7,12 +7,12 @@ Every algorithm on one scene, next to the continuous environment, judged by the 
 
 Without a bus by default (`DirectRig`: the same floats, a tenth of the time), compiled, or over the whole CAN path.
 
-Every algorithm on the admittance displays of one scene, over its simulated drives: the accounts, and the truth.
+Every algorithm on the admittance displays of one scene, over its simulated drives: accounts and true energies.
 
-Every group algorithm on one scene: the accounts of its groups, and what truly happened.
+Every group algorithm on one scene: the accounts of its groups, and the true energies.
 
-Over its simulated drives, or compiled without a bus. There is no continuous reference: what a group adds to its network
-is judged by the plant's own energies alone.
+Over its simulated drives, or compiled without a bus. There is no continuous reference: the effect of a group on its
+network is judged by the plant's own energies alone.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -73,7 +73,7 @@ class AxisComparison:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What a comparison gave: plain values, and the runs behind them for the picture."""
+    """Result of a comparison: plain values, and the runs behind them for the picture."""
 
     result: dict[str, Any]
     axes: tuple[AxisComparison, ...]
@@ -91,17 +91,17 @@ def compare(
     repeats: int = 5,
     progress: Callable[[int], None] | None = None,
 ) -> Comparison:
-    """Return every algorithm on every axis of a scene.
+    """Return the results of every algorithm on every axis of a scene.
 
     Args:
-        scene: With simulated drives.
+        scene: Scene with simulated drives.
         algorithms: Names of `ALGORITHMS`; all of them by default.
-        duration: [s]; by default the scene's.
-        rate: SYNCs per second instead of the scene's, also beyond what its bus could carry; not over CAN.
-        over_can: Over the whole CAN path instead of `DirectRig`.
+        duration: Duration [s]; by default the scene's.
+        rate: Rate that replaces the scene's [Hz], possibly beyond its bus; not over CAN.
+        over_can: Whether the whole CAN path is used instead of `DirectRig`.
         engine: Engine without a bus: "python" gives the bits of the path over CAN, "numba" differs by rounding and
-            saves time on stiff plants and long runs, "auto" takes it where it pays.
-        repeats: Interleaved timings of a step, of which the least counts; 0 for none.
+            saves time on stiff plants and long runs, "auto" takes it where it is worthwhile.
+        repeats: Interleaved timings of a step, of which the minimum counts; 0 for none.
         progress: Called with the number of cycles done so far, of all runs together.
 
     Raises:
@@ -252,7 +252,7 @@ def _account(
 
 
 class AdmittanceRunCompared(TypedDict, total=False):
-    """A display under one algorithm; of one that was refused there are only status and remark."""
+    """A display under one algorithm; a refused one has only status and remark."""
 
     status: str
     remark: str
@@ -267,7 +267,7 @@ class DisplaysCompared(Heading):
 
 
 def display_algorithms(algorithms: Sequence[str] | None) -> list[str]:
-    """Return the names asked for; see `known_algorithms`."""
+    """Return the requested names; see `known_algorithms`."""
     return known_algorithms(DISPLAY_ALGORITHMS, "admittance algorithm", algorithms)
 
 
@@ -281,9 +281,9 @@ def compare_displays(
     """Return the account of every axis, and of every group, under each algorithm, as plain values.
 
     Args:
-        scene: Whose axes are admittance displays, with drives simulated in this process.
-        algorithms: Names of `DISPLAY_ALGORITHMS`; by default all, where there are only groups those of groups.
-        duration: [s]; by default the scene's.
+        scene: Scene whose axes are admittance displays, with drives simulated in this process.
+        algorithms: Names of `DISPLAY_ALGORITHMS`; by default all, or all group algorithms if there are only groups.
+        duration: Duration [s]; by default the scene's.
         progress: Called with the number of cycles done so far, of all runs together.
 
     Raises:
@@ -323,7 +323,7 @@ class TrueEnergies(TypedDict):
 
 
 class ComparedGroup(PortResult, total=False):
-    """The account of a group under one algorithm; of one that was refused there are only the first three."""
+    """The account of a group under one algorithm; a refused one has only the first three fields."""
 
     status: str
     remark: str
@@ -357,12 +357,12 @@ def compare_groups(
     """Return the accounts of every group of a scene under each algorithm, as plain values.
 
     Args:
-        scene: With groups, and all its drives simulated in this process. Axes that render by themselves keep their
+        scene: Scene with groups, with all drives simulated in this process. Axes outside groups keep their
             own algorithm.
         algorithms: Names of `GROUP_ALGORITHMS`; all of them by default.
-        duration: [s]; by default the scene's.
-        engine: "python" goes over the whole CAN path, "numba" compiles each group with its motors, without a bus;
-            "auto" takes that where it pays.
+        duration: Duration [s]; by default the scene's.
+        engine: "python" uses the whole CAN path, "numba" compiles each group with its motors, without a bus;
+            "auto" compiles where that is worthwhile.
         progress: Called with the number of cycles done so far, of all runs together.
 
     Raises:
@@ -388,7 +388,7 @@ def compare_groups(
 
 
 def group_algorithms(algorithms: Sequence[str] | None) -> list[str]:
-    """Return the names asked for; see `known_algorithms`."""
+    """Return the requested names; see `known_algorithms`."""
     return known_algorithms(GROUP_ALGORITHMS, "group algorithm", algorithms)
 
 

@@ -1,8 +1,8 @@
-"""Maps of a sweep: how stiff a wall may be over rate, damping and every other varied key, and what is left of it.
+"""Maps of a sweep: largest wall stiffness over rate, damping and every other varied key, and its rendered share.
 
 The figures of a sweep by the values of its keys: a grid as arrays with one dimension per key, samples as lists.
 
-What theory permits of a wall on a device, in closed form.
+Theoretical limits of a wall on a device, in closed form.
 
 Colgate and Schenkel, "Passivity of a class of sampled-data systems", Journal of Robotic Systems 14, 1997: with the
 damping b of the device a sampled wall H(z) is passive for every user if and only if, at every frequency,
@@ -11,18 +11,18 @@ damping b of the device a sampled wall H(z) is passive for every user if and onl
 
 For a spring k without delay that is b > k T / 2. Abbott and Okamura (IEEE Trans. Robotics 21, 2005) add the encoder:
 the Coulomb friction of the device must cover half a count of the spring, k < 2 f_c / count: for a wall without a damper
-and without delay, on a device that has such friction; nothing is said of any other.
+and without delay, on a device that has such friction; it makes no statement about any other.
 
-Z-width: the largest stiffness that passes at every value of the other keys, and the largest that is also near.
+Z-width: the largest stiffness that passes at every value of the other keys, and the largest that is also accurate.
 
-One panel of a map as plain values, with what a picture and a page of it have in common.
+One panel of a map as plain values, with the common parts of its picture and its page.
 
-The first row of a map: the stiffest wall that is passive and rendered near, all algorithms in one panel with theory.
+The first row of a map: the stiffest wall that is passive and accurate, all algorithms in one panel with theory.
 
-Passive is meant of the display, what the device dissipates counted, and of the hand of the scene, at its worst over
+Passive refers to the display, with the device's dissipation, and to the hand of the scene, at its worst over
 every key that is not drawn.
 
-Which panels a map has: chosen by what was varied and asked for, filled from the figures of a sweep.
+The panels of a map: chosen by the varied and requested keys, filled from the figures of a sweep.
 """
 
 import json
@@ -56,17 +56,17 @@ class MapField:
     """One axis of a sweep under one algorithm.
 
     Args:
-        table: The file.
+        table: File of the sweep.
         axis: Name of the axis.
-        controller: Name of the algorithm; "" for that of the scene where none was varied.
+        controller: Name of the algorithm; "" for the scene's own where the sweep varied none.
         allow_code: Whether program files that the scene names may run.
 
     Attributes:
         keys: Numeric keys with more than one value, in the order given.
-        values: Every value of each of them, in the order of a grid; of each scene, for samples.
+        values: Values of each of these keys: its levels in a grid, one per scene for samples.
         is_grid: Whether figures have one dimension per key.
-        scene: Before anything varied, of this axis alone under this algorithm.
-        algorithm: Its name.
+        scene: Unvaried scene of this axis alone under this algorithm.
+        algorithm: Name of its algorithm.
         is_display: Whether the axis is an admittance display.
     """
 
@@ -90,17 +90,17 @@ class MapField:
         self.is_display = is_display(self.scene)
 
     def figure(self, metric: str) -> Array:
-        """Return a figure, one dimension per key of `keys` and one for all others in a grid; NaN where none is."""
+        """Return a figure, in a grid with one dimension per key of `keys` and one for all others; NaN where it is missing."""
         found = self._shaped(self._table.figure(self.axis, metric))
         return np.where(self.judged(), found, np.nan)
 
     def judged(self) -> Mask:
-        """Return which scenes were run to their end, shaped as a figure."""
+        """Return which scenes were completed, in the shape of a figure."""
         found: Mask = self._shaped(self._table.status() == COMPLETED)
         return found
 
     def has(self, metric: str) -> bool:
-        """Whether the sweep asked for a figure."""
+        """Whether the sweep has a figure."""
         return metric in self._table.metrics
 
     def label(self, key: str) -> str:
@@ -137,7 +137,7 @@ def fields_of(table: SweepTable, axis: str | None = None, *, allow_code: bool = 
     """Return one field per algorithm.
 
     Args:
-        table: The file.
+        table: File of the sweep.
         axis: Name of the axis; the first by default.
         allow_code: Whether program files that the scene names may run.
 
@@ -202,13 +202,13 @@ _TRIED: Final = np.geomspace(1.0, 1e8, 801)
 
 
 def colgate_stiffness(damping: float, wall_damping: float, sample_time: float, delay: int) -> float:
-    """Return the largest stiffness [N/m or N*m/rad] that the condition above permits.
+    """Return the largest stiffness [N/m or N*m/rad] permitted by the condition above.
 
     Args:
         damping: b of the device [N*s/m or N*m*s/rad].
         wall_damping: Damping of the wall, on the backward difference of the position [N*s/m or N*m*s/rad].
         sample_time: T [s].
-        delay: Whole holds, inside H.
+        delay: Delay in whole holds, inside H.
     """
     angle = np.linspace(math.pi / _ANGLES, math.pi, _ANGLES)
     forward = 1.0 - np.exp(-1j * angle)
@@ -222,7 +222,7 @@ def colgate_stiffness(damping: float, wall_damping: float, sample_time: float, d
 
 
 class Theory(NamedTuple):
-    """Largest stiffness by each theory [N/m or N*m/rad]; None where it says nothing."""
+    """Largest stiffness by each theory [N/m or N*m/rad]; None where a theory does not apply."""
 
     colgate: float | None  # passive for every hand
     abbott_okamura: float | None  # the same, of encoder and dry friction
@@ -231,18 +231,18 @@ class Theory(NamedTuple):
 
 
 def theory_at(field: MapField, values: Mapping[str, float]) -> Theory:
-    """Return what theory says at some values of a field's keys.
+    """Return the theoretical limits at some values of a field's keys.
 
     Args:
-        field: Whose scene and axis are meant.
-        values: Key -> value; keys that no formula knows are left out.
+        field: Field with the scene and axis.
+        values: Key -> value; keys that occur in no formula are ignored.
     """
     names = {batch_key(key, field.index, field.axis): value for key, value in values.items()}
     return theory_of(scene_with(field.scene, {name: value for name, value in names.items() if name in BATCHED}))
 
 
 def theory_of(scene: Scene) -> Theory:
-    """Return what theory says of the wall of a scene with one simulated axis, for any stiffness."""
+    """Return the theoretical limits for the wall of a scene with one simulated axis, for any stiffness."""
     [axis] = scene.axes
     simulation, environment = axis.simulation, axis.environment.parameters
     if simulation is None or not hasattr(environment, "stiffness"):
@@ -302,11 +302,11 @@ class _Border(NamedTuple):
 
 
 def usual_judgement(field: MapField) -> str:
-    """Return how an algorithm is judged unless the user says otherwise.
+    """Return the default judgement of an algorithm.
 
-    The plain wall promises nothing of its port: with what the device dissipates it is stable or not, by the eigenvalues
+    The plain wall promises nothing for its port: with the device's dissipation it is stable or not, by the eigenvalues
     of the loop; where that is not linear, damping and dry friction of the device must cover at any moment what the port
-    gave out, which is what Abbott and Okamura ask. The others are held to what they promise.
+    gave out, as Abbott and Okamura require. The others are judged by what they promise.
     """
     if field.algorithm == "unprotected":
         if field.has(RADIUS) and np.isfinite(field.figure(RADIUS)).any():
@@ -335,18 +335,18 @@ def passing_share(field: MapField, judgement: str) -> float:
 
 
 def common_judgement(field: MapField) -> str:
-    """Return how all algorithms are judged together: as displays, device included, where that is known."""
+    """Return the common judgement of all algorithms: as displays, device included, where that is known."""
     return next((name for name in ("covered", "passive") if field.has(_ENERGIES[name])), "margin")
 
 
 def border_of(field: MapField, key: str, kept: list[str], judgement: str, *, near: bool = False) -> _Border:
-    """Return the largest value of a key that passes, the worst over every key that is not kept.
+    """Return the largest passing value of a key, the worst over every key that is not kept.
 
     Args:
-        field: A grid.
-        key: Whose largest value is asked, as environment.stiffness.
-        kept: Keys that the result has as dimensions, in this order.
-        judgement: A name of `JUDGEMENTS`.
+        field: Field with a grid.
+        key: Key whose largest value is wanted, such as environment.stiffness.
+        kept: Keys that remain as dimensions of the result, in this order.
+        judgement: Name of a judgement, in `JUDGEMENTS`.
         near: Whether to return the largest of these values at which the stiffness is rendered within `NEAR`.
     """
     order = [field.keys.index(name) for name in (key, *kept)]
@@ -388,7 +388,7 @@ class PanelCurve:
 
     @property
     def colour(self) -> str:
-        """As #RRGGBB; what holds at every level is black, and so is the algorithm that is meant for a rig."""
+        """Return the colour as #RRGGBB; black for limits valid at every level, and for the algorithm for rigs."""
         return "#000000" if self.style in _BLACK else _COLOURS[self.number % len(_COLOURS)]
 
 
@@ -405,17 +405,17 @@ class Lines:
     note: str = ""
 
     def marks(self) -> list[float]:
-        """Return the values to mark along a logarithmic x; none where they are many."""
+        """Return the values to mark along a logarithmic x; none where there are too many."""
         return _few(np.concatenate([line.x for line in self.lines] or [np.empty(0)])) if self.x_log else []
 
     def has_something(self) -> bool:
-        """Whether there is something to see."""
+        """Whether there is anything to draw."""
         return True
 
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """A panel of coloured cells, or of dots where the scenes are no grid."""
+    """A panel of coloured cells, or of dots where the scenes form no grid."""
 
     title: str
     x_label: str
@@ -433,11 +433,11 @@ class Cells:
     more_is_worse: bool = False
 
     def marks(self) -> list[float]:
-        """Return the values to mark along a logarithmic x; none where they are many, or no columns."""
+        """Return the values to mark along a logarithmic x; none where there are too many, or no columns."""
         return _few(self.x) if self.x_log and not self.dots else []
 
     def has_something(self) -> bool:
-        """Whether there is something to see."""
+        """Whether there is anything to draw."""
         return bool(np.isfinite(self.values).any())
 
     def edges(self) -> tuple[Array, Array]:
@@ -482,12 +482,12 @@ def common_limits(panels: Sequence[Panel | None]) -> tuple[float, float]:
 
 
 def is_log(values: Array) -> bool:
-    """Return whether an axis of these values is logarithmic."""
+    """Return whether an axis with these values is logarithmic."""
     return bool(values.min() > 0.0 and values.max() / values.min() >= _LOG_SPAN)
 
 
 def positive(values: Array) -> Array:
-    """Return values for a logarithmic axis: NaN where there is no place for them."""
+    """Return values for a logarithmic axis: NaN where they are not positive."""
     return np.where(values > 0.0, values, np.nan)
 
 
@@ -501,12 +501,12 @@ _OF_PLAIN_WALL: Final[dict[CurveStyle, str]] = {
 
 
 def headline(fields: list[MapField], z: str, x: str, y: str | None) -> list[Lines]:
-    """Return one panel for each value of y, of many the least, middle and largest; none where shares are not known.
+    """Return one panel per value of y, or for the least, middle and largest of many; none where shares are unknown.
 
     Args:
-        fields: One an algorithm, of one grid.
+        fields: Fields of one grid, one per algorithm.
         z: Key of the stiffness.
-        x: Across.
+        x: Key along the x axis.
         y: Another key; None where there is none.
     """
     if not all(one.has(SHARE) and common_judgement(one) != "margin" for one in fields):
@@ -564,7 +564,7 @@ _ERROR: Final = "position_error.rms"
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """Which keys and figure a map is of; None: chosen by what was varied."""
+    """Keys and figure of a map; None: chosen by what was varied."""
 
     x: str | None = None
     y: str | None = None

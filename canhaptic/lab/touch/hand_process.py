@@ -1,14 +1,14 @@
-"""The process in which both sides run in real time: places of the hand go in, rows of the cycle come out.
+"""Process in which both sides run in real time: positions of the hand go in, rows of the cycle come out.
 
-At an even pace master and drives run in lock-step, and each cycle waits for its time on the wall clock. One that comes
-late is caught up, and none is skipped: a browser that takes the processor does not turn one hold into two, which no
-algorithm would know. At real pace late SYNCs are skipped, as on a rig.
+At an even pace master and drives run in lock-step, and each cycle waits for its time on the wall clock. A late cycle
+is caught up, and none is skipped: a browser that takes the processor does not turn one hold into two, which no
+algorithm would notice. At real pace late SYNCs are skipped, as on a rig.
 
-What crosses: an array in shared memory with the last place of the pointer (never waited for), and a pipe with rows. A
-pointer that stops sending leaves its last place there, and the hand stays where it is. A reader that does not read
+Exchanged are an array in shared memory with the last position of the pointer (never waited for), and a pipe with rows.
+If the pointer stops sending, its last position remains, and the hand stays there. A reader that does not read
 loses rows, not cycles.
 
-The page's end of the process in which both sides run: places of the pointer go in, rows of both handles come out.
+The page's end of the process in which both sides run: pointer positions go in, rows of both handles come out.
 """
 
 import contextlib
@@ -103,14 +103,14 @@ class TouchStatus(NamedTuple):
 
 
 def no_run(number: int, ended: str) -> TouchStatus:
-    """Status of a run without a cycle, or of which nothing more is known."""
+    """Status of a run without a cycle, or one about which nothing more is known."""
     return TouchStatus(number, 0, 0, 0, 0.0, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), ended)
 
 
 def columns(touched: TouchScene) -> list[str]:
-    """Return the names of the columns of a row: time, token, place of the hand, then those of each side.
+    """Return the names of the columns of a row: time, token, position of the hand, then those of each side.
 
-    `force` is that of the display on the hand; of an admittance display that of the hand, as its sensor shows it.
+    `force` is that of the display on the hand; for an admittance display, the hand's force from its sensor.
     """
     names = ["time", "token", *(f"hand.{d}" for d in touched.directions)]
     parts = ("position", "force", "velocity", "command") if touched.is_display else ("position", "force")
@@ -121,7 +121,7 @@ def columns(touched: TouchScene) -> list[str]:
 
 
 def work(pipe: Connection, shared: SharedNumbers) -> None:
-    """Run what the pipe asks for, one job after the other, until it closes; the target of the process."""
+    """Run the jobs from the pipe, one after the other, until it closes; the target of the process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_follow_parent, daemon=True).start()
     with contextlib.suppress(OSError), socket.socket(fileno=os.dup(pipe.fileno())) as end:
@@ -306,7 +306,7 @@ class TouchHand:
         InputError: The scene cannot be touched.
 
     Attributes:
-        touched: The scene that runs now.
+        touched: Scene of the present run.
         changes: Values that replace those of the scene, by key.
     """
 
@@ -328,7 +328,7 @@ class TouchHand:
         far_end.close()
 
     def begin(self, changes: dict[str, str]) -> None:
-        """Begin a run anew with changed values; an error in them leaves the old run as it is.
+        """Begin a new run with changed values; if they are invalid, the old run continues.
 
         Raises:
             InputError: Anything is wrong, or the process has ended.
@@ -346,7 +346,7 @@ class TouchHand:
             raise InputError(self._lost()) from error
 
     def move(self, place: tuple[float, ...], token: float = 0.0) -> None:
-        """Move the pointer to a position [m or rad], kept within the page; `token` comes back with the rows."""
+        """Move the pointer to a position [m or rad], limited to the page; `token` comes back with the rows."""
         for direction, (at, (low, high)) in enumerate(zip(place, self.touched.shown, strict=True)):
             self._shared[direction] = min(max(at, low), high)
         self._shared[TOKEN] = token

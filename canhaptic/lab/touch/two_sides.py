@@ -1,7 +1,7 @@
 """A scene twice in one rig: a handle under `unprotected`, its twin under a passivity algorithm, held by one hand.
 
 Both are axes of one rig, on a bus each, moved by the same SYNC: every delay of the computer affects both.
-Nothing real moves, so a page that keeps the processor busy does not end the run: the link policy waits long.
+Nothing real moves, so a page that keeps the processor busy does not end the run: the link policy has long timeouts.
 
 Description of the two sides for the page of `canhaptic touch`, and common parts of all kinds of sides.
 
@@ -44,10 +44,10 @@ class Side:
     """One handle.
 
     Attributes:
-        name: Name of the side, which is that of its algorithm.
+        name: Name of the side, that of its algorithm.
         axes: Names of its axes in the rig.
-        group: Name of the group that renders on them; empty where each renders by itself.
-        allowance: Energy that its algorithm may give out before any came in [J].
+        group: Name of the group that renders on them; empty without a group.
+        allowance: Energy that its algorithm may give out before any was received [J].
     """
 
     name: str
@@ -108,7 +108,7 @@ def sliders_of(section: str, values: Parameters, names: Sequence[str], unit: str
 
     Args:
         section: Path of the section in the scene.
-        values: Its parameters.
+        values: Parameters of the section.
         names: Names of the parameters.
         unit: "m" or "rad".
     """
@@ -126,13 +126,13 @@ def sliders_of(section: str, values: Parameters, names: Sequence[str], unit: str
 
 
 def pointer_hand(user: UserParameters, start: float) -> PointerHand:
-    """Return the hand of a scene with the pointer as its place."""
+    """Return the hand of a scene with the pointer as its position."""
     grip = {"stiffness": user.stiffness, "damping": user.damping} if user.stiffness else HAND
     return PointerHand(**grip, place=start)
 
 
 def reach(motion: Any, rest: float, start: float) -> tuple[float, float]:
-    """Range on the page in a direction [m or rad]: half as much again as the hand of the scene would move."""
+    """Range on the page in a direction [m or rad]: one and a half times the motion of the scene's hand."""
     middle = rest + (motion.offset if motion else 0.0)
     half = 1.5 * motion.amplitude if motion else _ROOM
     return min(middle - half, start), max(middle + half, start)
@@ -145,7 +145,7 @@ def on_two_buses(
     groups: tuple[GroupScene, ...] = (),
     mechanisms: tuple[MechanismScene, ...] = (),
 ) -> Scene:
-    """Return a scene with a bus for each side, whose drives and master wait long for a silent peer."""
+    """Return a scene with a bus for each side, with long timeouts of drives and master."""
     bus = scene.bus.model_copy(
         update={"heartbeat_timeout": _PATIENCE, "stop_cycles": max(_LOST_CYCLES, scene.bus.stop_cycles)}
     )

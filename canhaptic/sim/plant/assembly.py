@@ -207,7 +207,7 @@ class PlantModel:
     motor_torque: str = "torque"  # state or input that drives the motor's body
 
     def add_state(self, name: str, initial: float = 0.0) -> None:
-        """Reserve a role that only one effect may have."""
+        """Add a state; names are unique in a scene."""
         if name in self.states:
             raise ParameterError(f"state {name!r} twice, expected once; give each effect of one type its own place")
         self.states[name] = initial

@@ -1,1 +1,1 @@
-"""What accuracy costs in time: every way to compute a scene and to render it, each with its errors and its price."""
+"""The cost of accuracy in time: every method to compute and render a scene, with its errors and its cost."""

@@ -1,8 +1,8 @@
 """`accuracy: auto`: the cheapest accuracy of a simulated plant that keeps its position within a tolerance.
 
 The scene's own controller is run once on a finely solved plant; under the torques of that run every setting of the
-ladder is held against the textbook plant by event-located DOP853 (`canhaptic.lab.judge`). The fewest products win,
-which are the same on every machine; no time is measured.
+ladder is compared with the reference plant by event-located DOP853 (`canhaptic.lab.judge`). The fewest products win,
+which are equal on every machine; no time is measured.
 """
 
 import math
@@ -38,7 +38,7 @@ _CEILING: Final = 3e-2
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One rung of the ladder and what it gave."""
+    """One setting of the ladder with its result."""
 
     accuracy: AccuracyParameters
     error: MotionError
@@ -47,14 +47,14 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class AccuracyChoice:
-    """What `accuracy: auto` chose for one axis, and on what grounds."""
+    """The choice of `accuracy: auto` for one axis, and its grounds."""
 
     tolerance: float  # [m or rad]
     holds: int
     setting: Setting
 
     def as_plain(self) -> dict[str, object]:
-        """Return the choice as the resolved configuration and the log keep it."""
+        """Return the choice as stored in the resolved configuration and the log."""
         error = self.setting.error
         return {
             "tolerance": self.tolerance,
@@ -106,9 +106,9 @@ def choose(axis: AxisScene, scene: Scene, tolerance: float) -> AccuracyChoice:
 
 
 def cheapest(tried: Sequence[Setting], tolerance: float) -> Setting | None:
-    """Return the setting with the fewest products that keeps the tolerance, as every finer one does.
+    """Return the setting with the fewest products that keeps the tolerance, together with every finer one.
 
-    Errors of events and of substeps may cancel by luck, which does not last beyond the holds that were compared.
+    Errors of events and of substeps may cancel by chance, which need not last beyond the compared holds.
     """
     good = [setting for setting in tried if setting.error.is_finite and setting.error.position <= tolerance]
     kept = {(setting.accuracy.event_bits, setting.accuracy.substeps) for setting in good}
@@ -122,7 +122,7 @@ def cheapest(tried: Sequence[Setting], tolerance: float) -> Setting | None:
 
 
 def fitted_order(sizes: Sequence[float], errors: Sequence[float], travel: float) -> float | None:
-    """Return the slope of log error over log size between the coarsest and the finest error that tell of it.
+    """Return the slope of log error over log size between the coarsest and the finest significant error.
 
     Args:
         sizes: Sizes of the steps, relative.
@@ -160,7 +160,7 @@ def _require_order(tried: Sequence[Setting], simulation: AxisSimulation, travel:
 
 
 def ladder(simulation: AxisSimulation, sample_time_ns: int) -> list[AccuracyParameters]:
-    """Return every setting that makes a difference to this plant, coarse to fine."""
+    """Return every setting that makes a difference for this plant, coarse to fine."""
     plant = build_plant(simulation, sample_time_ns)
     most = simulation.accuracy.max_events
     bits: Sequence[int] = (24,)
@@ -185,7 +185,7 @@ def _tried_setting(
 
 
 def holds_of(scene: Scene, duration: float | None = None) -> int:
-    """Return how many holds a scene is compared over."""
+    """Return the number of holds over which a scene is compared."""
     if duration is not None:
         return max(2, round(duration / scene.bus.sample_time))
     whole = HOLDS if scene.run.duration is None else round(scene.run.duration / scene.bus.sample_time)

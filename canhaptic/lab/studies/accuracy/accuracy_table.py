@@ -1,8 +1,8 @@
 """A study of accuracy as tables, for a terminal and as Markdown for a page of documentation.
 
-From the ladder to advice: the Pareto front, the cheapest setting within a tolerance, what each effect is worth.
+From the ladder to advice: the Pareto front, the cheapest setting within a tolerance, the cost of each effect.
 
-All choices rest on errors and evaluations, which are the same in every run; times only sort the effects.
+All choices depend on errors and evaluations, which are equal in every run; times only sort the effects.
 """
 
 import math
@@ -45,7 +45,7 @@ _WIDE_HEADS: Final = ("wall time per simulated s", "median over least")
 
 
 def accuracy_report(result: Row, *, tables: bool = False) -> RenderableType:
-    """Return the answer, what was studied and, where they are asked for, the tables, for a terminal."""
+    """Return the answer, the heading and, if requested, the tables, for a terminal."""
     lines = [*advice_lines(result), "", *price_lines(result), ""]
     if not tables:
         said = [*lines, *heading(result)[:2], *result["remarks"], "every row: --tables"]
@@ -55,7 +55,7 @@ def accuracy_report(result: Row, *, tables: bool = False) -> RenderableType:
 
 
 def wrapped(line: str) -> list[str]:
-    """Return a line in parts that fit 80 columns, the further ones below its text."""
+    """Return a line wrapped to 80 columns, with a hanging indent."""
     label, found, text = line.partition(_GAP)
     indent = " " * (_LABEL if found else len(line) - len(line.lstrip()))
     if found:
@@ -66,7 +66,7 @@ def wrapped(line: str) -> list[str]:
 
 
 def price_lines(result: Row) -> list[str]:
-    """Return what each setting costs in time and errs by, one line for each setting that matters, now first."""
+    """Return the time and error of each relevant setting, one line each, the scene's own first."""
     unit, floor = result["unit"], _floor(result)
     lines = [*_plant_prices(result, unit, floor), *_method_prices(result, unit, floor), *_effect_prices(result)]
     loop = _loop_prices(result)
@@ -135,7 +135,7 @@ def _loop_prices(result: Row) -> list[tuple[str, list[str]]]:
 
 
 def base_loop(result: Row) -> Row | None:
-    """Return the row of the loop as the scene has it; None where it does not run to its end."""
+    """Return the row of the loop with the scene's own settings; None where it does not complete."""
     return next((row for row in result["loop"] if row["is_scene"] and row["status"] == "ok"), None)
 
 
@@ -164,7 +164,7 @@ def _time(microseconds: float) -> str:
 
 
 def markdown(result: Row) -> str:
-    """Return the same as Markdown, with every table."""
+    """Return the report as Markdown, with every table."""
     lines = ["### Advice", "", *(f"- {line}" for line in advice_lines(result)), ""]
     lines += ["### Prices", "", *(f"- {line.replace(_GAP, ': ')}" for line in price_lines(result)), ""]
     lines += [*(f"{line}  " for line in heading(result)), ""]
@@ -172,7 +172,7 @@ def markdown(result: Row) -> str:
 
 
 def heading(result: Row) -> list[str]:
-    """Return what was studied, against what."""
+    """Return the heading: the part studied, and its reference."""
     unit = result["unit"]
     lines = [
         f"{result['scene']}, {part_of(result)}: {result['holds']} sample times at {si(result['rate'], 'Hz', 3)}, "
@@ -204,7 +204,7 @@ def part_of(result: Row) -> str:
 
 
 def advice_lines(result: Row) -> list[str]:
-    """Return the answer, the line that a scene takes for it, and what else is worth knowing."""
+    """Return the answer, the line to put into the scene, and further advice."""
     advice, unit = result["advice"], result["unit"]
     if advice is None:
         return ["no advice: the study was stopped before its end"]
@@ -283,7 +283,7 @@ def length(value: float, unit: str) -> str:
 
 
 def accuracy_tables(result: Row, *, wide: bool = False) -> list[Table]:
-    """Return every table; with `wide` that of the plant has times per simulated second and their spread."""
+    """Return every table; with `wide` the plant's table has times per simulated second and their spread."""
     unit, floor, plant = result["unit"], _floor(result), result["plant"]
     more: Sequence[str] = _WIDE_HEADS if wide else ()
     rows = [[*_plant_cells(row, unit, floor), *(_wall(row) if wide else ())] for row in plant]
@@ -384,17 +384,17 @@ def meets(row: Row, tolerance: float) -> bool:
 
 
 def cheapest(rows: Sequence[Row], tolerance: float) -> Row | None:
-    """Return the row with the fewest evaluations that keeps the tolerance; of equals the more exact."""
+    """Return the row with the fewest evaluations within the tolerance; among equals the more exact one."""
     good = [row for row in rows if meets(row, tolerance)]
     return min(good, key=lambda row: (row["evaluations"], row["position_error"]), default=None)
 
 
 def pareto(rows: Sequence[Row], price: str, floor: float) -> list[bool]:
-    """Return for each row whether no other is both cheaper and at least as exact.
+    """Return for each row whether no other row is both cheaper and at least as exact.
 
     Args:
         rows: Rows of the ladder.
-        price: Key of what they cost.
+        price: Key of their cost.
         floor: Error of the position below which all are equal [m or rad].
     """
     points = [
@@ -408,12 +408,12 @@ def pareto(rows: Sequence[Row], price: str, floor: float) -> list[bool]:
 
 
 def front(points: Sequence[tuple[float, float]]) -> set[tuple[float, float]]:
-    """Return the points of which no other is as small in both and smaller in one."""
+    """Return the points that no other point dominates."""
     return {(x, y) for x, y in set(points) if not any(a <= x and b <= y and (a < x or b < y) for a, b in points)}
 
 
 def advice(rows: Sequence[Row], effects: Sequence[Row], tolerance: float, orders: Sequence[Row] = ()) -> dict[str, Any]:
-    """Return what to write into the scene, and on what grounds.
+    """Return what to write into the scene, with the reason.
 
     Args:
         rows: Rows of the ladder.
@@ -475,7 +475,7 @@ def error_per_microsecond(error: float, saved: float | None) -> float | None:
 
     Args:
         error: Error of the position [m or rad].
-        saved: Per period [us]; None where it was not measured. What the clock does not tell from none counts as that.
+        saved: Time saved per period [us]; None: not measured. Savings below the clock's resolution count as that.
     """
     return None if saved is None else error / max(saved, _ADVICE_CLOCK)
 

@@ -1,4 +1,4 @@
-"""What accuracy costs an admittance display: the simulated plant against a solver, the loop against an ideal one.
+"""The cost of accuracy on an admittance display: the simulated plant against a solver, the loop against an ideal one.
 
 commands of the scene's own controller -> the plant of the scene                     against DOP853
 every rate, algorithm, sensor and encoder -> position, energy, mass felt, given out  against the ideal display
@@ -45,7 +45,7 @@ class AdmittanceReference(TypedDict):
 
 
 class PlantRow(TypedDict, total=False):
-    """How far the plant of an axis is from a solver."""
+    """Difference of the plant of an axis from a solver."""
 
     axis: str
     status: str
@@ -54,7 +54,7 @@ class PlantRow(TypedDict, total=False):
 
 
 class ChangeRow(TypedDict, total=False):
-    """A display with one thing changed, against the ideal one; of a refused one no figures."""
+    """A display with one change, compared with the ideal one; a refused display has no figures."""
 
     changed: str
     to: str
@@ -91,7 +91,7 @@ def display_accuracy_report(result: AdmittanceStudy) -> RenderableType:
 
 
 def display_accuracy_markdown(result: AdmittanceStudy) -> str:
-    """Return the same as Markdown."""
+    """Return the report as Markdown."""
     return "\n".join([*(f"{line}  " for line in heading(result)), "", display_accuracy_table(result).markdown()])
 
 
@@ -101,7 +101,7 @@ def display_accuracy_table(result: AdmittanceStudy) -> Table:
 
 
 def heading(result: AdmittanceStudy) -> list[str]:
-    """Return what was studied, against what, and how far the plant is from a solver."""
+    """Return the heading: the part studied, its reference, and the difference of the plant from a solver."""
     unit, reference = result["unit"], result["reference"]
     lines = [
         f"{result['scene']}, {result['axis']}: {result['holds']} sample times at {result['rate']:g} Hz, "
@@ -156,10 +156,10 @@ def study_display(scene: Scene, name: str | None, duration: float | None, stop: 
     """Return the study of one display, or group of displays, as plain values.
 
     Args:
-        scene: Simulated.
+        scene: Simulated scene.
         name: Name of the axis or group; None for the first.
         duration: Length of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter.
-        stop: Asked before every run; what was measured by then is returned.
+        stop: Polled before every run; what was measured until then is returned.
 
     Raises:
         InputError: There is none of that name, or it is not simulated.

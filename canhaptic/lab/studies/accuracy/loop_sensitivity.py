@@ -1,10 +1,10 @@
-"""The loop side: one thing changed at a time, sample rate, delay, algorithm, velocity filter, resolution, encoder.
+"""The loop side: one change at a time, of sample rate, delay, algorithm, velocity filter, resolution or encoder.
 
-Every variant is rendered without a bus and held against the continuous environment; the bus load is arithmetic.
+Every variant is rendered without a bus and compared with the continuous environment; the bus load is computed.
 
-The reference of the loop side: the continuous environment of an axis, read on a grid that every rate shares.
+Reference of the loop side: the continuous environment of an axis, read on a grid common to all rates.
 
-The loop side of a group: one thing changed at a time, sample rate, delay, algorithm, torque step, encoder count.
+The loop side of a group: one change at a time, of sample rate, delay, algorithm, torque step or encoder count.
 """
 
 import math
@@ -63,13 +63,13 @@ class ContinuousLoop(NamedTuple):
 def continuous_loop(
     axis: AxisScene, step_ns: int, steps: int, stop: Callable[[], bool] | None = None
 ) -> ContinuousLoop:
-    """Return what the user would feel without sampling.
+    """Return the motion and forces that the user would feel without sampling.
 
     Args:
-        axis: Its environment, plant, user and effects.
+        axis: Axis with environment, plant, user and effects.
         step_ns: Time between two readings [ns].
         steps: Readings after the first.
-        stop: Asked now and then whether to give up.
+        stop: Polled regularly; true aborts.
 
     Raises:
         InputError: There are no equations for the environment or an effect, scipy is missing, the solver fails, or it
@@ -90,7 +90,7 @@ _ENCODER_EFFECTS: Final = ("encoder_noise", "encoder_quantisation")
 
 
 class Continuous(Protocol):
-    """What is felt without sampling, of an axis or, in further columns, of the axes of a group."""
+    """Motion and force without sampling, of an axis or, in further columns, of the axes of a group."""
 
     @property
     def step_ns(self) -> int:
@@ -98,7 +98,7 @@ class Continuous(Protocol):
 
     @property
     def position(self) -> Array:
-        """At every reading [m or rad]."""
+        """Position at every reading [m or rad]."""
 
     @property
     def impulse(self) -> Array:
@@ -106,12 +106,12 @@ class Continuous(Protocol):
 
     @property
     def interaction(self) -> Array:
-        """Energy taken since the start [J]."""
+        """Energy received since the start [J]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variant:
-    """One loop."""
+    """One loop with one change."""
 
     group: str
     setting: str
@@ -123,18 +123,18 @@ class Variant:
     fineness: float | None = None  # times that of the scene, infinite for ideal; None where nothing is finer
 
     def render(self, cycles: int, motion: Array, tick: Callable[[], None], engine: ChosenEngine) -> LoopRun:
-        """Return what it did.
+        """Return the result of the loop.
 
         Args:
             cycles: SYNCs.
             motion: Motion of the continuous run, which defines divergence [m or rad].
-            tick: Called at every SYNC; may raise to give up.
+            tick: Called at every SYNC; may raise to abort.
             engine: Engine of the loop.
         """
         raise NotImplementedError
 
     def work(self, cycles: int) -> tuple[str, float]:
-        """Return what has to be compiled for it, and its cost in cycles of a light plant; 0: nothing is compiled."""
+        """Return what must be compiled for it, and its cost in cycles of a light plant; 0: nothing is compiled."""
         return "", 0.0
 
 
@@ -186,7 +186,7 @@ def variants(axis: AxisScene, scene: Scene) -> Sequence[Variant]:
 
 
 def settings_now(axis: AxisScene, scene: Scene) -> dict[str, str]:
-    """Return what the scene has where the variants have something else, by the group of the variant."""
+    """Return the scene's own values of the settings that variants change, by group of variants."""
     case, unit, parameters = loop_case(axis, scene), axis.parameters.unit, axis.passivity.parameters
     quantum, counts = case.torque_quantum, case.counts_per_unit
     found = {"sample rate": hertz(scene.bus.rate), "RPDO": scene.bus.rpdo, "algorithm": axis.passivity.name}
@@ -290,7 +290,7 @@ def _encoders(base: _AxisVariant) -> list[_AxisVariant]:
 
 
 def fineness(factor: float | None, power: float) -> float:
-    """Return how much finer a step is by a factor; infinite for none."""
+    """Return the factor by which a step is finer; infinite where it has none."""
     return math.inf if factor is None else float(factor**power)
 
 
@@ -306,13 +306,13 @@ def _without_encoder_effects(base: _AxisVariant, scene: Scene) -> list[_AxisVari
 def loop_row(
     variant: Variant, exact: Continuous, duration_ns: int, tick: Callable[[], None], engine: ChosenEngine = "python"
 ) -> LoopRow:
-    """Return one variant run and judged.
+    """Return the row of one variant after its run.
 
     Args:
-        variant: The loop.
+        variant: Variant of the loop.
         exact: The continuous axis or group, read at least as often as the variant samples.
         duration_ns: Length of the run [ns].
-        tick: Called once a cycle; may raise to give up.
+        tick: Called once a cycle; may raise to abort.
         engine: Engine of the axis's loop.
     """
     period = variant.case.sample_time_ns
@@ -343,7 +343,7 @@ def _most(values: Array) -> float:
 
 
 def engines_of(variants: Sequence[Variant], duration_ns: int, engine: Engine) -> list[ChosenEngine]:
-    """Return the engine of each variant; "auto" compiles where all of one algorithm take longer than compiling it."""
+    """Return the engine of each variant; "auto" compiles where all of one algorithm take longer than compiling."""
     works = [variant.work(duration_ns // variant.case.sample_time_ns + 1) for variant in variants]
     whole: Counter[str] = Counter()
     for name, work in works:
@@ -352,7 +352,7 @@ def engines_of(variants: Sequence[Variant], duration_ns: int, engine: Engine) ->
 
 
 def bus_figures(variant: Variant, scene: Scene) -> dict[str, Any]:
-    """Return load and worst cycle of the fullest bus that the axes are on, at the variant's rate."""
+    """Return load and worst cycle of the busiest bus of the axes, at the variant's rate."""
     budgets = []
     for bus in dict.fromkeys(variant.buses):
         maps: Sequence[AxisMap] = [
@@ -422,7 +422,7 @@ def finely_solved(scene: Scene, factor: float = 1.0) -> Scene:
 
 
 def group_variants(scene: Scene) -> list[Variant]:
-    """Return the one group of a scene and everything next to it, one change each, on finely solved plants."""
+    """Return the one group of a scene and its variants, one change each, on finely solved plants."""
     (group,) = scene.groups
     base = finely_solved(scene)
     found = [_group_variant("as it is", group.passivity.name, base, is_scene=True)]

@@ -2,19 +2,19 @@
 
 A linear plant in MuJoCo, where it is installed: a slide joint with the hand as its spring and damper.
 
-The hand's motion comes as a force that is held over each step. Works: the motor's is exact for a held torque, the
+The hand's motion enters as a force held over each step. Works: the motor's is exact for a held torque, the
 user's by the trapezoidal rule over the steps.
 
-Every way to compute one plant under given torques: our settings, fixed-step methods, LSODA, MuJoCo.
+Every method to compute one plant under given torques: our settings, fixed-step methods, LSODA, MuJoCo.
 
-The price that is the same on every machine is the number of evaluations of the equations of motion: a matrix-vector
-product of ours that was tried, a right-hand side of a textbook method (forces looked at for a guard counted too), a
-step of MuJoCo. It ranks like time; the study reports how well it did.
+The cost that is equal on every machine is the number of evaluations of the equations of motion: a trial matrix-vector
+product of ours, a right-hand side of a textbook method (evaluations of forces for a guard included), a
+step of MuJoCo. It ranks like time; the study reports how well.
 
-The plant side of a group: what its motors move, under the torques of the scene's own controller.
+The plant side of a group: the mechanics of its motors, under the torques of the scene's own controller.
 
 Motors with plants of their own are each an axis of the ladder, and a setting is as good as on the worst of them; a
-mechanism is held against its equations of motion by DOP853.
+mechanism is compared with its equations of motion by DOP853.
 """
 
 import importlib.util
@@ -59,7 +59,7 @@ _EXPRESSIBLE: Final = ("viscous_friction", "encoder_noise", "encoder_quantisatio
 
 
 def inexpressible(simulation: AxisSimulation) -> list[str]:
-    """Return the effects of a scene that this joint does not have."""
+    """Return the effects of a scene that this joint cannot express."""
     hand = ["a hand of one's own"] if isinstance(simulation.user, OwnHand) else []
     return hand + [effect.name for effect in simulation.effects if effect.name not in _EXPRESSIBLE]
 
@@ -68,7 +68,7 @@ class MujocoPlant:
     """One joint, stepped from Python.
 
     Args:
-        simulation: With expressible effects only.
+        simulation: Simulation with expressible effects only.
         integrator: "Euler" (semi-implicit) or "RK4".
         substeps: Steps in a hold.
         torques: Torque of each hold [N or N*m].
@@ -121,7 +121,7 @@ damping="{damping!r}"/><geom type="sphere" size="0.01" mass="{self._plant.mass!r
         return data
 
     def run(self) -> list[float]:
-        """Run it and return the positions."""
+        """Run the joint and return the positions."""
         model, data, move, positions = self._model, self._begin(), self._mujoco.mj_step, []
         control, place = data.ctrl, data.qpos
         for command in self._commands:
@@ -131,7 +131,7 @@ damping="{damping!r}"/><geom type="sphere" size="0.01" mass="{self._plant.mass!r
         return positions
 
     def motion(self) -> Motion:
-        """Run it and return the motion."""
+        """Run the joint and return the motion."""
         data = self._begin()
         states = [(data.qpos[0], data.qvel[0])]
         for command in self._commands:
@@ -166,13 +166,13 @@ class Candidate:
     """One method at one setting.
 
     Attributes:
-        method: Its name.
-        setting: What distinguishes it from others of the same method.
-        size: Its step, relative; for fitting the order. None where there is no step.
-        order: Declared; None for exact and adaptive methods.
-        accuracy: As a scene names it; None for what no scene can name.
-        observe: Runs it; returns motion, evaluations and events.
-        spend: Runs it for its time only.
+        method: Name of the method.
+        setting: Setting that distinguishes it from others of the same method.
+        size: Relative step size, for fitting the order; None where there is no step.
+        order: Declared order; None for exact and adaptive methods.
+        accuracy: Accuracy as in a scene; None where no scene can express it.
+        observe: Function that runs it and returns motion, evaluations and events.
+        spend: Function that runs it for timing only.
     """
 
     method: str
@@ -198,7 +198,7 @@ def candidates(
     """Return the whole ladder of one plant.
 
     Args:
-        simulation: The plant, the user and the effects.
+        simulation: Plant, user and effects.
         torques: Torque of each hold [N or N*m].
         sample_time_ns: Duration of a hold [ns].
         settings: Settings of our plant.
@@ -217,13 +217,13 @@ def candidates(
 
 
 def own_ladder(simulation: AxisSimulation, sample_time_ns: int) -> list[AccuracyParameters]:
-    """Return every setting that makes a difference to this plant, and the one that the scene has."""
+    """Return every setting that makes a difference for this plant, and the scene's own."""
     found, now = ladder(simulation, sample_time_ns), own_setting(simulation, sample_time_ns)
     return found if now in found else [now, *found]
 
 
 def own_setting(simulation: AxisSimulation, sample_time_ns: int) -> AccuracyParameters:
-    """Return the accuracy that a scene has, with the defaults where it makes no difference to this plant."""
+    """Return the accuracy of a scene, with the defaults where it makes no difference for this plant."""
     found, now = ladder(simulation, sample_time_ns), simulation.accuracy
     bits = now.event_bits if len({of.event_bits for of in found}) > 1 else found[0].event_bits
     substeps = now.substeps if len({of.substeps for of in found}) > 1 else found[0].substeps
@@ -248,7 +248,7 @@ def ours(
     *,
     compiled: bool = False,
 ) -> Candidate:
-    """Return our plant at one accuracy; compiled, it is a method of its own, for its time."""
+    """Return our plant at one accuracy; compiled, it is a method of its own, to compare times."""
     solved = replace(simulation, accuracy=accuracy)
     kept = build_plant(solved, sample_time_ns, compiled=compiled)
 
@@ -283,7 +283,7 @@ def counted(count: int, what: str) -> str:
 
 
 def stepped(plant: Plant, torques: Sequence[float]) -> None:
-    """Move a plant from its start, as a drive does: one call a hold."""
+    """Move a plant from its start as a drive does: one call per hold."""
     plant.reset()
     plant.begin(0)
     move, period, now = plant.advance_to, plant.sample_time_ns, 0
@@ -333,21 +333,21 @@ class PlantSide:
     """One axis under recorded torques.
 
     Args:
-        axis: Simulated.
-        scene: Its scene.
-        holds: How many.
-        stop: Asked now and then whether to give up.
+        axis: Simulated axis.
+        scene: Scene of the axis.
+        holds: Number of holds.
+        stop: Polled regularly; true aborts.
         with_compiled: Whether the plant is run compiled too, where numba is installed.
         torques: Torque of each hold [N or N*m]; None: those of the scene's own controller.
-        settings: To try; None: every one that makes a difference to this plant.
+        settings: Settings to try; None: every one that makes a difference for this plant.
 
     Attributes:
         torques: Torque of each hold [N or N*m].
-        exact: The reference.
+        exact: Motion of the reference.
         travel: Travel of the reference [m or rad].
         energy: Largest of the works and the kinetic energy of the reference [J].
-        rows: What was measured so far, one per rung of the ladder.
-        effects: What was measured so far, one per effect of the scene.
+        rows: Results so far, one per setting of the ladder.
+        effects: Results so far, one per effect of the scene.
     """
 
     def __init__(
@@ -380,7 +380,7 @@ class PlantSide:
         self.effects: list[Row] = []
 
     def measure(self) -> Iterator[str]:
-        """Run every rung once for its errors and evaluations; yield the name of each before it is run."""
+        """Run every setting once for its errors and evaluations; yield the name of each before it is run."""
         for candidate in self.candidates:
             yield candidate.name
             self.rows.append(self._row(candidate))
@@ -406,7 +406,7 @@ class PlantSide:
         """Run the plant without each effect at the chosen accuracy; yield the name of each before it is run.
 
         Args:
-            accuracy: The one that the effects are priced at.
+            accuracy: Accuracy at which the effects are timed.
         """
         names = list(dict.fromkeys(effect.name for effect in self._simulation.effects))
         if not names:
@@ -453,7 +453,7 @@ class PlantSide:
         return self._simulation, name, problem
 
     def orders(self) -> list[Row]:
-        """Return the order of every method with a step, declared and as fitted to this very scene."""
+        """Return the declared order of every method with a step, and the order fitted to this scene."""
         return orders_of(self.candidates, self.rows, self.travel, self.declared)
 
     def declared(self, method: str) -> int | None:
@@ -471,10 +471,10 @@ def orders_of(
     """Return the order of every method with a step.
 
     Args:
-        tried: Every rung.
-        rows: What was measured of them so far.
+        tried: Every setting.
+        rows: Results for these settings so far.
         travel: Travel of the reference [m or rad].
-        declared: Method -> the order that it has on this scene; None for exact.
+        declared: Method -> its order on this scene; None for exact.
     """
     found = []
     for method in dict.fromkeys(candidate.method for candidate in tried):
@@ -496,7 +496,7 @@ def _most_bits(found: Sequence[Candidate]) -> int:
 
 
 def named(candidate: Candidate) -> Row:
-    """Return what a rung is called."""
+    """Return the name of a setting."""
     accuracy = candidate.accuracy
     return {
         "method": candidate.method,
@@ -516,7 +516,7 @@ _RUNGE_KUTTA: Final = (1, 2, 4, 8)
 
 
 class Plants(Protocol):
-    """One side of a study: see `PlantSide`."""
+    """Interface of the plant side of a study: see `PlantSide`."""
 
     rows: list[Row]
     effects: list[Row]
@@ -527,7 +527,7 @@ class Plants(Protocol):
     evaluations: int
 
     def measure(self) -> Iterator[str]:
-        """Run every rung once; yield the name of each before it is run."""
+        """Run every setting once; yield the name of each before it is run."""
 
     def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
         """Run the plant without each effect; yield the name of each before it is run."""

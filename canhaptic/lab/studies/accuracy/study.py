@@ -3,16 +3,16 @@
 torques of the scene's own controller -> every method, every setting, every effect left out   against DOP853
 every rate, delay, algorithm, filter and resolution                                           against the continuous run
 
-What one cycle costs the control thread apart from the algorithm: frames, checks and accounts, without the far side.
+Cost of a cycle in the control thread apart from the algorithm: frames, checks and accounts, without the drives.
 
-The rig of the scene runs in lock-step with its simulated drives in one thread; the time that these take is measured
-on the way and taken off.
+The rig of the scene runs in lock-step with its simulated drives in one thread; the time of the drives is measured
+on the way and subtracted.
 
-Wall times that a busy machine spoils as little as possible: interleaved repeats, their least, their spread.
+Wall times with little disturbance by a busy machine: interleaved repeats, their minimum, their spread.
 
-A fixed workload runs with them, so that a table made on one machine can be read on another by its ratios.
+A fixed workload runs with them, so that a table from one machine can be read on another by its ratios.
 
-What a study of accuracy is of: one axis that renders by itself, or one group.
+Subject of an accuracy study: one axis outside groups, or one group.
 """
 
 import math
@@ -110,9 +110,9 @@ def exchange_time(scene: Scene) -> float | None:
 
 
 def log_time(scene: Scene) -> float | None:
-    """Return what writing the energy log costs the control thread in a cycle [us]; None where nothing can be run.
+    """Return the time that writing the energy log takes in a cycle [us]; None where nothing can be run.
 
-    The least block of a run with the log, less the least of one without; both in lock-step, taken in turn.
+    It is the fastest block with the log, less the fastest without; both run in lock-step, in turn.
     """
     if not scene.simulated or scene.bus_effects is not None:
         return None
@@ -190,13 +190,13 @@ def interleaved(
     stop: Callable[[], bool],
     progress: Callable[[float], None],
 ) -> dict[str, WallTime]:
-    """Return the wall time of each candidate, run in turn A B C A B C; what is quick is repeated more often.
+    """Return the wall time of each candidate, run in turn A B C A B C; fast ones are repeated more often.
 
     Args:
-        candidates: By name.
-        budget: Shared alike among them [s]; beyond its share a candidate is run twice, a long one once.
-        stop: Asked before each run whether to give up; what was measured is returned.
-        progress: Called with the part that is done.
+        candidates: Candidates by name.
+        budget: Total time, shared equally [s]; a candidate beyond its share is run twice, a long one once.
+        stop: Polled before each run; true aborts, and what was measured is returned.
+        progress: Called with the completed fraction.
     """
     clock = WallClock()
     share = round(budget * 1e9 / max(1, len(candidates)))
@@ -223,7 +223,7 @@ def _wall_time(times: list[int]) -> WallTime:
 
 
 def workload() -> None:
-    """Do the fixed work that every time is a multiple of."""
+    """Do the fixed workload to which every time is related."""
     matrix, state = np.eye(6) * 0.999, np.ones(6)
     product = matrix.dot
     for _ in range(_PRODUCTS):
@@ -234,7 +234,7 @@ Stop = Callable[[], bool]
 
 
 class StudiedPart(Protocol):
-    """What renders by itself."""
+    """An axis outside groups, or a group, as the subject of a study."""
 
     is_group: ClassVar[bool]
 
@@ -244,7 +244,7 @@ class StudiedPart(Protocol):
 
     @property
     def parameters(self) -> Sequence[AxisParameters]:
-        """Parameters of its axes."""
+        """Parameters of the axes."""
 
     def plants(self, holds: int, stop: Stop, *, with_compiled: bool) -> Plants:
         """Return the plant side; see `PlantSide`."""
@@ -253,16 +253,16 @@ class StudiedPart(Protocol):
         """Return what could not be run, and why."""
 
     def continuous(self, step_ns: int, steps: int, stop: Stop) -> Continuous:
-        """Return what is felt without sampling."""
+        """Return the motion and force without sampling."""
 
     def variants(self) -> Sequence[Variant]:
-        """Return every loop of the loop side."""
+        """Return every variant of the loop side."""
 
     def first_rows(self, holds: int) -> Iterator[str]:
-        """Yield what each setting of the plant costs and how far it is from the finest one, in words."""
+        """Yield the cost of each plant setting and its difference from the finest one, in words."""
 
     def now(self) -> dict[str, Any]:
-        """Return what the scene has, by the group of the variants that have something else, and its accuracy."""
+        """Return the scene's own values of the settings that variants change, by group, and its accuracy."""
 
 
 def _as_plain(accuracy: AccuracyParameters) -> dict[str, int]:
@@ -348,7 +348,7 @@ class _GroupPart:
 
 
 def chosen_part(scene: Scene, name: str | None) -> StudiedPart:
-    """Return an axis or a group by name; the first axis by default, and the group of an axis that has one.
+    """Return an axis or a group by name; by default the first axis, or its group.
 
     Raises:
         InputError: There is none of that name, or it is not simulated.
@@ -373,7 +373,7 @@ _JUDGED_WITH: Final = "unprotected"
 
 
 class Length(NamedTuple):
-    """What a study is made on."""
+    """Length of a study."""
 
     scene: Scene
     holds: int
@@ -381,9 +381,9 @@ class Length(NamedTuple):
 
 
 def length_of(scene: Scene, name: str | None, duration: float | None = None) -> Length:
-    """Return how long a scene is compared: until its second contact, unless a duration is given [s].
+    """Return the length over which a scene is compared: until its second contact, unless a duration is given [s].
 
-    Where its algorithm gives no torque, the plain controller that every algorithm limits is taken in its place.
+    Where its algorithm gives no torque, the unprotected controller is used instead.
     """
     part = chosen_part(scene, name)
     if not isinstance(part, _AxisPart):
@@ -434,21 +434,21 @@ class _StoppedError(InputError):
 
 
 class AccuracyStudy:
-    """Measures, and keeps what was measured.
+    """Runs an accuracy study and stores its results.
 
     Args:
-        scene: Simulated.
+        scene: Simulated scene.
         axis: Name of an axis or a group; the first axis by default, or its group.
-        tolerance: Largest error of the position [m or rad]; by default what the scene's `accuracy: {auto: ...}` says,
+        tolerance: Largest error of the position [m or rad]; by default from the scene's `accuracy: {auto: ...}`,
             else a tenth of an encoder count.
         duration: Length of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter; see
             `length_of`.
         budget: Time for timings [s]; 0 for none.
-        engine: Engine of the loops; "auto" compiles them where that pays.
+        engine: Engine of the loops; "auto" compiles them where that is worthwhile.
         progress: Called with the number of units done, of `UNITS`.
-        stop: Asked often whether to stop.
-        judged: The remark of `length_of`.
-        say: Called with the first rows, which need no reference, as soon as each is there.
+        stop: Polled often; true stops the study.
+        judged: Remark of `length_of`.
+        say: Called with each of the first rows, which need no reference, as soon as it is ready.
     """
 
     def __init__(
@@ -481,7 +481,7 @@ class AccuracyStudy:
         self._log_us: float | None = None
 
     def run(self) -> dict[str, Any]:
-        """Return the result; `status` is "completed", or "stopped" with everything up to there."""
+        """Return the result; `status` is "completed", or "stopped" with all results so far."""
         self._status = "stopped"
         try:
             self._measure()
@@ -587,7 +587,7 @@ class AccuracyStudy:
         }
 
     def result(self) -> dict[str, Any]:
-        """Return everything that was measured so far, as plain values."""
+        """Return all results so far, as plain values."""
         bus = self.scene.bus
         found: dict[str, Any] = {
             "scene": self.scene.source,

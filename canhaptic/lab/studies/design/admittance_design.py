@@ -1,6 +1,6 @@
-"""The lightest virtual mass that an admittance display renders within a tolerance, for its hand and for hands like it.
+"""The lightest virtual mass that an admittance display renders within a tolerance, for its hand and for similar hands.
 
-A mass passes where every hand feels it within the tolerance, and no more energy than declared is given out. Masses to
+A mass passes where every hand feels it within the tolerance, and at most the declared energy is given out. Masses up to
 1.1 (M + c tau) are tried, from heavy to light; the answer is the last before one that fails, times 1 + margin.
 """
 
@@ -40,7 +40,7 @@ _Shares = TypedDict("_Shares", {"mass_felt.share": list[float]}, total=False)
 
 
 class AdmittanceDesign(_Shares, total=False):
-    """The lightest mass of a display, and what it costs with the worst of all hands."""
+    """The lightest mass of a display, with its figures for the worst of all hands."""
 
     mass: float
     unit: str
@@ -69,9 +69,9 @@ def design_displays(
 
     Args:
         scene: Scene of admittance displays, simulated, each with a hand.
-        margin: How much smaller the mass could be and still pass, relative to it.
-        tolerance: How far the mass felt may be from the mass asked, as a part of it.
-        progress: Called with the number of masses tried, and how many there are at most.
+        margin: Relative reserve by which the mass could be smaller and still pass.
+        tolerance: Largest relative difference of the apparent mass from the requested one.
+        progress: Called with the number of masses tried, and the largest possible number.
 
     Raises:
         InputError: A display renders no virtual mass or has no hand, or a margin or tolerance is out of range.
@@ -241,7 +241,7 @@ def display_snippet(found: AdmittanceDesign) -> str:
 
 
 def display_design_report(result: AdmittanceDesigns) -> RenderableType:
-    """Return what a terminal shows of a design; `result` as `design_displays` returns it."""
+    """Return the text of a design for a terminal; `result` as `design_displays` returns it."""
     heading = Text(" ")
     heading.append(str(result["scene"]), style="bold")
     heading.append(f"   within {100.0 * result['tolerance']:g} %, margin {100.0 * result['margin']:g} %")

@@ -1,31 +1,31 @@
-"""Walls on trial: each one leant on and pressed in and out on the simulated rig, all in one batch of the sweep engine.
+"""Trials of walls: each is leant on and pressed on the simulated rig, all in one batch of the sweep engine.
 
-    lean     a hand without a spring pushes with a constant force: what the wall holds at rest
-    press    a hand goes in and out of the wall: what it stores, gives back and dissipates
+    lean     a hand without a spring pushes with a constant force: the stiffness at rest
+    press    a hand goes in and out of the wall: the energy stored, returned and dissipated
 
 A wall passes if both hands find its stiffness, and the second its damping, within the tolerance, and if no more energy
 came out than went in. Certain damping b of the device, where it is declared, covers energy of the port: `guarded` then
-promises sum(h_i) + (b / T) sum(dq^2) >= 0 by proof, which is judged, and what the port alone gave out is reported.
+promises sum(h_i) + (b / T) sum(dq^2) >= 0 by proof, which is judged, and the energy that the port alone gave out is
 
-The rig is that of the scene. Where the scene is of real drives its plant is what `passivity` declares: the least moving
-mass and damping, which is what the certificates rest on.
+reported. The rig is that of the scene. For a scene with real drives the plant is what `passivity` declares: the least
+moving mass and damping, on which the certificates rest.
 
-One stiffness and one damping for every network that is designed for: the largest, with which all others change.
+One stiffness and one damping for every network in a design: the largest, with which all others scale.
 
 surface, path, coupled handles, virtual mass    its own `stiffness` and `damping`
 anisotropic spring       the largest eigenvalues of both matrices, whose shapes stay; without a damping matrix the
                          damping has the shape of the stiffness
-general                  the springs and forms that the ports move, and what dissipates at the ports or in parallel
-                         with a spring; masses, inner springs and what is not linear stay as they are. Without such
+general                  the springs and forms that the ports move, and the dissipators at the ports or in parallel
+                         with a spring; masses, inner springs and nonlinear elements are unchanged. Without such
                          a damper each of those springs gets one in proportion to its stiffness
 
-Networks of a group on trial: each leant on and stroked by the hands of the scene, without a bus.
+Trials of networks of a group: each leant on and stroked by the hands of the scene, without a bus.
 
     lean      the hands rest where the network of the scene pushes most
     stroke    the hands move as in the scene
 
-A network passes if the torques that were held are its spring within the tolerance, by least squares over the holds in
-contact, if stroked its damping is rendered within it, and if no more energy came out than went in.
+A network passes if the held torques match its spring within the tolerance, by least squares over the holds in
+contact, if when stroked its damping is rendered within it, and if no more energy came out than went in.
 """
 
 import math
@@ -91,7 +91,7 @@ def network_scale(network: Parameters, name: str) -> NetworkScale:
 
     Args:
         network: Network of a scene.
-        name: Its name in a scene.
+        name: Name of the network in a scene.
 
     Raises:
         InputError: It has no spring at a port.
@@ -250,11 +250,11 @@ class TrialVerdict:
     nearly: Booleans  # whether it passes with the tolerance wider by `_SLACK`
 
     def last(self) -> "TrialVerdict":
-        """Return that of the last wall alone."""
+        """Return the verdict on the last wall alone."""
         return TrialVerdict(*(getattr(self, field.name)[-1:] for field in fields(self)))
 
     def account(self, damping: float) -> dict[str, float | None]:
-        """Return what the first wall rendered and gave out, as in the result of a design.
+        """Return the account of the first wall, as in the result of a design.
 
         Args:
             damping: Damping of the wall; 0: its share is None.
@@ -268,21 +268,21 @@ class TrialVerdict:
 
 
 class Trial:
-    """The rig on which walls are tried.
+    """Rig for trials of walls.
 
     Args:
-        scene: With a simulation, or with what its drives certainly are declared under `passivity`.
-        tolerance: How far a rendering may be from what is asked, as a part of it.
+        scene: Scene with a simulation, or with the certain properties of its drives declared under `passivity`.
+        tolerance: Largest relative difference of a rendering from the requested one.
         engine: Engine of the trials, as for a sweep.
 
     Attributes:
-        scene: Leaning on the wall; what is shown of a wall is shown of it.
+        scene: Scene with the hand leaning on the wall, used for the figures shown.
         hand: Stiffness and damping of the grip [N/m, N*s/m or N*m/rad, N*m*s/rad].
-        unit: In which the axis moves.
-        softest: Wall that is tried [N/m or N*m/rad].
-        engine: What computes the trials.
+        unit: Unit of the axis's motion.
+        softest: Softest wall to try [N/m or N*m/rad].
+        engine: Engine that computes the trials.
         is_quick: Whether walls are tried compiled.
-        walls: How many were tried.
+        walls: Number of walls tried.
 
     Raises:
         InputError: Several axes, or nothing known of the moving mass.
@@ -339,7 +339,7 @@ class Trial:
         )  # fmt: skip
 
     def damping_scale(self, stiffness: float) -> float:
-        """Return a damping that is hardly rendered: it stops the mass in one hold, or is half the critical one."""
+        """Return a damping that can hardly be rendered: it stops the mass in one hold, or is half the critical one."""
         [axis] = self.scene.axes
         mass = simulation_of(axis).plant.mass
         return max(mass / self.scene.bus.sample_time, math.sqrt(stiffness * mass))
@@ -360,17 +360,17 @@ def verdict_of(
     shares: Array, damped: Array, least: Array, judged: Array, ran: Any, allowance: float, tolerance: float,
     damping: Array,
 ) -> TrialVerdict:  # fmt: skip
-    """Return what walls did under two hands.
+    """Return the verdict on walls under two hands.
 
     Args:
-        shares: Stiffness rendered over asked, shape (2, n).
-        damped: The same of the damping, shape (n,).
-        least: Least true energy that came in, shape (n,) [J].
-        judged: What of it is judged [J].
-        ran: Whether both hands ran to their end, in contact.
+        shares: Rendered over requested stiffness, shape (2, n).
+        damped: Rendered over requested damping, shape (n,).
+        least: Least true energy received, shape (n,) [J].
+        judged: Part of that energy that is judged [J].
+        ran: Whether both hands completed the run, in contact.
         allowance: Energy that may be given out [J].
-        tolerance: How far a rendering may be from what is asked, as a part of it.
-        damping: Asked for.
+        tolerance: Largest relative difference of a rendering from the requested one.
+        damping: Requested damping.
     """
     share, passive = _furthest(*shares), ran & (judged >= -allowance)
     error = np.maximum(np.abs(share - 1.0), np.where(damping > 0.0, np.abs(damped - 1.0), 0.0))
@@ -448,21 +448,21 @@ class _Tried(NamedTuple):
 
 
 class GroupTrial:
-    """The rig on which networks are tried.
+    """Rig for trials of networks.
 
     Args:
-        scene: With one group, simulated; its network has a spring at its ports (`network_scale`).
-        tolerance: How far a rendering may be from what is asked, as a part of it.
+        scene: Simulated scene with one group; its network has a spring at its ports (`network_scale`).
+        tolerance: Largest relative difference of a rendering from the requested one.
         engine: Engine of the trials.
-        executor: Runs the loops that are not compiled; None: this thread.
+        executor: Executor for loops that are not compiled; None: this thread.
 
     Attributes:
-        scene: With the hands in motion.
-        unit: In which the handle moves.
-        softest: Stiffness that is tried [N/m or N*m/rad].
-        engine: What computes the trials.
-        is_quick: Whether they are compiled.
-        walls: How many were tried.
+        scene: Scene with the hands in motion.
+        unit: Unit of the handle's motion.
+        softest: Smallest stiffness to try [N/m or N*m/rad].
+        engine: Engine that computes the trials.
+        is_quick: Whether networks are tried compiled.
+        walls: Number of networks tried.
 
     Raises:
         InputError: Several groups, other axes, a network without a spring at its ports, or motors that are not
@@ -488,7 +488,7 @@ class GroupTrial:
         self._has_damping = all(axis.loop.device_damping for axis in scene.axes)
 
     def damping_scale(self, stiffness: float) -> float:
-        """Return a damping that is hardly rendered."""
+        """Return a damping that can hardly be rendered."""
         return _TIME * stiffness
 
     def verdict(self, stiffness: Array, damping: Array) -> TrialVerdict:
@@ -510,7 +510,7 @@ class GroupTrial:
         )  # fmt: skip
 
     def account(self, verdict: TrialVerdict, stiffness: float, damping: float) -> dict[str, Any]:
-        """Return what the network is and costs."""
+        """Return the description and cost of the network."""
         (group,) = self.scene.groups
         axes = [self.scene.axis(name) for name in group.axes]
         worst = max(

@@ -1,16 +1,16 @@
 """The largest stiffness, and then the largest damping, that `guarded` renders within a tolerance and with a margin.
 
-A range is tried at many places in one batch, the interval in which walls stop passing at many more in a second. A wall
-counts only if every smaller one that was tried passes or nearly does, softer ones with the same damping included: what
-a rig renders need not fall evenly.
+A range is sampled at many points in one batch, the interval where walls stop passing at many more in a second. A wall
+counts only if every smaller one that was tried passes or nearly does, softer ones with the same damping included: the
+rendered share need not fall monotonically.
 
-What the hand of a scene will feel of walls on its rig: the stiffness held, drag, and the speed of a contact.
+What the hand of a scene will feel at walls on its rig: the stiffness held, drag, and the speed of a contact.
 
 held    the largest wall within the tolerance at rest, for a push that rises slowly to a part of the torque limit
 drag    the largest torque in front of a wall, against a hand that comes at an ordinary speed
-start   the least speed of a hand on a spring that is held by the wall, instead of going through as if there were
-        none; what a hand comes to rest against is at least half of what the ideal wall would press with
-drags   that again for drags that may be declared, after the way over which drag and certain friction of the device earn
+start   the least speed of a hand on a spring at which the wall holds it, instead of letting it through as if there were
+        none; the force at rest is at least half of that of the ideal wall
+drags   the same for possible declared drags, after the distance over which drag and certain friction of the device earn
         the energy of a start
 """
 
@@ -70,13 +70,13 @@ _FURTHEST: Final = {"m": 0.5, "rad": 5.0}
 
 
 def felt_of(scene: Scene, algorithm: str, hand: dict[str, float], tolerance: float, stiffness: float) -> dict[str, Any]:
-    """Return what is felt on the rig of a scene, as plain values.
+    """Return the figures felt on the rig of a scene, as plain values.
 
     Args:
         scene: Scene of one simulated axis, with a wall.
         algorithm: Name of the algorithm that renders.
-        hand: Stiffness and damping of its grip [N/m, N*s/m or N*m/rad, N*m*s/rad].
-        tolerance: How far a stiffness may be from what is asked, as a part of it.
+        hand: Stiffness and damping of the grip [N/m, N*s/m or N*m/rad, N*m*s/rad].
+        tolerance: Largest relative difference of a stiffness from the requested one.
         stiffness: Stiffness of the wall that is entered slowly [N/m or N*m/rad].
     """
     able = able_under(scene.axes[0], algorithm, scene)
@@ -201,11 +201,11 @@ def design_wall(
     """Return the stiffest wall for the rig of a scene, and the largest damping at that stiffness, as plain values.
 
     Args:
-        scene: Scene of one group, simulated; or of one axis, simulated or with `passivity.moving_mass` declared.
-        margin: Part by which stiffness and damping could both be larger and still pass.
-        tolerance: How far a rendering may be from what is asked, as a part of it.
+        scene: Simulated scene of one group; or scene of one axis, simulated or with `passivity.moving_mass` declared.
+        margin: Relative reserve by which stiffness and damping could both be larger and still pass.
+        tolerance: Largest relative difference of a rendering from the requested one.
         engine: Engine of the trials, as for a sweep.
-        progress: Called with the number of walls tried, and how many there can be at most.
+        progress: Called with the number of walls tried, and the largest possible number.
 
     Raises:
         InputError: The scene cannot be designed for, or a margin or tolerance is out of range.

@@ -1,17 +1,17 @@
 """The figures of consecutive scenes, wherever they are computed: a pure function of the recipe and their values.
 
-Scenes of one kind run together by the batch engine, or one by one where that cannot take them, with the reason kept.
-How scenes are dealt into chunks changes nothing, because no scene knows of its neighbours.
+Scenes of one kind run together in the batch engine, or one by one where that is not possible, with the reason stored.
+The division of scenes into chunks changes nothing, because no scene depends on another.
 
-Where a varied key belongs in a scene: `environment.stiffness` means every axis, also one that has its own.
+Position of a varied key in a scene: `environment.stiffness` means every axis, even one with a value of its own.
 
-A key that names its place in full (`axes.0.environment.stiffness`, `bus.rate`) is that place alone.
+A key with a full path (`axes.0.environment.stiffness`, `bus.rate`) means that entry alone.
 
-From one row of values to a scene, or to the reason why there is none. Plain data: workers get it by pickle.
+From one row of values to a scene, or to the reason why there is none. Plain data: workers receive it by pickle.
 
-A value that is wrong by itself (`stiffness=abc`, an unknown key, a mass of -1) ends the sweep before it begins: it is a
-slip of the pen. A row whose values are right and do not go together (a rate that the bus cannot carry, an algorithm
-that lacks what it rests on) is a finding: the row is kept as refused, with the reason, and the others run.
+A value that is wrong on its own (`stiffness=abc`, an unknown key, a mass of -1) ends the sweep before it begins: it is
+a typing error. A row whose values are valid but do not fit together (a rate that the bus cannot carry, an algorithm
+without a value that it needs) is a finding: the row is kept as refused, with the reason, and the others run.
 """
 
 import itertools
@@ -66,8 +66,8 @@ def places_of(scene: Scene, keys: tuple[str, ...]) -> dict[str, tuple[str, ...]]
     """Return the override paths of each key.
 
     Args:
-        scene: Loaded without a fault, from text.
-        keys: As given to `--vary`.
+        scene: Scene loaded without a fault, from text.
+        keys: Keys as given to `--vary`.
     """
     faults = Diagnostics()
     document = parse_yaml(scene.text, scene.source, faults)
@@ -76,10 +76,10 @@ def places_of(scene: Scene, keys: tuple[str, ...]) -> dict[str, tuple[str, ...]]
 
 
 def batch_key(key: str, axis: int, name: str) -> str | None:
-    """Return what a key is called in a scene of one axis alone; None when it does not touch that axis.
+    """Return the name of a key in a scene of one axis alone; None when it does not affect that axis.
 
     Args:
-        key: As given to `--vary`.
+        key: Key as given to `--vary`.
         axis: Index of the axis.
         name: Name of the axis.
     """
@@ -137,25 +137,25 @@ Row = tuple[tuple[str, Value], ...]
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """How every scene of a sweep is made.
+    """Recipe for every scene of a sweep.
 
     Attributes:
-        source: File of the scene, the start of relative paths.
-        text: The scene.
+        source: File of the scene, the base of relative paths.
+        text: Text of the scene.
         overrides: Values that replace those of the scene before anything varies.
-        varied: The keys; of a range only its ends.
+        varied: The keys; a range has only its ends.
         places: Override paths of each key, in the order of `varied`.
-        axes: Names of the axes that render by themselves, and of the groups.
+        axes: Names of the axes outside groups, and of the groups.
         duration: Length of every run [s]; None: that of the scene.
-        cycles: SYNCs of every scene; None: by the duration.
-        metrics: Asked for.
-        engine: For scenes that fit a batch; chosen once, so that workers need not agree on it.
-        beyond_bus: Whether a rate is judged that the bus could not carry.
-        seed: From which every scene's own follows.
+        cycles: SYNCs of every scene; None: from the duration.
+        metrics: Requested metrics.
+        engine: Engine for scenes that fit a batch; chosen once, so that all workers agree.
+        beyond_bus: Whether rates that the bus could not carry are accepted.
+        seed: Seed from which every scene's own is derived.
         allow_code: Whether the program files that scenes name may run, here and in workers.
-        own_code: (file or plug-in, SHA-256) of what the scene names; a worker that has another refuses the scene.
+        own_code: (file or plug-in, SHA-256) of the scene's user code; a worker with different code refuses the scene.
         displays: Whether every axis is an admittance display.
-        alone: Why every scene runs by itself although it might fit a batch; "" where batches pay.
+        alone: Reason why every scene runs by itself although it might fit a batch; "" where batches are worthwhile.
     """
 
     source: str
@@ -177,14 +177,14 @@ class Recipe:
 
 
 class Built(NamedTuple):
-    """A scene, or why there is none."""
+    """A scene, or the reason why there is none."""
 
     scene: Scene | None
     remark: str  # why it is refused, or what was given to an algorithm
     from_plant: tuple[str, ...] = ()  # loop properties taken from the plant
 
     def permitted(self) -> Scene:
-        """Return the scene.
+        """Return the scene; raise where there is none.
 
         Raises:
             InputError: There is none.
@@ -205,7 +205,7 @@ def make_recipe(
     beyond_bus: bool = False,
     allow_code: bool = False,
 ) -> Recipe:
-    """Return the recipe of a sweep, every value tried on its own.
+    """Return the recipe of a sweep, with every value tried on its own.
 
     Raises:
         InputError: The scene has no text or simulation, or an unknown algorithm is asked for.
@@ -243,7 +243,7 @@ def make_recipe(
 
 @lru_cache(maxsize=256)
 def scene_of(recipe: Recipe, row: Row) -> Built:
-    """Return the scene of a row of values, checked as if it had been written so.
+    """Return the scene of a row of values, checked as if written so.
 
     Args:
         recipe: Recipe of the sweep.
@@ -263,7 +263,7 @@ def scene_of(recipe: Recipe, row: Row) -> Built:
 
 
 def seeded(recipe: Recipe, scene: Scene, index: int) -> Scene:
-    """Return a scene with everything random in it by its global index, unless the sweep varies the seed itself."""
+    """Return a scene whose random seed follows from its global index, unless the sweep varies the seed itself."""
     if scene.simulation is None or any(varied.key == _SEED for varied in recipe.varied):
         return scene
     seed = scene_seed(recipe.seed, index)
@@ -275,22 +275,22 @@ def seeded(recipe: Recipe, scene: Scene, index: int) -> Scene:
 
 
 def seeds_of(recipe: Recipe, scene: Scene, indices: NDArray[np.intp]) -> Array | None:
-    """Return what `seeded` gives the first axis of the scenes of some global indices; None where it gives nothing."""
+    """Return the seeds of `seeded` for the first axis of scenes with some global indices; None where it sets none."""
     if scene.simulation is None or any(varied.key == _SEED for varied in recipe.varied):
         return None
     return scene_seeds(recipe.seed, indices)
 
 
 def cycles_in(recipe: Recipe, scene: Scene) -> int:
-    """Return the SYNCs of a scene."""
+    """Return the number of SYNCs of a scene."""
     return recipe.cycles or cycles_of(scene, recipe.duration)
 
 
 @lru_cache(maxsize=4096)
 def is_box_permitted(recipe: Recipe, shared: Row) -> bool:
-    """Return whether every scene with these values is permitted, for all values of the other keys.
+    """Return whether every scene within these values is permitted, for all values of the other keys.
 
-    Every limit of a scene is a bound from below or above, so that what holds in the corners of a box holds inside.
+    Every limit of a scene is a bound from below or above, so that what is permitted in the corners is permitted inside.
     """
     fixed = {key for key, _ in shared}
     free = [v for v in recipe.varied if v.key not in fixed]
@@ -369,7 +369,7 @@ def _under(scene: Scene, controller: str) -> Built:
 
 
 def of_plant(from_plant: tuple[str, ...]) -> dict[str, str]:
-    """Return which batch key of the loop follows which of the plant, for properties that were taken from it."""
+    """Return the batch keys of the loop that follow keys of the plant, for properties taken from it."""
     return {f"passivity.{key}": f"simulation.plant.{PLANT_OF[key]}" for key in from_plant}
 
 
@@ -387,7 +387,7 @@ USUAL: Final = (*METRICS, RADIUS)
 
 
 def usual_figures(scene: Scene) -> tuple[str, ...]:
-    """Return the metrics of a sweep that names none: of each kind of display that a scene has."""
+    """Return the default metrics of a sweep: those for each kind of display in the scene."""
     displays = [is_display(part) for part in parts_of(scene).values()]
     if not any(displays):
         return USUAL
@@ -423,14 +423,14 @@ def run_chunk(recipe: Recipe, start: int, columns: Mapping[str, Column]) -> Chun
 
     Args:
         recipe: Recipe of the sweep.
-        start: Global index of the first.
-        columns: Values by key, of one length.
+        start: Global index of the first scene.
+        columns: Values by key, of equal length.
     """
     return _Chunk(recipe, start, columns).run()
 
 
 def is_batch_key(recipe: Recipe, key: str) -> bool:
-    """Return whether scenes that differ in a key fit one batch, for every axis that it touches."""
+    """Return whether scenes that differ in a key fit one batch, for every axis that the key affects."""
     names = [batch_key(key, index, name) for index, name in enumerate(recipe.axes)]
     return all(name is None or name in BATCHED for name in names)
 

@@ -1,4 +1,4 @@
-"""The first use of a loop that is not compiled yet: Python runs scenes while a process of its own compiles it."""
+"""The first use of a loop that is not compiled yet: Python runs scenes while a separate process compiles it."""
 
 import multiprocessing
 from collections.abc import Callable, Mapping
@@ -24,13 +24,13 @@ scenes and leaves the processor, whose caches they share, to the compiler."""
 
 
 class FirstUse:
-    """Runs chunks; the loop of a kind of scene that is met for the first time is compiled elsewhere meanwhile.
+    """Runs chunks; a loop met for the first time is compiled in a separate process meanwhile.
 
-    Both ways give the same bits, so that it does not matter which scenes Python has run.
+    Both engines give the same bits, so that it does not matter which scenes Python ran.
 
     Args:
-        report: Called with the scenes of a chunk that are done while its loop is being compiled.
-        begin: Called in the process that compiles.
+        report: Called with the finished scenes of a chunk while its loop is being compiled.
+        begin: Called in the compiling process.
     """
 
     def __init__(self, report: Callable[[int], None], begin: Callable[[], None]) -> None:
@@ -71,7 +71,7 @@ class FirstUse:
         return joined(parts)
 
     def close(self) -> None:
-        """End the process that compiles: what is left to do takes less time than it."""
+        """End the compiling process: the remaining work takes less time than compiling."""
         if self._compiling is not None:
             self._compiling.terminate()
             self._compiling.join()

@@ -1,11 +1,11 @@
 """Chunks to workers, results to the file as they come: memory does not grow with the number of scenes.
 
-What a scene gives depends on its own values and its global index alone, so that serial, pool and cluster write the same
+The result of a scene depends only on its values and its global index, so that serial, pool and cluster write the same
 bits; only the order in which chunks become ready differs.
 
 Where chunks run: in this process, in a process pool, on a Dask cluster, on any executor of `concurrent.futures`.
 
-A pool whose worker dies is made anew and what it had not finished is run again; Dask does that by itself.
+A pool whose worker dies is replaced and its unfinished work is run again; Dask does that by itself.
 """
 
 import hashlib
@@ -57,17 +57,17 @@ _CONNECT: Final = 10.0
 
 
 class SerialExecutor(Executor):
-    """Runs what is submitted at once, in this thread.
+    """Executor that runs everything at once, in this thread.
 
     Args:
-        instead: Function -> the one that runs in its place.
+        instead: Function -> the function that replaces it.
     """
 
     def __init__(self, instead: Mapping[object, Callable[..., Any]] | None = None) -> None:
         self._instead = instead or {}
 
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
-        """Return a future that is done."""
+        """Return a completed future."""
         future: Future[T] = Future()
         try:
             run: Callable[..., T] = self._instead.get(fn, fn)
@@ -80,7 +80,7 @@ class SerialExecutor(Executor):
 class Pool:
     """Worker processes of our own; `renew` replaces them when one died.
 
-    Started afresh (`spawn`), so that no thread or lock of this process lives on in them. They leave Ctrl-C to this
+    They are started afresh (`spawn`), so that they inherit no thread or lock of this process. They leave Ctrl-C to this
     process, and end when it does, however it ends.
 
     Args:
@@ -92,13 +92,13 @@ class Pool:
         self.executor = self._made()
 
     def renew(self) -> Executor:
-        """Return new processes in the place of the old ones."""
+        """Replace the processes by new ones and return the pool."""
         self.executor.shutdown(wait=True, cancel_futures=True)
         self.executor = self._made()
         return self.executor
 
     def close(self) -> None:
-        """End the processes once they have finished what they are at."""
+        """End the processes once they have finished their present work."""
         self.executor.shutdown(wait=True, cancel_futures=True)
 
     def _made(self) -> ProcessPoolExecutor:
@@ -125,7 +125,7 @@ def dask_executor(address: str) -> Iterator[tuple[Executor, int]]:
     """Yield (executor, number of threads of its workers) of a Dask cluster.
 
     Args:
-        address: Address of the scheduler, as in tcp://10.0.0.5:8786.
+        address: Address of the scheduler, such as tcp://10.0.0.5:8786.
 
     Raises:
         InputError: Dask is not installed, no scheduler answers, or it has no worker.
@@ -165,7 +165,7 @@ _MOST_LOSSES: Final = 3
 
 
 class Asked(NamedTuple):
-    """A sweep that can be begun, or gone on with."""
+    """A sweep ready to be started or continued."""
 
     recipe: Recipe
     points: Points
@@ -197,20 +197,20 @@ def sweep(
     stop_requested: Callable[[], bool] = lambda: False,
     **options: Any,
 ) -> Progress:
-    """Run every scene and keep the figures in a file; a sweep that was stopped or killed goes on where it was.
+    """Run every scene and store the figures in a file; a stopped or killed sweep continues where it was.
 
     Args:
-        scene: With simulated drives, from a file or text.
-        vary: What varies, as for `--vary`.
+        scene: Scene with simulated drives, from a file or text.
+        vary: Varied keys, as for `--vary`.
         out: The file (HDF5).
         executor: Any `concurrent.futures.Executor`, or a `Pool`; None: in this thread.
-        resume: Whether to go on with a file that is there; one that is not there is made.
-        force: Whether to replace a file that is there.
-        in_flight: Chunks submitted and not yet written, at most.
+        resume: Whether to continue with an existing file; a missing one is created.
+        force: Whether to replace an existing file.
+        in_flight: Largest number of chunks submitted and not yet written.
         processes: Whether, where no executor is given, a long sweep that Python runs gets a process on each core, and
-            a loop that is not compiled yet is compiled in a process of its own while Python runs scenes.
-        progress: Called now and then with how far it is.
-        stop_requested: Asked now and then; True ends the sweep after the chunks under way.
+            a loop that is not compiled yet is compiled in a separate process while Python runs scenes.
+        progress: Called regularly with the progress.
+        stop_requested: Polled regularly; True ends the sweep after the submitted chunks.
         options: As for `make_sweep`.
 
     Raises:
@@ -258,22 +258,22 @@ def make_sweep(
     beyond_bus: bool = False,
     allow_code: bool = False,
 ) -> Asked:
-    """Return a sweep, everything checked that can be before a scene runs.
+    """Return a sweep, checked as far as possible before a scene runs.
 
     Args:
-        scene: With simulated drives, from a file or text.
-        vary: What varies, as for `--vary`.
-        controllers: Passivity algorithms that every point is judged under; none: that of the scene.
+        scene: Scene with simulated drives, from a file or text.
+        vary: Varied keys, as for `--vary`.
+        controllers: Passivity algorithms to run every point under; none: the scene's own.
         samples: Points of a Latin hypercube; 0 for the grid of all values.
         seed: Seed of the hypercube.
         duration: Length of every run [s]; by default that of the scene.
-        cycles: SYNCs of every scene instead of a duration.
+        cycles: SYNCs of every scene, instead of a duration.
         metrics: Names of `FIGURES`; by default `usual_figures`, which need no continuous run of each scene.
-        engine: For scenes that fit a batch; "auto" is numba where it is installed and pays.
-        chunk: Scenes that are finished together; changes nothing but how much a kill can lose.
-        beyond_bus: Whether to judge rates that the bus could not carry, instead of refusing them.
-        allow_code: Whether program files that a varied value names may run; those of the scene may where it was loaded
-            so.
+        engine: Engine for scenes that fit a batch; "auto" is numba where it is installed and worthwhile.
+        chunk: Scenes that are finished together; affects only how much a kill can lose.
+        beyond_bus: Whether to accept rates that the bus could not carry, instead of refusing them.
+        allow_code: Whether program files that a varied value names may run; the scene's own may if it was loaded
+            that way.
 
     Raises:
         InputError: Anything is wrong.

@@ -1,4 +1,4 @@
-"""What the file of a sweep holds, as plain values and as tables for a terminal.
+"""Contents of a sweep file, as plain values and as tables for a terminal.
 
 Shares, extremes and medians of the completed scenes of a sweep, block by block: memory does not grow with them.
 """
@@ -32,7 +32,7 @@ class Selected:
     """The completed scenes of one axis under one algorithm.
 
     Args:
-        table: The file.
+        table: File of the sweep.
         axis: Name of the axis.
         controller: Number of the algorithm among the texts of its key; None for all scenes.
     """
@@ -41,16 +41,16 @@ class Selected:
         self.table, self._axis, self._controller = table, axis, controller
 
     def count(self) -> int:
-        """Return how many scenes there are."""
+        """Return the number of scenes."""
         return sum(int(rows.sum()) for _, _, rows in self._blocks())
 
     def share(self, metric: str, holds: Callable[[Array], NDArray[np.bool_]], *, finite: bool = False) -> float | None:
-        """Return the share of the scenes whose figure passes; None without any.
+        """Return the share of the scenes whose figure passes; None where there are none.
 
         Args:
-            metric: Name of a figure.
-            holds: Truth of each of some figures.
-            finite: Whether only finite figures count at all.
+            metric: Name of the figure.
+            holds: Function from an array of figures to an array of truth values.
+            finite: Whether only finite figures count.
         """
         true = count = 0
         for values in self._columns(metric, finite=finite):
@@ -58,11 +58,11 @@ class Selected:
         return true / count if count else None
 
     def least(self, metric: str) -> float | None:
-        """Return the least finite figure; None without any."""
+        """Return the least finite figure; None where there is none."""
         return min((float(values.min()) for values in self._columns(metric, finite=True) if len(values)), default=None)
 
     def median(self, metric: str) -> float | None:
-        """Return the median of the finite figures, of an even number the mean of both in the middle."""
+        """Return the median of the finite figures; for an even number, the mean of the middle two."""
         count = sum(len(values) for values in self._columns(metric, finite=True))
         if not count:
             return None

@@ -1,19 +1,19 @@
-"""The file of a sweep: HDF5 with every value of every scene, and what it gave.
+"""The file of a sweep: HDF5 with every value of every scene, and its results.
 
-    /values/KEY            what each scene had: numbers in SI, or the index of a text in the attribute `texts`
-    /figures/AXIS/METRIC   what it gave; NaN where there is nothing
+    /values/KEY            values of each scene: numbers in SI, or the index of a text in the attribute `texts`
+    /figures/AXIS/METRIC   results; NaN where there is none
     /status /engine        see `STATUS`, `ENGINES` of `chunk`
     /remark /texts         one more than the index among the texts of the scene's chunk; 0 for none
     /done                  one flag per chunk
 
-Chunks are files of their own (`sweep_table`) until a run ends; then all of them are merged into a new file, which is
-renamed into the place of the old one. A reader sees what is merged and what is not. That there is room for all results
-is asked before a scene runs, and before each merge: HDF5 crashes where a disk is full.
+Chunks are files of their own until a run ends; then all of them are merged into a new file, which
+replaces the old one by a rename. A reader sees merged and unmerged chunks. Room for all results
+is checked before a scene runs, and before each merge: HDF5 crashes where a disk is full.
 
 The chunks of a sweep that are not in its file yet: one file each, in the folder FILE.chunks.
 
-A chunk is written to a new file, flushed to the disk and renamed into place: after a kill at any moment it is there as
-a whole, or not at all.
+A chunk is written to a new file, flushed to the disk and renamed into place: after a kill at any moment it exists
+completely, or not at all.
 """
 
 import errno
@@ -53,7 +53,7 @@ class ChunkFiles:
         writable: Whether chunks will be written; only one process can.
 
     Attributes:
-        there: Numbers of the chunks that are in the folder.
+        there: Numbers of the chunks in the folder.
 
     Raises:
         LogWriteError: Another process writes it, or it cannot be made.
@@ -128,7 +128,7 @@ class ChunkFiles:
         self.there.clear()
 
     def close(self) -> None:
-        """Let another process write; an empty folder goes."""
+        """Release the folder for other processes; an empty one is removed."""
         if self._lock is not None:
             if not self.there:
                 shutil.rmtree(self._folder, ignore_errors=True)
@@ -140,12 +140,12 @@ class ChunkFiles:
 
 
 def write_error(path: Path, error: Exception, kept: str) -> LogWriteError:
-    """Return why a file of a sweep cannot be written.
+    """Return the error for a sweep file that cannot be written.
 
     Args:
         path: Path of the sweep's file.
-        error: As it came.
-        kept: What the failure leaves behind.
+        error: Error of the operating system or of HDF5.
+        kept: What remains after the failure, in words.
     """
     code = error.errno if isinstance(error, OSError) else None
     reason = os.strerror(code) if code else " ".join(str(error).split())
@@ -165,7 +165,7 @@ _BLOCK: Final = 65_536
 
 
 class Columnset(NamedTuple):
-    """What a new file holds in addition to its values."""
+    """Contents of a new file in addition to its values."""
 
     figures: tuple[str, ...]  # "AXIS/METRIC"
     identity: dict[str, Any]  # what a resumed sweep must agree with
@@ -236,13 +236,13 @@ class SweepTable:
         return [str(name) for name in self.identity["metrics"]]
 
     def done(self) -> NDArray[np.bool_]:
-        """Return which chunks are there, shape (n_chunks,)."""
+        """Return which chunks exist, shape (n_chunks,)."""
         flags = np.asarray(self._file["done"]).astype(bool)
         flags[sorted(self._chunks.there)] = True
         return flags
 
     def span(self, chunk: int) -> tuple[int, int]:
-        """Return first scene and one beyond the last of a chunk."""
+        """Return the index of the first scene of a chunk, and one beyond the last."""
         return chunk * self.chunk, min(len(self), (chunk + 1) * self.chunk)
 
     def values(self, key: str, start: int = 0, stop: int | None = None) -> Column:
@@ -256,11 +256,11 @@ class SweepTable:
         return [known[i] for i in found.tolist()]
 
     def texts(self, key: str) -> list[str]:
-        """Return the texts that a key may be; `numbers` are indices in them."""
+        """Return the possible texts of a key; `numbers` are indices into them."""
         return [str(text) for text in json.loads(self._file[f"values/{_name(key)}"].attrs["texts"])]
 
     def numbers(self, key: str, start: int = 0, stop: int | None = None) -> hdf5.Array:
-        """Return the index of every scene's text of a key whose values are texts, shape (n,)."""
+        """Return the index of every scene's text for a key with text values, shape (n,)."""
         return np.asarray(self._file[f"values/{_name(key)}"][start:stop])
 
     def columns(self, start: int, stop: int) -> dict[str, Column]:
@@ -276,16 +276,16 @@ class SweepTable:
         return self._column("status", start, stop)
 
     def engine(self, start: int = 0, stop: int | None = None) -> NDArray[np.uint8]:
-        """Return what computed every scene, an index in `ENGINES`, shape (n,)."""
+        """Return the engine of every scene, an index in `ENGINES`, shape (n,)."""
         return self._column("engine", start, stop)
 
     def remark(self, scene: int) -> str:
-        """Return why a scene was refused, why it ran alone, or what its algorithm took from the plant."""
+        """Return why a scene was refused or ran alone, or which values its algorithm took from the plant."""
         number = int(self._column("remark", scene, scene + 1)[0])
         return self._texts(scene // self.chunk)[number - 1] if number else ""
 
     def remarks(self) -> Iterator[tuple[str, str, str, int]]:
-        """Yield (status, engine, remark, number of scenes) of each chunk in turn, alike ones counted together."""
+        """Yield (status, engine, remark, number of scenes) of each chunk in turn, equal ones counted together."""
         for chunk in np.flatnonzero(self.done()).tolist():
             start, stop = self.span(chunk)
             rows = np.stack([self.status(start, stop), self.engine(start, stop), self._column("remark", start, stop)])
@@ -295,7 +295,7 @@ class SweepTable:
                 yield STATUS[status], ENGINES[engine], texts[number - 1] if number else "", count
 
     def write(self, chunk: int, result: ChunkResult) -> None:
-        """Keep a chunk, on the disk when this returns.
+        """Store a chunk; it is on the disk on return.
 
         Raises:
             LogWriteError: The disk refuses; what was finished before stays.
@@ -380,7 +380,7 @@ class _Beginning:
 
 
 def create(path: Path, points: Points, chunk: int, columns: Columnset, *, replace: bool = False) -> None:
-    """Make the file of a sweep with every value in it and no result; it appears whole or not at all.
+    """Create the file of a sweep with every value in it and no result; it appears completely or not at all.
 
     Raises:
         InputError: It exists.

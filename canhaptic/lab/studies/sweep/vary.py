@@ -1,4 +1,4 @@
-"""What a sweep varies: `environment.stiffness=1e2:1e6:log:40`, `bus.rate=40,100,1 kHz`, `bus.rpdo=event,synchronous`.
+"""Varied keys of a sweep: `environment.stiffness=1e2:1e6:log:40`, `bus.rate=40,1 kHz`, `bus.rpdo=event,synchronous`.
 
     KEY=LOW:HIGH:N            N values, evenly spaced          KEY=LOW:HIGH:log:N     evenly spaced in the logarithm
     KEY=A,B,C                 exactly these, of any type       KEY=LOW:HIGH[:log]     a range, for a Latin hypercube
@@ -7,7 +7,7 @@ Numbers are SI or carry a unit, as in a scene; the scene itself checks the dimen
 
 The scenes of a sweep by their global index: a grid, or a Latin hypercube that is the same on every machine.
 
-Only integers and a division decide the hypercube (a keyed hash, sorted), so that neither a version of NumPy nor the
+Only integers and a division determine the hypercube (a keyed hash, sorted), so that neither a version of NumPy nor the
 number of workers can change it.
 """
 
@@ -43,10 +43,10 @@ class Varied:
 
     Attributes:
         key: Path in the scene, as for `--set`.
-        values: All of them; for a range without a number of values its two ends.
-        unit: As typed with the ends of a range or the values; "" for SI.
+        values: All values; for a range without a number of values, its two ends.
+        unit: Unit as typed with the ends of a range or the values; "" for SI.
         spacing: Spacing of a range; "list" for values given one by one.
-        is_open: A range whose values a Latin hypercube chooses.
+        is_open: Whether it is a range whose values a Latin hypercube chooses.
     """
 
     key: str
@@ -62,13 +62,13 @@ class Varied:
 
     @property
     def ends(self) -> tuple[Value, ...]:
-        """The values that say whether all are permitted: the ends of a range, or each one of a list."""
+        """Values whose validity decides that of all: the ends of a range, or each value of a list."""
         if self.spacing == "list":
             return self.values
         return tuple(dict.fromkeys((self.values[0], self.values[-1])))
 
     def at(self, shares: Array) -> list[Value] | Array:
-        """Return the values at shares of the range, 0 <= share < 1, shape (n,): a Latin hypercube's strata.
+        """Return the values at fractions of the range, 0 <= share < 1, shape (n,): a Latin hypercube's strata.
 
         A list is divided into as many equal parts as it has values.
         """
@@ -97,7 +97,7 @@ class Varied:
 
 
 def parse_vary(text: str) -> Varied:
-    """Return what a `--vary` option says.
+    """Return the varied key of a `--vary` option.
 
     Raises:
         InputError: It is none of the shapes above, or a number, spacing or count is out of range.
@@ -280,7 +280,7 @@ def make_points(varied: Sequence[Varied], controllers: Sequence[str] = (), sampl
 
     Args:
         varied: Keys with their values.
-        controllers: Passivity algorithms that every point is judged under; none: that of the scene.
+        controllers: Passivity algorithms to run every point under; none: the scene's own.
         samples: Points of a Latin hypercube; 0 for a grid.
         seed: Seed of the hypercube.
 
@@ -307,7 +307,7 @@ def make_points(varied: Sequence[Varied], controllers: Sequence[str] = (), sampl
 
 
 def scene_seed(base: int, index: int) -> int:
-    """Return the seed of everything random in the scene of a global index: 0 to 10^9."""
+    """Return the random seed of the scene with a global index: 0 to 10^9."""
     return int(scene_seeds(base, np.array([index]))[0])
 
 
