@@ -90,7 +90,7 @@ class MapField:
         self.is_display = is_display(self.scene)
 
     def figure(self, metric: str) -> Array:
-        """Return a figure, in a grid with one dimension per key of `keys` and one for all others; NaN where it is missing."""
+        """Return a figure, in a grid with one dimension per key of `keys` and one for the others; NaN where missing."""
         found = self._shaped(self._table.figure(self.axis, metric))
         return np.where(self.judged(), found, np.nan)
 
