@@ -8,7 +8,7 @@ The drives' side of a recording: returns the recorded response to each frame of 
 
 Time of a recording: it advances only when the master waits, and then moves to the next recorded frame.
 
-The master sends each frame at its recorded time, however long it computes today and whatever deadline it
+The master sends each frame at its recorded time, however long it computes today and for any deadline it
 waits for. So a SYNC that was late in the recording is equally late now, and the same deadlines are skipped.
 
 A rig that joins a bus with enabled drives: for recordings that lack the start.
