@@ -1,3 +1,4 @@
+import errno
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -7,6 +8,7 @@ import pytest
 from canhaptic.cli.main import main
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.growing_file import cause_of
 
 DEMO = str(Path(__file__).parents[2] / "configs" / "demo.yaml")
 
@@ -29,6 +31,19 @@ def test_a_run_stops_or_goes_on_when_its_disk_is_full_with_one_message(
     frames = list(read_bus_log_up_to_the_cut(tmp_path / "run.log"))
     assert 1_600_000 < (tmp_path / "run.log").stat().st_size <= 1_700_000
     assert len(frames) > 34_000
+
+
+@pytest.mark.parametrize(
+    ("error", "cause"),
+    [
+        (OSError(errno.ENOSPC, "x"), "no space"),
+        (RuntimeError("Can't write (file write failed: errno = 122, error message = 'x')"), "no space"),
+        (OSError(errno.EROFS, "x"), "Read-only file system"),
+        (ValueError("neither"), "neither"),
+    ],
+)
+def test_the_cause_of_a_log_that_ended_is_named_in_few_words(error: Exception, cause: str) -> None:
+    assert cause_of(error) == cause
 
 
 def read_bus_log_up_to_the_cut(path: Path) -> Iterator[object]:
