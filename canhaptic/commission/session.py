@@ -582,7 +582,7 @@ class Session:
         text: str,
         otherwise: StepVerdict = StepVerdict.DIFFERS,
     ) -> None:
-        """Add a row: agreement, or another verdict with a remedy."""
+        """Add a row with the verdict of a check, and a remedy where it does not agree."""
         self.found(axis, item, configured, found, StepVerdict.AGREES if good else otherwise, "" if good else text)
 
     def note_objects(self, axis: int) -> None:

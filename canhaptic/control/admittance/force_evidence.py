@@ -345,7 +345,7 @@ class MomentumCheck:
 def moved_hold(
     loop: VelocityLoopSettings, motion: AdmittanceMotion, commands: Buffer, moved: float, lead: float
 ) -> MovedHold:
-    """The hold that ended; call it once the command of this SYNC is sent.
+    """Return the hold that ended; to be called after the command of this SYNC is sent.
 
     Args:
         loop: Declared velocity loop of the drive.

@@ -85,7 +85,7 @@ def touch(
 
 
 def exchange(environment: Environment, settings: StoredModelSettings[Any], storage: Storage, hold: Hold) -> HoldAccount:
-    """Solve eq. 8 for the state change and take it; eq. 18 where there is no solution."""
+    """Change the state by the solution of eq. 8, or by eq. 18 where there is none."""
     damper, h_m = hold.damper, hold.h_i - hold.h_pas
     change = solve(environment, settings, storage, hold.displacement, damper, h_m)
     if damper * change < 0.0:

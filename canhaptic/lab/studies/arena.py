@@ -119,7 +119,7 @@ def scenes_named(names: Sequence[str] | None) -> list[Path]:
 
 
 def label_of(algorithm: str) -> str:
-    """Return the name of an algorithm in results: of the user's own the file without its folder, and the class."""
+    """Return the name of an algorithm in results; for a user-defined one, the file without its folder and the class."""
     return Path(algorithm).name if is_own(algorithm) else algorithm
 
 

@@ -178,7 +178,7 @@ class ObjectStore:
         return self._hidden.setdefault(place, Entry(index, subindex, data_type, access="ro"))
 
     def optional(self, index: int, data_type: int, subindex: int = 0) -> Entry:
-        """Return an object as from `entry`; where the dictionary has it with another type, one internal to the drive.
+        """Return an object as `entry` does; if its type in the dictionary differs, an object internal to the drive.
 
         The object of the dictionary is then a value without effect, as the master needs none of these to run.
         """
