@@ -38,6 +38,7 @@ COMMANDS: Final = {
     "map": "draw a sweep: largest wall stiffness, rendered share, and the borders of theory",
     "warm": "compile the loops of a scene, so that the first sweep finds them, as in an image of a CI",
     "arena": "compare every passivity algorithm, and your own, on scenes that are hard, as one page",
+    "home": "let one drive find its zero by its own homing mode, asking before it moves",
     "lss": "give one node on the bus its node ID (LSS), asking before it is stored",
     "drive": "simulate the drives of a scene alone, on a bus that another process uses",
     "schema": "print the JSON Schema of scene files, for editors",
@@ -45,7 +46,7 @@ COMMANDS: Final = {
 """In the order of a user: a scene, its check, a rig, a run, its log; then studies."""
 _LABORATORY: Final = frozenset({"accuracy", "arena", "compare", "design", "map", "sweep", "touch", "warm"})
 """Commands in `canhaptic.lab.commands`; the others are in `canhaptic.cli`."""
-_STOP_IN_ORDER: Final = frozenset({"commission", "evidence", "run", "drive", "scope", "touch"})
+_STOP_IN_ORDER: Final = frozenset({"commission", "evidence", "home", "run", "drive", "scope", "touch"})
 """Commands that take Ctrl-C as the operator's stop, and need time for it."""
 _BROKEN_PIPE: Final = 1
 _COMPLETION: Final = "_ARGCOMPLETE"

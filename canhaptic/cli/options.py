@@ -394,6 +394,28 @@ def _new(parser: argparse.ArgumentParser) -> None:
     _add_display(parser)
 
 
+def _home(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `home`."""
+    add_scene(parser)
+    parser.add_argument("--axis", metavar="NAME", help="axis of a scene with several")
+    parser.add_argument(
+        "--method", metavar="N", type=int, required=True,
+        help="0x6098: 33, 34 next index; 17, 18 limit switch; 1, 2 switch, then index; 35, 37 the present position",
+    )  # fmt: skip
+    parser.add_argument(
+        "--speed", metavar=("SWITCH", "ZERO"), type=float, nargs=2, required=True,
+        help="speeds [m/s or rad/s] towards a switch (0x6099:01) and towards the zero (0x6099:02)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--torque", metavar="T", type=float, required=True,
+        help="largest torque of the homing [N or N*m] (0x6072), at most torque_limit",
+    )  # fmt: skip
+    parser.add_argument(
+        "--timeout", metavar="S", type=float, default=30.0, help="time after which it is stopped; 30 s by default"
+    )
+    parser.add_argument("--yes", action="store_true", help="answer yes to everything: for simulated drives alone")
+
+
 def _lss(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `lss`."""
     add_scene(parser, runs=False)
@@ -481,6 +503,7 @@ OPTIONS: Final[dict[str, Callable[[argparse.ArgumentParser], None]]] = {
     "decode": _decode,
     "drive": _drive,
     "evidence": _evidence,
+    "home": _home,
     "inspect": _inspect,
     "lss": _lss,
     "new": _new,

@@ -22,6 +22,7 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.profile import start_and_stop
+from canhaptic.drive.profile.bring_up import BringUp
 from canhaptic.drive.profile.link_policy import STOP_TABLE, StopReason
 from canhaptic.drive.profile.start_and_stop import Trust
 from canhaptic.errors import ControlError, InputError, LinkError, RigError
@@ -421,10 +422,5 @@ class Rig:
         self.stop(ramp=kind is None or not issubclass(kind, Exception))
 
 
-def _bring_up(drive: ServoDrive) -> CanBringUp:
-    if drive.axis.admittance is not None:
-        from canhaptic.drive.can.admittance_drive import AdmittanceBringUp, AdmittanceDrive
-
-        if isinstance(drive, AdmittanceDrive):
-            return AdmittanceBringUp(drive)
-    return CanBringUp(drive)
+def _bring_up(drive: ServoDrive) -> BringUp:
+    return drive.own_bring_up() or CanBringUp(drive)

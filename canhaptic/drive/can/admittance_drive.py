@@ -78,6 +78,10 @@ class AdmittanceDrive(ServoDrive):
         if self._is_position:
             self.rest_text = "the position of the axis"
 
+    def own_bring_up(self) -> "AdmittanceBringUp":
+        """Return the start of an admittance display."""
+        return AdmittanceBringUp(self)
+
     def _force_handler(self, node: "ForceNode") -> Callable[[bytearray], None]:
         """Handler of the frames of a sensor with a node of its own: one more part of the sample."""
         bit = self._all_tpdos + 1

@@ -2,7 +2,7 @@
 
 import zlib
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from canopen import ObjectDictionary
 
@@ -14,6 +14,9 @@ from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan, choose_map, codec
 from canhaptic.drive.can.sdo import SdoChannel, download
 from canhaptic.drive.profile.torque_axis import CycleRules, ReceivedEmergency, TorqueAxis
 from canhaptic.errors import SdoError
+
+if TYPE_CHECKING:
+    from canhaptic.drive.profile.bring_up import BringUp
 
 _SLOTS: Final = {od.STATUSWORD: 0, od.POSITION_ACTUAL: 1, od.TORQUE_DEMAND: 2, od.TORQUE_ACTUAL: 2}
 _DOUBT: Final = 1 << 30  # of the frames awaited: order after SYNC is not sure
@@ -104,6 +107,10 @@ class ServoDrive(TorqueAxis):
             str(self.quirks.syncs_late),
         ]
         return "-".join(parts)
+
+    def own_bring_up(self) -> "BringUp | None":
+        """Return the start of a drive in a mode of its own; None: that of the cyclic torque."""
+        return None
 
     def reset(self) -> None:
         """Clear everything received and commanded."""

@@ -19,7 +19,7 @@ from canhaptic.errors import DictionaryError, LinkError, SdoError, StartError
 _REMEDIES: Final = {
     "identity": "this is not the drive of the configuration; check node_id, vendor_id and product_code",
     "device type": "only CiA 402 drives are supported; check node_id",
-    "drive modes": "this drive has no such cyclic synchronous mode; choose another drive or firmware",
+    "drive modes": "this drive has no such mode; choose another drive or firmware",
     "drive state": "find and remove the cause, then reset the fault (reset_fault: true or the vendor's tool)",
     "rated torque": "correct rated_torque and transmission, or the drive's 0x6076 (quirks: rated_torque_...)",
     "torque limit": "raise torque_limit where the drive calls it too low, reduce it where too high, or change the "
@@ -28,7 +28,7 @@ _REMEDIES: Final = {
     "brake": "correct brake.output of the axis, or let the drive work its brake (brake.by: drive)",
     "watchdog": "see the quirks abort_... for 0x6007; watchdog: false only if a killed master may leave the torque on",
     "interpolation period": "use a rate whose period the drive accepts, or quirks: [no_interpolation_period]",
-    "mode of operation": "the drive refuses the cyclic synchronous mode; check its licence, firmware and settings",
+    "mode of operation": "the drive refuses the mode; check its licence, firmware and settings",
     "zero torque": "another master may be writing to this drive",
     "offsets": "set the object to 0 with the vendor's tool: the drive adds it to what the master asks",
     "position": "the map or counts may be wrong, or the axis was moved by force during the start",
@@ -37,6 +37,7 @@ _REMEDIES: Final = {
 }
 
 _MODE_NAMES: Final = {
+    od.HOMING: "homing",
     od.CYCLIC_SYNC_POSITION: "cyclic synchronous position",
     od.CYCLIC_SYNC_VELOCITY: "cyclic synchronous velocity",
     od.CYCLIC_SYNC_TORQUE: "cyclic synchronous torque",
@@ -226,9 +227,9 @@ class BringUp(ABC):
             return  # then 0x6061 alone must confirm the mode
         with self.step("drive modes"):
             modes = self._sdo.read(od.SUPPORTED_DRIVE_MODES)
-        bit = self._drive.axis.mode_code - 1
+        bit = self._drive.mode_code - 1
         if not modes >> bit & 1:
-            name = _MODE_NAMES[self._drive.axis.mode_code]
+            name = _MODE_NAMES[self._drive.mode_code]
             raise self.refusal("drive modes", f"0x6502 = {modes:#x}", f"bit {bit} ({name}) set")
 
     def _drive_state(self) -> None:
@@ -371,7 +372,7 @@ class BringUp(ABC):
 
     def _mode(self) -> None:
         with self.step("mode of operation"):
-            mode = self._drive.axis.mode_code
+            mode = self._drive.mode_code
             self._sdo.write(od.MODES_OF_OPERATION, 0, mode)
             confirmed = self._await(lambda: self._sdo.read(od.MODES_OF_OPERATION_DISPLAY) == mode)
             if not confirmed:

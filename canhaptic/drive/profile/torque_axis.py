@@ -245,6 +245,11 @@ class TorqueAxis(ABC):
     # --- in ---------------------------------------------------------------------------------------------------------
 
     @property
+    def mode_code(self) -> int:
+        """Value of 0x6060 in which the drive runs."""
+        return self.axis.mode_code
+
+    @property
     def dry_run(self) -> bool:
         """Whether the torque sent is always 0."""
         return isinstance(self.limiter, DryRunLimiter)

@@ -16,6 +16,8 @@ from canhaptic.canopen.objects import (
     CYCLIC_SYNC_TORQUE,
     CYCLIC_SYNC_TORQUE_BIT,
     DIGITAL_OUTPUTS,
+    HOMING,
+    HOMING_METHOD,
     MAX_TORQUE,
     MODES_OF_OPERATION,
     MODES_OF_OPERATION_DISPLAY,
@@ -42,6 +44,7 @@ from canhaptic.sim.drive.profile.state_machine import DriveState, PowerCommand, 
 
 if TYPE_CHECKING:
     from canhaptic.sim.drive.profile.braked_motor import BrakedMotor
+    from canhaptic.sim.drive.profile.homing import Homing
 
 
 class TorqueStage:
@@ -230,6 +233,15 @@ def _brake_of(motor: Motor, parameters: SimulatedDriveParameters) -> "BrakedMoto
     return BrakedMotor(motor, parameters.brake)
 
 
+def _homing_of(store: ObjectStore, motor: Motor) -> "Homing | None":
+    method = store.find(HOMING_METHOD)
+    if method is None or method.data_type != DataType.INTEGER8:
+        return None
+    from canhaptic.sim.drive.profile.homing import Homing
+
+    return Homing(store, motor)
+
+
 class Servo:
     """Power stage and motor.
 
@@ -280,6 +292,7 @@ class Servo:
         self._torque_sign = parameters.torque_sign
         self._enable_delay = round(parameters.enable_delay * 1e9)
         self._follow_delay = round(parameters.follow_delay * 1e9)
+        self._homing, self._zero = _homing_of(store, motor), 0  # encoder count at which 0x6064 is 0
         self._connect()
         self.reset()
 
@@ -361,6 +374,8 @@ class Servo:
         if state is not _ENABLED:
             word = STATUSWORDS[state]
             self._enabled_since = -1
+            if self._homing is not None:
+                self._homing.leave()
             if self._brake is not None and state is DriveState.SWITCHED_ON and not self._brake.holds(self.now):
                 demand = self.demand  # a drive that works its brake holds the axis until the brake does
         else:
@@ -369,12 +384,25 @@ class Servo:
                 target: int = self._target.value + self._torque_offset.value  # numbers since `reset`
                 demand = self._stage.limit(target)
                 word = _FOLLOWING_WORD if demand == target else _LIMITING_WORD
+            elif self._homing is not None and self._mode_display.value == HOMING:
+                demand, word = self._home(self._homing)
         if demand != self.demand:
             self._move()
             self.demand, self.torque = demand, self._torque_sign * demand * self._stage.quantum
         if word != self._statusword.value or (before is not None and before is not state):
             self._statusword.value = word
             self.has_event = True
+
+    def _home(self, homing: "Homing") -> tuple[int, int]:
+        """Return torque demand and statusword of the homing mode, and move the zero where the home was found."""
+        per_unit, velocity = self._counts_per_unit, self.motor.velocity
+        encoder = self._zero + self._position.number
+        force = homing.step(self.now, encoder, velocity * per_unit, self._controlword.number)
+        if homing.zero != self._zero:
+            self._zero = homing.zero
+            self._position.value = encoder - self._zero
+        demand = self._stage.limit(round(force / per_unit / (self._torque_sign * self._stage.quantum)))
+        return demand, _ENABLED_WORD | homing.bits
 
     def settle(self) -> None:
         """Make the transitions that need no command."""
@@ -411,9 +439,11 @@ class Servo:
             self._mover.begin(now)
             self.is_running = True
         self._moved_to = now
-        self._count(self._position, motor.position if encoder is None else encoder(motor))
+        self._count(self._position, motor.position if encoder is None else encoder(motor), self._zero)
         if self.measures_velocity:
             self._count(self.velocity_entry, motor.velocity)
+        if self._homing is not None and self._mode_display.value == HOMING:
+            self.update()
         self.show_torque()
 
     def _opens_brake(self) -> bool:
@@ -432,7 +462,7 @@ class Servo:
         """Measure now, for an SDO upload or an event-driven TPDO."""
         self._move()
         motor, encoder = self.motor, self._read_encoder
-        self._count(self._position, motor.position if encoder is None else encoder(motor))
+        self._count(self._position, motor.position if encoder is None else encoder(motor), self._zero)
         self._count(self.velocity_entry, motor.velocity)
         self.show_torque()
 
@@ -441,13 +471,14 @@ class Servo:
             self._mover.advance_to(self.now, self.torque)
             self._moved_to = self.now
 
-    def _count(self, entry: Entry, value: float) -> None:
+    def _count(self, entry: Entry, value: float, zero: int = 0) -> None:
         """Write a position or velocity in counts; one that is not finite is a fault, and the object keeps its value."""
         try:
             counts = round(value * self._counts_per_unit) if self._rounds else math.floor(value * self._counts_per_unit)
         except (ValueError, OverflowError):
             self.fault_code = SENSOR_FAULT
-            counts = entry.number
+            counts = entry.number + zero
+        counts -= zero
         entry.value = counts if -_HALF <= counts < _HALF else (counts + _HALF) % _COUNTS - _HALF
 
     def _check_mode(self, mode: int) -> SdoAbort | None:

@@ -1,0 +1,93 @@
+"""`canhaptic home CONFIG`: lets one drive find its zero by its own homing mode, asking before it moves."""
+
+import argparse
+import dataclasses
+
+from canhaptic.axis_units import effort_unit
+from canhaptic.canopen import objects as od
+from canhaptic.cli.commission import dialogue_of
+from canhaptic.cli.long_command import StopSignal
+from canhaptic.cli.options import scene_of
+from canhaptic.cli.output import write_line, write_note
+from canhaptic.drive import homing
+from canhaptic.errors import InputError
+from canhaptic.scene.build import build
+from canhaptic.scene.models import AxisScene, Scene
+
+_NOT_DONE = 1
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Return 0 where the home was attained, 1 where somebody said no, 130 or 143 stopped."""
+    scene = scene_of(arguments)
+    axis = _axis(scene, arguments.axis)
+    _require_torque(axis, arguments.torque)
+    order = homing.HomingOrder(arguments.method, tuple(arguments.speed), arguments.timeout)
+    dialogue = dialogue_of(scene, yes=arguments.yes)
+    with build(_hands_off(scene)) as experiment:
+        planned = next(drive for drive in experiment.rig.drives if drive.axis.name == axis.parameters.name)
+        known = planned.axis.model_copy(update={"torque_limit": arguments.torque, "reset_fault": False})
+        drive = homing.HomingDrive(planned.link, known, planned.dictionary, planned.bus, order)
+        if not all(dialogue.confirm(question) for question in _questions(drive)):
+            write_note("  nothing was sent")
+            return _NOT_DONE
+        with StopSignal() as stop:
+            try:
+                found = homing.home(drive, stop.requested)
+            finally:
+                for text in drive.unrestored:
+                    write_note(f"  not as before: {text}")
+    if found is None:
+        write_note(f"  {known.name}: stopped before its home was found: halted, and disabled")
+        return stop.exit_status
+    before, after = found
+    scale = known.direction / known.counts_per_unit
+    write_line(f"{known.name}: home found by method {order.method}, disabled")
+    for when, counts in (("before", before), ("after", after)):
+        write_line(f"  position {when}: {counts} counts (0x6064), {counts * scale:.6g} {known.unit}")
+    return 0
+
+
+def _hands_off(scene: Scene) -> Scene:
+    """Return the scene with its simulated handles let go."""
+    handles = [axis.simulation and dataclasses.replace(axis.simulation, user=None) for axis in scene.axes]
+    axes = zip(scene.axes, handles, strict=True)
+    return dataclasses.replace(scene, axes=tuple(dataclasses.replace(axis, simulation=of) for axis, of in axes))
+
+
+def _axis(scene: Scene, name: str | None) -> AxisScene:
+    axes = [axis for axis in scene.axes if name in (None, axis.parameters.name)]
+    if len(axes) != 1:
+        raise InputError(f"--axis: got {name}, expected one of: {', '.join(a.parameters.name for a in scene.axes)}")
+    return axes[0]
+
+
+def _require_torque(axis: AxisScene, torque: float) -> None:
+    """Refuse more than the scene allows, of which an unverified scale leaves a hundredth; raise InputError."""
+    limit, unit = axis.loop.torque_limit or axis.parameters.torque_limit, effort_unit(axis.parameters.unit)
+    if not 0.0 < torque <= limit:
+        text = "; verify its scale first (canhaptic commission)" if limit < axis.parameters.torque_limit else ""
+        raise InputError(f"--torque: got {torque:g} {unit}, expected more than 0, at most {limit:g} {unit}{text}")
+
+
+def _questions(drive: homing.HomingDrive) -> list[str]:
+    """Return what a person must agree to: what moves, which way, how fast, with how much torque."""
+    axis, order = drive.axis, drive.order
+    torque, speed = f"{axis.torque_limit:g} {effort_unit(axis.unit)}", " and ".join(f"{v:g}" for v in order.speeds)
+    counts = " and ".join(str(round(v * axis.counts_per_unit)) for v in order.speeds)
+    questions = []
+    if not drive.takes_limit:
+        questions.append(
+            f"{axis.name}: this drive takes no torque limit from the bus (0x6072): its own current limit alone bounds "
+            f"the homing. Has it been set with the vendor's tool to at most {torque}?"
+        )
+    if od.VELOCITY_UNIT not in drive.dictionary:
+        questions.append(f"{axis.name}: the drive does not list its velocity unit (0x60A9). Is 0x6099 in counts/s?")
+    return [
+        *questions,
+        f"{axis.name} (node {axis.node_id}) will be enabled, hold its position, and be homed by method "
+        f"{order.method}: {homing.METHODS[order.method]}; at {speed} {axis.unit}/s (0x6099: {counts} counts/s), with "
+        f"at most {torque}, for at most {order.timeout:g} s. Smaller counts are towards "
+        f"{'smaller' if axis.direction > 0 else 'larger'} positions of the axis. Hands off, path clear, emergency "
+        "stop at hand?",
+    ]

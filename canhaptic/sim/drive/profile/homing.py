@@ -1,0 +1,94 @@
+"""Homing mode of the simulated drive (IEC 61800-7-201, 0x6060 = 6): methods 33 and 34 (index pulse), 35 and 37 (here).
+
+The index comes once in each motor turn (0x608F, by default 4096 counts). The loop of the velocity is closed in the
+drive: proportional and integral, tuned for the mass of its motor.
+"""
+
+from typing import Any, Final
+
+from canhaptic.canopen.objects import (
+    ENCODER_RESOLUTION,
+    HOME_OFFSET,
+    HOMING_METHOD,
+    HOMING_SPEEDS,
+    DataType,
+    SdoAbort,
+    StatusBit,
+)
+from canhaptic.sim.drive.profile.object_store import ObjectStore
+
+_START, _HALT = 1 << 4, 1 << 8  # of the controlword
+_REACHED, _ATTAINED = int(StatusBit.TARGET_REACHED), 1 << 12  # of the statusword; 12 means this in homing mode alone
+_DIRECTIONS: Final = {33: -1, 34: 1}
+_HERE: Final = (35, 37)
+_COUNTS: Final = 4096
+_BANDWIDTH: Final = 50.0  # [rad/s] of the velocity loop
+_INTEGRAL: Final = 10.0  # [1/s]
+
+
+class Homing:
+    """Generator of the velocity and its loop.
+
+    Args:
+        store: The objects.
+        motor: Motor, whose mass the loop is tuned for: 1 kg or kg*m^2 where it does not say.
+
+    Attributes:
+        zero: Encoder count at which 0x6064 is 0.
+        bits: Bits 10 and 12 of the statusword.
+    """
+
+    def __init__(self, store: ObjectStore, motor: object) -> None:
+        self._method = store.entry(HOMING_METHOD, DataType.INTEGER8)
+        self._method.check = _check_method
+        self._speed = store.optional(HOMING_SPEEDS, DataType.UNSIGNED32, 2)
+        self._offset = store.optional(HOME_OFFSET, DataType.INTEGER32)
+        self._pitch = max(1, store.optional(ENCODER_RESOLUTION, DataType.UNSIGNED32, 1).number or _COUNTS)
+        plant: Any = getattr(motor, "parameters", None)
+        self._mass = float(getattr(plant, "mass", 1.0))
+        self.zero = 0
+        self.leave()
+
+    def leave(self) -> None:
+        """End homing, as where the drive is disabled or has another mode; the zero stays."""
+        self.bits = _REACHED
+        self._was_asked = self._is_active = False
+        self._integral = 0.0
+        self._before: tuple[int, int] | None = None  # time and encoder of the last step
+
+    def step(self, now: int, encoder: int, velocity: float, controlword: int) -> float:
+        """Return the force that the loop demands [kg*count/s^2 or kg*m^2*count/s^2].
+
+        Args:
+            now: Time [ns].
+            encoder: Counts of the encoder since power-on.
+            velocity: Its velocity [count/s].
+            controlword: 0x6040.
+        """
+        is_asked = bool(controlword & _START)
+        if is_asked != self._was_asked:  # the rising edge starts, the falling one interrupts
+            interrupts = self._is_active or is_asked
+            self.bits = 0 if is_asked else _REACHED if interrupts else self.bits
+            self._was_asked = self._is_active = is_asked
+        then, last = self._before or (now, encoder)
+        wanted = self._follow(encoder, last) if self._is_active and not controlword & _HALT else 0
+        error = wanted - velocity
+        self._integral += error * (now - then) * 1e-9 * _INTEGRAL
+        self._before = now, encoder
+        return self._mass * _BANDWIDTH * (error + self._integral)
+
+    def _follow(self, encoder: int, last: int) -> int:
+        """Return the velocity towards the index [count/s]; 0 where the home position was found."""
+        direction = _DIRECTIONS.get(self._method.number, 0)
+        turns = encoder // self._pitch, last // self._pitch
+        if direction and (turns[0] - turns[1]) * direction <= 0:
+            return direction * self._speed.number
+        if direction or self._method.number in _HERE:
+            home = max(turns) * self._pitch if direction else encoder
+            self.zero = home - self._offset.number
+            self.bits, self._is_active = _REACHED | _ATTAINED, False
+        return 0
+
+
+def _check_method(method: int) -> SdoAbort | None:
+    return None if method in (0, *_DIRECTIONS, *_HERE) else SdoAbort.VALUE_RANGE
