@@ -57,14 +57,13 @@ DEEDS: Final = {
 """What own code does now and then: how often [s], and its lines."""
 DEED: Final = """
 import gc, time
-BEGIN = time.monotonic()
-NEXT = [BEGIN + 1.0]
+NEXT = [time.monotonic() + 1.0]
 
 def now_and_then():
     if time.monotonic() < NEXT[0]:
         return
-    NEXT[0] = time.monotonic() + {every}
     {deed}
+    NEXT[0] = time.monotonic() + {every}
 """
 LAW: Final = """
 from typing import Annotated
