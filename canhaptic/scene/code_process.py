@@ -49,7 +49,7 @@ main()
 
 
 def apart(scene: Scene) -> Scene:
-    """Scene whose user-defined environments and algorithms run in a separate process; unchanged if they need none.
+    """Scene whose user-defined environments and algorithms run in a separate process; unchanged where they run in the cycle.
 
     The cycle requests the torques that they answer, under the certificates of `guarded` if that is their algorithm. It
     runs them itself in a simulation, unless `code_runs_in` says otherwise.

@@ -241,7 +241,7 @@ def extraction_of(settings: AccountSettings, memory: AccountMemory, under_way: Q
 
 
 def moved_at_most(settings: AccountSettings, memory: AccountMemory, under_way: QueuedTorques) -> float:
-    """Energy that a mover gives [J] in the holds of queued torques, where that is positive."""
+    """Energy that a mover takes [J] in the holds of queued torques, where that is positive."""
     total = 0.0
     if settings.moves:
         for hold in range(under_way.holds):
