@@ -512,10 +512,15 @@ def experiment_account(experiment: Experiment, status: str, elapsed: float) -> R
         method=_method(experiment),
     )
     names = [axis.parameters.name for axis in scene.axes if axis.simulation is not None]  # with a plant of its own
+    controllers = iter(cycle.controllers)
     for axis, drive in zip(scene.axes, experiment.rig.drives, strict=True):
+        controller = None if axis.group else next(controllers)
         port = account["ports"][axis.parameters.name]
         if axis.parameters.hold_checked or not scene.simulated:  # else it is as the simulation says
             port["hold"] = "checked at commissioning" if drive.hold_is_checked else "not checked"
+        if axis.parameters.hold_dither is not None:
+            found = getattr(controller, "hold_found", "")
+            port["hold"] = found or ("checked at commissioning" if drive.hold_is_checked else "not told apart")
         if port.get("verdict") == "nothing rendered":
             _advise(axis, port)
     account["plants"] = {

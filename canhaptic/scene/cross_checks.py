@@ -125,6 +125,13 @@ def _check_hold(scene: Scene, entries: list[MarkedMapping], faults: Diagnostics)
         if quirks.syncs_late and rpdo == "event":
             text = "got 'acts_a_sync_late' with bus.rpdo: event, where no torque waits for a SYNC"
             faults.add(entry.value_at("quirks"), f"{text}; set rpdo: synchronous, or leave it out")
+        if (dither := axis.parameters.hold_dither) is not None:
+            if axis.group or axis.guard or axis.parameters.admittance or axis.passivity.name != "guarded":
+                text = "got a sequence where `guarded` does not render on this axis alone"
+                faults.add(entry.value_at("hold_dither"), f"{text}; leave it out, or set algorithm: guarded")
+            elif 2.0 * dither < axis.loop.torque_quantum:
+                text = f"got {dither:.3g}, expected at least half a step of the torque, {axis.loop.torque_quantum:.3g}"
+                faults.add(entry.value_at("hold_dither"), text)
         if axis.group and quirks.syncs_late != late.setdefault(axis.group, quirks.syncs_late):
             text = f"the axes of group {axis.group!r} act in different holds"
             faults.add(entry.value_at("quirks"), f"{text}; expected acts_a_sync_late of all of them, or of none")

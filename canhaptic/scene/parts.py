@@ -211,7 +211,9 @@ def build_axis_controller(axis: AxisScene) -> Controller:
     if axis.passivity.own is not None:
         controller: Controller = axis.passivity.own(environment, axis.passivity.parameters, loop_as_known(axis))
         return controller
-    return build_controller(environment, axis.passivity.name, axis.passivity.parameters, loop_as_known(axis))
+    return build_controller(
+        environment, axis.passivity.name, axis.passivity.parameters, loop_as_known(axis), axis.parameters.hold_dither
+    )
 
 
 def display_properties(axis: AxisScene) -> "AdmittanceProperties":

@@ -80,7 +80,7 @@ def _first_figures(port: PortResult) -> list[str]:
     certificate = port.get("certificate", "none")
     if port["verdict"] == "yes" and certificate not in ("none", "exact"):
         found.append(f"guarantee rests on: {certificate.replace('_', ' ')}")
-    if port["verdict"] == "yes" and "hold" in port:
+    if "hold" in port and (port["verdict"] == "yes" or port["hold"].startswith("acts ")):
         found.append(f"hold: {port['hold']}")
     return found
 

@@ -1,11 +1,14 @@
 """One passivity algorithm a file, and the table that names them."""
 
-from typing import Final
+from typing import TYPE_CHECKING, Final, cast
 
 from canhaptic.control.environments.environment import Environment, plain
 from canhaptic.control.passivity.controller import Controller, LoopProperties
 from canhaptic.registry import load_algorithm
 from canhaptic.units import Parameters
+
+if TYPE_CHECKING:
+    from canhaptic.control.passivity.guarded_settings import GuardedParameters
 
 _HERE: Final = "canhaptic.control.passivity"
 _RIVALS: Final = "canhaptic.lab.rivals"
@@ -34,8 +37,9 @@ ALGORITHMS: Final[dict[str, str]] = {
 
 
 def build_controller(
-    environment: Environment, algorithm_name: str, parameters: Parameters | None, loop: LoopProperties
-) -> Controller:
+    environment: Environment, algorithm_name: str, parameters: Parameters | None, loop: LoopProperties,
+    hold_dither: float | None = None,
+) -> Controller:  # fmt: skip
     """Return a controller of one axis, at rest and without stored energy.
 
     Args:
@@ -43,10 +47,15 @@ def build_controller(
         algorithm_name: A name of `ALGORITHMS`.
         parameters: The algorithm's own `parameters_type`; None for its defaults.
         loop: Sample time, delay and other properties of the loop.
+        hold_dither: Amplitude of the sign sequence of `guarded` [N or N*m]; None: there is none.
 
     Raises:
         ParameterError: Unknown name, parameters of another algorithm, or a value that the algorithm cannot do without.
     """
     algorithm, chosen = load_algorithm(ALGORITHMS, algorithm_name, "passivity algorithm", parameters)
+    if hold_dither is not None:
+        from canhaptic.control.passivity.hold_dither import DitheredGuarded
+
+        return DitheredGuarded(plain(environment), cast("GuardedParameters", chosen), loop, hold_dither)
     controller: Controller = algorithm(plain(environment), chosen, loop)
     return controller

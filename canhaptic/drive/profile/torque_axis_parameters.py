@@ -78,6 +78,9 @@ class TorqueAxisParameters(Parameters):
     hold_checked: PrintableText | None = None
     """Drive, firmware, process data and rate with which `canhaptic commission` found a torque to act in the declared
     hold. None, or with another drive: the account says that its holds were not checked."""
+    hold_dither: Annotated[float, quantity("N", "N*m", gt=0.0)] | None = None
+    """Amplitude of a random sign sequence in the torques of `guarded`: a run then shows in which hold they act, and
+    has no certificate where it is another one than declared. At least half a step of the torque. None: not added."""
     admittance: (
         Annotated[AdmittanceParameters, OnDemand("canhaptic.drive.profile.admittance_parameters:AdmittanceParameters")]
         | None

@@ -1,0 +1,175 @@
+"""A sign sequence in the torques of `guarded`, by which a run itself shows in which hold they act.
+
+Smooth motion in contact does not show a shift by one hold: to first order it looks like a hand's damping. So every
+torque f in contact becomes f or f - 2 a towards zero, as a random sign d = 1 or -1 says: f - a + a d, which no
+certificate of f excludes, for each holds for every smaller torque too. With y_k the second difference of the positions
+p_k, p_(k-1), p_(k-2), and d_k the sign of the torque that acts from p_k on,
+
+    R(n) = sum over k of y_k d_(k-n),
+
+R(0) is a sum of fair coin tosses wherever the drive acts in its hold, for every hand, friction, shaft and fault: y_k is
+past when d_k begins to act. So P(|R(0)| >= z s) <= 2 exp(-z^2 / 2) with s^2 = sum (y_k d_k)^2; 7.5e-6 at 5 a look. A
+drive that acts a hold early fails it.
+
+A mass that is pushed in its hold has R(1) = R(2) > 0 and R(3) = 0, a hold later R(1) = 0 and R(2) = R(3) > 0: late is
+R(3) - R(1) beyond 5 of its own s, with |R(1)| at most a quarter of R(3). This is a statement about the plant, not about
+causality alone: a lag of half a hold looks like it, so that it is asked only where window and lag together are declared
+as at most a quarter of a hold.
+
+From then on the resolution is all the energy that torques and motion could have exchanged in any of these holds: nothing
+booked is known any more.
+
+A look is taken each time the number of signs has doubled. After a lost sample or a skipped SYNC both sequences begin anew.
+"""
+
+import random
+from math import inf, sqrt
+from typing import Final
+
+from canhaptic.control.balance import Certificate, EnergyBalance
+from canhaptic.control.environments.environment import Environment
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.guarded import Guarded
+from canhaptic.control.passivity.guarded_settings import GuardedParameters
+
+_SIGMAS: Final = 5.0
+_FIRST_LOOK: Final = 64  # signs
+_LATEST_PART: Final = 0.25  # window and lag, of a hold; and R(1), of R(3)
+_NONE: Final = Certificate.NONE.value
+EARLY: Final = "acts before its SYNC, run canhaptic commission"
+LATE: Final = "acts a hold late, run canhaptic commission"
+
+
+class HoldWatch:
+    """Correlates the motion with signs.
+
+    Args:
+        delay: Declared whole holds between the computation of a torque and the hold in which it acts.
+        tells_late: Whether a drive that acts late can be told from one that lags.
+
+    Attributes:
+        found: What contradicts the declared hold; empty: nothing so far.
+        looks: Looks so far.
+    """
+
+    def __init__(self, delay: int, *, tells_late: bool) -> None:
+        self._delay, self._tells_late = delay, tells_late
+        self.found, self.looks = "", 0
+        self._count, self._next = 0, _FIRST_LOOK
+        self._early = self._early_square = self._first = self._third = self._late_square = 0.0
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Forget positions and signs, not the sums: after a sample that was lost."""
+        self._signs = [0] * (self._delay + 3)  # newest first: of the torques computed one, two, ... samples ago
+        self._before = self._last = inf
+
+    def take(self, position: float, sign: int) -> None:
+        """Take a position and the sign of the torque computed from it.
+
+        Args:
+            position: Position at a SYNC [m or rad].
+            sign: 1 or -1 along positive torques; 0: this torque has none.
+        """
+        signs, delay = self._signs, self._delay
+        signs.insert(0, sign)
+        bend = position - 2.0 * self._last + self._before
+        self._before, self._last = self._last, position
+        if bend - bend == 0.0:  # three positions in a row
+            early, first, third = bend * signs[delay], bend * signs[delay + 1], bend * signs[delay + 3]
+            self._early += early
+            self._early_square += early * early
+            self._first += first
+            self._third += third
+            self._late_square += (third - first) * (third - first)
+        signs.pop()
+        if sign:
+            self._count += 1
+            if self._count == self._next:
+                self._next *= 2
+                self._look()
+
+    def _look(self) -> None:
+        self.looks += 1
+        late, whole = self._third - self._first, abs(self._first) <= _LATEST_PART * self._third
+        if self._early_square and abs(self._early) >= _SIGMAS * sqrt(self._early_square):
+            self.found = self.found or EARLY
+        elif self._tells_late and self._late_square and whole and late >= _SIGMAS * sqrt(self._late_square):
+            self.found = self.found or LATE
+
+
+class DitheredGuarded(Guarded):
+    """`guarded` with a sign in every torque in contact; without a certificate once they contradict the declared hold.
+
+    The signs follow from the first position, so that a log of the run recomputes and replays them.
+
+    Args:
+        environment: Environment to render.
+        parameters: Those of `guarded`.
+        loop: Properties of the loop.
+        amplitude: Size a of the sequence [N or N*m].
+    """
+
+    def __init__(
+        self, environment: Environment, parameters: GuardedParameters, loop: LoopProperties, amplitude: float
+    ) -> None:
+        quantum = loop.torque_quantum
+        self._tells_late = loop.timing.late <= _LATEST_PART * loop.sample_time
+        self._delay = loop.delay
+        self._steps = max(1, int(2.0 * amplitude / quantum + 1e-9)) if quantum else 0
+        self._down = self._steps * quantum if quantum else 2.0 * amplitude
+        super().__init__(environment, parameters, loop)
+
+    def reset(self) -> None:
+        """Clear the state, and what was found."""
+        super().reset()
+        self._random: random.Random | None = None
+        self._open = self._applied = self._moved = 0.0
+        self._watch = HoldWatch(self._delay, tells_late=self._tells_late)
+
+    @property
+    def hold_found(self) -> str:
+        """What contradicts the declared hold; empty: nothing so far."""
+        return self._watch.found
+
+    @property
+    def energy_resolution(self) -> float:
+        """That of `guarded`; of torques in another hold all that they could have exchanged [J]."""
+        return super().energy_resolution + (self._open if self._watch.found else 0.0)
+
+    def step(self, position: float, torque_applied: float) -> EnergyBalance:
+        """Account for the hold that ended; see `Controller.step`."""
+        axis, watch = self._axis, self._watch
+        if axis.missed or axis.lasted > 1.0:
+            watch.begin_anew()
+        moved, applied = abs(position - axis.position), abs(torque_applied)
+        balance = super().step(position, torque_applied)
+        if self._random is not None:
+            self._open += 2.0 * max(applied, self._applied) * max(moved, self._moved)
+            self._applied, self._moved = applied, moved
+        torque, sign, generator = balance.torque, 0, self._random
+        if generator is None:
+            generator = self._random = random.Random(repr(position))  # noqa: S311 - not for secrets
+        elif self._state.zone and abs(torque) >= self._down:
+            toss = generator.getrandbits(1)
+            sign = 1 if (torque > 0.0) == bool(toss) else -1
+            if not toss:
+                balance = self._last = self._lowered(balance)
+        watch.take(position, sign)
+        return balance._replace(certificate=_NONE) if watch.found else balance
+
+    def _lowered(self, balance: EnergyBalance) -> EnergyBalance:
+        """Return a balance whose torque is 2 a nearer to zero, and so in the commands under way."""
+        torque, quantum, steps = balance.torque, self._settings.quantum, self._steps
+        down = -self._down if torque < 0.0 else self._down
+        lowered = (round(torque / quantum) - (steps if torque > 0.0 else -steps)) * quantum if steps else torque - down
+        commands, newest, share = self._memory.axis.commands, self._axis.oldest - 1, lowered / torque
+        commands.torques[newest] = lowered
+        commands.dampers[newest] *= share
+        commands.modulated[newest] *= share
+        return balance._replace(torque=lowered, damping_rendered=balance.damping_rendered * share)
+
+    def sample_lost(self) -> EnergyBalance:
+        """Repeat the last command, sign and all; see `Guarded.sample_lost`."""
+        balance = super().sample_lost()
+        return balance._replace(certificate=_NONE) if self._watch.found else balance
