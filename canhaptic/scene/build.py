@@ -520,7 +520,7 @@ def experiment_account(experiment: Experiment, status: str, elapsed: float) -> R
             port["hold"] = "checked at commissioning" if drive.hold_is_checked else "not checked"
         if axis.parameters.hold_dither is not None:
             found = getattr(controller, "hold_found", "")
-            port["hold"] = found or ("checked at commissioning" if drive.hold_is_checked else "not told apart")
+            port["hold"] = found or ("checked at commissioning" if drive.hold_is_checked else "undecided")
         if port.get("verdict") == "nothing rendered":
             _advise(axis, port)
     account["plants"] = {

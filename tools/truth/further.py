@@ -68,6 +68,10 @@ def add_further(seed: int, values: dict[str, Any], tags: set[str], outward: tupl
     _act_in_another_hold(chance, values, tags)
     if "algorithm:guarded" in tags and "groups" not in values:
         _near_the_bounds(chance, values, tags)
+        if chance.drawn(0.1) and len(values["axes"]) == 1:
+            axis = values["axes"][0]
+            axis["hold_dither"] = max(chance.decades(0.02, 0.5), 0.005 * axis["rated_torque"])
+            tags.add("declares:hold_dither")
     return outward
 
 

@@ -53,7 +53,7 @@ def build_controller(
         ParameterError: Unknown name, parameters of another algorithm, or a value that the algorithm cannot do without.
     """
     algorithm, chosen = load_algorithm(ALGORITHMS, algorithm_name, "passivity algorithm", parameters)
-    if hold_dither is not None:
+    if hold_dither is not None and algorithm_name == "guarded":  # the scene refuses others
         from canhaptic.control.passivity.hold_dither import DitheredGuarded
 
         return DitheredGuarded(plain(environment), cast("GuardedParameters", chosen), loop, hold_dither)

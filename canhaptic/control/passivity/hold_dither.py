@@ -16,14 +16,15 @@ R(3) - R(1) beyond 5 of its own s, with |R(1)| at most a quarter of R(3). This i
 causality alone: a lag of half a hold looks like it, so that it is asked only where window and lag together are declared
 as at most a quarter of a hold.
 
-From then on the resolution is all the energy that torques and motion could have exchanged in any of these holds: nothing
-booked is known any more.
+From then on the resolution is all the energy that torques and motion could have exchanged in these holds: nothing that
+is booked is known any more.
 
-A look is taken each time the number of signs has doubled. After a lost sample or a skipped SYNC both sequences begin anew.
+A look is taken each time the number of signs has doubled. After a lost sample or a skipped SYNC both sequences begin
+anew.
 """
 
 import random
-from math import inf, sqrt
+from math import sqrt
 from typing import Final
 
 from canhaptic.control.balance import Certificate, EnergyBalance
@@ -45,7 +46,7 @@ class HoldWatch:
 
     Args:
         delay: Declared whole holds between the computation of a torque and the hold in which it acts.
-        tells_late: Whether a drive that acts late can be told from one that lags.
+        tells_late: Whether a drive that acts late differs from one that lags.
 
     Attributes:
         found: What contradicts the declared hold; empty: nothing so far.
@@ -62,7 +63,8 @@ class HoldWatch:
     def begin_anew(self) -> None:
         """Forget positions and signs, not the sums: after a sample that was lost."""
         self._signs = [0] * (self._delay + 3)  # newest first: of the torques computed one, two, ... samples ago
-        self._before = self._last = inf
+        self._before = self._last = 0.0
+        self._positions = 0  # in a row
 
     def take(self, position: float, sign: int) -> None:
         """Take a position and the sign of the torque computed from it.
@@ -75,7 +77,8 @@ class HoldWatch:
         signs.insert(0, sign)
         bend = position - 2.0 * self._last + self._before
         self._before, self._last = self._last, position
-        if bend - bend == 0.0:  # three positions in a row
+        self._positions += 1
+        if self._positions > 2:
             early, first, third = bend * signs[delay], bend * signs[delay + 1], bend * signs[delay + 3]
             self._early += early
             self._early_square += early * early
@@ -149,7 +152,7 @@ class DitheredGuarded(Guarded):
             self._applied, self._moved = applied, moved
         torque, sign, generator = balance.torque, 0, self._random
         if generator is None:
-            generator = self._random = random.Random(repr(position))  # noqa: S311 - not for secrets
+            generator = self._random = random.Random(repr(position))
         elif self._state.zone and abs(torque) >= self._down:
             toss = generator.getrandbits(1)
             sign = 1 if (torque > 0.0) == bool(toss) else -1
