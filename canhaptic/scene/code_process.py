@@ -49,9 +49,9 @@ main()
 
 
 def apart(scene: Scene) -> Scene:
-    """Scene whose user-defined environments and algorithms run in a separate process; unchanged where they run in the cycle.
+    """Scene whose user-defined code runs in a separate process; the same scene where it runs in the cycle.
 
-    The cycle requests the torques that they answer, under the certificates of `guarded` if that is their algorithm. It
+    The cycle requests the torques that it answers, under the certificates of `guarded` if that is their algorithm. It
     runs them itself in a simulation, unless `code_runs_in` says otherwise.
     """
     where = scene.run.code_runs_in or ("cycle" if scene.simulated else "process")
