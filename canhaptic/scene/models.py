@@ -491,7 +491,7 @@ class Scene:
                 if getattr(axis.parameters, key) == default:
                     del resolved["axes"][axis.parameters.name][key]
             _drop_later(resolved["axes"][axis.parameters.name])
-            twin = resolved["axes"][axis.parameters.name].get("simulation", {}).get("drive", {})
+            twin = (resolved["axes"][axis.parameters.name].get("simulation") or {}).get("drive") or {}
             if twin.get("brake", 0) is None:
                 del twin["brake"]
             if axis.simulation is not None and "substeps" not in self.accuracy.model_fields_set:
