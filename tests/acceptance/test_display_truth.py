@@ -6,7 +6,13 @@ import pytest
 
 from canhaptic.errors import ControlError
 from tools.displays.direct import run
-from tools.displays.group import false_group_claims, on_an_arm, random_group, with_true_group_bounds
+from tools.displays.group import (
+    false_group_claims,
+    on_a_five_bar,
+    on_an_arm,
+    random_group,
+    with_true_group_bounds,
+)
 from tools.displays.judge import false_claims
 from tools.displays.random_display import random_display, with_true_bounds
 
@@ -57,6 +63,21 @@ def test_no_account_of_an_arm_of_two_displays_claims_what_their_plants_deny() ->
             moved += max(axis.travel for axis in found[1].axes) > 0.01
     assert judged >= 5
     assert moved >= 3
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("seeds", [3, pytest.param(80, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", ["three axes", "five-bar"])
+def test_no_account_of_three_axes_or_a_five_bar_claims_what_their_plants_deny(kind: str, seeds: int) -> None:
+    moved = 0
+    for seed in range(900, 900 + seeds):
+        group = random_group(seed, 3) if kind == "three axes" else on_a_five_bar(random_group(seed))
+        assert len(group.axes) == (3 if kind == "three axes" else 2)
+        found = with_true_group_bounds(group, 200)
+        if found is not None:
+            assert not false_group_claims(*found), seed
+            moved += max(axis.travel for axis in found[1].axes) > 0.01
+    assert moved > 0.6 * seeds
 
 
 @pytest.mark.slow

@@ -3,10 +3,13 @@
 `make bench Q=truth` runs thousands of such scenes and makes one with a false claim smaller (`--only SEED`).
 """
 
+import copy
+import itertools
 import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from canhaptic.control.environments import ENVIRONMENTS
@@ -19,9 +22,9 @@ from canhaptic.scene.models import LOOP_KEYS
 from canhaptic.sim.plant.effects import EFFECTS
 from tools.bench.truth import false_table, fault_table, is_false, outcome_of, outcome_with_fault, run_all, table_of
 from tools.truth.faults import with_fault
-from tools.truth.judge import Outcome, judged
+from tools.truth.judge import Outcome, _false_claims, judged
 from tools.truth.known_ways import WAYS, is_closed, row_of
-from tools.truth.scenes import random_scene
+from tools.truth.scenes import TruthScene, random_scene
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 SCENES = 150
@@ -64,6 +67,18 @@ def test_what_was_mended_of_further_scenes_stays_mended(seed: int) -> None:
     outcome = outcome_of(seed)
     assert outcome.declared
     assert outcome.false_claims == ()
+
+
+def test_no_verdict_may_rest_on_a_resolution_that_is_an_estimate() -> None:
+    port = {"energy_resolution": 1.0, "passive": "in doubt", "certificates": [], "resolution_is_estimated": True}
+    truth = {"believed_error": 1.05, "least_interaction": 0.0, "least_at_handle": 0.0}
+    assert _false_claims("handle", port, truth, {}) == []
+    [claim] = _false_claims("handle", {**port, "passive": "yes"}, truth, {})
+    assert "an estimate" in claim
+    [claim] = _false_claims("handle", {**port, "passive_at_handle": "yes"}, truth, {})
+    assert "an estimate" in claim
+    assert _false_claims("handle", port, {**truth, "believed_error": 1.15}, {})
+    assert _false_claims("handle", {**port, "resolution_is_estimated": False}, truth, {})
 
 
 def test_a_wall_that_moves_by_itself_counts_at_the_handle_too():
@@ -125,6 +140,43 @@ class TestNoFalseClaim:
         counted = [outcome for outcome in outcomes if outcome.counts]
         assert len(counted) > 0.75 * scenes  # a run without torque proves nothing and is not counted
         assert table_of(outcomes)[0]["runs"] == len(counted)
+
+
+CHANGES = {"pose": 1, "changes:grasp": 3, "changes:winding": 3, "changes:wall": 1}
+"""What changes in a run, or where it starts; and how many scenes of each `make test` runs."""
+
+
+def _changing(kind: str, count: int) -> list[TruthScene]:
+    scenes = (random_scene(seed, changes=1.0) for seed in range(4000))
+    return list(itertools.islice((s for s in scenes if any(tag.startswith(kind) for tag in s.tags)), count))
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("times", [1, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", CHANGES)
+def test_what_changes_in_a_run_leaves_no_false_claim(kind: str, times: int) -> None:
+    outcomes = [judged(scene)[1] for scene in _changing(kind, times * CHANGES[kind])]
+    assert {o.seed: o.false_claims for o in outcomes if is_false(o)} == {}
+    assert any(outcome.peak > 0.0 for outcome in outcomes) or times == 1
+
+
+@pytest.mark.slow
+def test_a_winding_that_gets_hot_gives_less_torque_within_its_run() -> None:
+    lost = 0
+    for scene in _changing("changes:winding", 20):
+        cold = copy.deepcopy(scene)
+        effects = cold.values["simulation"]["effects"]
+        effects[:] = [effect for effect in effects if effect["type"] != "thermal_derating"]
+        lost += judged(cold)[1].least != judged(scene)[1].least
+    assert lost >= 2
+
+
+def test_five_bars_start_in_every_pose_and_near_singular_ones() -> None:
+    scenes = _changing("pose", 25)
+    linkages = [scene.values["simulation"]["mechanisms"][0] for scene in scenes]
+    angles = np.array([linkage["initial_angles"] for linkage in linkages])
+    assert {tuple(signs) for signs in np.sign(np.sin(angles)).astype(int)} == {(1, 1), (1, -1), (-1, 1), (-1, -1)}
+    assert sum("pose:near_singular" in scene.tags for scene in scenes) >= 4
 
 
 def test_scenes_name_every_effect_environment_limit_algorithm_and_declaration():

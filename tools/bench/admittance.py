@@ -348,7 +348,7 @@ def main() -> None:
     """Measures everything, prints the table and writes the result."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=1000, help="random displays")
-    parser.add_argument("--groups", type=int, default=200, help="random groups of two displays")
+    parser.add_argument("--groups", type=int, default=200, help="random groups of two displays or three")
     parser.add_argument("--hands", type=int, default=12, help="hands for each mass, rate and algorithm")
     arguments = parser.parse_args()
     fault_part, table = fault_rows()

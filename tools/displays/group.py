@@ -1,5 +1,6 @@
 """Several random admittance displays with one account, in a loop of floats, judged by the sum of true energies."""
 
+import math
 from dataclasses import dataclass, replace
 from random import Random
 from typing import Any
@@ -8,7 +9,8 @@ from canhaptic.control.admittance import build_display_group
 from canhaptic.control.admittance.group_environment import GroupMass, PathMass
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.balance import Certificate
-from canhaptic.control.mechanisms.kinematics import Kinematics
+from canhaptic.control.mechanisms.five_bar import FiveBar
+from canhaptic.control.mechanisms.kinematics import Kinematics, Limit
 from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.sim.plant.velocity_drive import AdmittancePlant
 from tools.displays.direct import Display, Outcome, watch
@@ -48,39 +50,68 @@ _NO_HAND = {
 }  # fmt: skip
 
 
-def random_group(seed: int) -> AdmittanceGroup:
-    """Returns two displays that differ in rig, sensor and hand, with one account."""
+def random_group(seed: int, size: int = 2) -> AdmittanceGroup:
+    """Returns two displays or more that differ in rig, sensor and hand, with one account."""
     random, first = Random(seed), random_display(2 * seed, "guarded")
     known = first.parameters
     assert isinstance(known, GuardedAdmittanceParameters)
-    second = random_display(2 * seed + 1, "guarded")
-    plant = first.plant.model_copy(update={"mass": first.plant.mass * random.uniform(0.7, 1.0)})
-    shared = {key: getattr(first.properties, key) for key in ("sample_time", "delay", "latency")}
     if first.properties.sampling == "impulse":  # of one axis only
         first = _with_means(first)
-    second = _with_means(second) if second.properties.sampling == "impulse" else second
-    sensor = second.simulation.sensor.model_copy(update={"latency": first.properties.latency})
-    other = replace(
-        second, plant=plant, commands_lost=first.commands_lost, samples_lost=first.samples_lost,
-        simulation=first.simulation.model_copy(update={"sensor": sensor}),
-        properties=second.properties.model_copy(update=shared),
-    )  # fmt: skip
+    first = replace(first, properties=first.properties.model_copy(update={"jitter": 0.0}))
+    others = [_beside(first, random_display(2 * seed + place, "guarded"), random) for place in range(1, size)]
     mass, damping = random.choice([0.2, 1.0, 4.0]), random.choice([0.0, 5.0])
-    environment = GroupMass(mass=mass, damping=damping, lower=(-0.03, -1.0), upper=(1.0, 0.05))
+    walls = {"lower": (-0.03, -1.0, -0.02)[:size], "upper": (1.0, 0.05, 0.02)[:size]}
+    environment = GroupMass(mass=mass, damping=damping, **walls)
     if random.random() < 0.5:
-        corners = ((-0.02, 0.0), (0.02, 0.0), (0.02, 0.03))
+        corners = tuple(corner[:size] for corner in ((-0.02, 0.0, 0.01), (0.02, 0.0, -0.02), (0.02, 0.03, 0.0)))
         environment = PathMass(mass=mass, damping=damping, points=corners, closed=random.random() < 0.5)
-    first, other = (
-        replace(axis, properties=axis.properties.model_copy(update={"jitter": 0.0})) for axis in (first, other)
-    )
-    return AdmittanceGroup((first, other), environment, known.model_copy(update=_NO_HAND))
+    return AdmittanceGroup((first, *others), environment, known.model_copy(update=_NO_HAND))
+
+
+def group_of_any_kind(seed: int) -> AdmittanceGroup:
+    """Returns two axes, three, an arm of two links or a five-bar, in turn."""
+    kinds = (random_group, lambda one: random_group(one, 3), lambda one: on_an_arm(random_group(one)))
+    return (*kinds, lambda one: on_a_five_bar(random_group(one)))[seed % 4](seed)
+
+
+def _beside(first: Display, other: Display, random: Random) -> Display:
+    """Returns a display with the loop and the timing that a group shares with its first one."""
+    plant = first.plant.model_copy(update={"mass": first.plant.mass * random.uniform(0.7, 1.0)})
+    shared = {key: getattr(first.properties, key) for key in ("sample_time", "delay", "latency")}
+    other = _with_means(other) if other.properties.sampling == "impulse" else other
+    sensor = other.simulation.sensor.model_copy(update={"latency": first.properties.latency})
+    return replace(
+        other, plant=plant, commands_lost=first.commands_lost, samples_lost=first.samples_lost,
+        simulation=first.simulation.model_copy(update={"sensor": sensor}),
+        properties=other.properties.model_copy(update={**shared, "jitter": 0.0}),
+    )  # fmt: skip
 
 
 def on_an_arm(group: AdmittanceGroup) -> AdmittanceGroup:
     """Returns a group whose axes are the joints of an arm of two links [rad], around a pose that is not singular."""
     random = Random(group.axes[0].seed)
     arm = Planar2R(first=random.uniform(0.2, 0.5), second=random.uniform(0.2, 0.5))
-    places = random.uniform(-3.0, 3.0), random.choice([-1.0, 1.0]) * random.uniform(0.6, 2.2)
+    return _around(
+        group, arm, (random.uniform(-3.0, 3.0), random.choice([-1.0, 1.0]) * random.uniform(0.6, 2.2)), random
+    )
+
+
+def on_a_five_bar(group: AdmittanceGroup) -> AdmittanceGroup:
+    """Returns a group whose axes move a five-bar: any pose, elbows and handle on any side, near a singular one too."""
+    random, pi = Random(group.axes[0].seed), math.pi
+    linkage = FiveBar(
+        base=random.uniform(0.0, 0.2), proximal=(random.uniform(0.1, 0.2), random.uniform(0.1, 0.2)),
+        distal=(random.uniform(0.15, 0.3), random.uniform(0.15, 0.3)), assembly=random.choice(["up", "down"]),
+        least_sine=random.choice([0.02, 0.1]),
+    )  # fmt: skip
+    while True:
+        places = random.uniform(-pi, pi), random.uniform(-pi, pi)
+        if linkage.pose(places).limit == Limit.NONE:
+            return _around(group, linkage, places, random)
+
+
+def _around(group: AdmittanceGroup, of: Kinematics, places: tuple[float, float], random: Random) -> AdmittanceGroup:
+    """Returns a group on a mechanism, its hands around a pose, with walls near that or none."""
     axes = []
     for axis, place in zip(group.axes, places, strict=True):
         plant = axis.plant.model_copy(update={"initial_position": place})
@@ -89,9 +120,9 @@ def on_an_arm(group: AdmittanceGroup) -> AdmittanceGroup:
     mass, damping = random.choice([1.0, 10.0, 50.0]), random.choice([0.0, 20.0])
     environment = GroupMass(mass=mass, damping=damping)
     if random.random() < 0.5:
-        x, y = arm.forward(places)
+        x, y = of.forward(places)
         environment = GroupMass(mass=mass, damping=damping, lower=(x - 0.01, y - 1.0), upper=(x + 1.0, y + 0.01))
-    return replace(group, axes=tuple(axes), environment=environment, kinematics=arm)
+    return replace(group, axes=tuple(axes), environment=environment, kinematics=of)
 
 
 def _with_means(display: Display) -> Display:

@@ -5,6 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from canhaptic.control.mechanisms.five_bar import FiveBar
+from canhaptic.control.mechanisms.kinematics import Limit
+
+_LEAST_SINE = 0.15
+_NEAR = 1.5
+"""Times the least sine, below which a pose counts as near a singular one."""
+
 
 def make_five_bar(generator: np.random.Generator, values: dict[str, Any]) -> None:
     """Makes a stage a five-bar linkage that touches a disc."""
@@ -32,7 +39,7 @@ def make_five_bar(generator: np.random.Generator, values: dict[str, Any]) -> Non
     [group] = values["groups"]
     network = group["network"]
     group["kinematics"] = {
-        "type": "five_bar", "base": 0.1, "proximal": [0.15, 0.15], "distal": [0.2, 0.2], "least_sine": 0.15
+        "type": "five_bar", "base": 0.1, "proximal": [0.15, 0.15], "distal": [0.2, 0.2], "least_sine": _LEAST_SINE
     }  # fmt: skip
     group["network"] = {
         "type": "sphere", "centre": [0.0, 0.24], "radius": 0.03, "stiffness": network["stiffness"],
@@ -44,3 +51,23 @@ def make_five_bar(generator: np.random.Generator, values: dict[str, Any]) -> Non
         group["passivity"]["device_damping"] = 0.8 * damping
     if "hand_force" in group["passivity"]:
         group["passivity"]["hand_force"] = 0.1
+
+
+def turn_five_bar(generator: np.random.Generator, values: dict[str, Any], tags: set[str]) -> None:
+    """Starts a five-bar in any pose, of any sides of its elbows, a third of them near a singular one; with its hand.
+
+    The disc is near the handle, in any direction.
+    """
+    [mechanism], [group] = values["simulation"]["mechanisms"], values["groups"]
+    kinematics = {key: value for key, value in group["kinematics"].items() if key != "type"}
+    linkage, is_near = FiveBar(**kinematics), generator.random() < 1.0 / 3.0
+    nearer = FiveBar(**{**kinematics, "least_sine": _NEAR * _LEAST_SINE})
+    while True:
+        angles = [float(angle) for angle in generator.uniform(-math.pi, math.pi, 2)]
+        if linkage.pose(angles).limit == Limit.NONE and bool(nearer.pose(angles).limit) == is_near:
+            break
+    handle, turn = linkage.forward(angles), generator.uniform(-math.pi, math.pi)
+    centre = [float(handle[0] + 0.04 * math.cos(turn)), float(handle[1] + 0.04 * math.sin(turn))]
+    mechanism["initial_angles"] = angles
+    mechanism["hand"]["rest"] = group["network"]["centre"] = centre
+    tags.add("pose:near_singular" if is_near else "pose:any")

@@ -2,8 +2,9 @@
 
 A claim is false when
 
-    error         |believed - true| sum of interaction is larger than the energy resolution that is stated, or twice
-                  one that the account calls an estimate
+    error         |believed - true| sum of interaction is larger than the energy resolution that is stated, or 1.1
+                  times one that the account calls an estimate
+    estimate      the account says yes or no and calls its resolution an estimate
     passive yes   and the true sum fell below minus that resolution and the allowance
     passive no    and the true sum never fell below minus the allowance, or a later account says something else
     certificate   is named that the scene does not declare, or with a true sum below minus that resolution
@@ -39,8 +40,8 @@ _MOST_LOSSES: Final = 4
 _PROMISES_NO_YES: Final = frozenset(("timing:stall",))
 """A host that stalls makes a hold longer than is declared."""
 _TRIES: Final = 4
-_ESTIMATE: Final = 2.0
-"""Factor within which a resolution that the account calls an estimate has to be right."""
+_ESTIMATE: Final = 1.1
+"""Factor within which a resolution that the account calls an estimate has to be right; no verdict may rest on it."""
 FINE: Final = 1.0 / 20.0
 """Resolution over the energy that came in below which a yes is due."""
 
@@ -349,6 +350,9 @@ def _false_claims(
     claims = []
     if error > resolution * (_ESTIMATE if port.get("resolution_is_estimated") else 1.0) + ROUNDING:
         claims.append(f"{name}: error {error:.3g} J, resolution {resolution:.3g} J")
+    verdicts = {port["passive"], port.get("passive_at_handle", "in doubt")}
+    if port.get("resolution_is_estimated") and verdicts != {"in doubt"}:
+        claims.append(f"{name}: a verdict by a resolution that is an estimate")
     if port["passive"] == "yes" and least < -resolution - allowance - ROUNDING:
         claims.append(f"{name}: passive yes, true least {least:.3g} J, resolution {resolution:.3g} J")
     if port["passive"] == "no" and least >= -allowance - ROUNDING:

@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from tools.truth.changes import add_changes
 from tools.truth.five_bar import make_five_bar
 from tools.truth.further import add_further
 from tools.truth.programs import draw_program
@@ -84,12 +85,13 @@ class _Chance:
         return name
 
 
-def random_scene(seed: int, *, further: bool = True) -> TruthScene:
+def random_scene(seed: int, *, further: bool = True, changes: float | None = None) -> TruthScene:
     """Returns the scene of a seed.
 
     Args:
         seed: Any.
-        further: Whether with what `add_further` draws.
+        further: Whether with what `add_further` and `add_changes` draw.
+        changes: Share of the scenes in which something changes; None: the default of `add_changes`.
     """
     chance = _Chance(seed)
     group = chance.named("group", {"": 0.8, "xy_box": 0.1, "coupled_handles": 0.1})
@@ -114,6 +116,7 @@ def random_scene(seed: int, *, further: bool = True) -> TruthScene:
         make_five_bar(np.random.default_rng([seed, 22]), values)
     if further:
         outward = add_further(seed, values, chance.tags, outward)
+        add_changes(seed, values, chance.tags, **({} if changes is None else {"share": changes}))
     if outward == (0,) and "algorithm:guarded" in chance.tags:
         _declare_push(np.random.default_rng([seed, 16]), values, chance.tags)
         outward = draw_program(seed, values, chance.tags, outward)
