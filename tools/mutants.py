@@ -42,7 +42,7 @@ _CONTROL: Final = ("control", "replay", "kernels")
 ROOMS: Final[dict[str, tuple[str, ...]]] = {  # part of the package -> folders of its tests, nearest first
     "drive": ("drive", "replay", "sim_bus", "acceptance", "commission"),
     "logs": ("logs", "audit", "replay", "view"),
-    "replay": ("replay", "acceptance"),
+    "replay.py": ("replay", "acceptance"),
     "sim": ("sim_drive", "sim_bus", "plant", "replay", "acceptance", "touch"),
     "view": ("view", "audit", "cli", "project"),
     "result.py": ("audit", "acceptance", "cli", "view"),

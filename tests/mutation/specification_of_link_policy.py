@@ -15,6 +15,7 @@ from canhaptic.errors import (
     HeartbeatLostError,
     NmtStateLeftError,
     NotFollowingError,
+    OwnCodeLateError,
     PositionJumpError,
     SecondMasterError,
     StateLeftError,
@@ -46,6 +47,7 @@ REASONS = {  # the numbers are in logs that exist
     "EXCEPTION": 31,
     "ENERGY_LOST": 32,
     "FORCE_CONTRADICTED": 33,
+    "OWN_CODE_LATE": 34,
 }
 RAISED = {
     "TPDO_LOST": TpdoLostError,
@@ -67,6 +69,7 @@ RAISED = {
     "EXCEPTION": CycleFailedError,
     "ENERGY_LOST": EnergyLostError,
     "FORCE_CONTRADICTED": ForceContradictedError,
+    "OWN_CODE_LATE": OwnCodeLateError,
 }
 CASES = (
     # hold, stop, what happens at 0, 1, 2, ... missed, and what is left of the torque

@@ -243,9 +243,9 @@ def test_a_sample_of_the_package_is_drawn_the_same_again_and_survivors_decide(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The long run over the package is `python -m tools.mutants`."""
-    drawn = campaign.sample(["replay"], 30, seed=1)
-    assert drawn == campaign.sample(["replay"], 30, seed=1) != campaign.sample(["replay"], 30, seed=2)
-    assert {campaign.room_of(path) for path, _ in drawn} == {"replay"}
+    drawn = campaign.sample(["replay.py"], 30, seed=1)
+    assert drawn == campaign.sample(["replay.py"], 30, seed=1) != campaign.sample(["replay.py"], 30, seed=2)
+    assert {campaign.room_of(path) for path, _ in drawn} == {"replay.py"}
     outcomes: list[dict[str, object]] = [
         {"path": path.as_posix(), "number": n, "name": f"slip {n}", "killed_by": None if k < 2 else "FAILED a"}
         for k, (path, n) in enumerate(drawn[:10])
