@@ -117,8 +117,7 @@ JITTER: Final = f"  sync_jitter: 5 % # {TO_SET}: every hold lasts 1 / rate, give
 _SIMULATION_TEXT: Final = Template("""
 # The machine behind the simulated drive. Remove this section and name the real interface under `bus`.
 simulation:
-  drive:
-$rated$objects  plant:
+$drive  plant:
     mass: $mass kg*m^2
     damping: $bearings N*m*s/rad
 $between  user: # $hand
@@ -150,7 +149,8 @@ def simulated_machine(
         motion: Amplitude [rad] and frequency [Hz] of the hand.
     """
     return _SIMULATION_TEXT.substitute(
-        rated=rated, objects=objects, mass=number(mass), bearings=number(bearings), between=between, hand=hand,
+        drive=f"  drive:\n{rated}{objects}" if rated or objects else "",
+        mass=number(mass), bearings=number(bearings), between=between, hand=hand,
         amplitude=motion[0], frequency=motion[1],
         stiffness=number(3.0 * limit), hand_damping=number(0.25 * limit),
     )  # fmt: skip
