@@ -209,7 +209,7 @@ def test_losses_that_a_bus_makes_are_declared_and_a_yes_is_due_then():
     outcomes = [judged(scene)[1] for scene in scenes]
     assert all(0 < outcome.losses == outcome.declared_losses for outcome in outcomes)
     assert all(outcome.is_due and outcome.says_yes for outcome in outcomes)
-    coarse = judged(with_fault(random_scene(5319, further=False)))[1]  # the resolution is seven times what came in
+    coarse = judged(with_fault(random_scene(5342, further=False)))[1]  # the resolution is three times what came in
     assert coarse.open_share > 2.0
     assert (coarse.verdict, coarse.is_due) == ("in doubt", False)
     beyond = Outcome(**{**outcomes[0].as_json(), "declared_losses": outcomes[0].losses - 1})
@@ -281,3 +281,9 @@ def test_where_an_environment_turns_a_hand_keeps_its_words_by_where_the_handle_i
     assert outcome.says_yes
     assert outcome.peak > 3.0
     assert scene.passivity["hand_push"] > (1.2 if seed == 30243 else 0.99) * drawn.passivity["hand_push"]
+
+
+@pytest.mark.parametrize("seed", [20001955, 20003446])
+def test_a_program_whose_torque_turns_is_held_by_the_push_of_the_hand_both_ways(seed):
+    """With the force along the torque alone these gave out 11 and 2 mJ under a certificate."""
+    assert outcome_of(seed).false_claims == ()

@@ -181,11 +181,27 @@ class _Asks(SteppedController):
         return window.velocity
 
 
+def _settings_of(
+    environment: AskedEffort, parameters: GuardedParameters, loop: LoopProperties
+) -> GuardedSettings:  # fmt: skip
+    """Constants of a run whose torque may turn at any SYNC: the hand counts with its push both ways.
+
+    Args:
+        environment: The program.
+        parameters: Declared properties of hand and device.
+        loop: Constants of the loop.
+    """
+    force, push = parameters.hand_force, parameters.hand_push
+    if force is not None and push is not None and push > force:
+        parameters = parameters.model_copy(update={"hand_force": push})
+    return settings_of(environment, parameters, loop)
+
+
 class GuardedProgram(_Asks, Guarded):
     """A program's torques as far as the certificates allow."""
 
     parameters_type = GuardedParameters
-    kernel = Kernel(settings_of, AskedState, memory_of, step)
+    kernel = Kernel(_settings_of, AskedState, memory_of, step)
 
     def __init__(self, parameters: GuardedParameters, loop: LoopProperties) -> None:
         self._size = inf if parameters.earned_energy is None else 0.0
