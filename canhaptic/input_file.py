@@ -3,16 +3,15 @@
 Folders of the files in the package: `configs/` and `eds/`, in the source tree or as installed.
 """
 
-import difflib
 import errno
 import os
 import stat
 import sysconfig
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
 from canhaptic.errors import SceneError
+from canhaptic.registry import nearest
 
 _KINDS: Final = (
     (stat.S_ISLNK, "a symbolic link"),
@@ -109,15 +108,6 @@ def scene_file(path: Path) -> Path:
         raise SceneError([f"{path}: {len(found)} scenes have this name: {', '.join(found)}; give one of these"])
     if len(path.parts) > 1 and path.parent.is_dir():
         names = [entry.as_posix() for entry in path.parent.glob("*.yaml")] + names
-    raise SceneError(
-        [f"{path}: cannot be read (no such file), and no scene of the package has the name{did_you_mean(name, names)}"]
-    )
-
-
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return a hint: `; did you mean demo?` for a near match, else `; canhaptic configs lists them`."""
-    names = list(known)
-    near = difflib.get_close_matches(word, names, n=2) or [
-        name for name in names if difflib.get_close_matches(word, [name.split("/")[-1]], n=1)
-    ]
-    return f"; did you mean {' or '.join(near[:2])}?" if near else "; `canhaptic configs` lists the scenes"
+    near = nearest(name, names, 2) or nearest(name, [known.split("/")[-1] for known in names], 2)
+    text = f"{path}: cannot be read (no such file), and no scene of the package has the name"
+    raise SceneError([f"{text}{near or '; `canhaptic configs` lists the scenes'}"])

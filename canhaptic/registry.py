@@ -52,10 +52,10 @@ def load_algorithm(table: Mapping[str, str], name: str, kind: str, parameters: o
     return algorithm, parameters
 
 
-def nearest(name: str, names: Iterable[str]) -> str:
+def nearest(name: str, names: Iterable[str], most: int = 1) -> str:
     """Return `; did you mean 'stiffness'?` for the end of a message, or nothing when no name is similar."""
-    near = difflib.get_close_matches(name, list(names), n=1)
-    return f"; did you mean {near[0]!r}?" if near else ""
+    near = difflib.get_close_matches(name, list(names), n=most)
+    return f"; did you mean {' or '.join(map(repr, near))}?" if near else ""
 
 
 def unknown_key(key: str, names: Iterable[str]) -> str:

@@ -266,43 +266,36 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool, full: boo
     if resolved:
         values = _without_empty(scene.resolved())
         console.print(yaml.safe_dump(values, sort_keys=False, allow_unicode=True), markup=False)
-    (_print_all if full else _print_brief)(console, found)
+    _print_findings(console, found, full=full)
     answers = _realtime(scene)
     if answers:
         console.print(_realtime_table(answers))
 
 
-def _print_brief(console: Console, found: _CheckFindings) -> None:
-    """Print the load of the bus, what is amiss with a drive or the host, and the limits that the scene rests on."""
+def _print_findings(console: Console, found: _CheckFindings, *, full: bool) -> None:
+    """Print the load of the bus, the drives, the limits and the host; in brief what is amiss and what counts."""
     for name, budget in found.budgets.items():
-        used, most = 1e6 * budget.worst_cycle, 1e6 * budget.sample_time
-        console.print(f"{f'bus {name}'.rstrip()}: {used:.0f} us of {most:.0f} us in the worst cycle", markup=False)
+        bus, used, most = f"bus {name}".rstrip(), 1e6 * budget.worst_cycle, 1e6 * budget.sample_time
+        if full:
+            console.print(_bus_table(bus, budget))
+            console.print(f"  worst cycle: {budget.arithmetic()}", markup=False, soft_wrap=True)
+            console.print(f"  periodic load of the bus: {100.0 * budget.periodic_load:.1f} %\n")
+        else:
+            console.print(f"{bus}: {used:.0f} us of {most:.0f} us in the worst cycle", markup=False)
     for axis in found.scene.axes:
         name = axis.parameters.name
-        amiss = [row for row in found.findings[name] if row.verdict is not Verdict.FIT]
-        if amiss:
-            console.print(_fitness_table(f"{name}: {axis.parameters.eds}", amiss))
+        if rows := [row for row in found.findings[name] if full or row.verdict is not Verdict.FIT]:
+            console.print(_fitness_table(f"{name}: {axis.parameters.eds}", rows))
         if found.objects:
             console.print(_fitness_table(f"{name}: kept in the drive", found.objects[name]))
-    console.print(_hint_table([hint for hint in found.hints if hint.concerns or hint.exceeded], texts=False))
-    advice = [setting for setting in host_settings() if setting.advice]
-    if advice:
-        console.print("host: " + "; ".join(f"{setting.name}: {setting.advice}" for setting in advice), markup=False)
+    console.print(_hint_table([h for h in found.hints if full or h.concerns or h.exceeded], texts=full))
+    settings = [setting for setting in host_settings() if full or setting.advice]
+    if full:
+        console.print(Table("host", ("setting", "value", "advice"), settings))
+        return
+    if settings:
+        console.print("host: " + "; ".join(f"{setting.name}: {setting.advice}" for setting in settings), markup=False)
     console.print("[dim]every object, limit and setting: --full[/]")
-
-
-def _print_all(console: Console, found: _CheckFindings) -> None:
-    for name, budget in found.budgets.items():
-        console.print(_bus_table(name, budget))
-        console.print(f"  worst cycle: {budget.arithmetic()}", markup=False, soft_wrap=True)
-        console.print(f"  periodic load of the bus: {100.0 * budget.periodic_load:.1f} %\n")
-    for axis in found.scene.axes:
-        name = axis.parameters.name
-        console.print(_fitness_table(f"{name}: {axis.parameters.eds}", found.findings[name]))
-        if found.objects:
-            console.print(_fitness_table(f"{name}: kept in the drive", found.objects[name]))
-    console.print(_hint_table(found.hints, texts=True))
-    console.print(_host_table())
 
 
 def _guess_line(unset: list[Guess]) -> Text:
@@ -334,13 +327,12 @@ def _without_empty(values: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _bus_table(name: str, budget: BusBudget) -> Table:
+def _bus_table(bus: str, budget: BusBudget) -> Table:
     rows: list[list[Cell]] = [
         [row.what, row.frames, row.bits_each, row.bits, f"{row.bits / budget.bitrate * 1e6:.0f} us"]
         for row in budget.rows
     ]
-    title = f"bus {name}".rstrip() + ", worst cycle"
-    return Table(title, ("what", "frames", "bits each", "bits", "time"), rows)
+    return Table(f"{bus}, worst cycle", ("what", "frames", "bits each", "bits", "time"), rows)
 
 
 def _fitness_table(title: str, findings: list[Finding]) -> Table:
@@ -357,10 +349,6 @@ def _hint_table(hints: list[limits.Hint], *, texts: bool) -> Table:
         shown = (hint.axis, hint.what, limit, asked, *([hint.text] if texts else []))
         rows.append([Styled(text, style) for text in shown])
     return Table("stability", ("axis", "limit", "at most", "requested", *([""] if texts else [])), rows)
-
-
-def _host_table() -> Table:
-    return Table("host", ("setting", "value", "advice"), [(s.name, s.value, s.advice) for s in host_settings()])
 
 
 def _realtime_table(answers: dict[str, str]) -> Table:

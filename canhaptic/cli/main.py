@@ -4,7 +4,6 @@
 """
 
 import argparse
-import difflib
 import gc
 import importlib
 import os
@@ -14,40 +13,13 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from canhaptic.cli.interrupt import INTERRUPTED, PromptEnd, say_interrupted
+from canhaptic.cli.options import add_arguments, table
 from canhaptic.cli.output import print_failure, write_note
 from canhaptic.errors import CanHapticError, InputError, OverrideWarning
+from canhaptic.registry import nearest
 
-COMMANDS: Final = {
-    "configs": "list the scenes that come with the package, or copy them to change",
-    "check-eds": "say whether the drive of an EDS or DCF can serve, and what its configuration must bring",
-    "new": "write a commented configuration to start from, for the drive of an EDS or DCF",
-    "check": "say what a scene would do: configuration, bus load, fitness of the drives, stability",
-    "preflight": "check the SocketCAN interfaces of a scene: bit rate, state, queue, restart after bus-off",
-    "commission": "walk a new rig from zero torque to a measured configuration, asking before every torque",
-    "run": "run a scene: bring the drives up, render, print the energy account",
-    "evidence": "fill a folder that shows how a drive did: commissioning, dry run, a run at a tenth, a page to sign",
-    "scope": "show an energy log in a browser while it is written",
-    "inspect": "read an energy log: account, checks, comparison, pictures, export, recomputation",
-    "replay": "replay a recorded bus against today's master and controllers, and compare every frame they send",
-    "decode": "name every frame of a bus log",
-    "touch": "touch a simulated scene with the pointer in a browser, unprotected and protected at once",
-    "design": "find the stiffest and most damped wall that a rig renders, as lines for its scene",
-    "compare": "compare every passivity algorithm on one scene with the continuous environment",
-    "accuracy": "show what accuracy costs in time: methods, settings, effects, rate, delay, resolution; with advice",
-    "sweep": "judge many scenes that differ in some keys, on one core, several or a cluster",
-    "map": "draw a sweep: largest wall stiffness, rendered share, and the borders of theory",
-    "warm": "compile the loops of a scene, so that the first sweep finds them, as in an image of a CI",
-    "arena": "compare every passivity algorithm, and your own, on scenes that are hard, as one page",
-    "home": "let one drive find its zero by its own homing mode, asking before it moves",
-    "lss": "give one node on the bus its node ID (LSS), asking before it is stored",
-    "drive": "simulate the drives of a scene alone, on a bus that another process uses",
-    "schema": "print the JSON Schema of scene files, for editors",
-}
-"""In the order of a user: a scene, its check, a rig, a run, its log; then studies."""
-_LABORATORY: Final = frozenset({"accuracy", "arena", "compare", "design", "map", "sweep", "touch", "warm"})
-"""Commands in `canhaptic.lab.commands`; the others are in `canhaptic.cli`."""
-_STOP_IN_ORDER: Final = frozenset({"commission", "evidence", "home", "run", "drive", "scope", "touch"})
-"""Commands that take Ctrl-C as the operator's stop, and need time for it."""
+COMMANDS: Final = {name: of["about"] for name, of in table().items()}
+"""Subcommand -> what it does."""
 _BROKEN_PIPE: Final = 1
 _COMPLETION: Final = "_ARGCOMPLETE"
 """Environment variable that a shell sets which asks for completions."""
@@ -56,13 +28,13 @@ _COMPLETION: Final = "_ARGCOMPLETE"
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status.
 
-    `add_options` declares the arguments of a subcommand. The module with its name has `execute`, which takes them
+    `options.toml` lists the arguments of a subcommand. The module with its name has `execute`, which takes them
     and returns the exit status; it is imported once the arguments are right.
     """
     try:
         words = list(sys.argv[1:] if arguments is None else arguments)
         name = next((word for word in words if not word.startswith("-")), "")
-        if name in _STOP_IN_ORDER:
+        if table().get(name, {}).get("stops_in_order"):
             return _run(words, name)
         with PromptEnd():
             return _run(words, name)
@@ -79,15 +51,14 @@ def _run(words: list[str], name: str) -> int:
     for known, text in COMMANDS.items():
         subparser = subparsers.add_parser(known, help=text, description=f"{text[:1].upper()}{text[1:]}.")
         if known == name or completes:
-            add_options(known, subparser)
+            add_arguments(known, subparser)
     if completes:
         _complete(parser)
     if not words:
         parser.print_help()
         return 0
     if name and name not in COMMANDS:
-        near = difflib.get_close_matches(name, COMMANDS, n=2)
-        parser.error(f"{name}: no such command; " + (f"did you mean {' or '.join(near)}?" if near else "see --help"))
+        parser.error(f"{name}: no such command{nearest(name, COMMANDS, 2) or '; see --help'}")
     with warnings.catch_warnings():
         _show_warnings()
         return _execute(parser.parse_args(words))
@@ -108,12 +79,6 @@ def _complete(parser: argparse.ArgumentParser) -> None:
             return [name for name in names if name.startswith(prefix)] + list(FilesCompleter()(prefix))
 
     autocomplete(parser, default_completer=ScenesAndFiles())
-
-
-def add_options(name: str, parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of a subcommand."""
-    module = "canhaptic.lab.commands.lab_options" if name in _LABORATORY else "canhaptic.cli.options"
-    importlib.import_module(module).OPTIONS[name](parser)
 
 
 def _show_warnings() -> None:
@@ -158,7 +123,7 @@ def _imported(name: str) -> Any:
 
 def _execute(arguments: argparse.Namespace) -> int:
     try:
-        package = "canhaptic.lab.commands" if arguments.command in _LABORATORY else "canhaptic.cli"
+        package = "canhaptic.lab.commands" if table()[arguments.command].get("laboratory") else "canhaptic.cli"
         command = _imported(f"{package}.{arguments.command.replace('-', '_')}")
         status: int = command.execute(arguments)
         sys.stdout.flush()

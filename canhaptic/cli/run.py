@@ -140,14 +140,12 @@ def _report(result: RunResult, error: CanHapticError | None, arguments: argparse
     elif result["cycles"]:
         if result.get("dry_run"):
             write_line(_withheld(result))
+        from canhaptic.view.run_lines import brief_report, make_console
+
         if arguments.full:
-            from canhaptic.view.energy_table import print_figures
+            from canhaptic.view.energy_table import energy_report
 
-            print_figures(result)
-        else:
-            from canhaptic.view.run_lines import print_energy
-
-            print_energy(result)
+        make_console().print(energy_report(result) if arguments.full else brief_report(result))
     if error is not None:
         write_failure(error)
     files = {"energy log": arguments.log, "bus log": arguments.bus_log, "picture": None if error else arguments.png}

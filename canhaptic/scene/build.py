@@ -512,17 +512,7 @@ def experiment_account(experiment: Experiment, status: str, elapsed: float) -> R
         method=_method(experiment),
     )
     names = [axis.parameters.name for axis in scene.axes if axis.simulation is not None]  # with a plant of its own
-    controllers = iter(cycle.controllers)
-    for axis, drive in zip(scene.axes, experiment.rig.drives, strict=True):
-        controller = None if axis.group else next(controllers)
-        port = account["ports"][axis.parameters.name]
-        if axis.parameters.hold_checked or not scene.simulated:  # else it is as the simulation says
-            port["hold"] = "checked at commissioning" if drive.hold_is_checked else "not checked"
-        if axis.parameters.hold_dither is not None:
-            found = getattr(controller, "hold_found", "")
-            port["hold"] = found or ("checked at commissioning" if drive.hold_is_checked else "undecided")
-        if port.get("verdict") == "nothing rendered":
-            _advise(axis, port)
+    _add_of_axes(experiment, account["ports"])
     account["plants"] = {
         name: {"events": plant.events, "products": plant.products}
         for name, plant in zip(names, experiment.plants, strict=False)
@@ -544,6 +534,27 @@ def experiment_account(experiment: Experiment, status: str, elapsed: float) -> R
     return account
 
 
+def _add_of_axes(experiment: Experiment, ports: Mapping[str, PortResult]) -> None:
+    """Add what is known of the hold of each axis, and what keeps a wall away that was not felt."""
+    controllers = iter(experiment.cycle.controllers)
+    for axis, drive in zip(experiment.scene.axes, experiment.rig.drives, strict=True):
+        given, port, controller = (
+            axis.parameters,
+            ports[axis.parameters.name],
+            None if axis.group else next(controllers),
+        )
+        checked = "checked at commissioning" if drive.hold_is_checked else ""
+        if given.hold_dither is not None:
+            port["hold"] = getattr(controller, "hold_found", "") or checked or "undecided"
+        elif given.hold_checked or not experiment.scene.simulated:  # else it is as the simulation says
+            port["hold"] = checked or "not checked"
+        if port.get("verdict") == "nothing rendered":
+            from canhaptic.scene.first_contact import advice, can_be_tried
+
+            if can_be_tried(axis):
+                port["advice"] = advice(axis)
+
+
 def _method(experiment: Experiment) -> str:
     """Return how the far side was computed, with its price; empty with real drives, which load nothing of it."""
     scene, plants, cycles = experiment.scene, experiment.plants, experiment.cycle.cycles
@@ -552,11 +563,3 @@ def _method(experiment: Experiment) -> str:
     from canhaptic.scene.method import method_line, plant_prices
 
     return method_line(scene, plants, cycles, plant_prices(scene, plants, cycles))
-
-
-def _advise(axis: AxisScene, port: PortResult) -> None:
-    """Add what keeps a wall away that was not felt."""
-    from canhaptic.scene.first_contact import advice, can_be_tried
-
-    if can_be_tried(axis):
-        port["advice"] = advice(axis)

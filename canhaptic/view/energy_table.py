@@ -8,7 +8,7 @@ from rich.console import Group, RenderableType
 from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE, PortResult, Verdict
 from canhaptic.result import TruthResult
-from canhaptic.view.run_lines import Result, first_active, heading, headlines, line, make_console, ordered
+from canhaptic.view.run_lines import Result, first_active, heading, headlines, line, ordered
 from canhaptic.view.si import si
 from canhaptic.view.table import Cell, Styled, Table, in_lines
 
@@ -41,11 +41,6 @@ def energy_report(result: Result) -> RenderableType:
         if result.get(name):
             parts.append(line(name, result[name]))
     return Group(*parts)
-
-
-def print_figures(result: Result) -> None:
-    """Print every figure of the account of a run."""
-    make_console().print(energy_report(result))
 
 
 def energy_table(result: Result) -> Table:
@@ -193,7 +188,7 @@ _PORT_ROWS: Final[tuple[tuple[str, Callable[[PortResult], str | Styled]], ...]] 
     ("stored energy given up", _plain("leaked")),
     ("given out but never stored", _plain("deficit")),
     ("lowest net energy into the handle", _plain("least_interaction")),
-    ("  first below zero at", first_active),
+    ("  first below zero at", lambda port: f"{first_active(port)}   "),
     ("passive at the motor", _passive),
     ("lowest net energy at the handle", _plain("least_at_handle")),
     ("passive at the handle", _at_handle),

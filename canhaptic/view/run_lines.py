@@ -103,7 +103,7 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
     if word == "no":
         found += [(", ", f"for certain from {port['active_since']:.4g} s on")] if "active_since" in port else []
         found += [(", ", "before this part already")] if port.get("active_before") else []
-        found += [(", ", f"first below zero at {first_active(port).strip()}")] if "first_active" in port else []
+        found += [(", ", f"first below zero at {first_active(port)}")] if "first_active" in port else []
     if word == "in doubt":
         found.append((": ", f"the account is certain to +-{si(port.get('energy_resolution', 0.0), 'J', 3)}"))
         found += [("; ", port["why"])] if "why" in port else []
@@ -117,16 +117,6 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
 
 def _is_at_handle(port: PortResult) -> bool:
     return "yes" in (port.get("passive_at_handle"), port.get("plant_passive_at_handle"))
-
-
-def print_energy(result: Result, console: Console | None = None) -> None:
-    """Print the first lines of the account of a run.
-
-    Args:
-        result: Result as `run --json` prints it.
-        console: Console to print to; standard output by default.
-    """
-    (console or make_console()).print(brief_report(result))
 
 
 def brief_report(result: Result) -> RenderableType:
@@ -210,4 +200,4 @@ def _value(name: str, value: object) -> str:
 def first_active(port: PortResult) -> str:
     """First time at which the net energy of a port was below zero, with its contact where that is known."""
     contact = f" (contact {port['first_active_contact']})" if port.get("first_active_contact") else ""
-    return f"{port['first_active']:.4g} s{contact}   "
+    return f"{port['first_active']:.4g} s{contact}"

@@ -1,5 +1,6 @@
 """How soon a command answers: its help without importing what it does, and Ctrl-C at any time."""
 
+import argparse
 import os
 import resource
 import signal
@@ -10,11 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from canhaptic.cli import options
 from canhaptic.cli.main import COMMANDS
+from canhaptic.cli.options import add_arguments
 from canhaptic.commission.session import CommissioningLimits
 from canhaptic.drive.clock import WallClock
-from canhaptic.lab.commands import lab_options
 from canhaptic.lab.studies.accuracy.study import DEFAULT_BUDGET
 from canhaptic.lab.studies.design.wall import MARGIN, TOLERANCE
 from canhaptic.lab.studies.map import JUDGEMENTS
@@ -51,11 +51,20 @@ def test_help_takes_no_more_than_three_times_the_import_of_numpy() -> None:
 
 
 def test_defaults_in_the_help_are_those_of_the_code() -> None:
-    assert lab_options.BUDGET == DEFAULT_BUDGET
-    assert (lab_options.MARGIN, lab_options.TOLERANCE) == (MARGIN, TOLERANCE)
-    assert tuple(JUDGEMENTS) == lab_options.JUDGEMENTS
-    limits = CommissioningLimits()
-    assert (limits.torque, limits.travel, limits.speed) == (options.TORQUE, options.TRAVEL, options.SPEED)
+    assert options("accuracy").get_default("budget") == DEFAULT_BUDGET
+    assert [options("design").get_default(name) for name in ("margin", "tolerance")] == [MARGIN, TOLERANCE]
+    for judgement in JUDGEMENTS:
+        options("map").parse_args(["result.h5", "--by", judgement])
+    limits, commission = CommissioningLimits(), options("commission")
+    for name in ("torque", "travel", "speed"):
+        assert commission.get_default(name) == getattr(limits, name)
+    assert options("evidence").get_default("travel") == limits.travel
+
+
+def options(command: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser()
+    add_arguments(command, parser)
+    return parser
 
 
 def interrupted(program: str, *words: str) -> tuple[int, str, float]:

@@ -45,8 +45,8 @@ def test_a_file_on_disk_wins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize(
     ("wrong", "answer"),
     [
-        ("demoo", "did you mean demo?"),
-        ("stif_wall", "did you mean hard/stiff_wall?"),
+        ("demoo", "did you mean 'demo'?"),
+        ("stif_wall", "did you mean 'hard/stiff_wall'?"),
         ("zzzzzz", "`canhaptic configs` lists the scenes"),
     ],
 )
@@ -64,7 +64,7 @@ def test_the_command_alone_prints_help_in_the_order_of_a_user(capsys: pytest.Cap
     assert places == sorted(places)
 
 
-@pytest.mark.parametrize(("wrong", "answer"), [("rnu", "did you mean run?"), ("xyz", "see --help")])
+@pytest.mark.parametrize(("wrong", "answer"), [("rnu", "did you mean 'run'"), ("xyz", "see --help")])
 def test_a_command_that_is_mistyped_is_answered_by_near_ones(
     wrong: str, answer: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

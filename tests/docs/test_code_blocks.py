@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from canhaptic.cli.main import COMMANDS, add_options, main
+from canhaptic.cli.main import COMMANDS, main
+from canhaptic.cli.options import add_arguments
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.sim.plant.effects import EFFECTS
@@ -106,7 +107,7 @@ def test_a_command_in_a_sentence_is_one_that_the_parser_takes(page: Path, capsys
 def parses(name: str, words: list[str]) -> bool:
     """Whether a subcommand takes these arguments."""
     parser = argparse.ArgumentParser()
-    add_options(name, parser)
+    add_arguments(name, parser)
     try:
         parser.parse_args(words)
     except SystemExit as end:

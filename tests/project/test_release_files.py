@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from canhaptic.cli.main import add_options
+from canhaptic.cli.options import add_arguments
 
 _METADATA = tomllib.loads(Path("pyproject.toml").read_text())
 _PROJECT = _METADATA["project"]
@@ -60,7 +60,7 @@ def test_the_commands_of_the_workflows_have_options_that_exist() -> None:
     assert len(found) > 6
     for _, command, *words in found:
         parser = argparse.ArgumentParser()
-        add_options(command, parser)
+        add_arguments(command, parser)
         parser.parse_args(words)
 
 

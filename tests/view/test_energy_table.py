@@ -7,9 +7,9 @@ from rich.console import Console
 
 from canhaptic.audit.inspection import LoggedEvent
 from canhaptic.control.verdict import add_verdicts
-from canhaptic.view.energy_table import energy_report, print_figures
+from canhaptic.view.energy_table import energy_report
 from canhaptic.view.inspect_table import _events_table
-from canhaptic.view.run_lines import make_console, print_energy
+from canhaptic.view.run_lines import brief_report, make_console
 from canhaptic.view.si import si
 
 
@@ -199,7 +199,7 @@ def test_without_a_terminal_the_table_is_plain_text_a_hundred_columns_wide(
 ) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
     assert make_console().width == 100
-    print_figures(result(["handle"]))
+    make_console().print(energy_report(result(["handle"])))
     text = capsys.readouterr().out
     assert "\x1b" not in text
     assert "energy account" in text
@@ -241,12 +241,12 @@ def test_a_run_prints_a_line_a_port_and_what_is_amiss(capsys: pytest.CaptureFixt
     ports: Any = content["ports"]
     for port in ports.values():
         add_verdicts(port)
-    print_energy(content)
+    make_console().print(brief_report(content))
     lines = capsys.readouterr().out.splitlines()[1:]
     assert lines[0].startswith(" handle: passive: NO")
     assert lines[1].startswith(" ok   8000 cycles")
     assert lines[2].split() == ["link", "missing", "1"]
     assert "--full" in lines[3]
     content |= {"link": {"missing": 0}, "method": "cogging of order 2, estimated error 1 um"}
-    print_energy(content)
+    make_console().print(brief_report(content))
     assert capsys.readouterr().out.splitlines()[3].strip().startswith("method   cogging of order 2")

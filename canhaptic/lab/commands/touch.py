@@ -1,7 +1,7 @@
 """`canhaptic touch CONFIG`: a page in which the pointer is the hand, on the scene unprotected and protected at once."""
 
 import argparse
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from canhaptic.cli.options import scene_of
 from canhaptic.cli.page_server import serve_page, usable_port
@@ -39,7 +39,7 @@ class _Visits:
         self._hand: TouchHand | None = None
         self._page: TouchPage | None = None
 
-    def __call__(self, document: Any) -> None:
+    def __call__(self, document: object) -> None:
         """Fill the document of a visitor; the drives start with the first."""
         from canhaptic.lab.touch.hand_process import TouchHand
         from canhaptic.lab.touch.touch_page import TouchPage
