@@ -8,7 +8,9 @@ Descriptions of a parameter model and of each of its fields, from the source.
 import ast
 import inspect
 import re
+import tomllib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, Final
 
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
@@ -45,49 +47,10 @@ def _attributes(docstring: str) -> dict[str, str]:
 
 Schema = JsonSchemaValue
 
-_WORDS: Final = {
-    "bus": "One CAN bus, its rate of SYNC, and what happens when frames go missing on it. For several buses it is a"
-    " list, and each has a `name`; rate, link policy and the rest are those of the first.",
-    "axes": "A list of drives, each with the axis behind it. Torques are those of the axis: N*m where it turns, N where"
-    " it slides.",
-    "groups": "A list of groups of axes that render one network with one account.",
-    "environment": "What is rendered, chosen by `type`; of all axes, or inside one axis.",
-    "passivity": "The algorithm that keeps the account, chosen by `algorithm`; of all axes, or inside one axis.",
-    "simulation": "What is simulated behind the drives; only without hardware.",
-    "accuracy": "How the simulated plant is computed: the resolution of events and of effects that are not exact; or"
-    " `auto`, which chooses them.",
-    "log": "Where a run is written to; paths are relative to the current folder, and options of `run` win over them."
-    " A file that exists is kept, unless `run` has `--force`.",
-}
-_OF_AXIS: Final = {
-    "bus": "The bus that the drive is on; needed where there are several.",
-    "drive": "Profile of a drive, by its name or path: keys of an axis, which the axis's own keys replace.",
-    "environment": "Keys that replace those of the section `environment` for this axis alone.",
-    "passivity": "Keys that replace those of the section `passivity` for this axis alone.",
-}
-_OF_GROUP: Final = {
-    "name": "Name of the group in messages, tables and logs.",
-    "axes": "The motor axes, in the order of the kinematics.",
-    "kinematics": "From motor axes to task space.",
-    "network": "What is rendered in task space.",
-    "passivity": "The algorithm of the group, and the properties of the loops of all its axes.",
-}
-_OF_SIMULATION: Final = {
-    "admittance": "Velocity loop, grip and force sensor of an admittance display.",
-    "drive": "The simulated drive.",
-    "plant": "The moving mass. Not of an axis that moves a mechanism.",
-    "user": "The hand.",
-    "effects": "What else plant, drive and hand do; each chosen by `type`, and absent unless named.",
-    "bus": "What the simulated bus does to its frames.",
-    "mechanisms": "What several motors move together; each chosen by `type`.",
-    "axes": "By the name of an axis: its own `drive`, `plant`, `user` and `effects`, which replace those of all.",
-}
-_OF_MECHANISM: Final = {
-    "axes": "The axes of its motors, in the order of the mechanism.",
-    "hand": "The hand at the handle, in task space; None: no hand.",
-}
-_TAKEN: Final = {"sample_time": "from `bus.rate`", "delay": "from `bus.rpdo`"}
-"""Where a key of the loop comes from that the scene leaves out."""
+_TEXTS: Final[dict[str, dict[str, str]]] = tomllib.loads(
+    Path(__file__).with_name("words.toml").read_text(encoding="utf-8")
+)
+"""Section of a scene -> key -> its description."""
 
 
 class _WithWords(GenerateJsonSchema):
@@ -128,7 +91,7 @@ def scene_schema() -> Schema:
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "canhaptic scene",
-        **_mapping(_described(sections, _WORDS), "bus", "axes"),
+        **_mapping(_described(sections, _TEXTS["sections"]), "bus", "axes"),
         "$defs": {name: defined[name] for name in sorted(set(_references(sections, defined)))},
     }
 
@@ -175,8 +138,8 @@ def _laid_under(choices: Schema, properties: Schema, *required: str) -> Schema:
 
 def _with_loop(choices: Schema, defined: Schema) -> Schema:
     """Schema of algorithms, each with the keys of the loop."""
-    loop = defined["LoopProperties"]["properties"]
-    known = {key: loop[key] | ({"taken": _TAKEN[key]} if key in _TAKEN else {}) for key in LOOP_KEYS}
+    loop, taken = defined["LoopProperties"]["properties"], _TEXTS["taken"]
+    known = {key: loop[key] | ({"taken": taken[key]} if key in taken else {}) for key in LOOP_KEYS}
     return _laid_under(choices, known)
 
 
@@ -197,7 +160,7 @@ def _axis(defined: Schema, environment: Schema, passivity: Schema) -> Schema:
         "environment": {"anyOf": [_optional(choice) for choice in environment["anyOf"]]},
         "passivity": {"anyOf": [_optional(choice) for choice in passivity["anyOf"]]},
     }
-    return {**schema, "properties": {**schema["properties"], **_described(own, _OF_AXIS)}}
+    return {**schema, "properties": {**schema["properties"], **_described(own, _TEXTS["axis"])}}
 
 
 def _group(defined: Schema) -> Schema:
@@ -209,7 +172,7 @@ def _group(defined: Schema) -> Schema:
     ]
     passivity = _with_loop(of["passivity"], defined)
     own = {**of, "kinematics": {"oneOf": kinematics, "taken": "`{type: identity}`"}, "passivity": passivity}
-    return {**schema, "properties": _described(own, _OF_GROUP)}
+    return {**schema, "properties": _described(own, _TEXTS["group"])}
 
 
 def _counted(identity: Schema) -> Schema:
@@ -219,7 +182,7 @@ def _counted(identity: Schema) -> Schema:
 
 def _simulation(scene: Schema, parts: Schema, defined: Schema) -> Schema:
     of = defined["MechanismScene"]["properties"]
-    further = _described({key: of[key] for key in ("axes", "hand")}, _OF_MECHANISM)
+    further = _described({key: of[key] for key in ("axes", "hand")}, _TEXTS["mechanism"])
     of_axis = {key: _optional(part) if "properties" in part else part for key, part in parts.items()}
     keys = {
         **parts,
@@ -228,4 +191,4 @@ def _simulation(scene: Schema, parts: Schema, defined: Schema) -> Schema:
         "mechanisms": _or_null({"type": "array", "items": _laid_under(of["mechanism"], further, "axes")}),
         "axes": {"type": "object", "additionalProperties": _mapping(of_axis)},
     }
-    return _mapping(_described(keys, _OF_SIMULATION))
+    return _mapping(_described(keys, _TEXTS["simulation"]))
