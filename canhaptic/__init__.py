@@ -32,8 +32,11 @@ if TYPE_CHECKING:
     from canhaptic.errors import InputError as InputError
     from canhaptic.errors import RigError as RigError
     from canhaptic.lab.batch import run_batch as run_batch
-    from canhaptic.lab.studies.compare import compare as compare
-    from canhaptic.logs.energy_reader import EnergyLog as EnergyLog
+    from canhaptic.lab.from_python import accuracy as accuracy
+    from canhaptic.lab.from_python import check as check
+    from canhaptic.lab.from_python import compare as compare
+    from canhaptic.lab.from_python import design as design
+    from canhaptic.lab.from_python import sweep as sweep
     from canhaptic.program import open_rig as open_rig
     from canhaptic.replay import replay_bus_log as replay_bus_log
     from canhaptic.scene.build import Experiment as Experiment
@@ -48,6 +51,7 @@ if TYPE_CHECKING:
     from canhaptic.sim.plant.direct_rig import DirectRig as DirectRig
     from canhaptic.sim.plant.plant import Plant as Plant
     from canhaptic.simulation import Account as Account
+    from canhaptic.simulation import EnergyLog as EnergyLog
     from canhaptic.simulation import PortAccount as PortAccount
     from canhaptic.simulation import SimulationResult as SimulationResult
     from canhaptic.simulation import simulate as simulate
@@ -62,7 +66,7 @@ _PUBLIC: Final = {
     "Cycle": "canhaptic.cycle",
     "DirectRig": "canhaptic.sim.plant.direct_rig",
     "EnergyBalance": "canhaptic.control.balance",
-    "EnergyLog": "canhaptic.logs.energy_reader",
+    "EnergyLog": "canhaptic.simulation",
     "Experiment": "canhaptic.scene.build",
     "InputError": "canhaptic.errors",
     "Ledger": "canhaptic.control.ledger",
@@ -80,7 +84,10 @@ _PUBLIC: Final = {
     "build": "canhaptic.scene.build",
     "build_controller": "canhaptic.control.passivity",
     "build_group_controller": "canhaptic.control.multi_axis",
-    "compare": "canhaptic.lab.studies.compare",
+    "accuracy": "canhaptic.lab.from_python",
+    "check": "canhaptic.lab.from_python",
+    "compare": "canhaptic.lab.from_python",
+    "design": "canhaptic.lab.from_python",
     "load_scene": "canhaptic.scene.load",
     "open_rig": "canhaptic.program",
     "recompute": "canhaptic.audit.recompute",
@@ -90,6 +97,7 @@ _PUBLIC: Final = {
     "scene_from_mapping": "canhaptic.scene.load",
     "scene_from_text": "canhaptic.scene.load",
     "simulate": "canhaptic.simulation",
+    "sweep": "canhaptic.lab.from_python",
 }
 _MODULES: Final = ("errors", "extending")
 

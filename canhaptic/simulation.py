@@ -18,6 +18,7 @@ import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from math import nan
 from os import PathLike, fspath
 from pathlib import Path
@@ -30,7 +31,7 @@ from canhaptic.control.verdict import Headline, Verdict
 from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError, InputError
-from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs import energy_reader
 from canhaptic.result import RunResult
 from canhaptic.scene.build import Experiment, build, experiment_account
 from canhaptic.scene.load import load_scene, scene_from_mapping
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
     from rich.progress import Progress
+
+    from canhaptic.audit.inspection import Inspection
 
 
 _LOG_NAME: Final = "run.h5"
@@ -99,8 +102,8 @@ class Account(Mapping[str, PortAccount]):
         >>> {name: port.margin for name, port in result.account.items()}  # doctest: +SKIP
     """
 
-    def __init__(self, raw: RunResult) -> None:
-        self.raw: RunResult = raw.copy()
+    def __init__(self, raw: "RunResult | Inspection") -> None:
+        self.raw = cast("RunResult", raw.copy())
         self._passive, self._verdict = raw["passive"], raw["verdict"]
         self._ports = {name: _port_account(name, raw) for name in raw["ports"]}
 
@@ -123,8 +126,75 @@ class Account(Mapping[str, PortAccount]):
         """The worst displayed word of any port; see `PortAccount`."""
         return self._verdict
 
+    @property
+    def first_active(self) -> float | None:
+        """First time at which the net energy of any port was below 0 [s]; None: never."""
+        return min((port.first_active for port in self.values() if port.first_active is not None), default=None)
+
     def __repr__(self) -> str:
         return f"<Account: passive {self.verdict}; {', '.join(self._ports)}>"
+
+
+class EnergyLog(energy_reader.EnergyLog):
+    """An energy log opened for reading, with its account and its quantities as tables.
+
+    Example:
+        >>> with canhaptic.EnergyLog("run.h5") as log:  # doctest: +SKIP
+        ...     print(log.account.verdict, log.first_active)
+        ...     table = log.to_pandas()
+    """
+
+    @cached_property
+    def account(self) -> Account:
+        """The account of every port, as `canhaptic inspect --json` prints it."""
+        from canhaptic.audit.inspection import inspect
+
+        return Account(inspect(self))
+
+    @property
+    def first_active(self) -> float | None:
+        """First time at which the net energy of any port was below 0 [s]; None: never."""
+        return self.account.first_active
+
+    def to_numpy(self) -> dict[str, NDArray[np.float64]]:
+        """Return every quantity of every port, as `SimulationResult.to_numpy` does."""
+        return {name: values for name, _, values in self._columns()}
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """Return the quantities as a table over time [s]; `table.attrs["units"]` has the unit of each column.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise InputError("to_pandas() needs pandas; install it with: pip install pandas") from error
+        table = pandas.DataFrame(self.to_numpy(), index=pandas.Index(self.time, name="time [s]"))
+        table.attrs = {"units": {name: unit for name, unit, _ in self._columns()}, "status": self.status}
+        return table
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return the quantities as a dataset over `time` [s], each with its unit as an attribute.
+
+        Raises:
+            InputError: xarray is not installed.
+        """
+        try:
+            import xarray
+        except ImportError as error:
+            raise InputError("to_xarray() needs xarray; install it with: pip install xarray") from error
+        arrays = {name: ("time", values, {"units": unit}) for name, unit, values in self._columns()}
+        time = ("time", self.time, {"units": "s"})
+        return xarray.Dataset(arrays, coords={"time": time}, attrs={"status": self.status})
+
+    def _columns(self) -> list[tuple[str, str, NDArray[np.float64]]]:
+        return [
+            (f"{prefix}{port}.{name}", quantities.unit(name), np.asarray(quantities[name], dtype=np.float64))
+            for prefix, ports in (("", self.ports), ("true.", self.truth))
+            for port, quantities in ports.items()
+            for name in quantities
+        ]
 
 
 class SimulationResult:
@@ -171,7 +241,7 @@ class SimulationResult:
             >>> with result.log() as log:  # doctest: +SKIP
             ...     print(log.events)
         """
-        return EnergyLog.open(self._path)
+        return EnergyLog(self._path)
 
     def to_numpy(self) -> dict[str, NDArray[np.float64]]:
         """Return every sampled quantity of every port as an array of shape (n_cycles,), in SI.
@@ -181,7 +251,8 @@ class SimulationResult:
         Example:
             >>> depth = result.to_numpy()["handle.position"].min()  # doctest: +SKIP
         """
-        return {name: values for name, _, values in self._columns()}
+        with self.log() as log:
+            return log.to_numpy()
 
     def to_pandas(self) -> "pandas.DataFrame":
         """Return the quantities of `to_numpy` as a table over time [s].
@@ -192,11 +263,8 @@ class SimulationResult:
         Example:
             >>> result.to_pandas()["handle.position"].plot()  # doctest: +SKIP
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise InputError("to_pandas() needs pandas; install it with: pip install pandas") from error
-        return pandas.DataFrame(self.to_numpy(), index=pandas.Index(self.time, name="time [s]"))
+        with self.log() as log:
+            return log.to_pandas()
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return the quantities of `to_numpy` as a dataset over `time` [s], each with its unit as an attribute.
@@ -207,13 +275,8 @@ class SimulationResult:
         Example:
             >>> result.to_xarray()["handle.h_i"].cumsum("time").max()  # doctest: +SKIP
         """
-        try:
-            import xarray
-        except ImportError as error:
-            raise InputError("to_xarray() needs xarray; install it with: pip install xarray") from error
-        arrays = {name: ("time", values, {"units": unit}) for name, unit, values in self._columns()}
-        time = ("time", self.time, {"units": "s"})
-        return xarray.Dataset(arrays, coords={"time": time}, attrs={"status": self.status})
+        with self.log() as log:
+            return log.to_xarray()
 
     def plot(self, *others: "SimulationResult") -> "Figure":
         """Return a figure of position, torque and energy over time; `others` are drawn over it in dashed lines.
@@ -271,15 +334,6 @@ class SimulationResult:
         buffer = io.BytesIO()
         figure.savefig(buffer, format="png")
         return f'<img alt="run" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">'
-
-    def _columns(self) -> list[tuple[str, str, NDArray[np.float64]]]:
-        with self.log() as log:
-            return [
-                (f"{prefix}{port}.{name}", quantities.unit(name), np.asarray(quantities[name], dtype=np.float64))
-                for prefix, ports in (("", log.ports), ("true.", log.truth))
-                for port, quantities in ports.items()
-                for name in quantities
-            ]
 
 
 def simulate(
@@ -414,7 +468,7 @@ class _Bar:
             self._display.update(self._task, completed=cycles, refresh=True)
 
 
-def _port_account(name: str, raw: RunResult) -> PortAccount:
+def _port_account(name: str, raw: "RunResult | Inspection") -> PortAccount:
     port = raw["ports"][name]
     group = port.get("group", "")
     whole = raw["ports"][group] if group else port

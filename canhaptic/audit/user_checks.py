@@ -4,10 +4,9 @@ import difflib
 import operator
 import re
 from collections.abc import Iterator, Mapping
-from typing import Final, Literal, NotRequired, TypedDict
+from typing import Any, Final, Literal, NotRequired, TypedDict
 
 from canhaptic.axis_units import damping_unit, effort_unit
-from canhaptic.control.verdict import PortResult
 from canhaptic.errors import InputError
 from canhaptic.units import parse_unit
 
@@ -28,10 +27,8 @@ _PURE: Final = ("branches.", "contact.", "limits.", "max_consecutive_losses", "r
 """How figures of a port begin that are pure numbers."""
 
 
-class Checked(TypedDict):
-    """Values that a check needs of a result."""
-
-    ports: dict[str, PortResult]
+Checked = Mapping[str, Any]
+"""Output of `inspect` or `run --json`: `ports` and their accounts."""
 
 
 class Outcome(TypedDict):

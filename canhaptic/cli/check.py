@@ -112,7 +112,20 @@ def execute(arguments: argparse.Namespace) -> int:
 
     Returns 1 when values are marked as guesses and the drives are real: a run would be refused.
     """
-    scene = scene_of(arguments)
+    found = _findings_of(scene_of(arguments), asks_drives=arguments.bus)
+    if arguments.json:
+        write_json(_as_json(found))
+    else:
+        _print(make_console(), found, resolved=arguments.resolved, full=arguments.full)
+    return _TO_BE_SET if found.refused else 0
+
+
+def checked(scene: Scene) -> dict[str, Any]:
+    """Return the findings on a scene as `check --json` prints them."""
+    return _as_json(_findings_of(scene))
+
+
+def _findings_of(scene: Scene, *, asks_drives: bool = False) -> "_CheckFindings":
     dictionaries = [read_dictionary(a.parameters.eds, a.parameters.node_id) for a in scene.axes]
     axes = [axis.parameters for axis in scene.axes]
     maps = [choose_map(dictionary, axis) for dictionary, axis in zip(dictionaries, axes, strict=True)]
@@ -136,13 +149,8 @@ def execute(arguments: argparse.Namespace) -> int:
     felt = {name: speed for name, speed in tried if speed is not None}
     fitness = [survey(*of).suitability.value for of in zip(dictionaries, axes, strict=True)]
     dear = dear_holds(scene) if scene.simulated and not scene.unread else []
-    kept = _objects_of_drives(scene) if arguments.bus else {}
-    found = _CheckFindings(scene, budgets, findings, hints, felt, fitness, dear, kept)
-    if arguments.json:
-        write_json(_as_json(found))
-    else:
-        _print(make_console(), found, resolved=arguments.resolved, full=arguments.full)
-    return _TO_BE_SET if found.refused else 0
+    kept = _objects_of_drives(scene) if asks_drives else {}
+    return _CheckFindings(scene, budgets, findings, hints, felt, fitness, dear, kept)
 
 
 def _objects_of_drives(scene: Scene) -> dict[str, list[Finding]]:

@@ -17,8 +17,7 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.export import export, require_library
 from canhaptic.logs.log_file import CONVERTIBLE
 from canhaptic.logs.repair import repair, require_readable
-from canhaptic.view.energy_table import energy_report
-from canhaptic.view.inspect_table import checks_table, comparison_report, inspection_report
+from canhaptic.view.inspect_table import inspection_report
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.run_picture import draw_energy
 
@@ -133,19 +132,12 @@ def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
     result = rederive(arguments.log, load_scene(arguments.config, allow_code=arguments.allow_code))
     result["status"] = f"derived from the frames of {arguments.log.name}"
     result["checks"] = _checks(result, arguments)
-    if arguments.json:
-        write_json(result)
-    else:
-        console.print(energy_report(result))
-        if result["checks"]:
-            console.print(checks_table(result["checks"]))
+    _show(result, console, as_json=arguments.json)
     return 0 if all(outcome["holds"] for outcome in result["checks"]) else 1
 
 
-def _show(result: Inspection, console: Console, as_json: bool) -> None:
+def _show(result: Checked, console: Console, as_json: bool) -> None:
     if as_json:
         write_json(result)
-        return
-    console.print(inspection_report(result))
-    if "comparison" in result:
-        console.print(comparison_report(result["comparison"]))
+    else:
+        console.print(inspection_report(result))

@@ -48,12 +48,8 @@ class _Door:
         return {} if is_ours and is_same_origin and is_known else None
 
 
-def usable_port(arguments: argparse.Namespace) -> int:
-    """The requested port, or a free one; checks that Bokeh is installed.
-
-    Raises:
-        InputError: Bokeh is not installed, or the port is taken.
-    """
+def _usable_port(arguments: argparse.Namespace) -> int:
+    """The requested port, or a free one; checks that Bokeh is installed."""
     try:
         import bokeh.server.server  # noqa: F401 - what serves every live page
     except ImportError as error:
@@ -67,15 +63,18 @@ def usable_port(arguments: argparse.Namespace) -> int:
         raise InputError(f"port {arguments.port}: cannot be used ({error}); choose another with --port") from error
 
 
-def serve_page(page: Callable[[Any], object], port: int, title: str, *, show: bool) -> int:
+def serve_page(page: Callable[[Any], object], arguments: argparse.Namespace, title: str) -> int:
     """Serve a page until the process is interrupted; return 130 after SIGINT and 143 after SIGTERM.
 
     Args:
         page: Function that fills the Bokeh document of a visitor.
-        port: Port from `usable_port`.
+        arguments: Port, 0 for a free one, and whether to open the page in a browser.
         title: Content of the page, for the line with the address.
-        show: Whether to open the page in a browser.
+
+    Raises:
+        InputError: Bokeh is not installed, or the port is taken.
     """
+    port = _usable_port(arguments)
     from bokeh.server.server import BaseServer
     from bokeh.server.tornado import BokehTornado
     from tornado.httpserver import HTTPServer
@@ -97,7 +96,7 @@ def serve_page(page: Callable[[Any], object], port: int, title: str, *, show: bo
     server = BaseServer(IOLoop.current(), pages, http)
     ended_by = _stop_on_signals(server.io_loop)
     make_console().print(f" {title} at http://{_HOST}:{port}{path}   Ctrl-C ends", soft_wrap=True)
-    if show:
+    if arguments.open:
         server.io_loop.add_callback(server.show, path)
     server.start()
     server.io_loop.start()

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Final
 
-from canhaptic.cli.page_server import serve_page, usable_port
+from canhaptic.cli.page_server import serve_page
 from canhaptic.errors import InputError
 from canhaptic.scene.load import load_scene
 from canhaptic.view.live_log import LiveLog
@@ -21,13 +21,13 @@ def execute(arguments: argparse.Namespace) -> int:
     path = _log_of(arguments)
     if not 0.0 < arguments.window <= 3600.0:
         raise InputError(f"--window {arguments.window:g}: expected 0 < seconds <= 3600")
-    port = usable_port(arguments)
-    from canhaptic.view.scope_page import ScopePage
 
     def visit(document: object) -> None:
+        from canhaptic.view.scope_page import ScopePage
+
         ScopePage(document, LiveLog(path), arguments.window, _PERIOD)
 
-    return serve_page(visit, port, f"scope of {path}", show=arguments.open)
+    return serve_page(visit, arguments, f"scope of {path}")
 
 
 def _log_of(arguments: argparse.Namespace) -> Path:

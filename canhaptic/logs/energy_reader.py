@@ -1,6 +1,6 @@
 """Reads an energy log: quantities as NumPy arrays, each loaded when it is first asked for.
 
-with EnergyLog.open("run.h5") as log:
+with EnergyLog("run.h5") as log:
     handle = log.ports["handle"]
     power = handle["h_i"] / log.sample_time          # [W]
     print(handle.unit("h_i"), log.status, log.attributes["config_hash"])
@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple, Self, TypeVar
 
 import numpy as np
 
@@ -162,6 +162,13 @@ class Quantities(Mapping[str, Array]):
 class EnergyLog:
     """An energy log opened for reading: finished, still being written, or left by a killed run.
 
+    Args:
+        path: The file.
+
+    Raises:
+        LogFormatError: Missing, empty, truncated, foreign or written by a newer version; or a column of it is missing,
+            of another type, or shorter than the others.
+
     Attributes:
         path: The file.
         attributes: Attributes stored with the run (configuration, hashes, versions, ...).
@@ -177,39 +184,36 @@ class EnergyLog:
         sample_time_ns: Sample time [ns].
     """
 
-    def __init__(self, path: Path, file: Hdf5File, description: "LogDescription") -> None:
-        self.path = path
-        self._file = file
-        self.attributes = {n: _plain(value) for n, value in file.attributes.items() if n not in _OURS}
-        self.format_version = int(file.attributes["format_version"])
-        self.sample_time_ns = description.sample_time_ns
-        self.rows_lost = description.rows_lost
-        self.status = description.status
-        self.rows = checked_rows(path, file, description.ports, str(_plain(file.attributes["status"])))
-        self.ports = {name: Quantities(file, f"ports/{name}", self.rows) for name in description.ports}
-        self.truth = {name: Quantities(file, f"truth/{name}", self.rows) for name in file.names("truth")}
-        self.timing = Quantities(file, "timing", self.rows)
-        self.groups = self._groups()
-
-    @staticmethod
-    def open(path: str | Path) -> "EnergyLog":
-        """Open a log.
-
-        Raises:
-            LogFormatError: Missing, empty, truncated, foreign or written by a newer version; or a column of it is
-                missing, of another type, or shorter than the others.
-        """
-        path = Path(path)
-        file, description = open_file(path)
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        file, description = open_file(self.path)
         try:
-            return EnergyLog(path, file, description)
+            self._read(file, description)
         except BaseException as error:
             file.close()
             if isinstance(error, DAMAGE) and not isinstance(error, LogFormatError):
                 raise LogFormatError(f"{path}: the file is damaged ({error})") from error
             raise
 
-    def __enter__(self) -> "EnergyLog":
+    def _read(self, file: Hdf5File, description: "LogDescription") -> None:
+        self._file = file
+        self.attributes = {n: _plain(value) for n, value in file.attributes.items() if n not in _OURS}
+        self.format_version = int(file.attributes["format_version"])
+        self.sample_time_ns = description.sample_time_ns
+        self.rows_lost = description.rows_lost
+        self.status = description.status
+        self.rows = checked_rows(self.path, file, description.ports, str(_plain(file.attributes["status"])))
+        self.ports = {name: Quantities(file, f"ports/{name}", self.rows) for name in description.ports}
+        self.truth = {name: Quantities(file, f"truth/{name}", self.rows) for name in file.names("truth")}
+        self.timing = Quantities(file, "timing", self.rows)
+        self.groups = self._groups()
+
+    @classmethod
+    def open(cls, path: str | Path) -> Self:
+        """Open a log: the same as `EnergyLog(path)`."""
+        return cls(path)
+
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(

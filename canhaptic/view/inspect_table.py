@@ -5,12 +5,13 @@ from typing import TYPE_CHECKING, Final
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from canhaptic.audit.inspection import ContactStretch, Inspection, LogComparison, LoggedEvent
+from canhaptic.audit.inspection import ContactStretch, LogComparison, LoggedEvent
 from canhaptic.audit.port_record import ImpossibleValue
 from canhaptic.audit.recompute import Recomputed
 from canhaptic.audit.user_checks import Outcome
 from canhaptic.axis_units import effort_unit
 from canhaptic.view.energy_table import energy, energy_report
+from canhaptic.view.run_lines import Result
 from canhaptic.view.si import si
 from canhaptic.view.table import Cell, Styled, Table, in_lines
 
@@ -22,29 +23,32 @@ _EVENTS_SHOWN: Final = 20
 _NAME_WIDTH: Final = 24  # of a quantity; longer ones go on in the next line
 
 
-def inspection_report(result: Inspection) -> RenderableType:
+def inspection_report(result: Result) -> RenderableType:
     """Return everything that `inspect` found, for a terminal."""
-    parts: list[RenderableType] = [_header(result), energy_report(result)]
+    parts: list[RenderableType] = [_header(result)] if "file" in result else []
+    parts.append(energy_report(result))
     parts += [_finding_line(finding) for finding in result.get("findings", ())]
     parts += inspection_tables(result)
     for mismatch in result.get("recomputed", []):
         parts.append(_recomputed_line(mismatch))
     if "rederived" in result:
         parts.append(_rederived_line(result["rederived"]))
+    if "comparison" in result:
+        parts.append(_comparison(result["comparison"]))
     return Group(*parts)
 
 
-def inspection_tables(result: Inspection) -> list[Table]:
+def inspection_tables(result: Result) -> list[Table]:
     """Return contacts, events and check, as far as there are any."""
     tables = []
     for name, contacts in result.get("contacts", {}).items():
         port = result["ports"][name]
         tables.append(_contacts_table(name, contacts, port["unit"], port.get("state_unit", port["unit"])))
-    tables += [_events_table(result.get("events", [])), checks_table(result.get("checks", []))]
+    tables += [_events_table(result.get("events", [])), _checks_table(result.get("checks", []))]
     return [table for table in tables if table.rows]
 
 
-def _header(result: Inspection) -> Text:
+def _header(result: Result) -> Text:
     return Text(f" {result['file']}   {si(result['rate'], 'Hz', 3)}   {result['from']:.6g} s to {result['to']:.6g} s")
 
 
@@ -78,7 +82,7 @@ def _checked(check: Outcome) -> str:
     return f"{value}{since}" if isinstance(value, str) else f"{value:.9g}"
 
 
-def checks_table(checks: list[Outcome]) -> Table:
+def _checks_table(checks: list[Outcome]) -> Table:
     """Return the outcome of every check."""
     rows: list[list[Cell]] = [
         [
@@ -127,8 +131,7 @@ def _rederived_line(rederived: "Rederived") -> Text:
     return Text("\n".join(lines), style="bold red")
 
 
-def comparison_report(comparison: LogComparison) -> RenderableType:
-    """Return the difference of two runs found by `compare`, for a terminal."""
+def _comparison(comparison: LogComparison) -> RenderableType:
     first, second = comparison["rows"]
     if comparison["identical"]:
         return Text(f" identical: {first} cycles, every quantity equal bit for bit", style="green")

@@ -4,7 +4,7 @@ import argparse
 from typing import TYPE_CHECKING, Final
 
 from canhaptic.cli.options import scene_of
-from canhaptic.cli.page_server import serve_page, usable_port
+from canhaptic.cli.page_server import serve_page
 from canhaptic.lab.touch.two_sides import two_sides
 
 if TYPE_CHECKING:
@@ -25,8 +25,7 @@ def execute(arguments: argparse.Namespace) -> int:
     two_sides(scene, arguments.axis)
     visits = _Visits(scene, arguments)
     try:
-        port = usable_port(arguments)
-        return serve_page(visits, port, f"touch {scene.source}", show=arguments.open)
+        return serve_page(visits, arguments, f"touch {scene.source}")
     finally:
         visits.close()
 

@@ -1,0 +1,211 @@
+"""Studies of a scene as Python calls: each takes a scene file, a mapping or a loaded scene, as `simulate` does.
+
+found = canhaptic.sweep("demo", {"environment.stiffness": [100, 1000, 10000]}, duration=2.0)
+print(found["handle.least_interaction"])     # [J], one value per scene
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from canhaptic.lab.batch.engine import Engine
+from canhaptic.lab.studies.compare import Comparison, compare_displays, compare_groups
+from canhaptic.lab.studies.compare import compare as compare_axes
+from canhaptic.scene.models import Scene
+from canhaptic.simulation import load_any
+
+if TYPE_CHECKING:
+    from canhaptic.lab.studies.sweep.vary import Column
+
+_SceneLike = str | PathLike[str] | Mapping[str, object] | Scene
+_Changes = Mapping[str, object]
+
+
+def compare(
+    scene: _SceneLike,
+    algorithms: Sequence[str] | None = None,
+    changes: _Changes | None = None,
+    *,
+    duration: float | None = None,
+    rate: float | None = None,
+    over_can: bool = False,
+    engine: Engine = "python",
+    repeats: int = 5,
+    progress: Callable[[int], None] | None = None,
+    allow_code: bool = False,
+) -> Comparison:
+    """Return the results of every algorithm on every axis or group of a scene.
+
+    Args:
+        scene: A scene file, a mapping with its keys, or a loaded scene; with simulated drives.
+        algorithms: Names of algorithms; all of them by default.
+        changes: Values of the scene to replace, as for `simulate`.
+        duration: Duration [s]; by default the scene's.
+        rate: Rate that replaces the scene's [Hz], possibly beyond its bus; for single axes, not over CAN.
+        over_can: Whether the whole CAN path is used instead of `DirectRig`.
+        engine: Engine without a bus: "python" gives the bits of the path over CAN, "numba" differs by rounding and
+            saves time on stiff plants and long runs, "auto" takes it where it is worthwhile.
+        repeats: Interleaved timings of a step of a single axis, of which the minimum counts; 0 for none.
+        progress: Called with the number of cycles done so far, of all runs together.
+        allow_code: Whether program files that the scene names may run.
+
+    Raises:
+        InputError: Nothing is simulated, an unknown algorithm, or a rate over CAN.
+
+    Example:
+        >>> canhaptic.compare("demo", ["unprotected", "guarded"]).result["axes"]["handle"]  # doctest: +SKIP
+    """
+    loaded = load_any(scene, changes or {}, allow_code)
+    if all(axis.parameters.admittance is not None for axis in loaded.axes):
+        found: Mapping[str, object] = compare_displays(loaded, algorithms, duration=duration, progress=progress)
+    elif loaded.groups:
+        computes: Engine = "python" if over_can else engine
+        found = compare_groups(loaded, algorithms, duration=duration, progress=progress, engine=computes)
+    else:
+        return compare_axes(
+            loaded, algorithms, duration=duration, rate=rate, over_can=over_can, engine=engine, repeats=repeats,
+            progress=progress,
+        )  # fmt: skip
+    return Comparison(dict(found), (), loaded.bus.sample_time)
+
+
+def sweep(
+    scene: _SceneLike,
+    vary: Mapping[str, Sequence[float | str]] | Sequence[str],
+    out: str | PathLike[str] | None = None,
+    *,
+    changes: _Changes | None = None,
+    allow_code: bool = False,
+    **options: Any,
+) -> "Mapping[str, Column]":
+    """Return the varied keys and every figure of many scenes, by name, one value per scene.
+
+    Figures are named `AXIS.FIGURE` as in `canhaptic sweep --json`; NaN where a scene failed. `pandas.DataFrame` takes
+    the result as it is.
+
+    Args:
+        scene: A scene file, a mapping with its keys, or a loaded scene; with simulated drives.
+        vary: Values of each key by its path, in SI or as texts; or texts as for `canhaptic sweep --vary`.
+        out: File (HDF5) that keeps the sweep, for `canhaptic map` or for `resume=True`; None: it is not kept.
+        changes: Values of the scene to replace, as for `simulate`.
+        allow_code: Whether program files that the scene names may run.
+        options: As for the command: controllers, samples, seed, duration, cycles, metrics, engine, resume, force.
+
+    Raises:
+        InputError: Bad input, or a file that exists already.
+
+    Example:
+        >>> canhaptic.sweep("demo", {"environment.damping": [0, 5, 10]}, duration=2.0)  # doctest: +SKIP
+    """
+    from canhaptic.lab.studies.sweep.run_sweep import sweep as run_sweep
+    from canhaptic.lab.studies.sweep.sweep_table import SweepTable
+    from canhaptic.lab.studies.sweep.vary import listed
+
+    loaded = load_any(scene, changes or {}, allow_code)
+    varied = [listed(key, values) for key, values in vary.items()] if isinstance(vary, Mapping) else list(vary)
+    with TemporaryDirectory(prefix="canhaptic-sweep-") as folder:
+        path = Path(folder) / "sweep.h5" if out is None else Path(out)
+        run_sweep(loaded, varied, path, allow_code=allow_code, **options)
+        with SweepTable(path) as table:
+            found = table.columns(0, len(table))
+            for axis in table.axes:
+                found |= {f"{axis}.{metric}": table.figure(axis, metric) for metric in table.metrics}
+    return found
+
+
+def check(scene: _SceneLike, changes: _Changes | None = None, *, allow_code: bool = False) -> dict[str, Any]:
+    """Return what `canhaptic check --json` prints: verdict, bus budget, fitness of each drive, stability limits.
+
+    Args:
+        scene: A scene file, a mapping with its keys, or a loaded scene.
+        changes: Values of the scene to replace, as for `simulate`.
+        allow_code: Whether program files that the scene names may run.
+
+    Raises:
+        SceneError: The scene is wrong; lists every fault.
+
+    Example:
+        >>> canhaptic.check("demo")["verdict"]  # doctest: +SKIP
+    """
+    from canhaptic.cli.check import checked
+
+    return checked(load_any(scene, changes or {}, allow_code))
+
+
+def design(
+    scene: _SceneLike,
+    changes: _Changes | None = None,
+    *,
+    margin: float | None = None,
+    tolerance: float | None = None,
+    allow_code: bool = False,
+) -> Mapping[str, Any]:
+    """Return the stiffest wall that a rig renders, or the lightest mass of its admittance displays, as plain values.
+
+    Args:
+        scene: A scene file, a mapping with its keys, or a loaded scene.
+        changes: Values of the scene to replace, as for `simulate`.
+        margin: Relative reserve by which stiffness and damping could both be larger and still pass; by default 0.2.
+        tolerance: Largest relative difference of a rendering from the requested one; by default 0.05.
+        allow_code: Whether program files that the scene names may run.
+
+    Raises:
+        InputError: The scene cannot be designed for, or a margin or tolerance is out of range.
+        CheckFailedError: Not even the softest wall passes.
+
+    Example:
+        >>> canhaptic.design("demo")["stiffness"]  # doctest: +SKIP
+    """
+    from canhaptic.lab.studies.design.wall import MARGIN, TOLERANCE, design_wall
+
+    loaded = load_any(scene, changes or {}, allow_code)
+    chosen = (MARGIN if margin is None else margin, TOLERANCE if tolerance is None else tolerance)
+    if all(axis.parameters.admittance is not None for axis in loaded.axes):
+        from canhaptic.lab.studies.design.admittance_design import design_displays
+
+        return design_displays(loaded, *chosen)
+    return design_wall(loaded, *chosen)
+
+
+def accuracy(
+    scene: _SceneLike,
+    changes: _Changes | None = None,
+    *,
+    axis: str | None = None,
+    tolerance: float | None = None,
+    duration: float | None = None,
+    budget: float | None = None,
+    allow_code: bool = False,
+) -> Mapping[str, Any]:
+    """Return what accuracy costs in time, for the simulated plant and for the loop, as plain values.
+
+    Args:
+        scene: A scene file, a mapping with its keys, or a loaded scene.
+        changes: Values of the scene to replace, as for `simulate`.
+        axis: Name of an axis or a group; the first by default.
+        tolerance: Largest error of the position [m or rad]; by default a tenth of an encoder count.
+        duration: Length of the comparison [s]; by default until the second contact.
+        budget: Time for timings [s]; 0 for none, None for the default of the command.
+        allow_code: Whether program files that the scene names may run.
+
+    Raises:
+        InputError: A scene or an axis that cannot be used.
+
+    Example:
+        >>> canhaptic.accuracy("demo", budget=0.0)["advice"]  # doctest: +SKIP
+    """
+    from canhaptic.lab.studies.accuracy.study import DEFAULT_BUDGET, AccuracyStudy, length_of
+
+    loaded = load_any(scene, changes or {}, allow_code)
+    part = next((of for of in loaded.axes if axis in (None, of.parameters.name, of.group)), None)
+    if part is not None and part.parameters.admittance is not None:
+        from canhaptic.lab.studies.accuracy.admittance_accuracy import study_display
+
+        return study_display(loaded, axis, duration, lambda: False)
+    chosen = length_of(loaded, axis, duration)
+    return AccuracyStudy(
+        chosen.scene, axis, tolerance=tolerance, duration=chosen.holds * loaded.bus.sample_time,
+        budget=DEFAULT_BUDGET if budget is None else budget, judged=chosen.remark,
+    ).run()  # fmt: skip
