@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 _SceneLike = str | PathLike[str] | Mapping[str, object] | Scene
 _Changes = Mapping[str, object]
+_Plain = Mapping[str, Any]
 
 
 def compare(
@@ -115,7 +116,7 @@ def sweep(
     return found
 
 
-def check(scene: _SceneLike, changes: _Changes | None = None, *, allow_code: bool = False) -> dict[str, Any]:
+def check(scene: _SceneLike, changes: _Changes | None = None, *, allow_code: bool = False) -> _Plain:
     """Return what `canhaptic check --json` prints: verdict, bus budget, fitness of each drive, stability limits.
 
     Args:
@@ -141,7 +142,7 @@ def design(
     margin: float | None = None,
     tolerance: float | None = None,
     allow_code: bool = False,
-) -> Mapping[str, Any]:
+) -> _Plain:
     """Return the stiffest wall that a rig renders, or the lightest mass of its admittance displays, as plain values.
 
     Args:
@@ -178,7 +179,7 @@ def accuracy(
     duration: float | None = None,
     budget: float | None = None,
     allow_code: bool = False,
-) -> Mapping[str, Any]:
+) -> _Plain:
     """Return what accuracy costs in time, for the simulated plant and for the loop, as plain values.
 
     Args:
