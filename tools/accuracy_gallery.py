@@ -1,4 +1,7 @@
-"""Makes docs/accuracy: tables and pictures of what accuracy costs in five scenes. `--only NAME` makes one of them."""
+"""Makes what accuracy costs in five scenes: docs/accuracy and its part of docs/figures.md.
+
+`--only NAME` makes one of them, `--redraw` all from the stored results, `--page` the part of the page alone.
+"""
 
 import argparse
 import json
@@ -8,25 +11,35 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.lab.render.accuracy_picture import draw_accuracy
-from canhaptic.lab.studies.accuracy.accuracy_table import advice, advice_lines, length, markdown
+from canhaptic.lab.studies.accuracy.accuracy_table import advice, advice_lines, length
 from canhaptic.lab.studies.accuracy.study import AccuracyStudy, chosen_part
 from canhaptic.scene.load import load_scene
 from tools.bench.report import write_result
+from tools.page_part import with_part
 
 ROOT: Final = Path(__file__).resolve().parents[1]
-SCENES: Final = ("paper_wall", "stiff_stop", "stick_slip", "delayed_bus", "coarse_encoder")
+PAGE: Final = ROOT / "docs" / "figures.md"
+SCENES: Final = {
+    "paper_wall": "no event but the contact",
+    "stiff_stop": "stiff stops, short contacts",
+    "stick_slip": "dry friction that sticks",
+    "delayed_bus": "a motor that cogs, torques one sample late",
+    "coarse_encoder": "a coarse encoder on a compliant shaft",
+}
+"""Each scene, and what a scene like it has."""
+FOLDER: Final = ROOT / "docs" / "accuracy"
 BUDGET: Final = 12.0  # [s], compiled plants included
 PACKAGES: Final = ("canhaptic", "numpy", "scipy", "mujoco")
 
 
 def make(name: str, folder: Path) -> None:
-    """Writes NAME.json, NAME.md and NAME.png."""
+    """Writes NAME.json and NAME.png."""
     scene = load_scene(Path("configs") / "accuracy" / f"{name}.yaml")
     _write(name, AccuracyStudy(scene, budget=BUDGET).run(), folder)
 
 
 def redraw(name: str, folder: Path) -> None:
-    """Writes advice, tables and picture anew from what was measured before."""
+    """Writes advice and picture anew from what was measured before."""
     result = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
     scene = load_scene(Path("configs") / "accuracy" / f"{name}.yaml")
     result["now"] = chosen_part(scene, None).now()
@@ -37,41 +50,28 @@ def redraw(name: str, folder: Path) -> None:
 def _write(name: str, result: dict[str, Any], folder: Path) -> None:
     write_result(folder / f"{name}.json", PACKAGES, result)
     draw_accuracy(result, folder / f"{name}.png")
-    title = name.replace("_", " ").capitalize()
-    comment = _comment(ROOT / "configs" / "accuracy" / f"{name}.yaml")
-    text = f"# {title}\n\n{comment}\n\n![{title}]({name}.png)\n\n{markdown(result)}"
-    (folder / f"{name}.md").write_text(text, encoding="utf-8")
     print("\n".join([name, *(f"  {line}" for line in advice_lines(result))]))
 
 
-def write_index(folder: Path) -> None:
-    """Writes README.md with the advice for every scene that has been made."""
+def page() -> str:
+    """Returns the text of the page with its part of today: a row to choose by and a picture for each scene."""
     lines = [
-        "# What accuracy costs in time: five scenes", "",
-        "Made by `python -m tools.accuracy_gallery`. Evaluations are the same on every machine; times are the least of",
-        "interleaved repeats on the machine named in each JSON file. The line in the third column can be pasted into a",
-        "scene: it needs the fewest evaluations of all settings that keep the tolerance, as do all finer ones.",
-        "`cheaper yet` is a textbook method that needs fewer still, but that a scene cannot name. `canhaptic accuracy",
-        "CONFIG` does the same for your scene.",
-        "",
-        "| scene | tolerance | cheapest setting | error | evaluations a period | us a period | cheaper yet |",
-        "|---|---|---|---|---|---|---|",
-    ]  # fmt: skip
-    for name in SCENES:
-        path = folder / f"{name}.json"
-        if not path.exists():
-            continue
-        result = json.loads(path.read_text(encoding="utf-8"))
+        "| your scene has | paste into it | error, of what is allowed | us a period | measured |",
+        "|---|---|---|---|---|",
+    ]
+    for name, has in SCENES.items():
+        result = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
         given, unit = result["advice"], result["unit"]
-        chosen = given["chosen"]
-        other = [f"{row['method']}, {row['setting']}" for row in given["cheaper_elsewhere"][:1]]
+        chosen, tolerance = given["chosen"], given["tolerance"]
         lines.append(
-            f"| [{name.replace('_', ' ')}]({name}.md) | {length(given['tolerance'], unit)} | "
-            f"`{given['line']}` | "
-            f"{length(chosen['position_error'], unit)} | {chosen['evaluations_per_period']:.3g} | "
-            f"{chosen['us_per_period']:.3g} | {' '.join(other) or '-'} |"
+            f"| {has} | `{given['line']}` | {length(chosen['position_error'], unit)} of {length(tolerance, unit)} | "
+            f"{chosen['us_per_period']:.3g} | [picture](#{name.replace('_', '-')}), [data](accuracy/{name}.json) |"
         )
-    (folder / "README.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    for name in SCENES:
+        title = name.replace("_", " ").capitalize()
+        lines += ["", f"### {title}", "", _comment(ROOT / "configs" / "accuracy" / f"{name}.yaml"), ""]
+        lines += [f"![{title}: error over cost](accuracy/{name}.png)"]
+    return with_part(PAGE, "accuracy", "\n".join([*lines, ""]))
 
 
 def _comment(path: Path) -> str:
@@ -91,13 +91,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", choices=SCENES)
     parser.add_argument("--redraw", action="store_true", help="from the JSON files, without measuring")
-    parser.add_argument("--folder", type=lambda text: Path(text).absolute(), default=ROOT / "docs" / "accuracy")
+    parser.add_argument("--page", action="store_true", help="write the page, leave results and pictures")
     arguments = parser.parse_args()
-    os.chdir(ROOT)  # scenes are named in the tables as they are given
-    arguments.folder.mkdir(parents=True, exist_ok=True)
-    for name in SCENES if arguments.only is None else (arguments.only,):
-        (redraw if arguments.redraw else make)(name, arguments.folder)
-    write_index(arguments.folder)
+    os.chdir(ROOT)  # scenes are named in the results as they are given
+    for name in () if arguments.page else SCENES if arguments.only is None else (arguments.only,):
+        (redraw if arguments.redraw else make)(name, FOLDER)
+    PAGE.write_text(page(), encoding="utf-8")
     return 0
 
 

@@ -155,6 +155,11 @@ def filled(text: str, name: str) -> str:
     return "".join([*result, text[end:]])
 
 
+def without_marks(text: str) -> str:
+    """Returns a filled text with the numbers alone, for a part of a page that is made as a whole."""
+    return re.sub(r"<!--.*?-->", "", text)
+
+
 def _refuse_open(between: str, where: str) -> None:
     if _OPENING in between or "<!--/n-->" in between:
         raise InputError(f"{where}: behind this line is half a mark; write <!--n PLACE-->number<!--/n-->")

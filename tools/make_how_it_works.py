@@ -11,10 +11,10 @@ from typing import Any, Final
 
 from canhaptic import build, load_scene
 from canhaptic.cycle import Cycle
+from tools.page_part import with_part
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 PAGE: Final = ROOT / "docs" / "how_it_works.md"
-BEGIN, END = "<!-- the trace begins -->\n", "<!-- the trace ends -->\n"
 _IN_CONTACT: Final = 1500  # cycles into the demo: the hand is in the wall
 _PACKAGE: Final = str(ROOT / "canhaptic")
 _DEEPEST: Final = 6
@@ -81,9 +81,7 @@ def _of_one_cycle(cycle: Cycle) -> list[str]:
 
 def page() -> str:
     """Returns the text of the page with a fresh trace in it."""
-    head, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-    _, _, tail = rest.partition(END)
-    return "".join([head, BEGIN, "```text\n", *(f"{line}\n" for line in trace()), "```\n", END, tail])
+    return with_part(PAGE, "trace", "".join(["```text\n", *(f"{line}\n" for line in trace()), "```\n"]))
 
 
 if __name__ == "__main__":

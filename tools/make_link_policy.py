@@ -1,4 +1,4 @@
-"""Writes docs/link_policy.md from the code and the recorded faults: `python -m tools.make_link_policy`."""
+"""Writes the link policy into docs/troubleshooting.md, with the recorded faults: `python -m tools.make_link_policy`."""
 
 import json
 import sys
@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.drive.profile.link_policy import READ_BACK_TABLE, STOP_TABLE, Action, StopReason
+from tools.page_part import with_part
 
-PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "link_policy.md"
+PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "troubleshooting.md"
 RESULT: Final = PAGE.with_name("results") / "faults.json"
 _MISSED: Final = {
     Action.RUN: "0",
@@ -16,11 +17,6 @@ _MISSED: Final = {
     Action.STOP: "`bus.stop_cycles`",
 }
 _INTRODUCTION: Final = """\
-# Link policy
-
-The reaction to missing TPDOs and to faults of a drive. This page is made from
-`canhaptic/drive/profile/link_policy.py` by `python -m tools.make_link_policy`.
-
 ## Missed TPDOs
 
 Counted per axis. One TPDO that comes in time sets the count back to zero. Axes of a group render together: each of
@@ -81,29 +77,28 @@ def page() -> str:
     ]
     quiet = [[str(int(reason)), reason.name] for reason in StopReason if reason not in STOP_TABLE]
     words = " and ".join(f"{number} ({name})" for number, name in quiet)
-    return "\n".join(
-        [
-            _INTRODUCTION,
-            *_table(["TPDOs missed in a row", "action", "torque"], missed),
-            _READ_BACK,
-            *_table(
-                [
-                    "`read_back`",
-                    "an old torque is held (COMMAND_LOST)",
-                    "bit 12 goes out (NOT_FOLLOWING)",
-                    "bit 11 is on",
-                ],
-                [[name, *judged] for name, judged in READ_BACK_TABLE.items()],
-            ),
-            _STOPS,
-            *_table(["number", "reason", "meaning", "exception", "what to do"], stops),
-            "",
-            f"The numbers {words} mean a running rig and a requested stop; nothing is raised.",
-            _MEASURED,
-            *_table(["fault", "ended by", "drive", "sample times", "allowed"], _measured()),
-            "",
-        ]
-    )
+    lines = [
+        _INTRODUCTION,
+        *_table(["TPDOs missed in a row", "action", "torque"], missed),
+        _READ_BACK,
+        *_table(
+            [
+                "`read_back`",
+                "an old torque is held (COMMAND_LOST)",
+                "bit 12 goes out (NOT_FOLLOWING)",
+                "bit 11 is on",
+            ],
+            [[name, *judged] for name, judged in READ_BACK_TABLE.items()],
+        ),
+        _STOPS,
+        *_table(["number", "reason", "meaning", "exception", "what to do"], stops),
+        "",
+        f"The numbers {words} mean a running rig and a requested stop; nothing is raised.",
+        _MEASURED,
+        *_table(["fault", "ended by", "drive", "sample times", "allowed"], _measured()),
+        "",
+    ]
+    return with_part(PAGE, "link policy", "\n".join(lines))
 
 
 def _table(headings: list[str], rows: list[list[str]]) -> list[str]:

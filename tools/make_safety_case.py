@@ -1,4 +1,4 @@
-"""Writes docs/safety_case.md from tools/safety_case.yaml: `python -m tools.make_safety_case`.
+"""Writes the safety case into docs/safety.md from tools/safety_case.yaml: `python -m tools.make_safety_case`.
 
 A row names the tests that fail when its control is taken away. One that names no test, one that is not in the test
 tree, or one that is skipped or may fail is an error: what no test covers is no control.
@@ -7,6 +7,7 @@ tree, or one that is skipped or may fail is an error: what no test covers is no 
 import ast
 import re
 import sys
+from collections import Counter
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -15,18 +16,11 @@ import yaml
 
 from canhaptic.errors import InputError
 from tools import fill_numbers
+from tools.page_part import with_part
 
 ROOT: Final = Path(__file__).resolve().parent.parent
-PAGE: Final = ROOT / "docs" / "safety_case.md"
+PAGE: Final = ROOT / "docs" / "safety.md"
 SOURCE: Final = ROOT / "tools" / "safety_case.yaml"
-_INTRODUCTION: Final = """\
-# Safety case
-
-Each hazard of a haptic rig that software can cause or prevent, what this package does about it, the tests that fail
-when the control is taken away, and the last measured figure. [Safety](safety.md) says what the builder of a rig must
-provide; this page is evidence for a risk assessment and does not replace it. Tests with (slow) run in `make test-all`,
-all others in `make test`. The page is made from `tools/safety_case.yaml` by `python -m tools.make_safety_case`.
-"""
 _MARK: Final = re.compile(r"pytest\.mark\.(\w+)")
 _MAY_NOT_PASS: Final = {"skip", "skipif", "xfail"}
 _HEADINGS: Final = ("cause", "control", "tests", "last figure", "left to you")
@@ -39,15 +33,14 @@ def hazards() -> list[dict[str, Any]]:
 
 
 def page() -> str:
-    """Returns the text of the page.
+    """Returns the text of the page with a fresh table of hazards in it.
 
     Raises:
         InputError: A row names no test, one that does not exist or need not pass, or a figure that was not measured.
     """
-    lines = [_INTRODUCTION]
-    for hazard in hazards():
-        lines += [f"## {hazard['hazard']}", "", *_table(hazard["rows"]), ""]
-    return fill_numbers.filled("\n".join(lines), PAGE.name)
+    lines = [line for each in hazards() for line in (f"### {each['hazard']}", "", *_table(each["rows"]), "")]
+    filled = fill_numbers.filled("\n".join(lines), SOURCE.name)
+    return with_part(PAGE, "safety case", fill_numbers.without_marks(filled) + "\n")
 
 
 def _table(rows: list[dict[str, Any]]) -> list[str]:
@@ -58,18 +51,24 @@ def _table(rows: list[dict[str, Any]]) -> list[str]:
 def _tests(row: dict[str, Any]) -> str:
     if not row["tests"]:
         raise InputError(f"{SOURCE.name}: {row['cause']!r} names no test; write one, or take the row out")
-    return "<br>".join(_test(name) for name in row["tests"])
+    for name in row["tests"]:
+        if found := marks_of(name) & _MAY_NOT_PASS:
+            raise InputError(f"{SOURCE.name}: {name!r} is marked {', '.join(sorted(found))}; name one that must pass")
+    files = Counter(name.partition("::")[0] for name in row["tests"])
+    return ", ".join(f"{count} in `tests/{file}`" for file, count in files.items())
 
 
-def _test(name: str) -> str:
+def marks_of(name: str) -> set[str]:
+    """Returns the marks of a test, such as `slow`.
+
+    Raises:
+        InputError: There is no such test.
+    """
     file, _, function = name.partition("::")
     functions = _functions(file)
     if function not in functions:
         raise InputError(f"{SOURCE.name}: no test {name!r} in tests/; name the one that holds this control")
-    if found := functions[function] & _MAY_NOT_PASS:
-        raise InputError(f"{SOURCE.name}: {name!r} is marked {', '.join(sorted(found))}; name one that must pass")
-    slow = " (slow)" if "slow" in functions[function] else ""
-    return f"{function.removeprefix('test_').replace('_', ' ')}{slow} (`tests/{file}`)"
+    return functions[function]
 
 
 @cache

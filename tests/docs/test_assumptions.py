@@ -10,7 +10,7 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "assumptions.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "account_and_truth.md").read_text(encoding="utf-8")
 COMMISSION = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "canhaptic" / "commission").glob("*.py"))
 NO_PREMISES = {
     *("sample_time", "encoder_count", "torque_quantum", "torque_limit", "torque_rate_limit", "power_limit"),

@@ -40,6 +40,7 @@ QUICK = {
     "scope": None,  # lives until it is stopped; tests/view start it
     "touch": None,  # tests/lab/touch start it
     "drive": ["--duration", "0.2"],
+    "evidence": ["--yes"],
 }
 """Arguments that make a command short; None for one that other tests run."""
 IN_NO_HURRY = {"real": "free"}
@@ -48,9 +49,9 @@ IN_NO_HURRY = {"real": "free"}
 SHELLS = ("sh", "bash")
 OWN_TEST = ("gallery.md",)
 """Pages whose commands tests/docs/test_scene_gallery.py runs, as they are; here they take minutes."""
-STARTS_WITH = {"replay_in_ci.md": {"rig.yaml": "configs/demo.yaml"}}
+STARTS_WITH = {page: {"rig.yaml": "configs/demo.yaml"} for page in ("replay_in_ci.md", "safety.md")}
 """What the reader of a page has, and what is here in its place."""
-REFUSED = {"trust.md": ("check <(...)",)}
+REFUSED = {"safety.md": ("check <(...)",)}
 """Commands of which the page says that they do not work."""
 
 QUICK_PAGES = ("README.md",)

@@ -33,7 +33,7 @@ def test_the_search_works_from_a_folder(tmp_path: Path) -> None:
     """Without a server, where a browser starts no worker; and finds a key inside its path."""
     _build(tmp_path)
     with chromium() as page:
-        page.open((tmp_path / "decisions" / "index.html").as_uri())
+        page.open((tmp_path / "tutorials" / "your_own_wall.html").as_uri())
         page.wait_for("document.readyState === 'complete' && document.querySelector('[data-md-toggle=search]')")
         page.value("document.querySelector('[data-md-toggle=search]').click()")
         page.value(

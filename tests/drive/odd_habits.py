@@ -324,7 +324,11 @@ HABITS = [
 
 
 def table() -> str:
-    """The table of docs/drives.md."""
-    whose = {"torque": "the drive", "display": "a display's drive", "sensor": "a force sensor"}
-    rows = [f"| {whose[h.rig]} | {h.what} | {h.outcome} | {h.words or '-'} |" for h in HABITS]
-    return "\n".join(["| who | habit | the rig | words of the message |", "| --- | --- | --- | --- |", *rows]) + "\n"
+    """The tables of docs/drives.md, one for each outcome; what is endured has no message."""
+    whose = {"torque": "", "display": "drive of a display: ", "sensor": "force sensor: "}
+    lines: list[str] = []
+    for outcome, title in (("refused", "Refused, before any torque"), ("ended", "Ended: torque zero, drive disabled")):
+        rows = [f"| {whose[h.rig]}{h.what} | {h.words} |" for h in HABITS if h.outcome == outcome]
+        lines += [f"{title}:", "", "| habit | words of the message |", "| --- | --- |", *rows, ""]
+    endured = "; ".join(f"{whose[h.rig]}{h.what}" for h in HABITS if h.outcome == "runs")
+    return "\n".join([*lines, f"Endured, and counted where it can be: {endured}."]) + "\n"

@@ -1,4 +1,4 @@
-"""Traps of the libraries that are not already the subject of another test (docs/traps.md has all), and any bytes."""
+"""Traps of the libraries that no other test has as its subject (docs/how_it_works.md has all), and any bytes."""
 
 import ast
 import threading

@@ -89,7 +89,7 @@ def test_compiled_without_numba_names_the_extra(monkeypatch):
 
 @pytest.mark.slow
 def test_random_plants_interpreted_and_compiled_meet_the_same_events_and_differ_by_rounding():
-    """What docs/simulated.md says; a scene that differs by more differs from itself with other ticks too."""
+    """What docs/words.md says; a scene that differs by more differs from itself with other ticks too."""
     pytest.importorskip("numba")
     for seed in range(40):
         scene = random_scene(seed)

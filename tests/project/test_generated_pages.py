@@ -2,14 +2,17 @@
 
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from canhaptic.errors import InputError
 from canhaptic.scene.json_schema import scene_schema
 from canhaptic.scene.layout import SECTIONS
 from canhaptic.scene.models import RunParameters
-from tools import make_configuration, make_how_it_works, make_link_policy
+from tools import accuracy_gallery, make_configuration, make_how_it_works, make_link_policy
+from tools.page_part import with_part
 
 CONFIGURATION = make_configuration.PAGE.read_text(encoding="utf-8")
 
@@ -17,6 +20,18 @@ CONFIGURATION = make_configuration.PAGE.read_text(encoding="utf-8")
 def test_the_page_of_the_link_policy_is_current() -> None:
     page = make_link_policy.PAGE.read_text(encoding="utf-8")
     assert page == make_link_policy.page(), "run: python -m tools.make_link_policy"
+
+
+def test_the_part_of_a_page_that_shows_what_accuracy_costs_is_current() -> None:
+    page = accuracy_gallery.PAGE.read_text(encoding="utf-8")
+    assert page == accuracy_gallery.page(), "run: python -m tools.accuracy_gallery --page"
+
+
+def test_a_page_without_the_part_that_is_made_says_what_to_write(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("# A page\n")
+    with pytest.raises(InputError, match=r"page.md: no part between <!-- trace: begin -->"):
+        with_part(page, "trace", "text\n")
 
 
 def test_the_page_of_the_configuration_is_current() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-ROWS = re.findall(r"^\| (\d+) \| .* \| (.*) \|$", (ROOT / "docs" / "traps.md").read_text(), flags=re.MULTILINE)
+ROWS = re.findall(r"^\| (\d+) \| .* \| (.*) \|$", (ROOT / "docs" / "how_it_works.md").read_text(), flags=re.MULTILINE)
 
 
 @cache

@@ -1,0 +1,24 @@
+"""The part of a page that is made from code, between `<!-- NAME: begin -->` and `<!-- NAME: end -->`."""
+
+from pathlib import Path
+
+from canhaptic.errors import InputError
+
+
+def with_part(page: Path, name: str, part: str) -> str:
+    """Returns the text of a page with one part of it made anew.
+
+    Args:
+        page: The file.
+        name: Of the part.
+        part: Its text, with a newline at its end.
+
+    Raises:
+        InputError: The page has no such part.
+    """
+    begin, end = f"<!-- {name}: begin -->\n", f"<!-- {name}: end -->\n"
+    head, found, rest = page.read_text(encoding="utf-8").partition(begin)
+    _, found_end, tail = rest.partition(end)
+    if not found or not found_end:
+        raise InputError(f"{page.name}: no part between {begin.strip()} and {end.strip()}; write both lines into it")
+    return "".join([head, begin, part, end, tail])
