@@ -55,7 +55,7 @@ def compare(
     Raises:
         InputError: Nothing is simulated, an unknown algorithm, or a rate over CAN.
 
-    Example:
+    Examples:
         >>> canhaptic.compare("demo", ["unprotected", "guarded"]).result["axes"]["handle"]  # doctest: +SKIP
     """
     loaded = load_any(scene, changes or {}, allow_code)
@@ -97,7 +97,7 @@ def sweep(
     Raises:
         InputError: Bad input, or a file that exists already.
 
-    Example:
+    Examples:
         >>> canhaptic.sweep("demo", {"environment.damping": [0, 5, 10]}, duration=2.0)  # doctest: +SKIP
     """
     from canhaptic.lab.studies.sweep.run_sweep import sweep as run_sweep
@@ -127,7 +127,7 @@ def check(scene: _SceneLike, changes: _Changes | None = None, *, allow_code: boo
     Raises:
         SceneError: The scene is wrong; lists every fault.
 
-    Example:
+    Examples:
         >>> canhaptic.check("demo")["verdict"]  # doctest: +SKIP
     """
     from canhaptic.cli.check import checked
@@ -156,7 +156,7 @@ def design(
         InputError: The scene cannot be designed for, or a margin or tolerance is out of range.
         CheckFailedError: Not even the softest wall passes.
 
-    Example:
+    Examples:
         >>> canhaptic.design("demo")["stiffness"]  # doctest: +SKIP
     """
     from canhaptic.lab.studies.design.wall import MARGIN, TOLERANCE, design_wall
@@ -194,7 +194,7 @@ def accuracy(
     Raises:
         InputError: A scene or an axis that cannot be used.
 
-    Example:
+    Examples:
         >>> canhaptic.accuracy("demo", budget=0.0)["advice"]  # doctest: +SKIP
     """
     from canhaptic.lab.studies.accuracy.study import DEFAULT_BUDGET, AccuracyStudy, length_of
