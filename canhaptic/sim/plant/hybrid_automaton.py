@@ -256,17 +256,16 @@ class HybridAutomaton:
         scenes, at every SYNC.
         """
         state, books = self.state, self._books
-        this = books[0]
-        moved = this.moved
+        moved, both, contract, vector, totals_after, item = books[0].flat
         if state is moved:
             state = state.copy()
         state[-2] = torque
-        self._whole(state, this.both)
-        this.contract(this.vector, this.totals_after)
+        self._whole(state, both)
+        contract(vector, totals_after)
         books.reverse()
         self.state, self._moved = moved, state
         self._periods += 1
-        position: float = moved.item(0)
+        position: float = item(0)
         return position
 
     def run_free(self, ticks: int) -> None:

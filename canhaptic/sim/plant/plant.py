@@ -310,13 +310,14 @@ class Plant:
             EventLimitError: More events in one sample time than `accuracy.max_events`.
         """
         if now == self._next_period:
-            self._tick += TICKS
+            self._tick = tick = self._tick + TICKS
             self._next_period = now + self.sample_time_ns
-            if -self._free_torque <= torque <= self._free_torque:
+            free = self._free_torque
+            if -free <= torque <= free:
                 self.position = self._machine.period(torque)
             else:
                 self._hold(TICKS, torque)
-            if self._tick >= self._pause:
+            if tick >= self._pause:
                 self._look()
         elif self._epoch is not None:
             ticks = self._ticks_until(now, self._epoch)

@@ -70,12 +70,12 @@ class StepBuffers:
     """
 
     moved: Array  # state after the step when one product gives it together with the rows, shape (n,)
-    both: Array  # that state and the rows, one behind the other in memory
     rows: Array  # all but the totals, shape (works * (n + works) + n,)
     contract: Any  # [y, totals] -> totals after the step
     vector: Array  # [y, totals], shape (n + works,)
     totals: Array  # a view of the vector, shape (works,)
     totals_after: Array  # the totals in the other buffer, shape (works,)
+    flat: tuple[Any, ...]  # moved; it and the rows, one behind the other; contract, vector, totals_after; moved.item
 
 
 def two_buffers(size: int, works: int) -> list[StepBuffers]:
@@ -86,7 +86,9 @@ def two_buffers(size: int, works: int) -> list[StepBuffers]:
     def books(buffer: Array, after: Array) -> StepBuffers:
         both, vector = buffer[: length + 2 * size], buffer[size + length :]
         contract = buffer[size : size + length].reshape(works, size + works).dot
-        return StepBuffers(both[:size], both, both[size:], contract, vector, vector[size:], after[length + 2 * size :])
+        moved, sums_after = both[:size], after[length + 2 * size :]
+        flat = (moved, both, contract, vector, sums_after, moved.item)
+        return StepBuffers(moved, both[size:], contract, vector, vector[size:], sums_after, flat)
 
     return [books(this, other), books(other, this)]
 

@@ -24,6 +24,7 @@ PEERS = {
     "python-control discrete": "control",
     "scipy solve_ivp": "scipy",
     "motulator": "motulator",
+    "Runge-Kutta 4 by hand": "math",
 }
 
 
@@ -36,6 +37,7 @@ def peers(scene: Scene) -> dict[str, Run | None]:
         "python-control discrete": lambda: control_loop(scene),
         "scipy solve_ivp": lambda: scipy_loop(scene),
         "motulator": lambda: motulator_loop(scene),
+        "Runge-Kutta 4 by hand": lambda: by_hand(scene),
     }
     return {name: makers[name]() if importlib.util.find_spec(PEERS[name]) else None for name in PEERS}
 
@@ -135,6 +137,31 @@ def control_loop(scene: Scene) -> Run:
         for k, torque in enumerate(torques):
             state = system.dynamics(k * PERIOD, state, torque)
             positions.append(state[0])
+        return np.array(positions)
+
+    return run
+
+
+def by_hand(scene: Scene) -> Run:
+    """Returns Runge-Kutta 4 in Python's floats, one step a period, with the equation as a function."""
+    user, h, torques = scene.user, PERIOD, scene.torques.tolist()
+    assert user.motion is not None
+    k, d, size, omega = user.stiffness, user.damping, user.motion.amplitude, 2.0 * math.pi * user.motion.frequency
+
+    def rate(t: float, x: float, v: float, torque: float) -> float:
+        push = k * (size * math.sin(omega * t) - x) + d * (size * omega * math.cos(omega * t) - v)
+        return (torque + push - DAMPING * v) / MASS
+
+    def run() -> Array:
+        t = x = v1 = 0.0
+        positions = []
+        for torque in torques:
+            a1 = rate(t, x, v1, torque)
+            a2 = rate(t + 0.5 * h, x + 0.5 * h * v1, v2 := v1 + 0.5 * h * a1, torque)
+            a3 = rate(t + 0.5 * h, x + 0.5 * h * v2, v3 := v1 + 0.5 * h * a2, torque)
+            a4 = rate(t + h, x + h * v3, v4 := v1 + h * a3, torque)
+            x, v1, t = x + h / 6 * (v1 + 2 * v2 + 2 * v3 + v4), v1 + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4), t + h
+            positions.append(x)
         return np.array(positions)
 
     return run
