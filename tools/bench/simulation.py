@@ -47,7 +47,6 @@ NOTES = {
     "Runge-Kutta 4 by hand": "position and velocity alone; ours books three exact energies, by two products of NumPy "
     "whose calls alone take half of the time",
 }
-WHOLE_RUN = "energies included; the loop is compiled for the size of the scene and unrolled"
 FASTER = {
     "MuJoCo": 2.5,
     "MuJoCo RK4": 4.0,
@@ -100,32 +99,6 @@ def _peer_row(name: str, ours: float, times: dict[str, float], error: dict[str, 
     return Row("easy: time per period", ours, "us", peer, times[name], ratio, target, met, NOTES.get(name, ""))
 
 
-def compiled_rows() -> list[Row]:
-    """Returns the whole run compiled and stepped from Python, for three scenes."""
-    rows = []
-    for scene, target in ((easy(20 * HOLDS), 20.0), (friction(2 * HOLDS), None), (stiff(HOLDS), None)):
-        python, machine, torques = scene.plant(), scene.plant(compiled=True), scene.torques.tolist()
-        difference = np.abs(machine.run(scene.torques) - advance(python, torques)).max()
-        times = interleave(
-            {
-                "python": _stepped(python, torques),
-                "compiled": _whole(machine, scene.torques),
-            },
-            REPEATS,
-        )
-        each = {name: min(values) / len(torques) * 1e6 for name, values in times.items()}
-        ratio = each["python"] / each["compiled"]
-        rows.append(
-            Row(
-                f"{scene.name}: whole run compiled, per period", each["compiled"], "us",
-                f"stepped from Python (differs by {difference:.1g} m)", each["python"], ratio,
-                f">= {target:g}" if target else "", ratio >= target if target else None,
-                WHOLE_RUN if target else "",
-            )
-        )  # fmt: skip
-    return rows
-
-
 def stiff_rows() -> list[Row]:
     """Returns error, worst period and time against LSODA of the stiff scene at 1 ms."""
     scene = stiff(120)
@@ -135,21 +108,20 @@ def stiff_rows() -> list[Row]:
     for compiled in (False, True):
         plant = scene.plant(compiled)
         if compiled:
-            plant.run(scene.torques)  # compiles
+            advance(plant, torques)  # compiles
         worst, products = _worst_period(plant, torques)
         name = f"stiff: worst period {'compiled' if compiled else 'interpreted'}, {products} products"
         rows.append(
             Row(name, worst, "us", target="<= 200" if compiled else "", met=worst <= 200.0 if compiled else None)
         )
     python, machine = scene.plant(event_bits=20), scene.plant(compiled=True, event_bits=20)
-    machine.run(scene.torques)
     tolerance = next(
         r for r in (1e-4, 1e-5, 1e-6, 1e-7, 1e-8) if _error(located(scene, "LSODA", r, r * 1e-3), expected) <= 1e-6
     )
     times = interleave(
         {
             "python": _stepped(python, torques),
-            "compiled": _whole(machine, scene.torques),
+            "compiled": _stepped(machine, torques),
             "LSODA": lambda: located(scene, "LSODA", tolerance, tolerance * 1e-3),
         },
         REPEATS,
@@ -275,16 +247,6 @@ def _stepped(plant: Plant, torques: list[float]) -> Callable[[], Array]:
     return run
 
 
-def _whole(plant: Plant, torques: Array) -> Callable[[], Array]:
-    """Returns a run from the start in one call."""
-
-    def run() -> Array:
-        plant.reset()
-        return plant.run(torques)
-
-    return run
-
-
 def _error(got: Array, expected: Array) -> float:
     return float(np.abs(got - expected).max() / np.abs(expected).max())
 
@@ -309,7 +271,7 @@ def _extended(scene: Scene) -> Array:
 
 def main() -> None:
     """Measures every figure and publishes table, JSON and picture."""
-    rows = [*easy_rows(), *compiled_rows(), *stiff_rows(), *stick_rows(), *sweep_rows(), *map_rows()]
+    rows = [*easy_rows(), *stiff_rows(), *stick_rows(), *sweep_rows(), *map_rows()]
     rows += [*effect_rows(), *import_rows()]
     publish("simulation", rows, ["canhaptic", "numpy", "numba", "scipy", "mujoco", "drake", "control", "motulator"])
     if "--no-picture" not in sys.argv:

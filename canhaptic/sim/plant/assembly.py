@@ -35,14 +35,18 @@ PlantModel -> data of one mode: flows, work forms and guards. No scene-specific 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Final, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, ClassVar, Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from canhaptic.errors import ParameterError
 from canhaptic.own_results import FORCE, watch
 from canhaptic.sim.plant.accuracy_parameters import LEVELS
-from canhaptic.sim.plant.propagator import Array, dyadic_flows, halvings_of, taylor_flow
+from canhaptic.sim.plant.propagator import Array, doublings, dyadic_flows, series, smallest_step, taylor_flow
+from canhaptic.units import Parameters
+
+if TYPE_CHECKING:
+    from canhaptic.sim.plant.effects import Effect
 
 Account = Literal["motor", "user", "dissipated"]
 
@@ -236,17 +240,14 @@ class _PlantPart(Protocol):
         """Add its components."""
 
 
-class _Effect(_PlantPart, Protocol):
-    """An effect of the scene."""
+class EffectParameters(Parameters):
+    """Base of the effects: exact, and added after the hand, unless one says otherwise; see `Effect`."""
 
-    rank: ClassVar[int]
-
-    @property
-    def type(self) -> str:
-        """Its name in a scene."""
+    order: ClassVar[int | None] = None
+    rank: ClassVar[int] = 1
 
 
-def collect(axis: _PlantPart, user: _PlantPart | None, effects: Sequence[_Effect], sample_time: float) -> PlantModel:
+def collect(axis: _PlantPart, user: _PlantPart | None, effects: "Sequence[Effect]", sample_time: float) -> PlantModel:
     """The model of a plant: body, shaft and motor first, then the hand, then the other effects.
 
     Raises:
@@ -267,7 +268,7 @@ def collect(axis: _PlantPart, user: _PlantPart | None, effects: Sequence[_Effect
     return scene
 
 
-def _add(effect: _Effect, scene: PlantModel) -> None:
+def _add(effect: "Effect", scene: PlantModel) -> None:
     try:
         effect.add_to(scene)
     except ParameterError as error:
@@ -382,39 +383,22 @@ def _bounds(guards: Array, rates: Array, sample_time: float) -> tuple[Array, Arr
     """Return E and S of the module's text by level, shapes (levels + 1, c, n)."""
     if not len(guards):
         return np.zeros((LEVELS + 1, 0, len(rates))), np.zeros((LEVELS + 1, 0, len(rates)))
-    halvings = halvings_of(rates, sample_time, LEVELS)
-    step = sample_time * 0.5**halvings
+    step, halvings = smallest_step(rates, sample_time)
     slopes, identity = guards @ rates, np.eye(len(rates))
     most = taylor_flow(np.abs(rates), step)
     spread = np.abs(slopes) @ most
     chord = (np.abs(slopes) + spread) * (step * step / 8.0)
-    change, mean = taylor_flow(rates, step), _mean_flow(rates, step)
-    path = step * (guards @ mean)
+    path = step * (guards @ series(identity, lambda term: term @ (rates * step)))  # with the mean of exp(F t) to h
     chords, spreads = [], []
-    for level in range(halvings, -1, -1):
+    for level, change in doublings(rates, step, halvings):
         if level <= LEVELS:
             chords.append(chord)
             spreads.append(spread)
-        flow = np.abs(identity + change)
-        further = path @ change
+        flow, further = np.abs(identity + change), path @ change
         chord = np.minimum(0.5 * np.abs(further) + np.maximum(chord, chord @ flow), _USELESS)
         spread = np.minimum(np.maximum(spread, np.abs(slopes @ change) + spread @ flow), _USELESS)
         path = 2.0 * path + further
-        change = 2.0 * change + change @ change
     return np.array(chords[::-1]), np.array(spreads[::-1])
-
-
-def _mean_flow(rates: Array, step: float) -> Array:
-    """Return the mean of exp(F t) for t from 0 to h, for ||F h|| below about one."""
-    scaled = rates * step
-    term = np.eye(len(rates))
-    total = term.copy()
-    order = 1
-    while np.abs(term).max() > 1e-18 * np.abs(total).max():
-        order += 1
-        term = term @ scaled / order
-        total += term
-    return total
 
 
 _Product = Callable[[Array, Array], object]

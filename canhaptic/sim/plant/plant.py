@@ -122,8 +122,8 @@ class Plant:
         sample_time_ns: T [ns]; a whole sample time is cheapest.
         seed: Seed of every random effect.
         accuracy: Events and substeps; the defaults when None.
-        compiled: Whether holds run compiled by numba (the extra `fast`). Worth its seconds of compiling for whole runs
-            (`run`) and for stiff scenes; a light hold called from Python is faster when interpreted.
+        compiled: Whether holds run compiled by numba (the extra `fast`). Worth its seconds of compiling for stiff
+            scenes; a light hold is faster when interpreted.
 
     Attributes:
         position: True position of the motor [m or rad].
@@ -154,7 +154,6 @@ class Plant:
         self.scene = collect(parameters, user, effects, sample_time_ns * 1e-9)
         self.has_ideal_encoder = not self.scene.encoders
         self._machine = machine_type(compiled)(self.scene, self.accuracy.max_events, self.accuracy.event_bits)
-        self._run_holds: Callable[[Array, Array], None] | None = getattr(self._machine, "run_holds", None)
         self._splitting = self._split() if self.scene.efforts else None
         self._timetable: Timetable | None = None
         self._hold = self._chosen_hold()
@@ -346,7 +345,7 @@ class Plant:
     def run(self, torques: Array) -> Array:
         """Move by one sample time under each torque and return the positions after them; begin at 0 if need be.
 
-        The same as `advance_to` called for each; compiled, in one call where nothing but commands and guards acts.
+        The same as `advance_to` called for each.
 
         Args:
             torques: Shape (n_holds,) [N or N*m].
@@ -359,30 +358,10 @@ class Plant:
         if self._next_period < 0:
             raise ParameterError(f"run: got a plant {self._tick % TICKS} ticks inside a sample time, expected 0")
         positions = np.empty(len(torques))
-        if not self._run_holds or self._splitting or self._timetable:
-            for k, torque in enumerate(torques.tolist()):
-                self.advance_to(self._next_period, torque)
-                positions[k] = self.position
-            return positions
-        held = self._after_commands(torques)
-        done = 0
-        while done < len(held):
-            count = min(len(held) - done, ((_TIDY - self._tick % _TIDY) // TICKS))
-            self._run_holds(held[done : done + count], positions[done : done + count])
-            self._tick += count * TICKS
-            self._next_period += count * self.sample_time_ns
-            if self._tick >= self._pause:
-                self._look()
-            done += count
-        self.position = self._machine.state.item(0)
+        for k, torque in enumerate(torques.tolist()):
+            self.advance_to(self._next_period, torque)
+            positions[k] = self.position
         return positions
-
-    def _after_commands(self, torques: Array) -> Array:
-        """Torques that reach the motor for a run of commanded torques."""
-        held = torques.astype(float)
-        for command in self.scene.commands:
-            held = np.array([command.apply(torque, self.scene.sample_time) for torque in held.tolist()])
-        return held
 
     def energy(self) -> PlantEnergy:
         """Return the true energies since the start [J]."""

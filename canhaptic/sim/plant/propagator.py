@@ -6,7 +6,7 @@ by 2^24. Energies are integrals of a quadratic power z'Sz along the flow (Van Lo
 23(3), 1978); they are doubled by Q(2h) = Q(h) + Phi(h)' Q(h) Phi(h).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -22,6 +22,21 @@ _LARGEST_STEP: Final = 0.25  # of ||F h||: the series then needs about a dozen t
 _TERMS: Final = 16  # of the series of many matrices: 4^-16 / 16! is below 1e-22
 
 
+def series(first: Array, following: Callable[[Array], Array]) -> Array:
+    """Return the sum of a series, up to the term that no longer counts.
+
+    Args:
+        first: First term.
+        following: Times k, the term of order k from the one before it.
+    """
+    term, total, order = first, first.copy(), 1
+    while np.abs(term).max() > 1e-18 * np.abs(total).max():
+        order += 1
+        term = following(term) / order
+        total += term
+    return total
+
+
 def taylor_flow(rates: Array, step: float) -> Array:
     """Return exp(F h) - I by its Taylor series; for ||F h|| below about one.
 
@@ -30,14 +45,7 @@ def taylor_flow(rates: Array, step: float) -> Array:
         step: h [s].
     """
     scaled = rates * step
-    term = scaled.copy()
-    total = scaled.copy()
-    order = 1
-    while np.abs(term).max() > 1e-18 * np.abs(total).max():
-        order += 1
-        term = term @ scaled / order
-        total += term
-    return total
+    return series(scaled, lambda term: term @ scaled)
 
 
 def _taylor_work(rates: Array, power: Array, step: float) -> Array:
@@ -49,22 +57,23 @@ def _taylor_work(rates: Array, power: Array, step: float) -> Array:
         step: h [s].
     """
     scaled = rates * step
-    term = power.copy()
-    total = power.copy()
-    order = 1
-    while np.abs(term).max() > 1e-18 * np.abs(total).max():
-        order += 1
-        term = (scaled.T @ term + term @ scaled) / order
-        total += term
-    return total * step
+    return series(power, lambda term: scaled.T @ term + term @ scaled) * step
 
 
-def halvings_of(rates: Array, sample_time: float, levels: int) -> int:
-    """Number of halvings of T: `levels`, or more where the series needs them for the fastest mode."""
+def smallest_step(rates: Array, sample_time: float, levels: int = LEVELS) -> tuple[float, int]:
+    """Return T / 2^j [s] and j: `levels`, or more where the series needs them for the fastest mode."""
     needed = levels
     while float(np.abs(rates).sum(axis=0).max()) * sample_time * 0.5**needed > _LARGEST_STEP:
         needed += 1
-    return needed
+    return sample_time * 0.5**needed, needed
+
+
+def doublings(rates: Array, step: float, halvings: int) -> Iterator[tuple[int, Array]]:
+    """Yield level and exp(F h) - I for h = `step`, twice that, up to 2^halvings times it, which is level 0."""
+    change = taylor_flow(rates, step)
+    for level in range(halvings, -1, -1):
+        yield level, change
+        change = 2.0 * change + change @ change
 
 
 def dyadic_flows(
@@ -82,19 +91,16 @@ def dyadic_flows(
         Flows by j, and for each j the Q by kind, shape (kinds, n, n).
     """
     identity = np.eye(len(rates))
-    halvings = halvings_of(rates, sample_time, levels)
-    step = sample_time * 0.5**halvings
-    change = taylor_flow(rates, step)
+    step, halvings = smallest_step(rates, sample_time, levels)
     works = np.array([_taylor_work(rates, power, step) for power in powers]).reshape(-1, *rates.shape)
     flows: list[Array] = []
     forms: list[Array] = []
-    for level in range(halvings, -1, -1):
+    for level, change in doublings(rates, step, halvings):
         if level <= levels:
             flows.append(identity + change)
             forms.append(0.5 * (works + works.transpose(0, 2, 1)))
         if len(works):
             works = works + _congruent(works, change)
-        change = 2.0 * change + change @ change
     return flows[::-1], forms[::-1]
 
 

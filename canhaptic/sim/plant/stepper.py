@@ -284,23 +284,3 @@ def run(
             level, climb, window = max(0, level - climb), min(2 * climb, LEVELS), -1
     counts[PRODUCTS] += tried
     return state, moved, ticks
-
-
-def run_holds(
-    tables: ModeTables, settings: StepperSettings, state: Array, moved: Array, books: Any, counts: Indices, values: Any,
-    torques: Array, positions: Array,
-) -> tuple[Array, Array, int, int]:  # fmt: skip
-    """Take one sample time under each torque and write the position after it.
-
-    Returns:
-        State, spare state, sample times begun, and the ticks left of the last one: above zero at a limit;
-        above zero, or zero, with counts[MISSING] set, when a mode must be compiled first.
-    """
-    for k in range(len(torques)):
-        state[-2] = torques[k]
-        counts[LIMIT] = counts[EVENTS] + settings.max_events + 1
-        state, moved, left = run(tables, settings, state, moved, books, counts, values, TICKS)
-        if left or counts[MISSING] != NONE:
-            return state, moved, k + 1, left
-        positions[k] = state[0]
-    return state, moved, len(torques), 0

@@ -26,7 +26,6 @@ PICTURE = "work_precision.png"
 REPEATS = 3
 STYLES = {
     "canhaptic": ("#0b6e4f", "o"),
-    "canhaptic compiled": ("#08a045", "s"),
     "semi-implicit Euler": ("#888888", "v"),
     "RK4": ("#d1495b", "^"),
     "LSODA, events located": ("#30638e", "D"),
@@ -62,10 +61,8 @@ def _settings(scene: Scene) -> list[tuple[str, str, Callable[[], Array]]]:
     bits = (24,) if scene.name == "easy" else (4, 8, 12, 16, 20, 24)
     runs: list[tuple[str, str, Callable[[], Array]]] = []
     for count in bits:  # of event location
-        python, machine = scene.plant(event_bits=count), scene.plant(compiled=True, event_bits=count)
-        machine.run(scene.torques)  # compiles
-        runs.append(("canhaptic", f"{count} event bits", _again(python, partial(advance, python, torques))))
-        runs.append(("canhaptic compiled", f"{count} event bits", _again(machine, partial(machine.run, scene.torques))))
+        plant = scene.plant(event_bits=count)
+        runs.append(("canhaptic", f"{count} event bits", _again(plant, partial(advance, plant, torques))))
     for substeps in (1, 4, 16, 64, 256):
         name = f"{substeps} substeps"
         runs.append(("semi-implicit Euler", name, partial(semi_implicit_euler, scene, substeps)))

@@ -5,20 +5,17 @@ Typical: 0.1..10 mrad. Source: Nordin and Gutman, "Controlling mechanical system
 38(10), 2002; the creeping-back of a flank is their physical model of a damped shaft in a gap.
 """
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.plant.assembly import MOTOR, PlantModel
+from canhaptic.sim.plant.assembly import MOTOR, EffectParameters, PlantModel
 from canhaptic.sim.plant.effects.contact import Contact
 from canhaptic.sim.plant.effects.shaft_compliance import LOAD
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import quantity
 
 
-class Backlash(Parameters):
+class Backlash(EffectParameters):
     """Play between motor and load."""
-
-    order: ClassVar[int | None] = None
-    rank: ClassVar[int] = 1
 
     type: Literal["backlash"] = "backlash"
     gap: Annotated[float, quantity("m", "rad", gt=0.0, le=1e3)]

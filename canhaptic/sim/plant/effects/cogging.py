@@ -7,19 +7,17 @@ Source: Hanselman, "Brushless Permanent Magnet Motor Design", 2nd ed., 2003, ch.
 """
 
 import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from canhaptic.sim.plant.assembly import PlantModel
+from canhaptic.sim.plant.assembly import EffectParameters, PlantModel
 from canhaptic.sim.plant.effort_forces import DETENT, Effort, EffortForce
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import quantity
 
 
-class Cogging(Parameters):
+class Cogging(EffectParameters):
     """A periodic detent."""
 
-    order: ClassVar[int | None] = 2
-    rank: ClassVar[int] = 1
-
+    order = 2
     type: Literal["cogging"] = "cogging"
     amplitude: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)]
     """Largest detent force."""

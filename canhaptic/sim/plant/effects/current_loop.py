@@ -7,18 +7,16 @@ of sample time to time constant. Energy: motor work is that of the true torque. 
 Source: Hanselman, "Brushless Permanent Magnet Motor Design", 2003; Leonhard, "Control of Electrical Drives", 2001.
 """
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from canhaptic.sim.plant.assembly import LinearPart, PlantModel, Rows
-from canhaptic.units import Parameters, quantity
+from canhaptic.sim.plant.assembly import EffectParameters, LinearPart, PlantModel, Rows
+from canhaptic.units import quantity
 
 
-class CurrentLoop(Parameters):
+class CurrentLoop(EffectParameters):
     """A first-order lag between the held torque and the motor."""
 
-    order: ClassVar[int | None] = None
-    rank: ClassVar[int] = 0
-
+    rank = 0
     type: Literal["current_loop"] = "current_loop"
     time_constant: Annotated[float, quantity("s", ge=1e-6, le=1.0)]
     """Time constant of the winding, L / R, or of the closed current loop."""

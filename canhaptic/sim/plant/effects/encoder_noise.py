@@ -6,20 +6,17 @@ splitmix64 (Steele, Lea, Flood, OOPSLA 2014).
 """
 
 import math
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, Final, Literal
 
-from canhaptic.sim.plant.assembly import PlantModel
-from canhaptic.units import Parameters, quantity
+from canhaptic.sim.plant.assembly import EffectParameters, PlantModel
+from canhaptic.units import quantity
 
 _MASK: Final = (1 << 64) - 1
 _GAMMA: Final = 0x9E3779B97F4A7C15  # golden ratio, splitmix64
 
 
-class EncoderNoise(Parameters):
+class EncoderNoise(EffectParameters):
     """Noise on the measured position."""
-
-    order: ClassVar[int | None] = None
-    rank: ClassVar[int] = 1
 
     type: Literal["encoder_noise"] = "encoder_noise"
     deviation: Annotated[float, quantity("m", "rad", gt=0.0, le=1e3)]

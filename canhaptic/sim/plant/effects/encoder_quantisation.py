@@ -4,18 +4,16 @@ States added: none. Exact. Energy: none. Typical: 1e-7..1e-4 m. Source: any incr
 """
 
 import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from canhaptic.sim.plant.assembly import PlantModel
-from canhaptic.units import Parameters, quantity
+from canhaptic.sim.plant.assembly import EffectParameters, PlantModel
+from canhaptic.units import quantity
 
 
-class EncoderQuantisation(Parameters):
+class EncoderQuantisation(EffectParameters):
     """A coarse encoder."""
 
-    order: ClassVar[int | None] = None
-    rank: ClassVar[int] = 2
-
+    rank = 2
     type: Literal["encoder_quantisation"] = "encoder_quantisation"
     count: Annotated[float, quantity("m", "rad", ge=1e-15, le=1e3)]
     """Displacement of one count."""

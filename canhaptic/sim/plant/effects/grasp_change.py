@@ -4,18 +4,15 @@ Needs a hand. States added: none (one mode per grasp). Exact; the time is rounde
 Typical: 50..1000 N/m within some tenths of a second. Source: Hajian and Howe, ASME J. Biomech. Eng. 119, 1997.
 """
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.plant.assembly import PlantModel
-from canhaptic.units import Parameters, quantity
+from canhaptic.sim.plant.assembly import EffectParameters, PlantModel
+from canhaptic.units import quantity
 
 
-class GraspChange(Parameters):
+class GraspChange(EffectParameters):
     """Another grasp from a given time on; name the effect again for further changes."""
-
-    order: ClassVar[int | None] = None
-    rank: ClassVar[int] = 1
 
     type: Literal["grasp_change"] = "grasp_change"
     time: Annotated[float, quantity("s", ge=0.0, le=1e6)]

@@ -4,18 +4,15 @@ States added: <side>_stop_depth. Exact; contact and parting are bracketed to one
 Typical: 1e5..1e7 N/m for metal on rubber to metal on metal. Source: Goldsmith, "Impact", 1960; see `contact.py`.
 """
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from canhaptic.sim.plant.assembly import PlantModel
+from canhaptic.sim.plant.assembly import EffectParameters, PlantModel
 from canhaptic.sim.plant.effects.contact import Contact
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import quantity
 
 
-class HardStop(Parameters):
+class HardStop(EffectParameters):
     """One end of travel; name the effect twice for two ends."""
-
-    order: ClassVar[int | None] = None
-    rank: ClassVar[int] = 1
 
     type: Literal["hard_stop"] = "hard_stop"
     position: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)]

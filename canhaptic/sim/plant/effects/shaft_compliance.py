@@ -5,21 +5,19 @@ States added: twist (motor minus load), load_velocity. Exact. Energy: stiffness 
 Typical: 1e3..1e6 N/m. Source: Ellis, "Control System Design Guide", 2012, ch. 16.
 """
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, LinearPart, PlantModel, Rows
-from canhaptic.units import Parameters, quantity
+from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, EffectParameters, LinearPart, PlantModel, Rows
+from canhaptic.units import quantity
 
 LOAD = 1
 """Index of the load among the bodies."""
 
 
-class ShaftCompliance(Parameters):
+class ShaftCompliance(EffectParameters):
     """A compliant shaft or belt between motor and handle."""
 
-    order: ClassVar[int | None] = None
-    rank: ClassVar[int] = 0
-
+    rank = 0
     type: Literal["shaft_compliance"] = "shaft_compliance"
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e10)]
     """Stiffness of the shaft."""

@@ -9,20 +9,18 @@ no part of the mechanical balance. Typical: 0.5..5 K/W, 10..1000 s. Source: IEC 
 """
 
 import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import model_validator
 
-from canhaptic.sim.plant.assembly import PlantModel, TorqueCommand
-from canhaptic.units import Parameters, quantity
+from canhaptic.sim.plant.assembly import EffectParameters, PlantModel, TorqueCommand
+from canhaptic.units import quantity
 
 
-class ThermalDerating(Parameters):
+class ThermalDerating(EffectParameters):
     """A winding with thermal protection."""
 
-    order: ClassVar[int | None] = 1
-    rank: ClassVar[int] = 1
-
+    order = 1
     type: Literal["thermal_derating"] = "thermal_derating"
     torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
     """Largest torque of the cold winding."""

@@ -4,18 +4,16 @@ States added: none. Exact. Energy: motor work is that of the rounded torque. Typ
 Source: CiA 402-2, 0x6071 in per mille of 0x6076; current sensors of 10..12 bits.
 """
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from canhaptic.sim.plant.assembly import PlantModel, TorqueCommand
-from canhaptic.units import Parameters, quantity
+from canhaptic.sim.plant.assembly import EffectParameters, PlantModel, TorqueCommand
+from canhaptic.units import quantity
 
 
-class TorqueQuantisation(Parameters):
+class TorqueQuantisation(EffectParameters):
     """A smallest step of torque."""
 
-    order: ClassVar[int | None] = None
-    rank: ClassVar[int] = 2
-
+    rank = 2
     type: Literal["torque_quantisation"] = "torque_quantisation"
     quantum: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
     """Smallest step of the torque."""

@@ -6,19 +6,17 @@ Typical: 1..5 % at the 6th electrical harmonic. Source: Hanselman, "Brushless Pe
 """
 
 import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from canhaptic.sim.plant.assembly import PlantModel
+from canhaptic.sim.plant.assembly import EffectParameters, PlantModel
 from canhaptic.sim.plant.effort_forces import RIPPLE, Effort, EffortForce
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import quantity
 
 
-class TorqueRipple(Parameters):
+class TorqueRipple(EffectParameters):
     """A torque constant that depends on position."""
 
-    order: ClassVar[int | None] = 2
-    rank: ClassVar[int] = 1
-
+    order = 2
     type: Literal["torque_ripple"] = "torque_ripple"
     amplitude: Annotated[float, quantity("1", ge=0.0, lt=1.0)]
     """Part of the torque."""

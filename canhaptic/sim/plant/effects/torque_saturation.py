@@ -4,17 +4,14 @@ States added: none. Exact. Energy: motor work is that of the clipped torque. Typ
 Source: CiA 402-2, object 0x6072; any drive's peak current.
 """
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from canhaptic.sim.plant.assembly import PlantModel, TorqueCommand
-from canhaptic.units import Parameters, quantity
+from canhaptic.sim.plant.assembly import EffectParameters, PlantModel, TorqueCommand
+from canhaptic.units import quantity
 
 
-class TorqueSaturation(Parameters):
+class TorqueSaturation(EffectParameters):
     """A largest torque, the same in both directions."""
-
-    order: ClassVar[int | None] = None
-    rank: ClassVar[int] = 1
 
     type: Literal["torque_saturation"] = "torque_saturation"
     limit: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]

@@ -5,18 +5,15 @@ Typical: 8..12 Hz, 0.05..1 mm. Source: Elble and Koller, "Tremor", 1990; Riviere
 """
 
 import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.plant.assembly import PlantModel
-from canhaptic.units import Parameters, quantity
+from canhaptic.sim.plant.assembly import EffectParameters, PlantModel
+from canhaptic.units import quantity
 
 
-class Tremor(Parameters):
+class Tremor(EffectParameters):
     """A trembling hand."""
-
-    order: ClassVar[int | None] = None
-    rank: ClassVar[int] = 1
 
     type: Literal["tremor"] = "tremor"
     amplitude: Annotated[float, quantity("m", "rad", ge=0.0, le=1e3)]

@@ -4,17 +4,14 @@ States added: none. Exact. Energy: damping * v^2 is dissipated. Typical: 0.01..5
 Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994.
 """
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from canhaptic.sim.plant.assembly import MOTOR, LinearPart, PlantModel, Rows
-from canhaptic.units import Parameters, quantity
+from canhaptic.sim.plant.assembly import MOTOR, EffectParameters, LinearPart, PlantModel, Rows
+from canhaptic.units import quantity
 
 
-class ViscousFriction(Parameters):
+class ViscousFriction(EffectParameters):
     """Force against the velocity, proportional to it."""
-
-    order: ClassVar[int | None] = None
-    rank: ClassVar[int] = 1
 
     type: Literal["viscous_friction"] = "viscous_friction"
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)]

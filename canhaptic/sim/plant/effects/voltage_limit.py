@@ -10,19 +10,16 @@ Typical: 24..48 V, 0.05..5 ohm, 0.05..5 mH. Source: Leonhard, "Control of Electr
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.plant.assembly import MOTOR, Guard, PlainPart, PlantModel, Rows
+from canhaptic.sim.plant.assembly import MOTOR, EffectParameters, Guard, PlainPart, PlantModel, Rows
 from canhaptic.sim.plant.propagator import Array
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import quantity
 
 
-class VoltageLimit(Parameters):
+class VoltageLimit(EffectParameters):
     """A supply that limits the voltage of the winding."""
-
-    order: ClassVar[int | None] = None
-    rank: ClassVar[int] = 1
 
     type: Literal["voltage_limit"] = "voltage_limit"
     supply: Annotated[float, quantity("V", gt=0.0, le=1e6)]
