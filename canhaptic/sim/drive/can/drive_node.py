@@ -16,22 +16,10 @@ from typing import TYPE_CHECKING, Final, Protocol, cast
 import can
 from canopen.objectdictionary import ObjectDictionary
 
+from canhaptic.canopen import objects
 from canhaptic.canopen.data_frame import DataFrame
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.canopen.objects import (
-    ABORT_CONNECTION_OPTION,
-    ERROR_BEHAVIOUR,
-    GUARD_TIME,
-    HEARTBEAT_BASE,
-    LIFE_TIME_FACTOR,
-    NMT_COB_ID,
-    SDO_REQUEST_BASE,
-    SDO_RESPONSE_BASE,
-    SYNC_FRAME_COB_ID,
-    DataType,
-    NmtCommand,
-    NmtState,
-)
+from canhaptic.canopen.objects import DataType, NmtCommand, NmtState
 from canhaptic.signals import Truth
 from canhaptic.sim.drive.can import nmt_slave as emcy
 from canhaptic.sim.drive.can.nmt_slave import HeartbeatConsumer, HeartbeatProducer, command_for
@@ -48,7 +36,7 @@ if TYPE_CHECKING:
     from canhaptic.sim.drive.profile.admittance_servo import AdmittanceMotor
 
 _COMMUNICATION_OBJECTS: Final = range(0x1000, 0x2000)
-_NOT_SERVED: Final = frozenset({(GUARD_TIME, None), (LIFE_TIME_FACTOR, None)})  # node guarding
+_NOT_SERVED: Final = frozenset({(objects.GUARD_TIME, None), (objects.LIFE_TIME_FACTOR, None)})  # node guarding
 _FAULT: Final = 1  # value of 0x6007; used when a dictionary has no such object
 _PRE_OPERATIONAL, _STOPPED = 0, 2  # values of 0x1029: where a lost heartbeat leads
 _tuple: Final = tuple.__new__  # makes a truth at half the cost of calling its class
@@ -121,8 +109,8 @@ class SimulatedDrive:
         self._process_data = ProcessData(
             store, self.servo, timers, self._emergency, parameters, self._send, self._lose, self._change_routes
         )
-        self._abort_option = store.find(ABORT_CONNECTION_OPTION)
-        self._error_behaviour = store.optional(ERROR_BEHAVIOUR, DataType.UNSIGNED8, 1)
+        self._abort_option = store.find(objects.ABORT_CONNECTION_OPTION)
+        self._error_behaviour = store.optional(objects.ERROR_BEHAVIOUR, DataType.UNSIGNED8, 1)
         self._channel = getattr(bus, "channel_id", None)
         self._routes: dict[int, Handler] = {}
         self._are_routes_stale = True
@@ -202,7 +190,7 @@ class SimulatedDrive:
             self._send(cob_id, content)
 
     def _send_heartbeat(self) -> None:
-        self._send(HEARTBEAT_BASE + self.node_id, bytes((self.nmt_state,)))
+        self._send(objects.HEARTBEAT_BASE + self.node_id, bytes((self.nmt_state,)))
 
     # --- frames -----------------------------------------------------------------------------------------------------
 
@@ -215,10 +203,10 @@ class SimulatedDrive:
         routes = self._process_data.routes()
         for cob_id, slot in self._consumer.watched().items():
             routes[cob_id] = partial(self._on_heartbeat, slot)
-        routes[SDO_REQUEST_BASE + self.node_id] = self._on_sdo
-        routes[NMT_COB_ID] = self._on_nmt
+        routes[objects.SDO_REQUEST_BASE + self.node_id] = self._on_sdo
+        routes[objects.NMT_COB_ID] = self._on_nmt
         if self._sensor is not None:
-            sync = SYNC_FRAME_COB_ID
+            sync = objects.SYNC_FRAME_COB_ID
             routes[sync] = partial(self._on_sync_with_sensor, self._sensor, routes.get(sync))
             if self._sensor.request_cob_id is not None:
                 routes[self._sensor.request_cob_id] = self._sensor.take_sdo
@@ -230,7 +218,7 @@ class SimulatedDrive:
             return
         answer = self._sdo.answer(bytes(content))
         if answer is not None:
-            self._send(SDO_RESPONSE_BASE + self.node_id, answer)
+            self._send(objects.SDO_RESPONSE_BASE + self.node_id, answer)
 
     def _on_heartbeat(self, slot: int, content: Content) -> None:
         if len(content) == 1:

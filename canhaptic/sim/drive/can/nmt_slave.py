@@ -7,19 +7,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from canhaptic.canopen.objects import (
-    COB_ID_INVALID,
-    CONSUMER_HEARTBEAT_TIME,
-    EMCY_BASE,
-    EMCY_COB_ID,
-    ERROR_CODE,
-    ERROR_REGISTER,
-    HEARTBEAT_BASE,
-    PRODUCER_HEARTBEAT_TIME,
-    DataType,
-    NmtCommand,
-    SdoAbort,
-)
+from canhaptic.canopen import objects
+from canhaptic.canopen.objects import DataType, NmtCommand, SdoAbort
 from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
 from canhaptic.sim.drive.timers import Timers
 
@@ -46,10 +35,10 @@ class EmergencyProducer:
     """
 
     def __init__(self, store: ObjectStore, node_id: int, send: Callable[[int, bytes], None]) -> None:
-        self._register = store.optional(ERROR_REGISTER, DataType.UNSIGNED8)
-        self._error_code = store.optional(ERROR_CODE, DataType.UNSIGNED16)
-        self._cob_id = store.optional(EMCY_COB_ID, DataType.UNSIGNED32)
-        self._default_cob_id = EMCY_BASE + node_id
+        self._register = store.optional(objects.ERROR_REGISTER, DataType.UNSIGNED8)
+        self._error_code = store.optional(objects.ERROR_CODE, DataType.UNSIGNED16)
+        self._cob_id = store.optional(objects.EMCY_COB_ID, DataType.UNSIGNED32)
+        self._default_cob_id = objects.EMCY_BASE + node_id
         self._send = send
         self._count = store.find(_ERROR_HISTORY)
         self._history: list[Entry] = []
@@ -99,7 +88,7 @@ class EmergencyProducer:
 
     def _transmit(self, code: int) -> None:
         cob_id = self._cob_id.number or self._default_cob_id
-        if not cob_id & COB_ID_INVALID:
+        if not cob_id & objects.COB_ID_INVALID:
             self._send(cob_id & 0x7FF, bytes((code & 0xFF, code >> 8, self._register.number)) + bytes(5))
 
     def _remember(self, code: int) -> None:
@@ -143,7 +132,7 @@ class HeartbeatProducer:
     """
 
     def __init__(self, store: ObjectStore, timers: Timers, send: Callable[[], None], now: Callable[[], int]) -> None:
-        self._time = store.entry(PRODUCER_HEARTBEAT_TIME, DataType.UNSIGNED16)
+        self._time = store.entry(objects.PRODUCER_HEARTBEAT_TIME, DataType.UNSIGNED16)
         self._timers, self._send, self._now = timers, send, now
         self._timer = timers.add(self._beat)
         self._time.changed = self.restart
@@ -187,7 +176,7 @@ class HeartbeatConsumer:
         self._timers, self._now = timers, now
         self._on_lost, self._on_return, self._on_change = on_lost, on_return, on_change
         self._slots: list[tuple[Entry, int]] = []
-        while (entry := store.find(CONSUMER_HEARTBEAT_TIME, len(self._slots) + 1)) is not None:
+        while (entry := store.find(objects.CONSUMER_HEARTBEAT_TIME, len(self._slots) + 1)) is not None:
             slot = len(self._slots)
             entry.check = partial(self._check, slot)
             entry.changed = self.restart
@@ -204,7 +193,7 @@ class HeartbeatConsumer:
     def watched(self) -> dict[int, int]:
         """Return COB-ID -> slot of every node watched."""
         nodes = ((entry.number >> 16 & 0x7F, slot) for slot, (entry, _) in enumerate(self._slots) if _time(entry))
-        return {HEARTBEAT_BASE + node: slot for node, slot in nodes if node}
+        return {objects.HEARTBEAT_BASE + node: slot for node, slot in nodes if node}
 
     def hear(self, slot: int) -> None:
         """Record a heartbeat of the node in a slot of 0x1016."""

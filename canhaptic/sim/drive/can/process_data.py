@@ -11,21 +11,8 @@ from itertools import pairwise
 from operator import attrgetter
 from typing import Final
 
-from canhaptic.canopen.objects import (
-    COB_ID_INVALID,
-    COMMUNICATION_CYCLE_PERIOD,
-    EVENT_DRIVEN,
-    RPDO_COMMUNICATION,
-    RPDO_MAPPING,
-    SYNC_COB_ID,
-    SYNC_COUNTER_OVERFLOW,
-    SYNC_FRAME_COB_ID,
-    TARGET_TORQUE,
-    TPDO_COMMUNICATION,
-    TPDO_MAPPING,
-    DataType,
-    SdoAbort,
-)
+from canhaptic.canopen import objects
+from canhaptic.canopen.objects import DataType, SdoAbort
 from canhaptic.sim.drive.can import nmt_slave as emcy
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
@@ -71,8 +58,8 @@ class Pdo:
     """
 
     def __init__(self, store: ObjectStore, number: int, is_transmit: bool, on_change: Callable[[], None]) -> None:
-        communication = (TPDO_COMMUNICATION if is_transmit else RPDO_COMMUNICATION) + number
-        mapping = (TPDO_MAPPING if is_transmit else RPDO_MAPPING) + number
+        communication = (objects.TPDO_COMMUNICATION if is_transmit else objects.RPDO_COMMUNICATION) + number
+        mapping = (objects.TPDO_MAPPING if is_transmit else objects.RPDO_MAPPING) + number
         self._store, self._is_transmit = store, is_transmit
         self._cob_id = _require(store.find(communication, 1))
         self._type = store.find(communication, 2)
@@ -94,23 +81,23 @@ class Pdo:
 
     def compile(self) -> None:
         """Rebuild the codec from the objects."""
-        cob_id = COB_ID_INVALID if self._cob_id.value is None else self._cob_id.number
+        cob_id = objects.COB_ID_INVALID if self._cob_id.value is None else self._cob_id.number
         self.entries = self._mapped()
         image = struct.Struct("<" + "".join(entry.code for entry in self.entries))
         self._places = tuple(range(len(self.entries)))
         self.pack, self._unpack, self.length = _packer(image.pack, self.entries), image.unpack_from, image.size
-        self.is_active = not cob_id & COB_ID_INVALID and bool(self.entries)
+        self.is_active = not cob_id & objects.COB_ID_INVALID and bool(self.entries)
         for entry in self.entries if self.is_active else ():
             if entry.value is None:
                 entry.value = 0  # a frame has no room for "no data"
         self.cob_id = cob_id & 0x7FF
         kind = None if self._type is None else self._type.value
-        self.transmission_type = kind if isinstance(kind, int) else EVENT_DRIVEN
+        self.transmission_type = kind if isinstance(kind, int) else objects.EVENT_DRIVEN
         self.is_synchronous = self.transmission_type <= _LARGEST_SYNCHRONOUS
         self.event_time = _NS_PER_MS * (self._event_timer.number if self._event_timer else 0)
         self.inhibit_time = _NS_PER_INHIBIT_UNIT * (self._inhibit.number if self._inhibit else 0)
         # Too large a torque is for the drive's limiter, which shows it; any other value out of range is ignored.
-        self._ranges = [(-_ANY, _ANY) if e.index == TARGET_TORQUE else (e.low, e.high) for e in self.entries]
+        self._ranges = [(-_ANY, _ANY) if e.index == objects.TARGET_TORQUE else (e.low, e.high) for e in self.entries]
         self._takes_all = not any(map(_can_be_beyond, self.entries, self._ranges))
         self._hooks = tuple(dict.fromkeys(e.changed for e in self.entries if e.changed is not None))
         self.reset()
@@ -169,11 +156,11 @@ class Pdo:
 
     def _exists(self) -> bool:
         """Whether bit 31 must be set before the PDO is changed; a PDO with a read-only COB-ID is changed directly."""
-        is_valid = self._cob_id.value is not None and not self._cob_id.number & COB_ID_INVALID
+        is_valid = self._cob_id.value is not None and not self._cob_id.number & objects.COB_ID_INVALID
         return is_valid and self._cob_id.writable
 
     def _check_cob_id(self, value: int) -> SdoAbort | None:
-        is_valid = not value & COB_ID_INVALID
+        is_valid = not value & objects.COB_ID_INVALID
         if self._exists() and is_valid and (value ^ self._cob_id.number) & 0x1FFF_FFFF:
             return SdoAbort.DEVICE_STATE
         is_refused = value & _EXTENDED_FRAME or any(value & 0x7FF in identifiers for identifiers in _RESTRICTED)
@@ -214,8 +201,8 @@ class Pdo:
 
 def find_pdos(store: ObjectStore, is_transmit: bool, on_change: Callable[[], None]) -> tuple[Pdo, ...]:
     """Return every PDO that the dictionary describes with both its objects."""
-    communication = TPDO_COMMUNICATION if is_transmit else RPDO_COMMUNICATION
-    mapping = TPDO_MAPPING if is_transmit else RPDO_MAPPING
+    communication = objects.TPDO_COMMUNICATION if is_transmit else objects.RPDO_COMMUNICATION
+    mapping = objects.TPDO_MAPPING if is_transmit else objects.RPDO_MAPPING
     return tuple(
         Pdo(store, number, is_transmit, on_change)
         for number in range(_PDOS)
@@ -296,11 +283,11 @@ class ProcessData:
         self._pdo_timers = {pdo: timers.add(self._time_out) for pdo in self._rpdos}
         self._pdo_timers |= {pdo: timers.add(partial(self._send_by_timer, pdo)) for pdo in self._tpdos}
         self._sync_timer = timers.add(self._lose_sync)
-        self._sync_cob_id = store.optional(SYNC_COB_ID, DataType.UNSIGNED32)
+        self._sync_cob_id = store.optional(objects.SYNC_COB_ID, DataType.UNSIGNED32)
         self._sync_cob_id.check = _check_sync_cob_id
-        self._cycle_period = store.optional(COMMUNICATION_CYCLE_PERIOD, DataType.UNSIGNED32)
+        self._cycle_period = store.optional(objects.COMMUNICATION_CYCLE_PERIOD, DataType.UNSIGNED32)
         self._sync_cob_id.changed = self._cycle_period.changed = on_change
-        counter = store.find(SYNC_COUNTER_OVERFLOW)
+        counter = store.find(objects.SYNC_COUNTER_OVERFLOW)
         if counter is not None:
             counter.check = self._check_counter
         self.routes()
@@ -313,7 +300,7 @@ class ProcessData:
         for pdo in self._rpdos:
             if pdo.is_active:
                 routes.setdefault(pdo.cob_id, self._rpdo_handler(pdo))
-        routes[(self._sync_cob_id.number or SYNC_FRAME_COB_ID) & 0x7FF] = self._on_sync
+        routes[(self._sync_cob_id.number or objects.SYNC_FRAME_COB_ID) & 0x7FF] = self._on_sync
         active = [pdo for pdo in self._tpdos if pdo.is_active]
         self._sync_tpdos = tuple(pdo for pdo in active if pdo.is_synchronous)
         self._event_tpdos = tuple(pdo for pdo in active if not pdo.is_synchronous)

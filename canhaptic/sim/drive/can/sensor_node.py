@@ -6,23 +6,9 @@ from functools import partial
 from canopen import ObjectDictionary
 from canopen.objectdictionary import ODRecord, ODVariable
 
+from canhaptic.canopen import objects
 from canhaptic.canopen.force_node import ForceNode
-from canhaptic.canopen.objects import (
-    AUTOTARE,
-    AUTOZERO,
-    DEVICE_TYPE,
-    HEARTBEAT_BASE,
-    SDO_REQUEST_BASE,
-    SDO_RESPONSE_BASE,
-    SYNCHRONOUS_EVERY_SYNC,
-    TARE_SIGNATURE,
-    TPDO_COMMUNICATION,
-    ZERO_SIGNATURE,
-    DataType,
-    NmtCommand,
-    NmtState,
-    SdoAbort,
-)
+from canhaptic.canopen.objects import DataType, NmtCommand, NmtState, SdoAbort
 from canhaptic.sim.drive.can.nmt_slave import command_for
 from canhaptic.sim.drive.can.process_data import Content
 from canhaptic.sim.drive.can.sdo_server import SdoServer
@@ -61,21 +47,24 @@ class SensorNode:
         self.state = NmtState.BOOT_UP
         store = ObjectStore(_transducer(), {})
         self._sdo = SdoServer(store)
-        self._type = store.entry(TPDO_COMMUNICATION, DataType.UNSIGNED8, 2)
-        for index, signature in ((AUTOTARE, TARE_SIGNATURE), (AUTOZERO, ZERO_SIGNATURE)):
+        self._type = store.entry(objects.TPDO_COMMUNICATION, DataType.UNSIGNED8, 2)
+        for index, signature in (
+            (objects.AUTOTARE, objects.TARE_SIGNATURE),
+            (objects.AUTOZERO, objects.ZERO_SIGNATURE),
+        ):
             entry = store.entry(index, DataType.UNSIGNED32, 1)
             entry.check, entry.changed = partial(_refuse_signature, signature), self._tare
 
     @property
     def request_cob_id(self) -> int | None:
         """COB-ID of SDO requests to the sensor; None for a sensor that is not a CANopen node."""
-        return None if self._node.node_id is None else SDO_REQUEST_BASE + self._node.node_id
+        return None if self._node.node_id is None else objects.SDO_REQUEST_BASE + self._node.node_id
 
     def take_sdo(self, content: Content) -> None:
         """Answer an SDO request: its device type, and the tare (0x6139:01)."""
         answer = None if self.state is NmtState.STOPPED else self._sdo.answer(bytes(content))
         if answer is not None and self._node.node_id is not None:
-            self._send(SDO_RESPONSE_BASE + self._node.node_id, answer)
+            self._send(objects.SDO_RESPONSE_BASE + self._node.node_id, answer)
 
     def _tare(self) -> None:
         self._zero = self._read()
@@ -88,7 +77,7 @@ class SensorNode:
             return
         self._sdo.reset()
         self.state = NmtState.PRE_OPERATIONAL
-        self._send(HEARTBEAT_BASE + node.node_id, bytes((NmtState.BOOT_UP,)))
+        self._send(objects.HEARTBEAT_BASE + node.node_id, bytes((NmtState.BOOT_UP,)))
 
     def take_nmt(self, content: Content) -> None:
         """Execute an NMT command addressed to the sensor."""
@@ -101,7 +90,7 @@ class SensorNode:
 
     def take_sync(self) -> None:
         """Send its value, modulo its bits: a running impulse wraps as a counter does, a force saturates first."""
-        is_asked = self._node.node_id is None or self._type.number == SYNCHRONOUS_EVERY_SYNC
+        is_asked = self._node.node_id is None or self._type.number == objects.SYNCHRONOUS_EVERY_SYNC
         if self.state is not NmtState.OPERATIONAL or not is_asked:
             return
         try:
@@ -114,12 +103,12 @@ class SensorNode:
 def _transducer() -> ObjectDictionary:
     """Dictionary of the transducer: 0x1000, 0x1800, 0x6125 and 0x6139."""
     dictionary = ObjectDictionary()  # type: ignore[no-untyped-call]
-    device_type = ODVariable("Device type", DEVICE_TYPE)
+    device_type = ODVariable("Device type", objects.DEVICE_TYPE)
     device_type.data_type, device_type.access_type, device_type.default = DataType.UNSIGNED32, "ro", _DEVICE_TYPE
     dictionary.add_object(device_type)
-    for index in (TPDO_COMMUNICATION, AUTOZERO, AUTOTARE):
+    for index in (objects.TPDO_COMMUNICATION, objects.AUTOZERO, objects.AUTOTARE):
         record = ODRecord(f"Record {index:#06x}", index)
-        is_pdo = index == TPDO_COMMUNICATION
+        is_pdo = index == objects.TPDO_COMMUNICATION
         members = [(0, DataType.UNSIGNED8, 2 if is_pdo else 1), (1, DataType.UNSIGNED32, 0)]
         for subindex, data_type, default in members + [(2, DataType.UNSIGNED8, _BY_ITSELF)] * is_pdo:
             member = ODVariable(f"Member {subindex}", index, subindex)

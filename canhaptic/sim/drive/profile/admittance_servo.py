@@ -7,20 +7,8 @@ smaller of 0x6083 and 0x60C5 allows in that time, or of 0x6084 and 0x60C6 toward
 from math import inf
 from typing import Any, Final, Protocol
 
-from canhaptic.canopen.objects import (
-    CYCLIC_SYNC_POSITION,
-    CYCLIC_SYNC_VELOCITY,
-    MAX_ACCELERATION,
-    MAX_DECELERATION,
-    POSITION_OFFSET,
-    PROFILE_ACCELERATION,
-    PROFILE_DECELERATION,
-    TARGET_POSITION,
-    TARGET_VELOCITY,
-    VELOCITY_OFFSET,
-    DataType,
-    StatusBit,
-)
+from canhaptic.canopen import objects
+from canhaptic.canopen.objects import CYCLIC_SYNC_POSITION, CYCLIC_SYNC_VELOCITY, DataType, StatusBit
 from canhaptic.errors import ParameterError
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters, parse_place
 from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
@@ -64,8 +52,8 @@ class AdmittanceServo(Servo):
         display = parameters.display
         if display is None:
             raise ParameterError("display: got none, expected scale and object of the force for a motor with a sensor")
-        self._target_velocity: Any = store.entry(TARGET_VELOCITY, DataType.INTEGER32)
-        self._target_position = store.entry(TARGET_POSITION, DataType.INTEGER32)
+        self._target_velocity: Any = store.entry(objects.TARGET_VELOCITY, DataType.INTEGER32)
+        self._target_position = store.entry(objects.TARGET_POSITION, DataType.INTEGER32)
         force = None if display.force_object is None else store.find(*parse_place(display.force_object))
         if force is None and display.force_node is None:
             raise ParameterError(f"display.force_object: the dictionary has no object {display.force_object}")
@@ -76,11 +64,14 @@ class AdmittanceServo(Servo):
         self._slowing: list[Any]
         self._speeding, self._slowing = (
             [entry for index in indices if (entry := store.find(index)) is not None]
-            for indices in ((PROFILE_ACCELERATION, MAX_ACCELERATION), (PROFILE_DECELERATION, MAX_DECELERATION))
+            for indices in (
+                (objects.PROFILE_ACCELERATION, objects.MAX_ACCELERATION),
+                (objects.PROFILE_DECELERATION, objects.MAX_DECELERATION),
+            )
         )
         self._hidden_ramp = display.ramp or inf
-        self._velocity_offset: Any = store.optional(VELOCITY_OFFSET, DataType.INTEGER32)
-        self._position_offset = store.optional(POSITION_OFFSET, DataType.INTEGER32)
+        self._velocity_offset: Any = store.optional(objects.VELOCITY_OFFSET, DataType.INTEGER32)
+        self._position_offset = store.optional(objects.POSITION_OFFSET, DataType.INTEGER32)
         self._offset = 0  # of the torque that acts [per mille of the rated torque]
         self._ramped = 0.0  # velocity demanded, at the begin of this hold [m/s or rad/s]
         self._braking_since = -1

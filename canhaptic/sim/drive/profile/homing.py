@@ -6,15 +6,8 @@ drive: proportional and integral, tuned for the mass of its motor.
 
 from typing import Any, Final
 
-from canhaptic.canopen.objects import (
-    ENCODER_RESOLUTION,
-    HOME_OFFSET,
-    HOMING_METHOD,
-    HOMING_SPEEDS,
-    DataType,
-    SdoAbort,
-    StatusBit,
-)
+from canhaptic.canopen import objects
+from canhaptic.canopen.objects import DataType, SdoAbort, StatusBit
 from canhaptic.sim.drive.profile.object_store import ObjectStore
 
 _START, _HALT = 1 << 4, 1 << 8  # of the controlword
@@ -39,11 +32,11 @@ class Homing:
     """
 
     def __init__(self, store: ObjectStore, motor: object) -> None:
-        self._method = store.entry(HOMING_METHOD, DataType.INTEGER8)
+        self._method = store.entry(objects.HOMING_METHOD, DataType.INTEGER8)
         self._method.check = _check_method
-        self._speed = store.optional(HOMING_SPEEDS, DataType.UNSIGNED32, 2)
-        self._offset = store.optional(HOME_OFFSET, DataType.INTEGER32)
-        self._pitch = max(1, store.optional(ENCODER_RESOLUTION, DataType.UNSIGNED32, 1).number or _COUNTS)
+        self._speed = store.optional(objects.HOMING_SPEEDS, DataType.UNSIGNED32, 2)
+        self._offset = store.optional(objects.HOME_OFFSET, DataType.INTEGER32)
+        self._pitch = max(1, store.optional(objects.ENCODER_RESOLUTION, DataType.UNSIGNED32, 1).number or _COUNTS)
         plant: Any = getattr(motor, "parameters", None)
         self._mass = float(getattr(plant, "mass", 1.0))
         self.zero = 0

@@ -9,15 +9,8 @@ from collections.abc import Callable, Mapping, Set
 from functools import partial
 from typing import Final
 
-from canhaptic.canopen.objects import (
-    RESTORE_PARAMETERS,
-    STORE_PARAMETERS,
-    DataType,
-    Dictionary,
-    SdoAbort,
-    Variable,
-    variables,
-)
+from canhaptic.canopen import objects
+from canhaptic.canopen.objects import DataType, Dictionary, SdoAbort, Variable, variables
 from canhaptic.errors import ParameterError
 
 _Value = int | float | bytes
@@ -44,8 +37,8 @@ _INTEGERS: Final[dict[int, tuple[int, bool]]] = {  # data type -> (bytes, signed
 _REALS: Final[dict[int, struct.Struct]] = {DataType.REAL32: struct.Struct("<f"), DataType.REAL64: struct.Struct("<d")}
 _PDO_CODES: Final = {(1, True): "b", (2, True): "h", (4, True): "i", (8, True): "q"}
 _SIGNATURES: Final = {
-    STORE_PARAMETERS: int.from_bytes(b"save", "little"),
-    RESTORE_PARAMETERS: int.from_bytes(b"load", "little"),
+    objects.STORE_PARAMETERS: int.from_bytes(b"save", "little"),
+    objects.RESTORE_PARAMETERS: int.from_bytes(b"load", "little"),
 }
 _COUNTING_OBJECTS: Final = (range(0x1003, 0x1004), range(0x1600, 0x1800), range(0x1A00, 0x1C00))
 

@@ -10,31 +10,8 @@ from collections.abc import Callable
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from canhaptic.canopen.objects import (
-    CONTROLWORD,
-    CURRENT_ACTUAL,
-    CYCLIC_SYNC_TORQUE,
-    CYCLIC_SYNC_TORQUE_BIT,
-    DIGITAL_OUTPUTS,
-    HOMING,
-    HOMING_METHOD,
-    MAX_TORQUE,
-    MODES_OF_OPERATION,
-    MODES_OF_OPERATION_DISPLAY,
-    POSITION_ACTUAL,
-    QUICK_STOP_OPTION,
-    RATED_TORQUE,
-    STATUSWORD,
-    SUPPORTED_DRIVE_MODES,
-    TARGET_TORQUE,
-    TORQUE_ACTUAL,
-    TORQUE_DEMAND,
-    TORQUE_OFFSET,
-    VELOCITY_ACTUAL,
-    DataType,
-    SdoAbort,
-    StatusBit,
-)
+from canhaptic.canopen import objects
+from canhaptic.canopen.objects import CYCLIC_SYNC_TORQUE, HOMING, DataType, SdoAbort, StatusBit
 from canhaptic.errors import ParameterError
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
@@ -58,9 +35,9 @@ class TorqueStage:
     """
 
     def __init__(self, store: ObjectStore, parameters: SimulatedDriveParameters, on_change: Callable[[], None]) -> None:
-        self._target = store.entry(TARGET_TORQUE, DataType.INTEGER16)
-        self._max_torque = store.find(MAX_TORQUE)
-        self._rated = store.find(RATED_TORQUE)
+        self._target = store.entry(objects.TARGET_TORQUE, DataType.INTEGER16)
+        self._max_torque = store.find(objects.MAX_TORQUE)
+        self._rated = store.find(objects.RATED_TORQUE)
         self._parameters = parameters
         if parameters.rated_torque is not None and self._rated is not None:
             counts = _counts(parameters) if parameters.rated_torque_stated else 0
@@ -69,7 +46,7 @@ class TorqueStage:
                     f"rated_torque: 0x6076 of the dictionary cannot hold {counts}; correct its data type"
                 )
             self._rated.initial = self._rated.value = counts
-        if store.find(TARGET_TORQUE) is not None and self._rated_torque() <= 0.0:
+        if store.find(objects.TARGET_TORQUE) is not None and self._rated_torque() <= 0.0:
             seen = "no such object" if self._rated is None else f"value {self._rated.value!r}"
             raise ParameterError(
                 f"rated_torque: got none, and the dictionary states none (0x6076: {seen}); "
@@ -234,7 +211,7 @@ def _brake_of(motor: Motor, parameters: SimulatedDriveParameters) -> "BrakedMoto
 
 
 def _homing_of(store: ObjectStore, motor: Motor) -> "Homing | None":
-    method = store.find(HOMING_METHOD)
+    method = store.find(objects.HOMING_METHOD)
     if method is None or method.data_type != DataType.INTEGER8:
         return None
     from canhaptic.sim.drive.profile.homing import Homing
@@ -262,7 +239,7 @@ class Servo:
     def __init__(self, store: ObjectStore, motor: Motor, parameters: SimulatedDriveParameters) -> None:
         self._brake = _brake_of(motor, parameters)
         self._brake_output = None if parameters.brake is None else parameters.brake.output
-        self._outputs = store.find(DIGITAL_OUTPUTS, 1)
+        self._outputs = store.find(objects.DIGITAL_OUTPUTS, 1)
         self.motor, self._mover = motor, self._brake or motor
         self.machine = StateMachine()
         self.now = 0
@@ -273,19 +250,19 @@ class Servo:
         self._rounds = parameters.encoder == "round"
         is_ideal = getattr(motor, "has_ideal_encoder", not hasattr(motor, "encoder_position"))
         self._read_encoder: Callable[[Motor], float] | None = None if is_ideal else attrgetter("encoder_position")
-        self._controlword = store.entry(CONTROLWORD, DataType.UNSIGNED16)
-        self._statusword = store.entry(STATUSWORD, DataType.UNSIGNED16)
-        self._mode = store.entry(MODES_OF_OPERATION, DataType.INTEGER8)
-        self._mode_display = store.entry(MODES_OF_OPERATION_DISPLAY, DataType.INTEGER8)
-        self._supported_modes = store.find(SUPPORTED_DRIVE_MODES)
-        self._quick_stop_option = store.optional(QUICK_STOP_OPTION, DataType.INTEGER16)
-        self._target: Any = store.entry(TARGET_TORQUE, DataType.INTEGER16)
-        self._torque_offset: Any = store.optional(TORQUE_OFFSET, DataType.INTEGER16)
-        self._torque_demand = store.optional(TORQUE_DEMAND, DataType.INTEGER16)
-        self._torque_actual = store.optional(TORQUE_ACTUAL, DataType.INTEGER16)
-        self._current_actual = store.optional(CURRENT_ACTUAL, DataType.INTEGER16)
-        self._position = store.entry(POSITION_ACTUAL, DataType.INTEGER32)
-        self.velocity_entry = store.optional(VELOCITY_ACTUAL, DataType.INTEGER32)
+        self._controlword = store.entry(objects.CONTROLWORD, DataType.UNSIGNED16)
+        self._statusword = store.entry(objects.STATUSWORD, DataType.UNSIGNED16)
+        self._mode = store.entry(objects.MODES_OF_OPERATION, DataType.INTEGER8)
+        self._mode_display = store.entry(objects.MODES_OF_OPERATION_DISPLAY, DataType.INTEGER8)
+        self._supported_modes = store.find(objects.SUPPORTED_DRIVE_MODES)
+        self._quick_stop_option = store.optional(objects.QUICK_STOP_OPTION, DataType.INTEGER16)
+        self._target: Any = store.entry(objects.TARGET_TORQUE, DataType.INTEGER16)
+        self._torque_offset: Any = store.optional(objects.TORQUE_OFFSET, DataType.INTEGER16)
+        self._torque_demand = store.optional(objects.TORQUE_DEMAND, DataType.INTEGER16)
+        self._torque_actual = store.optional(objects.TORQUE_ACTUAL, DataType.INTEGER16)
+        self._current_actual = store.optional(objects.CURRENT_ACTUAL, DataType.INTEGER16)
+        self._position = store.entry(objects.POSITION_ACTUAL, DataType.INTEGER32)
+        self.velocity_entry = store.optional(objects.VELOCITY_ACTUAL, DataType.INTEGER32)
         self.measures_velocity = False
         self._stage = TorqueStage(store, parameters, self._reload_limits)
         self._meter = TorqueMeter(motor, parameters)
@@ -483,7 +460,7 @@ class Servo:
 
     def _check_mode(self, mode: int) -> SdoAbort | None:
         """Refuse modes that 0x6502 does not list: mode m is its bit m - 1, 0 is no mode. A drive without it has 10."""
-        listed = CYCLIC_SYNC_TORQUE_BIT if self._supported_modes is None else self._supported_modes.number
+        listed = objects.CYCLIC_SYNC_TORQUE_BIT if self._supported_modes is None else self._supported_modes.number
         if mode == 0 or (mode > 0 and listed >> (mode - 1) & 1):
             return None
         return SdoAbort.VALUE_RANGE
