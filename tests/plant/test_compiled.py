@@ -82,7 +82,8 @@ def test_compiled_holds_agree_with_interpreted_ones():
 
 def test_compiled_without_numba_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "numba", None)
-    monkeypatch.delitem(sys.modules, "canhaptic.sim.plant.njit_stepper", raising=False)
+    for module in ("canhaptic.sim.plant.njit_stepper", "canhaptic.kernels.compiler"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
     with pytest.raises(ParameterError, match=r"\[fast\]"):
         Plant(PlantParameters(mass=0.25), None, [], MS, compiled=True)
 

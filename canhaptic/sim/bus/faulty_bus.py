@@ -35,7 +35,7 @@ Direction = Literal["to_drive", "to_master"]
 _Probability = Annotated[float, quantity("1", ge=0.0, le=1.0)]
 _CobId = Annotated[int, quantity("1", ge=0, le=0x7FF)]
 
-_NANO: Final = 1e9
+_SECOND: Final = 1_000_000_000  # [ns]
 _EFFECTS: Final = (
     *("drop", "duplicate", "reorder", "truncate", "corrupt", "refuse", "delay", "jitter", "foreign_rate", "wire_time"),
     *("freeze", "stall", "bus_off"),
@@ -144,7 +144,7 @@ class Schedule:
 
     def __init__(self, windows: Sequence[Window]) -> None:
         self._windows = tuple(
-            (round(w.begin * _NANO), round(w.duration * _NANO), round((w.every or 0.0) * _NANO)) for w in windows
+            (round(w.begin * _SECOND), round(w.duration * _SECOND), round((w.every or 0.0) * _SECOND)) for w in windows
         )
 
     def end(self, time: int) -> int:
@@ -171,135 +171,96 @@ _Count = Callable[[str, int], None]
 """Called as count(effect, COB-ID) for each frame that an effect struck."""
 
 
-class _FrameEffect(Protocol):
-    """Effect on one frame: none, another due time, another content, no frame, or two."""
-
-    def apply(self, flight: Flight) -> list[Flight]:
-        """Apply delay, loss or corruption to one frame; return the resulting frames."""
-
-
-def _with_data(message: can.Message, data: bytearray) -> can.Message:
+def _with_data(flight: Flight, data: bytearray) -> Flight:
     """Return a copy of a frame with other data."""
-    changed = copy.copy(message)
+    changed = copy.copy(flight.message)
     changed.data, changed.dlc = data, len(data)
-    return changed
+    return flight._replace(message=changed)
 
 
-class _Drop:
-    """Loses frames, each on its own or in runs (Gilbert, 1960: two states, lost and received)."""
+def _lost(_effects: BusEffects, _random: Random, _flight: Flight) -> list[Flight]:
+    """Lose a frame."""
+    return []
 
-    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
-        share, burst = effects.drop, effects.drop_burst
-        self._after_heard = share if burst is None else share / (burst * (1.0 - share))
-        self._after_lost = share if burst is None else 1.0 - 1.0 / burst
-        self._is_lost = False
-        self._random, self._count = random, count
+
+def _truncated(_effects: BusEffects, random: Random, flight: Flight) -> list[Flight] | None:
+    """Cut bytes off the end of the data."""
+    data = flight.message.data
+    return [_with_data(flight, bytearray(data[: random.randrange(len(data))]))] if data else None
+
+
+def _corrupted(_effects: BusEffects, random: Random, flight: Flight) -> list[Flight] | None:
+    """Flip one bit of the data."""
+    if not (data := bytearray(flight.message.data)):
+        return None
+    bit = random.randrange(8 * len(data))
+    data[bit // 8] ^= 1 << bit % 8
+    return [_with_data(flight, data)]
+
+
+def _doubled(_effects: BusEffects, _random: Random, flight: Flight) -> list[Flight]:
+    """Duplicate a frame, one right behind the other."""
+    return [flight, _with_data(flight, bytearray(flight.message.data))]
+
+
+def _overtaken(effects: BusEffects, _random: Random, flight: Flight) -> list[Flight]:
+    """Delay a frame while others overtake it."""
+    return [Flight(flight.message, flight.due + round(effects.reorder_delay * _SECOND), keeps_order=False)]
+
+
+_ORDER: Final = ("drop", "truncate", "corrupt", "delay", "jitter", "duplicate", "reorder")
+_Change = Callable[[BusEffects, Random, Flight], list[Flight] | None]
+_CHANGES: Final[dict[str, _Change]] = {
+    "drop": _lost, "truncate": _truncated, "corrupt": _corrupted, "duplicate": _doubled, "reorder": _overtaken,
+}  # fmt: skip
+"""Effect -> what becomes of a frame that it strikes; None where there is nothing to change."""
+
+
+class _Strike:
+    """Effect on a share of the frames, each on its own.
+
+    Args:
+        name: Name of the effect, and of its share.
+        effects: Effects of the bus.
+        random: Random numbers of the effect.
+        count: Called for each frame that it struck.
+    """
+
+    def __init__(self, name: str, effects: BusEffects, random: Random, count: _Count) -> None:
+        self._name, self._share = name, getattr(effects, name)
+        self._effects, self._random, self._count = effects, random, count
 
     def apply(self, flight: Flight) -> list[Flight]:
-        """Return the frame, or nothing."""
-        self._is_lost = self._random.random() < (self._after_lost if self._is_lost else self._after_heard)
-        if not self._is_lost:
+        """Return the frames that one becomes."""
+        changed = _CHANGES[self._name](self._effects, self._random, flight) if self._strikes() else None
+        if changed is None:
             return [flight]
-        self._count("drop", flight.message.arbitration_id)
-        return []
+        self._count(self._name, flight.message.arbitration_id)
+        return changed
+
+    def _strikes(self) -> bool:
+        return self._random.random() < float(self._share)
 
 
-class _Truncate:
-    """Cuts bytes off the end of the data."""
+class _Burst(_Strike):
+    """Effect on frames in runs (Gilbert, 1960: two states, lost and received)."""
 
-    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
-        self._share, self._random, self._count = effects.truncate, random, count
+    _is_lost = False
 
-    def apply(self, flight: Flight) -> list[Flight]:
-        """Return the frame, perhaps shorter."""
-        message = flight.message
-        if self._random.random() >= self._share or not message.data:
-            return [flight]
-        self._count("truncate", message.arbitration_id)
-        kept = self._random.randrange(len(message.data))
-        return [flight._replace(message=_with_data(message, bytearray(message.data[:kept])))]
+    def _strikes(self) -> bool:
+        share, mean = self._share, self._effects.drop_burst or 1.0
+        threshold = 1.0 - 1.0 / mean if self._is_lost else share / (mean * (1.0 - share))
+        self._is_lost = self._random.random() < threshold
+        return self._is_lost
 
 
-class _Corrupt:
-    """Flips one bit of the data."""
-
-    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
-        self._share, self._random, self._count = effects.corrupt, random, count
-
-    def apply(self, flight: Flight) -> list[Flight]:
-        """Return the frame, perhaps with another content."""
-        message = flight.message
-        if self._random.random() >= self._share or not message.data:
-            return [flight]
-        self._count("corrupt", message.arbitration_id)
-        bit = self._random.randrange(8 * len(message.data))
-        data = bytearray(message.data)
-        data[bit // 8] ^= 1 << bit % 8
-        return [flight._replace(message=_with_data(message, data))]
-
-
-class _Delay:
+class _Delay(_Strike):
     """Delays every frame by a fixed time and a random one."""
-
-    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
-        self._delay, self._jitter = round(effects.delay * 1e9), round(effects.jitter * 1e9)
-        self._random = random
 
     def apply(self, flight: Flight) -> list[Flight]:
         """Return the frame with its new due time."""
-        later = self._delay + (self._random.randrange(self._jitter + 1) if self._jitter else 0)
-        return [flight._replace(due=flight.due + later)]
-
-
-class _Duplicate:
-    """Duplicates a frame, one right behind the other."""
-
-    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
-        self._share, self._random, self._count = effects.duplicate, random, count
-
-    def apply(self, flight: Flight) -> list[Flight]:
-        """Return the frame once or twice."""
-        if self._random.random() >= self._share:
-            return [flight]
-        self._count("duplicate", flight.message.arbitration_id)
-        return [flight, flight._replace(message=_with_data(flight.message, bytearray(flight.message.data)))]
-
-
-class _Reorder:
-    """Delays a frame while others overtake it."""
-
-    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
-        self._share, self._hold = effects.reorder, round(effects.reorder_delay * 1e9)
-        self._random, self._count = random, count
-
-    def apply(self, flight: Flight) -> list[Flight]:
-        """The frame, perhaps delayed."""
-        if self._random.random() >= self._share:
-            return [flight]
-        self._count("reorder", flight.message.arbitration_id)
-        return [Flight(flight.message, flight.due + self._hold, keeps_order=False)]
-
-
-class Refuse:
-    """Selects the frames that the interface refuses to take (ENOBUFS)."""
-
-    def __init__(self, effects: BusEffects, seed: int) -> None:
-        self._share, self._random = effects.refuse, stream(seed, "to_drive", "refuse")
-
-    def happens(self) -> bool:
-        """Return whether the next frame is refused."""
-        return self._random.random() < self._share
-
-
-_CLASSES: dict[str, Callable[[BusEffects, Random, _Count], _FrameEffect]] = {
-    "drop": _Drop,
-    "truncate": _Truncate,
-    "corrupt": _Corrupt,
-    "delay": _Delay,
-    "jitter": _Delay,
-    "duplicate": _Duplicate,
-    "reorder": _Reorder,
-}
+        delay, jitter = round(self._effects.delay * _SECOND), round(self._effects.jitter * _SECOND)
+        return [flight._replace(due=flight.due + delay + (self._random.randrange(jitter + 1) if jitter else 0))]
 
 
 def stream(seed: int, direction: str, effect: str) -> Random:
@@ -307,20 +268,21 @@ def stream(seed: int, direction: str, effect: str) -> Random:
     return Random(f"canhaptic bus {seed} {direction} {effect}")
 
 
-def frame_effects(effects: BusEffects, direction: Direction, seed: int, count: _Count) -> list[_FrameEffect]:
+def frame_effects(effects: BusEffects, direction: Direction, seed: int, count: _Count) -> list[_Strike]:
     """Effects on single frames that a scene names for one direction, in the order in which they act."""
     if not effects.suffers(direction):
         return []
-    chosen = {kind: name for name, kind in _CLASSES.items() if name in effects.named}
-    return [kind(effects, stream(seed, direction, name), count) for kind, name in chosen.items()]
+    named = [name for name in _ORDER if getattr(effects, name)]
+    if effects.delay and effects.jitter:
+        named.remove("delay")  # one effect for both
+    kinds = {"delay": _Delay, "jitter": _Delay} | ({} if effects.drop_burst is None else {"drop": _Burst})
+    return [kinds.get(name, _Strike)(name, effects, stream(seed, direction, name), count) for name in named]
 
 
 _Delivery = Callable[[can.Message, int], None]
 """Called as deliver(frame, now [ns]) when it arrives."""
 Counts = Counter[tuple[str, str, int]]
 """Frames struck, by (effect, direction, COB-ID)."""
-
-_SECOND: Final = 1_000_000_000  # [ns]
 
 
 def _worst_case_bits(length: int) -> int:
@@ -511,7 +473,8 @@ class FaultyBus(can.BusABC):
         self._wire = Wire(bitrate) if effects.wire_time else None
         self._outgoing = BusSegment(effects, self._out, seed, self.counts, self._wire, self._send_on)
         self._incoming = BusSegment(effects, self._in, seed, self.counts, self._wire, self._hand_in)
-        self._refuse = Refuse(effects, seed) if effects.refuse and is_master and effects.suffers(self._out) else None
+        self._refused = effects.refuse if is_master and effects.suffers(self._out) else 0.0
+        self._refusals = stream(seed, "to_drive", "refuse")
         self._stall = Schedule(effects.stall) if effects.stall and is_master else None
         self._bus_off, self._freeze = Schedule(effects.bus_off), Schedule(effects.freeze)
         self._foreign = Foreign(effects, seed) if effects.foreign_rate else None
@@ -544,7 +507,7 @@ class FaultyBus(can.BusABC):
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Return the next frame that has arrived; None when none did within `timeout` [s]; None waits for ever."""
         now = self._awake()
-        deadline = NEVER if timeout is None else now + round(timeout * 1e9)
+        deadline = NEVER if timeout is None else now + round(timeout * _SECOND)
         while True:
             if self._is_pumped:
                 self.advance(now)
@@ -554,7 +517,7 @@ class FaultyBus(can.BusABC):
                 return self._ready.popleft()
             if now >= deadline:
                 return None
-            message = self._bus.recv(max(0, min(deadline, self.next_due(), now + 1_000_000_000) - now) * 1e-9)
+            message = self._bus.recv(max(0, min(deadline, self.next_due(), now + _SECOND) - now) * 1e-9)
             now = self._awake()
             if message is not None:
                 self._take(message, now)
@@ -639,7 +602,7 @@ class FaultyBus(can.BusABC):
         if self._bus_off.end(time):
             self.counts["bus_off", self._out, cob_id] += 1
             raise can.CanOperationError("bus-off: the controller takes no part in the bus")
-        if self._refuse is not None and self._outgoing.suffers(cob_id, time) and self._refuse.happens():
+        if self._refused and self._outgoing.suffers(cob_id, time) and self._refusals.random() < self._refused:
             self.counts["refuse", self._out, cob_id] += 1
             raise can.CanOperationError("No buffer space available", errno.ENOBUFS)
 
