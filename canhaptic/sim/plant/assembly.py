@@ -35,7 +35,7 @@ PlantModel -> data of one mode: flows, work forms and guards. No scene-specific 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, Final, Literal, NamedTuple, Protocol
+from typing import ClassVar, Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -44,9 +44,6 @@ from canhaptic.own_results import FORCE, watch
 from canhaptic.sim.plant.accuracy_parameters import LEVELS
 from canhaptic.sim.plant.propagator import Array, doublings, dyadic_flows, series, smallest_step, taylor_flow
 from canhaptic.units import Parameters
-
-if TYPE_CHECKING:
-    from canhaptic.sim.plant.effects import Effect
 
 Account = Literal["motor", "user", "dissipated"]
 
@@ -240,6 +237,16 @@ class _PlantPart(Protocol):
         """Add its components."""
 
 
+class _Effect(_PlantPart, Protocol):
+    """An effect of the scene; see `canhaptic.sim.plant.effects.Effect`."""
+
+    rank: ClassVar[int]
+
+    @property
+    def type(self) -> str:
+        """Its name in a scene."""
+
+
 class EffectParameters(Parameters):
     """Base of the effects: exact, and added after the hand, unless one says otherwise; see `Effect`."""
 
@@ -247,7 +254,7 @@ class EffectParameters(Parameters):
     rank: ClassVar[int] = 1
 
 
-def collect(axis: _PlantPart, user: _PlantPart | None, effects: "Sequence[Effect]", sample_time: float) -> PlantModel:
+def collect(axis: _PlantPart, user: _PlantPart | None, effects: Sequence[_Effect], sample_time: float) -> PlantModel:
     """The model of a plant: body, shaft and motor first, then the hand, then the other effects.
 
     Raises:
@@ -268,7 +275,7 @@ def collect(axis: _PlantPart, user: _PlantPart | None, effects: "Sequence[Effect
     return scene
 
 
-def _add(effect: "Effect", scene: PlantModel) -> None:
+def _add(effect: _Effect, scene: PlantModel) -> None:
     try:
         effect.add_to(scene)
     except ParameterError as error:
