@@ -29,7 +29,7 @@ SCENES: Final = {
 """Each scene, and what a scene like it has."""
 FOLDER: Final = ROOT / "docs" / "accuracy"
 BUDGET: Final = 12.0  # [s], compiled plants included
-PACKAGES: Final = ("canhaptic", "numpy", "scipy", "mujoco")
+PACKAGES: Final = ("canhaptic", "numpy", "scipy")
 
 
 def make(name: str, folder: Path) -> None:

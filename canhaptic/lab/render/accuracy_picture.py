@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from canhaptic.axis_units import mass_unit
 from canhaptic.errors import InputError
+from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR
 from canhaptic.lab.studies.accuracy.accuracy_table import (
-    Row,
     accuracy_tables,
     advice_lines,
     base_loop,
@@ -26,7 +26,7 @@ from canhaptic.lab.studies.accuracy.accuracy_table import (
     part_of,
     price_lines,
 )
-from canhaptic.lab.studies.accuracy.admittance_accuracy import AdmittanceStudy, ChangeRow, display_accuracy_table
+from canhaptic.lab.studies.accuracy.admittance_accuracy import display_accuracy_table
 from canhaptic.lab.studies.accuracy.admittance_accuracy import heading as display_heading
 from canhaptic.lab.studies.accuracy.plant_solvers import COMPILED, OURS
 from canhaptic.view.html_page import picture, words, write_page
@@ -53,8 +53,6 @@ _STYLES: Final[dict[str, tuple[str, str]]] = {
     "implicit midpoint": (ORANGE, "s"),
     "RK4": (VERMILION, "^"),
     "LSODA, located": (BLUE, "D"),
-    "MuJoCo Euler": (PURPLE, "P"),
-    "MuJoCo RK4": (SKY, "X"),
 }
 _GROUPS: Final[dict[str, str]] = {
     "as it is": "#000000",
@@ -220,7 +218,7 @@ class _Figure(NamedTuple):
     """One column of the picture."""
 
     title: str
-    value: Callable[[ChangeRow], float]
+    value: Callable[[Row], float]
     is_steep: bool
 
 
@@ -233,7 +231,7 @@ def _figures(unit: str) -> tuple[_Figure, ...]:
     )
 
 
-def _drawn(result: AdmittanceStudy) -> list[ChangeRow]:
+def _drawn(result: Row) -> list[Row]:
     """Return the rows that have figures.
 
     Raises:
@@ -245,12 +243,12 @@ def _drawn(result: AdmittanceStudy) -> list[ChangeRow]:
     return rows
 
 
-def _name(row: ChangeRow) -> str:
+def _name(row: Row) -> str:
     ended = "" if row["status"] == "ok" else " (ended early)"
     return f"{row['changed']}: {row['to']}".rstrip(": ").replace("_", " ") + ended
 
 
-def draw_display_accuracy(result: AdmittanceStudy, path: str | Path) -> None:
+def draw_display_accuracy(result: Row, path: str | Path) -> None:
     """Draw a study into a file; its suffix gives the format (.png, .svg, .pdf).
 
     Raises:
@@ -278,7 +276,7 @@ def draw_display_accuracy(result: AdmittanceStudy, path: str | Path) -> None:
         save_picture(figure, path)
 
 
-def write_display_accuracy_page(result: AdmittanceStudy, path: Path) -> None:
+def write_display_accuracy_page(result: Row, path: Path) -> None:
     """Write a study as one self-contained page: the picture and the table.
 
     Raises:

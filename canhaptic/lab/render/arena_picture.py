@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from canhaptic.lab.studies import Row
 from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, drawing, save_picture
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def _draw_border(panel: "Axes", found: Found, delay: int, key: str) -> None:
     panel.set_xticks([], minor=True)
 
 
-def _line(name: str, number: int) -> dict[str, Any]:
+def _line(name: str, number: int) -> Row:
     mark = {"marker": _MARKS[number % len(_MARKS)], "markersize": 4.5, "fillstyle": "none"}
     if name == _OUR:
         return {**mark, "color": "black", "linewidth": 2.6, "zorder": 5}

@@ -16,6 +16,7 @@ from canhaptic.axis_units import effort_unit
 from canhaptic.errors import InputError
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
 from canhaptic.lab.reference import ContinuousReference
+from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.compare import AxisComparison, Comparison
 from canhaptic.view.picture_style import (
     BLUE,
@@ -173,7 +174,7 @@ def _draw_energy(panel: "Axes", run: LoopRun, period: float, scale: _Scale) -> N
         panel.legend(loc="upper left", fontsize=7.5, ncols=1)
 
 
-def _write_error(panel: "Axes", account: dict[str, Any], unit: str) -> None:
+def _write_error(panel: "Axes", account: Row, unit: str) -> None:
     error, ratio = account["position_error"], account["force_variation"]["ratio"]
     words = [] if error is None else [f"rms error {si(error['rms'], unit, 3)}"]
     if account["status"] != "completed":

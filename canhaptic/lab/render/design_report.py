@@ -1,20 +1,19 @@
 """A designed wall in words: the lines to paste into a scene, and the cost of the wall."""
 
-from typing import Any
-
 import yaml
 from rich.console import Group, RenderableType
 from rich.text import Text
 
 from canhaptic.axis_units import damping_unit, effort_unit, stiffness_unit
+from canhaptic.lab.studies import Row
 from canhaptic.view.si import si
 from canhaptic.view.table import Table
 
 
-def snippet(result: dict[str, Any]) -> str:
+def snippet(result: Row) -> str:
     """Return the wall as YAML for a scene."""
     stiffness, damping = stiffness_unit(result["unit"]), damping_unit(result["unit"])
-    passivity: dict[str, Any] = {"algorithm": "guarded", **result["loop"], **result["hand"]}
+    passivity: Row = {"algorithm": "guarded", **result["loop"], **result["hand"]}
     if "network" in result:
         group = {"name": result["group"], "network": result["network"], "passivity": passivity}
         return str(yaml.safe_dump({"groups": [group]}, sort_keys=False))
@@ -26,7 +25,7 @@ def snippet(result: dict[str, Any]) -> str:
     return str(yaml.safe_dump({"environment": wall, "passivity": passivity}, sort_keys=False))
 
 
-def design_report(result: dict[str, Any]) -> RenderableType:
+def design_report(result: Row) -> RenderableType:
     """Return the text of a design for a terminal.
 
     Args:
@@ -49,7 +48,7 @@ def design_report(result: dict[str, Any]) -> RenderableType:
     return Group(*parts)
 
 
-def _price(result: dict[str, Any]) -> list[Text]:
+def _price(result: Row) -> list[Text]:
     share, damped = result["stiffness_rendered"], result["damping_rendered"]
     lines = [f" rendered: stiffness {100.0 * share:.1f} %" + (f", damping {100.0 * damped:.1f} %" if damped else "")]
     lines.append(f" certificate in use: {str(result['certificate']).replace('_', ' ')}")
@@ -73,7 +72,7 @@ def _price(result: dict[str, Any]) -> list[Text]:
     return texts
 
 
-def _felt(result: dict[str, Any]) -> list[RenderableType]:
+def _felt(result: Row) -> list[RenderableType]:
     """Return what the hand feels: walls that are held for a push, what drags it, and when a contact begins."""
     if "felt" not in result:
         return []
@@ -102,7 +101,7 @@ def _felt(result: dict[str, Any]) -> list[RenderableType]:
     return [table, *map(Text, lines), *_drags(felt["drags"], motion)]
 
 
-def _drags(rows: list[dict[str, Any]], motion: str) -> list[RenderableType]:
+def _drags(rows: list[Row], motion: str) -> list[RenderableType]:
     """Return what drags in free motion earn for the contacts after them."""
     if not rows:
         return []
@@ -116,7 +115,7 @@ def _short(value: float | None, digits: int = 3, none: str = "") -> str:
     return none if value is None else f"{value:.{digits}g}"
 
 
-def _trade(result: dict[str, Any]) -> Table:
+def _trade(result: Row) -> Table:
     stiffness, damping = stiffness_unit(result["unit"]), damping_unit(result["unit"])
     heads = f"stiffness [{stiffness}]", f"largest damping [{damping}]"
     rows = [[f"{wall['stiffness']:g}", f"{wall['damping']:g}"] for wall in result["trade"]]

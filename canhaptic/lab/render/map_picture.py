@@ -3,10 +3,11 @@
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.map import Cells, Lines, Panel, common_limits
 from canhaptic.view.html_page import picture, words, write_page
 from canhaptic.view.picture_style import drawing, save_picture
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 _LETTERS: Final = 80
 """Letters of the caption over one column."""
-_LINES: Final[dict[str, dict[str, Any]]] = {
+_LINES: Final[dict[str, Row]] = {
     "measured": {"linewidth": 1.4, "markersize": 4.5, "fillstyle": "none"},
     "ours": {"linewidth": 2.6, "markersize": 4.5, "fillstyle": "none", "zorder": 5},
     "colgate": {"linewidth": 1.4, "linestyle": "--", "zorder": 4},

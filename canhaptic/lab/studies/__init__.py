@@ -1,1 +1,6 @@
-"""Studies with many runs: compare, accuracy, sweep, map, design, arena."""
+"""Studies of scenes: what varies makes cases, each case a row of plain values, the rows tables and pictures."""
+
+from typing import Any
+
+Row = dict[str, Any]
+"""Plain values by name, as `--json` prints them."""

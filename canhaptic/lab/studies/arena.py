@@ -66,6 +66,7 @@ from canhaptic.lab.loop.axis_loop import (
     require_single_axes,
 )
 from canhaptic.lab.reference import ContinuousReference, continuous_reference
+from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.map import theory_of
 from canhaptic.lab.studies.sweep.run_sweep import Progress, SerialExecutor
 from canhaptic.scene.components import ComponentSpec
@@ -74,8 +75,6 @@ from canhaptic.scene.models import Scene
 from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 
-CaseFigures = dict[str, Any]
-"""scene, rate, delay, algorithm, status and figures; None where there is nothing to measure."""
 _MARK: Final = ".py:"
 _OF_THE_PLANT: Final = "sim_"
 """Begins the names of scenes about the plant, which render nothing."""
@@ -173,7 +172,7 @@ def with_loop(scene: Scene, rate: float, delay: int) -> Scene:
     return replace(scene, bus=bus, axes=axes)
 
 
-def group_figures(group: CaseGroup, known: Iterable[tuple[int, str]] = ()) -> list[CaseFigures]:
+def group_figures(group: CaseGroup, known: Iterable[tuple[int, str]] = ()) -> list[Row]:
     """Return the figures of every case of a group.
 
     Args:
@@ -209,13 +208,13 @@ def _reference_of(scene: Scene, cycles: int) -> ContinuousReference | None:
         return None
 
 
-def _figures_of(scene: Scene, cycles: int, reference: ContinuousReference | None) -> CaseFigures:
+def _figures_of(scene: Scene, cycles: int, reference: ContinuousReference | None) -> Row:
     case = loop_case(scene.axes[0], scene)
     run = render(case, cycles, None if reference is None else Recorder.around(reference.position))
     return {"status": run.ended or "completed", **_of_run(run, scene, reference)}
 
 
-def _of_run(run: LoopRun, scene: Scene, reference: ContinuousReference | None) -> CaseFigures:
+def _of_run(run: LoopRun, scene: Scene, reference: ContinuousReference | None) -> Row:
     """Return the figures of a run, to four digits."""
     environment, sample_time = environment_of(scene.axes[0]), scene.bus.sample_time
     found = figures(environment, run, reference, sample_time)
@@ -259,7 +258,7 @@ _METRICS: Final = ("diverged", "least_covered", "stiffness_rendered.share")
 _RATES: Final = (100.0, 300.0, 1000.0, 3000.0, 8000.0)
 """Rates of the M-width [Hz]."""
 _REPEATS: Final = 5
-Rows = list[dict[str, Any]]
+Rows = list[Row]
 
 
 def tried_stiffnesses(per_decade: int) -> Array:
@@ -391,8 +390,6 @@ def mass_widths(rig: Path) -> Rows:
 
 AT_DAMPING: Final = 10.0
 """Whose borders are rows of a result [N*s/m]."""
-Standing = dict[str, Any]
-"""algorithm, cases, and one value a column of `COLUMNS`; None where there is nothing to measure."""
 
 
 class Column(NamedTuple):
@@ -400,27 +397,25 @@ class Column(NamedTuple):
 
     what: str
     unit: str
-    value: Callable[[Sequence[CaseFigures]], float | None]
+    value: Callable[[Sequence[Row]], float | None]
     is_ranked: bool = True  # whether less is better
 
 
-def _count(cases: Iterable[CaseFigures], figure: str) -> float:
+def _count(cases: Iterable[Row], figure: str) -> float:
     return float(sum(case[figure] > PASSIVE_TOLERANCE for case in cases))
 
 
-def _combined(
-    figure: str, by: Callable[[Sequence[float]], Any] = np.median
-) -> Callable[[Sequence[CaseFigures]], float | None]:
+def _combined(figure: str, by: Callable[[Sequence[float]], Any] = np.median) -> Callable[[Sequence[Row]], float | None]:
     """Return the function from cases to one number: a figure of those that were completed, combined."""
 
-    def of(cases: Sequence[CaseFigures]) -> float | None:
+    def of(cases: Sequence[Row]) -> float | None:
         values = [case[figure] for case in cases if case["status"] == "completed" and case[figure] is not None]
         return rounded(float(by(values))) if values else None
 
     return of
 
 
-def _most_given_out(cases: Sequence[CaseFigures]) -> float:
+def _most_given_out(cases: Sequence[Row]) -> float:
     return max((case["energy_given_out"] for case in cases if case["status"] == "completed"), default=0.0)
 
 
@@ -442,7 +437,7 @@ COLUMNS: Final[dict[str, Column]] = {
 """Key -> figure; in each that is ranked less is better."""
 
 
-def ranking(algorithms: Sequence[str], cases: Sequence[CaseFigures]) -> list[Standing]:
+def ranking(algorithms: Sequence[str], cases: Sequence[Row]) -> list[Row]:
     """Return one row per algorithm.
 
     Args:
@@ -452,12 +447,12 @@ def ranking(algorithms: Sequence[str], cases: Sequence[CaseFigures]) -> list[Sta
     rows = []
     for name in algorithms:
         built = [case for case in cases if case["algorithm"] == name and case["status"] != "refused"]
-        row: Standing = {"algorithm": name, "cases": len(built)}
+        row: Row = {"algorithm": name, "cases": len(built)}
         rows.append(row | {key: column.value(built) if built else None for key, column in COLUMNS.items()})
     return rows
 
 
-def ranks(rows: Sequence[Standing]) -> dict[str, dict[str, int]]:
+def ranks(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
     """Return the rank of each algorithm in each ranked figure: one more than the number of better ones."""
     found: dict[str, dict[str, int]] = {row["algorithm"]: {} for row in rows}
     for key, column in COLUMNS.items():
@@ -468,7 +463,7 @@ def ranks(rows: Sequence[Standing]) -> dict[str, dict[str, int]]:
     return found
 
 
-def given_out(algorithms: Sequence[str], cases: Sequence[CaseFigures]) -> dict[str, dict[str, dict[str, float]]]:
+def given_out(algorithms: Sequence[str], cases: Sequence[Row]) -> dict[str, dict[str, dict[str, float]]]:
     """Return where energy is given out: algorithm -> scene -> number of cases beyond the device, and the most [J]."""
     found: dict[str, dict[str, dict[str, float]]] = {}
     for name in algorithms:
@@ -522,7 +517,7 @@ class ArenaStore:
 
     def __init__(self, path: Path, *, force: bool = False) -> None:
         self._path = path
-        self._known: dict[str, CaseFigures] = {}
+        self._known: dict[str, Row] = {}
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             if force:
@@ -542,12 +537,12 @@ class ArenaStore:
         except (ValueError, KeyError, TypeError):
             return  # cut off by a kill: the case runs again
 
-    def finished(self, group: CaseGroup) -> list[CaseFigures]:
+    def finished(self, group: CaseGroup) -> list[Row]:
         """Return the stored cases of a group."""
         keys = (_key(group, delay, name) for delay in group.delays for name in group.algorithms)
         return [self._known[key] for key in keys if key in self._known]
 
-    def add(self, group: CaseGroup, found: Iterable[CaseFigures]) -> None:
+    def add(self, group: CaseGroup, found: Iterable[Row]) -> None:
         """Store the figures of cases of a group; all of them are on disk on return.
 
         Raises:
@@ -661,7 +656,7 @@ def run_arena(
     executor: Executor | None = None,
     progress: Callable[[Progress], None] = lambda _: None,
     stop_requested: Callable[[], bool] = lambda: False,
-) -> dict[str, Any] | None:
+) -> Row | None:
     """Return all results as plain values; None where it was stopped, with finished cases in the store.
 
     Args:
@@ -679,7 +674,7 @@ def run_arena(
     if not _run_cases(groups, store, executor, progress, stop_requested):
         return None
     cases = [case for group in groups for case in store.finished(group)]
-    found: dict[str, Any] = {
+    found: Row = {
         "canhaptic": version("canhaptic"),
         "code": code_hash(),
         "scenes": [path.stem for path in plan.scenes],
@@ -706,7 +701,7 @@ def _run_cases(
     total = sum(len(group.delays) * len(group.algorithms) for group in groups)
     done = begun = sum(len(store.finished(group)) for group in groups)
     progress(Progress(done, total, begun))
-    under_way: dict[Future[list[CaseFigures]], CaseGroup] = {}
+    under_way: dict[Future[list[Row]], CaseGroup] = {}
     waiting, at_once = list(groups), 1 if executor is None else _FEW
     executor = executor or SerialExecutor()
     while (waiting or under_way) and not stop_requested():
@@ -725,9 +720,9 @@ def _run_cases(
     return not (waiting or under_way)
 
 
-def _of_rig(plan: ArenaPlan, stop_requested: Callable[[], bool]) -> dict[str, Any]:
+def _of_rig(plan: ArenaPlan, stop_requested: Callable[[], bool]) -> Row:
     """Return what is measured on the rig; what a request to stop leaves out is missing."""
-    found: dict[str, list[dict[str, Any]]] = {"borders": [], "impedance": []}
+    found: dict[str, list[Row]] = {"borders": [], "impedance": []}
     for name in plan.algorithms:
         for delay in plan.delays:
             if not stop_requested():

@@ -55,6 +55,7 @@ from canhaptic.lab.loop.over_can import (
     render_over_can,
 )
 from canhaptic.lab.reference import ContinuousReference, continuous_reference
+from canhaptic.lab.studies import Row
 from canhaptic.result import TruthResult
 from canhaptic.scene.models import AxisScene, Scene
 
@@ -75,7 +76,7 @@ class AxisComparison:
 class Comparison:
     """Result of a comparison: plain values, and the runs behind them for the picture."""
 
-    result: dict[str, Any]
+    result: Row
     axes: tuple[AxisComparison, ...]
     sample_time: float
 
@@ -125,7 +126,7 @@ def compare(
         AxisComparison(axis.parameters.name, axis.parameters.unit, reference, run)
         for axis, (reference, _), run in zip(scene.axes, references, runs, strict=True)
     )
-    result: dict[str, Any] = {**heading_of(scene, cycles, "can" if over_can else "direct")}
+    result: Row = {**heading_of(scene, cycles, "can" if over_can else "direct")}
     result["axes"] = {
         axis.name: _account(scene, axis, index, references[index][1], names, remarks[index], cost[index])
         for index, axis in enumerate(axes)
@@ -221,9 +222,9 @@ def _account(
     names: Sequence[str],
     remarks: dict[str, str],
     cost: dict[str, float],
-) -> dict[str, Any]:
+) -> Row:
     environment = environment_of(scene.axes[index])
-    accounts: dict[str, Any] = {}
+    accounts: Row = {}
     for name in names:
         run = axis.runs.get(name)
         found = (

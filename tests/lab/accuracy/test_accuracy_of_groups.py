@@ -22,7 +22,7 @@ from canhaptic.lab.judge.reference_group import mechanism_model
 from canhaptic.lab.judge.solvers import located_states
 from canhaptic.lab.loop.axis_loop import at_rate
 from canhaptic.lab.reference import continuous_group, group_model
-from canhaptic.lab.studies.accuracy.loop_sensitivity import engines_of, group_variants
+from canhaptic.lab.studies.accuracy.loop_sensitivity import engines_of, variants
 from canhaptic.lab.studies.accuracy.plant_solvers import OURS
 from canhaptic.lab.studies.accuracy.study import AccuracyStudy, WallTime
 from canhaptic.scene.load import load_scene
@@ -180,7 +180,7 @@ def test_a_stage_that_sticks_and_slides_is_the_exact_one() -> None:
 
 def test_a_group_is_compiled_where_one_size_of_it_runs_long_enough() -> None:
     pytest.importorskip("numba")
-    every = group_variants(scene_of("xy_box"))
+    every = variants(scene_of("xy_box"), scene_of("xy_box"))
     second = 10**9
     assert set(engines_of(every, second, "auto")) == {"python"}
     assert set(engines_of(every, second, "numba")) == {"numba"}

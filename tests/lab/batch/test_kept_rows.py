@@ -42,7 +42,7 @@ def test_compiling_pays_for_long_runs_and_for_forces_over_substeps():
     light, heavy = case_of(load_scene("configs/demo.yaml")), case_of(demo(PLANTS["LuGre"]))
     assert work_of(heavy, 1000) > work_of(light, 1000) == 1000
     scene = demo(PLANTS["LuGre"])
-    of_study = variants(scene.axes[0], scene)
+    of_study = variants(scene, scene)
     chosen = dict(zip([one.setting for one in of_study], engines_of(of_study, 10**9, "auto"), strict=True))
     assert {name: engine for name, engine in chosen.items() if engine == "numba"}
     assert chosen["unprotected"] == "python"  # alone it is over before it is compiled

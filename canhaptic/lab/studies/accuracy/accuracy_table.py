@@ -8,19 +8,18 @@ All choices depend on errors and evaluations, which are equal in every run; time
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 from rich.console import Group, RenderableType
 from rich.text import Text
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
+from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR, LEAST_ORDER
 from canhaptic.lab.studies.accuracy.plant_solvers import OURS
 from canhaptic.view.si import si
 from canhaptic.view.table import Cell, Styled, Table
-
-Row = Mapping[str, Any]
 
 PLANT_HEADS: Final = (
     "method", "setting", "position", "force", "energy", "evals /\nperiod", "events", "us /\nperiod", "times\nwork", "",
@@ -192,7 +191,7 @@ def heading(result: Row) -> list[str]:
     if result["log_us"] is not None:
         cost = f"{result['log_us']:.1f} us" if result["log_us"] >= _CLOCK else f"less than {_CLOCK} us"
         lines.append(f"the energy log costs the control thread {cost} a cycle")
-    engines = {row["engine"].partition(":")[0] for row in result["loop"]}
+    engines = {row["engine"].partition(":")[0] for row in result["loop"] if "engine" in row}
     if engines:
         lines.append(f"the loops ran in {' and '.join(sorted(engines))}")
     return [*lines, *result["remarks"]]
@@ -412,7 +411,7 @@ def front(points: Sequence[tuple[float, float]]) -> set[tuple[float, float]]:
     return {(x, y) for x, y in set(points) if not any(a <= x and b <= y and (a < x or b < y) for a, b in points)}
 
 
-def advice(rows: Sequence[Row], effects: Sequence[Row], tolerance: float, orders: Sequence[Row] = ()) -> dict[str, Any]:
+def advice(rows: Sequence[Row], effects: Sequence[Row], tolerance: float, orders: Sequence[Row] = ()) -> Row:
     """Return what to write into the scene, with the reason.
 
     Args:

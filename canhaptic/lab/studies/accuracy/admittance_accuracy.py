@@ -12,7 +12,7 @@ A study of the accuracy of an admittance display as tables, on a terminal and as
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Final, NamedTuple, TypedDict
+from typing import Final
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -27,80 +27,34 @@ from canhaptic.lab.figures.figures import figures_of
 from canhaptic.lab.loop.admittance_equations import integrate, why_no_equations
 from canhaptic.lab.loop.admittance_loop import AdmittanceRun, run_display
 from canhaptic.lab.loop.axis_loop import Array, at_rate, display_group_under, display_under, parts_of
+from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy.accuracy_choice import holds_of
+from canhaptic.lab.studies.accuracy.loop_sensitivity import Variant
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation, SimulatedForceSensor
 from canhaptic.view.si import si
 from canhaptic.view.table import Table
 
-
-class AdmittanceReference(TypedDict):
-    """The ideal display."""
-
-    ended: str
-    travel: float  # [m or rad]
-    energy: float  # [J]
-    apart: float  # with twice its sample time [m or rad]
-
-
-class PlantRow(TypedDict, total=False):
-    """Difference of the plant of an axis from a solver."""
-
-    axis: str
-    status: str
-    position_error: float  # [m or rad]
-    energy_error: float  # [J]
-
-
-class ChangeRow(TypedDict, total=False):
-    """A display with one change, compared with the ideal one; a refused display has no figures."""
-
-    changed: str
-    to: str
-    status: str
-    position_error: float  # [m or rad]
-    energy_error: float  # [J]
-    mass_felt: float  # [kg or kg*m^2]
-    given_out: float  # [J]
-    guard_acts: float  # part of the holds
-    energy_unsure: float  # [J]
-    us_per_cycle: float
-
-
-class AdmittanceStudy(TypedDict):
-    """The accuracy of one display, or group of displays."""
-
-    scene: str
-    axis: str
-    unit: str
-    rate: float  # [Hz]
-    holds: int
-    reference: AdmittanceReference
-    plant: list[PlantRow]
-    loop: list[ChangeRow]
-    status: str
-
-
 HEADS: Final = ("changed", "to", "position", "energy", "mass felt", "given out", "guard acts", "us per\ncycle")
 
 
-def display_accuracy_report(result: AdmittanceStudy) -> RenderableType:
+def display_accuracy_report(result: Row) -> RenderableType:
     """Return the tables of a study for a terminal."""
     return Group(*(Text(f" {line}") for line in heading(result)), display_accuracy_table(result))
 
 
-def display_accuracy_markdown(result: AdmittanceStudy) -> str:
+def display_accuracy_markdown(result: Row) -> str:
     """Return the report as Markdown."""
     return "\n".join([*(f"{line}  " for line in heading(result)), "", display_accuracy_table(result).markdown()])
 
 
-def display_accuracy_table(result: AdmittanceStudy) -> Table:
+def display_accuracy_table(result: Row) -> Table:
     """Return one row for each change of the scene."""
     return Table("", HEADS, [_cells(row, result["unit"]) for row in result["loop"]], keys=2)
 
 
-def heading(result: AdmittanceStudy) -> list[str]:
+def heading(result: Row) -> list[str]:
     """Return the heading: the part studied, its reference, and the difference of the plant from a solver."""
     unit, reference = result["unit"], result["reference"]
     lines = [
@@ -118,7 +72,7 @@ def heading(result: AdmittanceStudy) -> list[str]:
     return lines
 
 
-def _cells(row: ChangeRow, unit: str) -> list[str]:
+def _cells(row: Row, unit: str) -> list[str]:
     if "position_error" not in row:
         return [row["changed"], f"{row['to']}: refused", *[""] * (len(HEADS) - 2)]
     return [
@@ -143,16 +97,7 @@ _PLAIN: Final = "unprotected"
 Stop = Callable[[], bool]
 
 
-class _Variant(NamedTuple):
-    """One change of a scene."""
-
-    changed: str
-    to: str
-    scene: Scene
-    steps: int  # holds of the ideal display in one of its holds
-
-
-def study_display(scene: Scene, name: str | None, duration: float | None, stop: Stop) -> AdmittanceStudy:
+def study_display(scene: Scene, name: str | None, duration: float | None, stop: Stop) -> Row:
     """Return the study of one display, or group of displays, as plain values.
 
     Args:
@@ -171,8 +116,8 @@ def study_display(scene: Scene, name: str | None, duration: float | None, stop: 
     alone, holds, steps = parts[name], holds_of(scene, duration), _steps(scene)
     ideal = run_display(_ideal(alone, steps), holds * steps)
     nearly = run_display(_ideal(alone, steps // 2), holds * steps // 2)
-    rows: list[ChangeRow] = []
-    found: AdmittanceStudy = {
+    rows: list[Row] = []
+    found: Row = {
         "scene": scene.source,
         "axis": name,
         "unit": alone.axes[0].parameters.unit,
@@ -188,11 +133,12 @@ def study_display(scene: Scene, name: str | None, duration: float | None, stop: 
         "loop": rows,
         "status": "completed",
     }
-    for variant in _variants(alone, steps):
+    for variant in _variants(alone):
         if stop():
             found["status"] = "stopped"
             return found
-        rows.append(_row(variant, ideal, holds * steps // variant.steps))
+        own = round(steps * variant.sample_time_ns / alone.bus.sample_time_ns)
+        rows.append(_row(variant, ideal, own, holds * steps))
     found["plant"] = [_plant_row(alone, axis, holds) for axis in alone.axes]
     return found
 
@@ -217,21 +163,19 @@ def _apart(run: AdmittanceRun, ideal: AdmittanceRun, steps: int) -> tuple[float,
     return float(position), float(np.abs(np.array(run.energies[:common]) - energies[:common]).max(initial=0.0))
 
 
-def _row(variant: _Variant, ideal: AdmittanceRun, cycles: int) -> ChangeRow:
-    row: ChangeRow = {"changed": variant.changed, "to": variant.to}
+def _row(variant: Variant, ideal: AdmittanceRun, steps: int, whole: int) -> Row:
+    """Return the row of a variant; `steps` are the holds of the ideal display in one of its own, of `whole`."""
+    row: Row = {"changed": variant.group, "to": variant.setting}
     clock = WallClock()
     begin = clock.now()
     try:
-        run = run_display(variant.scene, cycles)
+        run = run_display(variant.scene, whole // steps)
     except CanHapticError as error:
-        row["status"] = f"refused: {str(error).splitlines()[0]}"
-        return row
+        return row | {"status": f"refused: {str(error).splitlines()[0]}"}
     spent = clock.now() - begin
     figures = figures_of(run, variant.scene)
-    position, energy = _apart(run, ideal, variant.steps)
-    return {
-        "changed": variant.changed,
-        "to": variant.to,
+    position, energy = _apart(run, ideal, steps)
+    return row | {
         "status": run.ended or "ok",
         "position_error": position,
         "energy_error": energy,
@@ -243,10 +187,10 @@ def _row(variant: _Variant, ideal: AdmittanceRun, cycles: int) -> ChangeRow:
     }
 
 
-def _plant_row(scene: Scene, axis: AxisScene, holds: int) -> PlantRow:
+def _plant_row(scene: Scene, axis: AxisScene, holds: int) -> Row:
     """Return how far the plant is from a solver under the commands of the scene's own controller."""
     simulation = simulation_of(axis)
-    row: PlantRow = {"axis": axis.parameters.name}
+    row: Row = {"axis": axis.parameters.name}
     if reason := why_no_equations(simulation):
         row["status"] = f"not compared: no equations for {reason}"
         return row
@@ -262,18 +206,19 @@ def _plant_row(scene: Scene, axis: AxisScene, holds: int) -> PlantRow:
 # --- what is varied ---------------------------------------------------------------------------------------------------
 
 
-def _variants(scene: Scene, steps: int) -> Iterator[_Variant]:
-    """Yield the scene and its changes; `steps` are the holds of the ideal display in one of its own."""
-    rate = 1.0 / scene.bus.sample_time
-    yield _Variant("the scene", "", scene, steps)
+def _variants(scene: Scene) -> Iterator[Variant]:
+    """Yield the scene and its changes."""
+    yield Variant("the scene", "", scene)
     for factor in (0.5, 2.0, 4.0):
-        yield _Variant("rate", f"{factor * rate:g} Hz", at_rate(scene, factor * rate), round(steps / factor))
-    changes = [("algorithm", name, changed) for name, changed in _under_others(scene)]
-    changes += [("sampling", sampling, _sensed(scene, sampling=sampling)) for sampling in ("point", "mean")]
+        rate = factor / scene.bus.sample_time
+        yield Variant("rate", f"{rate:g} Hz", at_rate(scene, rate))
+    for name, changed in _under_others(scene):
+        yield Variant("algorithm", name, changed)
+    for sampling in ("point", "mean"):
+        yield Variant("sampling", sampling, _sensed(scene, sampling=sampling))
     exact = _sensed(scene, gain=1.0, offset=0.0, drift=0.0, noise=0.0, quantum=0.0)
-    changes += [("sensor", "without errors", exact), ("encoder", "10 times finer", _finer(scene, 10.0))]
-    for what, to, changed in changes:
-        yield _Variant(what, to, changed, steps)
+    yield Variant("sensor", "without errors", exact)
+    yield Variant("encoder", "10 times finer", _finer(scene, 10.0))
 
 
 def _under_others(scene: Scene) -> Iterator[tuple[str, Scene]]:

@@ -1,15 +1,10 @@
 """The plant side: the whole ladder on the torques of the scene's own controller, and every effect left out in turn.
 
-A linear plant in MuJoCo, where it is installed: a slide joint with the hand as its spring and damper.
-
-The hand's motion enters as a force held over each step. Works: the motor's is exact for a held torque, the
-user's by the trapezoidal rule over the steps.
-
-Every method to compute one plant under given torques: our settings, fixed-step methods, LSODA, MuJoCo.
+Every method to compute one plant under given torques: our settings, fixed-step methods, LSODA.
 
 The cost that is equal on every machine is the number of evaluations of the equations of motion: a trial matrix-vector
-product of ours, a right-hand side of a textbook method (evaluations of forces for a guard included), a
-step of MuJoCo. It ranks like time; the study reports how well.
+product of ours, a right-hand side of a textbook method (evaluations of forces for a guard included). It ranks like
+time; the study reports how well.
 
 The plant side of a group: the mechanics of its motors, under the torques of the scene's own controller.
 
@@ -22,13 +17,11 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from importlib import import_module
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.extras import install_hint
 from canhaptic.lab.batch.group_loop import GroupRecorder, Motors, motors_of, render_group
 from canhaptic.lab.judge.reference_group import ReferenceGroup
 from canhaptic.lab.judge.reference_model import MotionError, difference
@@ -41,8 +34,8 @@ from canhaptic.lab.judge.solvers import (
     reference,
     runge_kutta_4,
 )
-from canhaptic.lab.loop.axis_loop import viscous_friction
 from canhaptic.lab.reference import group_model, textbook_model
+from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR, fitted_order, ladder
 from canhaptic.lab.studies.accuracy.loop_sensitivity import finely_solved
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
@@ -50,107 +43,12 @@ from canhaptic.scene.parts import build_plant
 from canhaptic.scene.torque_history import declared_order, simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import Motion, observed
-from canhaptic.sim.plant.own_hand import OwnHand
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import Array
-from canhaptic.sim.plant.user import UserParameters
-
-_EXPRESSIBLE: Final = ("viscous_friction", "encoder_noise", "encoder_quantisation")
-
-
-def inexpressible(simulation: AxisSimulation) -> list[str]:
-    """Return the effects of a scene that this joint cannot express."""
-    hand = ["a hand of one's own"] if isinstance(simulation.user, OwnHand) else []
-    return hand + [effect.name for effect in simulation.effects if effect.name not in _EXPRESSIBLE]
-
-
-class MujocoPlant:
-    """One joint, stepped from Python.
-
-    Args:
-        simulation: Simulation with expressible effects only.
-        integrator: "Euler" (semi-implicit) or "RK4".
-        substeps: Steps in a hold.
-        torques: Torque of each hold [N or N*m].
-        sample_time_ns: Duration of a hold [ns].
-    """
-
-    def __init__(
-        self, simulation: AxisSimulation, integrator: str, substeps: int, torques: Sequence[float], sample_time_ns: int
-    ) -> None:
-        self._mujoco = import_module("mujoco")
-        self._plant, self._user = simulation.plant, simulation.user or UserParameters()
-        self._step, self._substeps = sample_time_ns * 1e-9 / substeps, substeps
-        damping = self._user.damping + self._plant.damping + viscous_friction(simulation)
-        self._model = self._mujoco.MjModel.from_xml_string(f"""
-<mujoco><option timestep="{self._step!r}" gravity="0 0 0" integrator="{integrator}"><flag contact="disable"/></option>
-<worldbody><body><joint name="x" type="slide" axis="1 0 0" stiffness="{self._user.stiffness!r}"
-damping="{damping!r}"/><geom type="sphere" size="0.01" mass="{self._plant.mass!r}"/></body></worldbody>
-<actuator><motor joint="x"/></actuator></mujoco>""")
-        self._torques = np.repeat(np.array(torques), substeps)
-        self._commands = (self._torques + self._forces()).tolist()
-
-    def _forces(self) -> Array:
-        """Return what the hand adds to spring and damper at the start of each step [N or N*m]."""
-        user, target, speed = self._user, self._target(), self._speed()
-        forces: Array = user.stiffness * target + user.damping * speed + user.push
-        return forces[: len(self._torques)]
-
-    def _times(self) -> Array:
-        times: Array = np.arange(len(self._torques) + 1, dtype=float)
-        return times * np.float64(self._step)
-
-    def _target(self) -> Array:
-        motion = self._user.motion
-        target: Array = np.full(len(self._torques) + 1, self._user.rest + (motion.offset if motion else 0.0))
-        if motion:
-            target += motion.amplitude * np.sin(2.0 * math.pi * motion.frequency * self._times() + motion.phase)
-        return target
-
-    def _speed(self) -> Array:
-        motion = self._user.motion
-        if not motion:
-            return np.zeros(len(self._torques) + 1)
-        omega = 2.0 * math.pi * motion.frequency
-        speed: Array = motion.amplitude * omega * np.cos(omega * self._times() + motion.phase)
-        return speed
-
-    def _begin(self) -> Any:
-        data = self._mujoco.MjData(self._model)
-        data.qpos[0], data.qvel[0] = self._plant.initial_position, self._plant.initial_velocity
-        return data
-
-    def run(self) -> list[float]:
-        """Run the joint and return the positions."""
-        model, data, move, positions = self._model, self._begin(), self._mujoco.mj_step, []
-        control, place = data.ctrl, data.qpos
-        for command in self._commands:
-            control[0] = command
-            move(model, data)
-            positions.append(place[0])
-        return positions
-
-    def motion(self) -> Motion:
-        """Run the joint and return the motion."""
-        data = self._begin()
-        states = [(data.qpos[0], data.qvel[0])]
-        for command in self._commands:
-            data.ctrl[0] = command
-            self._mujoco.mj_step(self._model, data)
-            states.append((data.qpos[0], data.qvel[0]))
-        position, velocity = np.array(states, dtype=float).T
-        motor = np.cumsum(self._torques * np.diff(position))
-        force = self._user.stiffness * (self._target() - position) + self._user.damping * (self._speed() - velocity)
-        power = (force + self._user.push) * velocity
-        user = np.cumsum(0.5 * self._step * (power[1:] + power[:-1]))
-        ends = slice(self._substeps - 1, None, self._substeps)
-        return Motion(position[1:][ends], velocity[1:][ends], motor[ends], user[ends])
-
 
 OURS: Final = "canhaptic"
 COMPILED: Final = "canhaptic, compiled"
 LSODA: Final = "LSODA, located"
-MUJOCO: Final = "MuJoCo"
 _SUBSTEPS: Final = (1, 2, 4, 8, 16)
 _TOLERANCES: Final = (1e-3, 1e-5, 1e-7, 1e-9)
 _ABSOLUTE: Final = 1e-3
@@ -210,9 +108,6 @@ def candidates(
                 found.append(_fixed(simulation, method, order, substeps, torques, sample_time_ns))
     if importlib.util.find_spec("scipy"):
         found += [_adaptive(simulation, tolerance, torques, sample_time_ns) for tolerance in _TOLERANCES]
-    if importlib.util.find_spec("mujoco") and not inexpressible(simulation):
-        for integrator in ("Euler", "RK4"):
-            found += [_mujoco(simulation, integrator, n, torques, sample_time_ns) for n in (1, 4, 16)]
     return found
 
 
@@ -228,16 +123,6 @@ def own_setting(simulation: AxisSimulation, sample_time_ns: int) -> AccuracyPara
     bits = now.event_bits if len({of.event_bits for of in found}) > 1 else found[0].event_bits
     substeps = now.substeps if len({of.substeps for of in found}) > 1 else found[0].substeps
     return now.model_copy(update={"event_bits": bits, "substeps": substeps})
-
-
-def remarks(simulation: AxisSimulation) -> list[str]:
-    """Return what could not be run, and why."""
-    lines = []
-    if not importlib.util.find_spec("mujoco"):
-        lines.append(f"MuJoCo: not installed ({install_hint('bench')})")
-    elif inexpressible(simulation):
-        lines.append(f"MuJoCo: the scene cannot be expressed there ({', '.join(inexpressible(simulation))})")
-    return lines
 
 
 def ours(
@@ -312,21 +197,8 @@ def _adaptive(simulation: AxisSimulation, tolerance: float, torques: Sequence[fl
     return Candidate(LSODA, f"tolerance {tolerance:.0e}", None, None, None, run, run)
 
 
-def _mujoco(
-    simulation: AxisSimulation, integrator: str, substeps: int, torques: Sequence[float], sample_time_ns: int
-) -> Candidate:
-    plant = MujocoPlant(simulation, integrator, substeps, torques, sample_time_ns)
-    price = (4 if integrator == "RK4" else 1) * substeps * len(torques)
-    setting = counted(substeps, "step")
-    return Candidate(
-        f"{MUJOCO} {integrator}", setting, 1.0 / substeps, 1, None, lambda: (plant.motion(), price, 0), plant.run
-    )  # order 1 for RK4 too: the hand's force is held over a step
-
-
 FURTHEST: Final = 1.0
 """Error of the position, in travels of the reference, from which a method counts as unstable."""
-
-Row = dict[str, Any]
 
 
 class PlantSide:
@@ -515,28 +387,7 @@ _REFERENCE: Final = 1e-12
 _RUNGE_KUTTA: Final = (1, 2, 4, 8)
 
 
-class Plants(Protocol):
-    """Interface of the plant side of a study: see `PlantSide`."""
-
-    rows: list[Row]
-    effects: list[Row]
-    candidates: list[Candidate]
-    without: dict[str, Candidate]
-    travel: float
-    energy: float
-    evaluations: int
-
-    def measure(self) -> Iterator[str]:
-        """Run every setting once; yield the name of each before it is run."""
-
-    def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
-        """Run the plant without each effect; yield the name of each before it is run."""
-
-    def orders(self) -> list[Row]:
-        """Return the order of every method with a step."""
-
-
-def group_side(scene: Scene, holds: int, stop: Callable[[], bool], *, with_compiled: bool) -> Plants:
+def group_side(scene: Scene, holds: int, stop: Callable[[], bool], *, with_compiled: bool) -> "Plants":
     """Return the plant side of the one group of a scene; arguments as for `PlantSide`.
 
     Raises:
@@ -741,6 +592,10 @@ class _Mechanism:
         period = self.scene.bus.sample_time_ns
         states = located_states(model, self.torques.tolist(), period, method, rtol, 1e-3 * rtol, self.stop)
         return _motion_of(model, states)
+
+
+Plants = PlantSide | _OwnPlants | _Mechanism
+"""The plant side of a study."""
 
 
 def _motion_of(model: ReferenceGroup, states: Sequence[Any]) -> Motion:

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, ClassVar, Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -35,7 +35,8 @@ from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError
 from canhaptic.lab.batch.engine import Engine
 from canhaptic.lab.loop.axis_loop import able_under, microseconds_per_step, parts_of
-from canhaptic.lab.reference import continuous_group
+from canhaptic.lab.reference import ContinuousGroup, continuous_group
+from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR, HOLDS, holds_of, require_own_axis
 from canhaptic.lab.studies.accuracy.accuracy_table import (
     advice,
@@ -46,14 +47,11 @@ from canhaptic.lab.studies.accuracy.accuracy_table import (
 )
 from canhaptic.lab.studies.accuracy.loop_sensitivity import (
     FINEST,
-    Continuous,
+    ContinuousLoop,
     LoopRow,
-    Variant,
     bus_figures,
     continuous_loop,
     engines_of,
-    group_variants,
-    hertz,
     loop_row,
     settings_now,
     variants,
@@ -62,12 +60,10 @@ from canhaptic.lab.studies.accuracy.plant_solvers import (
     LSODA,
     Plants,
     PlantSide,
-    Row,
     group_side,
     ours,
     own_ladder,
     own_setting,
-    remarks,
 )
 from canhaptic.scene.build import build, build_drive_group, open_bus, private_channel
 from canhaptic.scene.models import AxisScene, Scene
@@ -233,73 +229,57 @@ def workload() -> None:
 Stop = Callable[[], bool]
 
 
-class StudiedPart(Protocol):
-    """An axis outside groups, or a group, as the subject of a study."""
+@dataclass(frozen=True, slots=True)
+class StudiedPart:
+    """An axis outside groups, or a group, as the subject of a study.
 
-    is_group: ClassVar[bool]
+    Attributes:
+        name: Name of the axis or the group.
+        scene: Scene of the part alone.
+        whole: Scene that it is of.
+    """
+
+    name: str
+    scene: Scene
+    whole: Scene
 
     @property
-    def name(self) -> str:
-        """Name of the axis or the group."""
+    def is_group(self) -> bool:
+        """Whether several axes render together."""
+        return bool(self.scene.groups)
 
     @property
     def parameters(self) -> Sequence[AxisParameters]:
         """Parameters of the axes."""
+        names = self.scene.groups[0].axes if self.is_group else (self.name,)
+        return tuple(self.scene.axis(name).parameters for name in names)
 
     def plants(self, holds: int, stop: Stop, *, with_compiled: bool) -> Plants:
         """Return the plant side; see `PlantSide`."""
+        if self.is_group:
+            return group_side(self.scene, holds, stop, with_compiled=with_compiled)
+        return PlantSide(self.scene.axes[0], self.whole, holds, stop, with_compiled=with_compiled)
 
     def remarks(self) -> list[str]:
         """Return what could not be run, and why."""
+        moved = (of.mechanism.name for of in self.scene.mechanisms)
+        return [f"Euler and midpoint methods: not run on a {name}" for name in moved]
 
-    def continuous(self, step_ns: int, steps: int, stop: Stop) -> Continuous:
+    def continuous(self, step_ns: int, steps: int, stop: Stop) -> ContinuousLoop | ContinuousGroup:
         """Return the motion and force without sampling."""
-
-    def variants(self) -> Sequence[Variant]:
-        """Return every variant of the loop side."""
-
-    def first_rows(self, holds: int) -> Iterator[str]:
-        """Yield the cost of each plant setting and its difference from the finest one, in words."""
-
-    def now(self) -> dict[str, Any]:
-        """Return the scene's own values of the settings that variants change, by group, and its accuracy."""
-
-
-def _as_plain(accuracy: AccuracyParameters) -> dict[str, int]:
-    return {"event_bits": accuracy.event_bits, "substeps": accuracy.substeps}
-
-
-@dataclass(frozen=True, slots=True)
-class _AxisPart:
-    is_group: ClassVar[bool] = False
-    axis: AxisScene
-    scene: Scene
-
-    @property
-    def name(self) -> str:
-        return self.axis.parameters.name
-
-    @property
-    def parameters(self) -> Sequence[AxisParameters]:
-        return (self.axis.parameters,)
-
-    def plants(self, holds: int, stop: Stop, *, with_compiled: bool) -> Plants:
-        return PlantSide(self.axis, self.scene, holds, stop, with_compiled=with_compiled)
-
-    def remarks(self) -> list[str]:
-        return remarks(simulation_of(self.axis))
-
-    def continuous(self, step_ns: int, steps: int, stop: Stop) -> Continuous:
-        return continuous_loop(self.axis, step_ns, steps, stop)
-
-    def variants(self) -> Sequence[Variant]:
-        return variants(self.axis, self.scene)
+        if self.is_group:
+            return continuous_group(self.scene, step_ns, steps, stop)
+        return continuous_loop(self.scene.axes[0], step_ns, steps, stop)
 
     def first_rows(self, holds: int) -> Iterator[str]:
-        simulation, period = simulation_of(self.axis), self.scene.bus.sample_time_ns
-        torques, clock = torque_history(self.axis, self.scene, holds, simulation.accuracy), WallClock()
+        """Yield the cost of each plant setting of an axis and its difference from the finest one, in words."""
+        if self.is_group:
+            return
+        (axis,), period = self.scene.axes, self.scene.bus.sample_time_ns
+        simulation, clock = simulation_of(axis), WallClock()
+        torques = torque_history(axis, self.whole, holds, simulation.accuracy)
         settings = own_ladder(simulation, period)
-        finest, unit = settings[-1], self.axis.parameters.unit
+        finest, unit = settings[-1], axis.parameters.unit
         best = observed(build_plant(replace(simulation, accuracy=finest), period), torques).position
         for accuracy in dict.fromkeys((own_setting(simulation, period), *settings)):
             rung = ours(simulation, accuracy, torques, period)
@@ -309,42 +289,12 @@ class _AxisPart:
             apart = float(np.abs(rung.observe()[0].position - best).max())
             yield f"{rung.setting}: {spent:.3g} us a period, {length(apart, unit)} from the finest setting"
 
-    def now(self) -> dict[str, Any]:
-        accuracy = own_setting(simulation_of(self.axis), self.scene.bus.sample_time_ns)
-        return {"accuracy": _as_plain(accuracy), **settings_now(self.axis, self.scene)}
-
-
-@dataclass(frozen=True, slots=True)
-class _GroupPart:
-    is_group: ClassVar[bool] = True
-    name: str
-    scene: Scene  # of the group alone
-
-    @property
-    def parameters(self) -> Sequence[AxisParameters]:
-        return tuple(self.scene.axis(name).parameters for name in self.scene.groups[0].axes)
-
-    def plants(self, holds: int, stop: Stop, *, with_compiled: bool) -> Plants:
-        return group_side(self.scene, holds, stop, with_compiled=with_compiled)
-
-    def remarks(self) -> list[str]:
-        if self.scene.mechanisms:
-            return [f"MuJoCo and other methods: not run on a {self.scene.mechanisms[0].mechanism.name}"]
-        return list(dict.fromkeys(line for axis in self.scene.axes for line in remarks(simulation_of(axis))))
-
-    def continuous(self, step_ns: int, steps: int, stop: Stop) -> Continuous:
-        return continuous_group(self.scene, step_ns, steps, stop)
-
-    def variants(self) -> Sequence[Variant]:
-        return group_variants(self.scene)
-
-    def first_rows(self, holds: int) -> Iterator[str]:
-        return iter(())
-
-    def now(self) -> dict[str, Any]:
-        bus, (group,) = self.scene.bus, self.scene.groups
-        loop = {"sample rate": hertz(bus.rate), "RPDO": bus.rpdo, "algorithm": group.passivity.name}
-        return {"accuracy": _as_plain(AccuracyParameters()), **loop}
+    def now(self) -> Row:
+        """Return the scene's own values of the settings that variants change, by group, and its accuracy."""
+        (axis, *_), period = self.scene.axes, self.scene.bus.sample_time_ns
+        accuracy = AccuracyParameters() if self.is_group else own_setting(simulation_of(axis), period)
+        as_plain = {"event_bits": accuracy.event_bits, "substeps": accuracy.substeps}
+        return {"accuracy": as_plain, **settings_now(self.scene)}
 
 
 def chosen_part(scene: Scene, name: str | None) -> StudiedPart:
@@ -359,9 +309,8 @@ def chosen_part(scene: Scene, name: str | None) -> StudiedPart:
         raise InputError(f"{scene.source}: got axis {name!r}, expected one of: {', '.join(parts)}")
     if axis is not None and not axis.group:
         require_own_axis(axis, scene)
-        return _AxisPart(axis, scene)
-    group = str(axis.group if axis is not None else name)
-    return _GroupPart(group, parts[group])
+    chosen = str(name if axis is None else axis.group or axis.parameters.name)
+    return StudiedPart(chosen, parts[chosen], scene)
 
 
 _LONGEST: Final = 4000
@@ -386,17 +335,16 @@ def length_of(scene: Scene, name: str | None, duration: float | None = None) -> 
     Where its algorithm gives no torque, the unprotected controller is used instead.
     """
     part = chosen_part(scene, name)
-    if not isinstance(part, _AxisPart):
+    if part.is_group:
         return Length(scene, holds_of(scene, duration))
     most = holds_of(scene, duration) if duration is not None else _LONGEST
     if duration is None and scene.run.duration is not None:
         most = min(_LONGEST, round(scene.run.duration / scene.bus.sample_time))
-    begins = _contacts(part.axis, scene, most)
-    remark = ""
-    if not begins and part.axis.passivity.name != _JUDGED_WITH:
-        axis = able_under(part.axis, _JUDGED_WITH, scene).axis
-        axes = tuple(axis if of is part.axis else of for of in scene.axes)
-        plain = replace(scene, axes=axes)
+    (own,), remark = part.scene.axes, ""
+    begins = _contacts(own, scene, most)
+    if not begins and own.passivity.name != _JUDGED_WITH:
+        axis = able_under(own, _JUDGED_WITH, scene).axis
+        plain = replace(scene, axes=tuple(axis if of is own else of for of in scene.axes))
         begins = _contacts(axis, plain, most)
         if begins:
             scene, remark = plain, f"this loop gives no torque; judged with {_JUDGED_WITH}"
@@ -480,7 +428,7 @@ class AccuracyStudy:
         self._status = "not begun"
         self._log_us: float | None = None
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Row:
         """Return the result; `status` is "completed", or "stopped" with all results so far."""
         self._status = "stopped"
         try:
@@ -503,7 +451,7 @@ class AccuracyStudy:
         self._each(plant.measure_effects(self._accuracy(plant)))
         period = self.scene.bus.sample_time_ns
         exact = self.part.continuous(period // FINEST, self.holds * FINEST, self._counted_stop("loops"))
-        every = self.part.variants()
+        every = variants(self.part.scene, self.scene)
         engines = engines_of(every, self.holds * period, self._engine)
         for number, (variant, engine) in enumerate(zip(every, engines, strict=True)):
             self._loops.append(loop_row(variant, exact, self.holds * period, self._check, engine))
@@ -554,7 +502,7 @@ class AccuracyStudy:
         jobs |= {candidate.name: candidate.spend for candidate in stable}
         self._times = interleaved(jobs, self._budget, self._stop, lambda share: self._advance("times", 0.9 * share))
         self._check()
-        cases = {str(i): (row.variant.case, row.run) for i, row in enumerate(self._loops) if len(row.run.position) > 1}
+        cases = {str(i): (row.variant, row.run) for i, row in enumerate(self._loops) if len(row.run.position) > 1}
         each = microseconds_per_step(cases, _REPEATS)
         exchange = exchange_time(self.scene)
         self._log_us = log_time(self.scene)
@@ -566,7 +514,7 @@ class AccuracyStudy:
         self._advance("times", 1.0)
 
     def _loop_row(self, row: LoopRow) -> Row:
-        variant, stable = row.variant, row.is_stable
+        variant, stable = row.variant, not row.run.ended
         return {
             "group": variant.group,
             "setting": variant.setting,
@@ -582,14 +530,14 @@ class AccuracyStudy:
             "energy_uncertainty": row.run.believed_error,
             "energy_given_out": -row.run.least_interaction,
             "wall_per_second": row.seconds / (self.holds * self.scene.bus.sample_time),
-            "rate": variant.bus.rate,
+            "rate": variant.scene.bus.rate,
             **bus_figures(variant, self.scene),
         }
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Row:
         """Return all results so far, as plain values."""
         bus = self.scene.bus
-        found: dict[str, Any] = {
+        found: Row = {
             "scene": self.scene.source,
             "config_hash": self.scene.config_hash(),
             "axis": self.part.name,
@@ -621,11 +569,11 @@ class AccuracyStudy:
             else advice(rows, self._effect_rows(plant), self.tolerance, orders),
         }
 
-    def _workload(self) -> dict[str, Any] | None:
+    def _workload(self) -> Row | None:
         time = self._times.get(_WORKLOAD)
         return time and {"what": WORKLOAD, "seconds": time.least, "spread": time.spread}
 
-    def _reference(self, plant: Plants, rows: list[Row]) -> dict[str, Any]:
+    def _reference(self, plant: Plants, rows: list[Row]) -> Row:
         witness = next((row for row in rows if row["method"] == LSODA and row["setting"] == "tolerance 1e-09"), None)
         timed = [row for row in rows if row.get("us_per_period") is not None]
         return {

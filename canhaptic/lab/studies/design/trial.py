@@ -57,6 +57,7 @@ from canhaptic.lab.batch.engine import ChosenEngine, Engine, chosen_engine
 from canhaptic.lab.batch.group_loop import GroupRecorder, group_case, render_group, shares
 from canhaptic.lab.batch.scalar import group_meter
 from canhaptic.lab.loop.axis_loop import Array
+from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.sweep.chunk import (
     COMPLETED,
     ENGINES,
@@ -509,7 +510,7 @@ class GroupTrial:
             ran.all(axis=0), self._allowance, self._tolerance, damping,
         )  # fmt: skip
 
-    def account(self, verdict: TrialVerdict, stiffness: float, damping: float) -> dict[str, Any]:
+    def account(self, verdict: TrialVerdict, stiffness: float, damping: float) -> Row:
         """Return the description and cost of the network."""
         (group,) = self.scene.groups
         axes = [self.scene.axis(name) for name in group.axes]

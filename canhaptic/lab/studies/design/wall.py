@@ -19,7 +19,7 @@ import os
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from canhaptic.errors import CheckFailedError
 from canhaptic.lab.batch.engine import Engine
 from canhaptic.lab.figures.contact_quality import Bench, Leaning, SlowHand, enter, largest_held, settling_time
 from canhaptic.lab.loop.axis_loop import Array, able_under, loop_case, plant_parts, require_design_room
+from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.compare import compare
 from canhaptic.lab.studies.design.trial import (
     ALGORITHM,
@@ -69,7 +70,7 @@ _FURTHEST: Final = {"m": 0.5, "rad": 5.0}
 """Longest way tried [m or rad]."""
 
 
-def felt_of(scene: Scene, algorithm: str, hand: dict[str, float], tolerance: float, stiffness: float) -> dict[str, Any]:
+def felt_of(scene: Scene, algorithm: str, hand: dict[str, float], tolerance: float, stiffness: float) -> Row:
     """Return the figures felt on the rig of a scene, as plain values.
 
     Args:
@@ -197,7 +198,7 @@ def design_wall(
     tolerance: float = TOLERANCE,
     engine: Engine = "auto",
     progress: Callable[[int, int], None] = lambda _tried, _most: None,
-) -> dict[str, Any]:
+) -> Row:
     """Return the stiffest wall for the rig of a scene, and the largest damping at that stiffness, as plain values.
 
     Args:
@@ -229,9 +230,7 @@ def _trial_of(scene: Scene, tolerance: float, engine: Engine, stack: ExitStack) 
     return GroupTrial(scene, tolerance, engine, pool.executor)
 
 
-def _designed(
-    trial: Trial | GroupTrial, margin: float, tolerance: float, progress: Callable[[int, int], None]
-) -> dict[str, Any]:
+def _designed(trial: Trial | GroupTrial, margin: float, tolerance: float, progress: Callable[[int, int], None]) -> Row:
     search = _WallSearch(trial, 1.0 + margin, progress)
     stiffest = search.largest_stiffness()
     stiffnesses = [_rounded(share * stiffest) for share in _SHARES]
@@ -333,7 +332,7 @@ def _edges(passed: Booleans, nearly: Booleans) -> tuple[int, int]:
     return int(np.flatnonzero(np.append(True, passed[:first]))[-1]) - 1, first
 
 
-def _chosen(parameters: Parameters) -> dict[str, Any]:
+def _chosen(parameters: Parameters) -> Row:
     """Return what differs from its default; `alpha`, whose unit is its own, is left out."""
     fields = {key: field for key, field in type(parameters).model_fields.items() if key != "alpha"}
     return {key: value for key, of in fields.items() if (value := getattr(parameters, key)) != of.default}
@@ -347,7 +346,7 @@ def _rounded(value: float) -> float:
     return float(f"{math.floor(value / unit * (1.0 + 1e-12)) * unit:.{_DIGITS}g}")
 
 
-def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: float) -> dict[str, Any]:
+def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: float) -> Row:
     """Return what the wall is and costs: its verdict, and one run of it, leant on, next to the continuous wall."""
     values = {STIFFNESS: stiffness, DAMPING: damping}
     places = places_of(trial.scene, tuple(values))

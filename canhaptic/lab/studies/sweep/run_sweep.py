@@ -34,6 +34,7 @@ from canhaptic.lab.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, 
 from canhaptic.lab.batch.group_loop import group_case
 from canhaptic.lab.loop.admittance_loop import is_display
 from canhaptic.lab.loop.axis_loop import cycles_of, parts_of, with_algorithm
+from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.sweep.chunk import (
     FIGURES,
     RATE,
@@ -170,7 +171,7 @@ class Asked(NamedTuple):
     recipe: Recipe
     points: Points
     chunk: int
-    identity: dict[str, Any]
+    identity: Row
     is_auto: bool  # whether the engine was chosen here
 
 
@@ -430,7 +431,7 @@ def _is_not_batchable(scene: Scene, controllers: Sequence[str]) -> bool:
     return False
 
 
-def _identity(scene: Scene, recipe: Recipe, points: Points) -> dict[str, Any]:
+def _identity(scene: Scene, recipe: Recipe, points: Points) -> Row:
     """Return what two runs must have in common to share a file."""
     return {
         "configuration": scene.config_hash(),

@@ -6,7 +6,7 @@ Shares, extremes and medians of the completed scenes of a sweep, block by block:
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from rich.text import Text
 
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.lab.loop.axis_loop import Array
+from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.sweep.chunk import COMPLETED
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.lab.studies.sweep.vary import CONTROLLER
@@ -110,10 +111,8 @@ def _ordered(values: Array) -> NDArray[np.uint64]:
 
 _MOST_REMARKS: Final = 20
 
-_Summary = dict[str, Any]
 
-
-def summary(table: SweepTable) -> _Summary:
+def summary(table: SweepTable) -> Row:
     """Return the account of a sweep as plain values: what `canhaptic sweep --json` prints."""
     done = table.done()
     counts: Counter[tuple[str, str, str]] = Counter()
@@ -145,16 +144,16 @@ def _by(counts: Counter[tuple[str, str, str]], part: int) -> dict[str, int]:
     return dict(found)
 
 
-def _figures(table: SweepTable, axis: str) -> dict[str, Any]:
+def _figures(table: SweepTable, axis: str) -> Row:
     """Return shares and medians over the completed scenes, per algorithm."""
     if CONTROLLER not in table.keys:
         return {"of the scene": _shares(Selected(table, axis))}
     return {name: _shares(Selected(table, axis, index)) for index, name in enumerate(table.texts(CONTROLLER))}
 
 
-def _shares(selected: Selected) -> dict[str, Any]:
+def _shares(selected: Selected) -> Row:
     asked = set(selected.table.metrics)
-    found: dict[str, Any] = {"scenes": selected.count()}
+    found: Row = {"scenes": selected.count()}
     if "least_interaction" in asked:
         found["passive"] = selected.share("least_interaction", lambda values: values >= -PASSIVE_TOLERANCE)
     if "margin" in asked:
@@ -173,7 +172,7 @@ def _shares(selected: Selected) -> dict[str, Any]:
     return found
 
 
-def summary_report(found: _Summary) -> RenderableType:
+def summary_report(found: Row) -> RenderableType:
     """Return tables of a summary."""
     heading = Text(" ")
     heading.append(found["scene"], style="bold")
@@ -182,7 +181,7 @@ def summary_report(found: _Summary) -> RenderableType:
     return Group(*parts)
 
 
-def _counts(found: _Summary) -> RenderableType:
+def _counts(found: Row) -> RenderableType:
     lines = [Text(f" computed by: {_listed(found['engines'])}"), Text(f" status:      {_listed(found['status'])}")]
     style = {"refused": "yellow", "failed": "red"}
     lines += [
@@ -211,7 +210,7 @@ _COLUMNS: Final = {
 }
 
 
-def _shares_table(found: _Summary) -> Table:
+def _shares_table(found: Row) -> Table:
     entries = {(axis, name): entry for axis, of in found["figures"].items() for name, entry in of.items()}
     shown = [key for key in _COLUMNS if any(key in entry for entry in entries.values())]
     rows = [

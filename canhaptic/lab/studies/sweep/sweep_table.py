@@ -24,7 +24,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, NamedTuple, Self
+from typing import Final, NamedTuple, Self
 from zipfile import BadZipFile
 
 import h5py
@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from canhaptic.errors import InputError, LogFormatError, LogWriteError
 from canhaptic.input_file import require_regular
 from canhaptic.lab.loop.axis_loop import Array
+from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.sweep.chunk import ENGINES, SLOTS, STATUS, ChunkResult
 from canhaptic.lab.studies.sweep.vary import Column, Points
 from canhaptic.logs import hdf5
@@ -168,7 +169,7 @@ class Columnset(NamedTuple):
     """Contents of a new file in addition to its values."""
 
     figures: tuple[str, ...]  # "AXIS/METRIC"
-    identity: dict[str, Any]  # what a resumed sweep must agree with
+    identity: Row  # what a resumed sweep must agree with
     notes: dict[str, str]  # further attributes, texts
 
 
@@ -211,9 +212,9 @@ class SweepTable:
         return int(self._file.attrs["chunk"])
 
     @property
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> Row:
         """Identity of the sweep."""
-        found: dict[str, Any] = json.loads(self._file.attrs["identity"])
+        found: Row = json.loads(self._file.attrs["identity"])
         return found
 
     def note(self, name: str) -> str:
