@@ -96,7 +96,11 @@ def roles_of(scene: Scene) -> Roles:
     axes = [axis.parameters for axis in scene.axes]
     on = [places[axis.bus] for axis in scene.axes]
     maps = [choose_map(read_dictionary(axis.eds, axis.node_id), axis) for axis in axes]
-    sdo_requests = frozenset((bus, od.SDO_REQUEST_BASE + axis.node_id) for bus, axis in zip(on, axes, strict=True))
+    nodes = list(zip(on, (axis.node_id for axis in axes), strict=True))
+    for bus, axis in zip(on, axes, strict=True):
+        sensor = axis.admittance.force.node if axis.admittance else None
+        nodes += [(bus, sensor.node_id)] if sensor and sensor.node_id else []
+    sdo_requests = frozenset((bus, od.SDO_REQUEST_BASE + node_id) for bus, node_id in nodes)
     rpdos = [(bus, plan.rpdo.cob_id) for bus, plan in zip(on, maps, strict=True)]
     heartbeat = od.HEARTBEAT_BASE + scene.bus.master_id
     on_every_bus = {(bus, cob_id) for bus in on for cob_id in (od.NMT_COB_ID, od.SYNC_FRAME_COB_ID, heartbeat)}

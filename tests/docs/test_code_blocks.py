@@ -36,6 +36,7 @@ QUICK = {
     "arena": ["--duration", "0.1", "--workers", "1"],
     "compare": ["--duration", "0.2"],
     "commission": ["--duration", "0.1", "--yes"],
+    "evidence": ["--yes"],
     "accuracy": ["--duration", "0.1", "--budget", "2"],
     "scope": None,  # lives until it is stopped; tests/view start it
     "touch": None,  # tests/lab/touch start it
