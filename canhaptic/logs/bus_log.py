@@ -13,7 +13,7 @@ from canhaptic.logs.writer_process import WriterProcess
 _MOST_BUSES: Final = 256  # one byte in each record
 
 
-class BusLogWriter:
+class BusLogWriter(WriterProcess):
     """Writes frames as candump text. Call it as a recorder: `recorder(timestamp_ns, can_id, data, is_rx)`.
 
     The same frames give the same bytes. At real pace a full ring drops frames and counts them; at free pace it waits.
@@ -49,7 +49,8 @@ class BusLogWriter:
         convert = self.path.suffix.lower() in CONVERTIBLE
         channels = [channel] if isinstance(channel, str) else list(channel)
         _check_channels(channels)
-        _check_files(self.path, file_size, files, last, convert)
+        if convert and (file_size or last):
+            raise ParameterError(f"{path}: only candump text (.log) can be a series of files or the last seconds")
         job = {
             "kind": "bus",
             "pace": pace,
@@ -60,23 +61,10 @@ class BusLogWriter:
             "convert_to": str(self.path) if convert else "",
             "last_ns": round(last * 1e9),
         }
-        self._process = WriterProcess(job, [FRAME_RING], on_failure)
-        [self._frames] = self._process.rings
+        super().__init__(job, [FRAME_RING], on_failure)
+        [self._frames] = self.rings
         self._record = self._frames.recorder(0, self._insist)
-        self._free = pace == "free"
         self._channels = len(channels)
-        self.dropped = 0
-        """Frames lost so far because the ring was full."""
-
-    @property
-    def failure(self) -> str:
-        """Reason why the log stopped before it was closed; empty while there is none."""
-        return self._process.failure
-
-    @property
-    def writer_pid(self) -> int:
-        """Process ID of the present writer."""
-        return self._process.pid
 
     def __call__(self, timestamp_ns: int, can_id: int, data: bytes | bytearray, is_rx: bool) -> None:
         """Take one frame of classic CAN (at most 8 bytes of data).
@@ -97,20 +85,7 @@ class BusLogWriter:
         return self._frames.recorder(bus, self._insist)
 
     def _insist(self, frame: Record) -> None:
-        """Wait for room at free pace, count the frame as dropped otherwise."""
-        if not (self._free and self._process.push_patiently(self._frames, frame)):
-            self.dropped += 1
-
-    def close(self, status: str = "complete") -> None:
-        """Write everything that is still in the ring and wait for it. A second call does nothing.
-
-        Args:
-            status: Status of the run; with `last`, anything but complete, completed or stopped is a bad end.
-
-        Raises:
-            LogStoppedError: The log is not complete.
-        """
-        self._process.close(status)
+        self.insist(self._frames, frame)
 
 
 def _check_channels(channels: Sequence[str]) -> None:
@@ -119,12 +94,3 @@ def _check_channels(channels: Sequence[str]) -> None:
             raise ParameterError(f"channel {name!r}: expected a name without spaces, since every line has it")
     if not 0 < len(channels) <= _MOST_BUSES or len(set(channels)) < len(channels):
         raise ParameterError(f"channels {channels}: expected 1 to {_MOST_BUSES} names, all different")
-
-
-def _check_files(path: Path, file_size: int, files: int, last: float, is_converted: bool) -> None:
-    if file_size < 0 or files < 2:
-        raise ParameterError(f"{path}: {files} files of {file_size} bytes, expected at least 2 files, size >= 0")
-    if is_converted and (file_size or last):
-        raise ParameterError(f"{path}: only candump text (.log) can be a series of files or the last seconds")
-    if last < 0.0 or (last and file_size):
-        raise ParameterError(f"{path}: got last {last} s, expected >= 0, and no series of files with it")

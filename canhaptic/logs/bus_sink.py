@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from canhaptic.host.output_file import replacing
-from canhaptic.logs.growing_file import open_regular, require_same_file
+from canhaptic.logs.growing_file import LogSink, open_regular, require_same_file
 from canhaptic.logs.ring import RingShape, SharedArea
 
 FRAME_RING: Final = RingShape("=qIBBBx8s", 65_536)  # timestamp [ns], identifier, length, is_rx, bus, data
@@ -22,7 +22,7 @@ _BLOCK: Final = 4096  # frames formatted at a time
 _LAST_STANDARD_ID: Final = 0x7FF
 
 
-class BusSink:
+class BusSink(LogSink):
     """One bus log being written, or a bounded series of them.
 
     Args:
@@ -104,9 +104,6 @@ class BusSink:
         for old in _aside_files(self._path)[: -(self._files - 1) or None]:
             old.unlink()
         self._begin()
-
-    def fail(self, cause: str) -> None:
-        """Leave the file as it is: its format has no place for a status."""
 
     def finish(self, status: str) -> None:
         """Close the file and convert it if requested; these formats cannot hold the status of the run."""

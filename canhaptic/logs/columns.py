@@ -1,7 +1,7 @@
 """Columns of an energy log: one list that defines the ring's record, the file and the reader."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Final, NamedTuple
 
 from canhaptic.axis_units import Motion, damping_unit, effort_unit
@@ -117,9 +117,7 @@ class LogSchema:
         if self.version > 1:
             columns.append(_LogColumn("timing/deadline_index", "1", "i8"))
         for port in self.ports:
-            columns += _sample_columns(port) + _balance_columns(port)
-            if self.version > 1:
-                columns += _measured_columns(port)[: None if self.version > 2 else -1]
+            columns += _port_columns(port, self.version)
         if self.with_truth:
             for port in self.ports:
                 columns.append(_LogColumn(f"truth/{port.name}/position", port.unit, "f8"))
@@ -141,8 +139,7 @@ class LogSchema:
 
     def to_json(self) -> str:
         """Return the schema as text for the writer process."""
-        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return json.dumps(fields)
+        return json.dumps(asdict(self))
 
     @staticmethod
     def from_json(text: str) -> "LogSchema":
@@ -152,35 +149,24 @@ class LogSchema:
         return LogSchema(**fields)
 
 
-def _sample_columns(port: PortDescription) -> list[_LogColumn]:
-    units = {"position": port.unit, "torque_applied": effort_unit(port.unit)}
-    return [
-        _LogColumn("", "1", "i8")  # the SYNC index is in /timing, once for all ports
-        if name == "sync_index"
-        else _LogColumn(f"ports/{port.name}/{name}", units.get(name, "1"), _INTEGERS.get(name, "f8"))
-        for name in Sample._fields
-    ]
-
-
-def _balance_columns(port: PortDescription) -> list[_LogColumn]:
+def _port_columns(port: PortDescription, version: int) -> list[_LogColumn]:
+    """Columns of a port; older versions have fewer of what a run measures of its ports."""
+    effort = effort_unit(port.unit)
     units = {
-        "torque": f"{port.unit}/s" if port.commands_velocity else effort_unit(port.unit),
+        **dict.fromkeys(("statusword", "fresh", "branch", "certificate", "longest_hold", "uncommanded", "active"), "1"),
+        "position": port.unit,
+        "torque_applied": effort,
+        "torque": f"{port.unit}/s" if port.commands_velocity else effort,
         "damping_rendered": damping_unit(port.unit),
         "state": port.state_unit or port.unit,
-        "branch": "1",
-        "certificate": "1",
+        "effort_asked": effort,
     }
+    measured = Measured._fields if version > 2 else Measured._fields[:-1] if version > 1 else ()
+    path = f"ports/{port.name}/"
     return [
-        _LogColumn(
-            f"ports/{port.name}/{_BALANCE_NAMES.get(name, name)}", units.get(name, "J"), _INTEGERS.get(name, "f8")
-        )
-        for name in EnergyBalance._fields
-    ]
-
-
-def _measured_columns(port: PortDescription) -> list[_LogColumn]:
-    units = {"effort_asked": effort_unit(port.unit), "longest_hold": "1", "uncommanded": "1", "active": "1"}
-    return [
-        _LogColumn(f"ports/{port.name}/{name}", units.get(name, "J"), _INTEGERS.get(name, "f8"))
-        for name in Measured._fields
+        _LogColumn("", "1", "i8"),  # the SYNC index is in /timing, once for all ports
+        *(
+            _LogColumn(path + _BALANCE_NAMES.get(name, name), units.get(name, "J"), _INTEGERS.get(name, "f8"))
+            for name in (*Sample._fields[1:], *EnergyBalance._fields, *measured)
+        ),
     ]

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Final, Literal
 
 from canhaptic.control.balance import EnergyBalance
-from canhaptic.errors import ParameterError
 from canhaptic.logs.columns import EVENT_RING, EVENT_TEXT_SIZES, Attribute, LogSchema, PortDescription
 from canhaptic.logs.writer_process import WriterProcess
 from canhaptic.signals import CycleTiming, Measured, Sample, Truth
@@ -15,7 +14,7 @@ _FLUSH_TIME_NS: Final = 200_000_000  # a chunk holds this much of the run, at re
 _FREE_CHUNK: Final = 4096  # rows; without a wall clock only throughput counts
 
 
-class EnergyLogWriter:
+class EnergyLogWriter(WriterProcess):
     """Writes one energy log (HDF5).
 
     At real pace `append` never waits: when the ring is full the cycle is counted as dropped and the next row says so.
@@ -34,7 +33,6 @@ class EnergyLogWriter:
 
     Raises:
         LogWriteError: The file cannot be created.
-        ParameterError: Two ports share a name, or a name contains a slash.
     """
 
     def __init__(
@@ -49,32 +47,18 @@ class EnergyLogWriter:
         ring_rows: int = _RING_ROWS,
         on_failure: Callable[[str], None] | None = None,
     ) -> None:
-        _check_names(ports)
         self._further = tuple(range(1, len(ports)))  # behind the first
         self._nothing = (Measured(0.0, 0.0, 0.0, 1, 0, 0),) * len(ports)
         self.path = Path(path).absolute()
-        self._free = pace == "free"
-        chunk = _FREE_CHUNK if self._free else max(16, min(_FREE_CHUNK, _FLUSH_TIME_NS // sample_time_ns))
+        chunk = _FREE_CHUNK if pace == "free" else max(16, min(_FREE_CHUNK, _FLUSH_TIME_NS // sample_time_ns))
         schema = LogSchema(
-            tuple(ports), sample_time_ns, with_truth, min(chunk, ring_rows // 2), not self._free, dict(attributes)
+            tuple(ports), sample_time_ns, with_truth, min(chunk, ring_rows // 2), pace == "real", dict(attributes)
         )
         job = {"kind": "energy", "path": str(self.path), "pace": pace, "schema": schema.to_json()}
-        self._process = WriterProcess(job, [schema.ring(ring_rows), EVENT_RING], on_failure)
-        self._rows, self._events = self._process.rings
+        super().__init__(job, [schema.ring(ring_rows), EVENT_RING], on_failure)
+        self._rows, self._events = self.rings
         self._push = self._rows.push
         self._unreported = 0
-        self.dropped = 0
-        """Cycles lost so far because the ring was full."""
-
-    @property
-    def failure(self) -> str:
-        """Reason why the log stopped before it was closed; empty while there is none. Cheap enough for every cycle."""
-        return self._process.failure
-
-    @property
-    def writer_pid(self) -> int:
-        """Process ID of the present writer."""
-        return self._process.pid
 
     def append(
         self,
@@ -108,12 +92,10 @@ class EnergyLogWriter:
         if truths is not None:
             for position, energy in truths:
                 row += (position, *energy)
-        push = self._push
-        if push(row) or (self._free and self._process.push_patiently(self._rows, row)):
+        if self._push(row) or self.insist(self._rows, row):
             self._unreported = 0
         else:
             self._unreported += 1
-            self.dropped += 1
 
     def event(self, sync_index: int, kind: str, port: str, text: str) -> None:
         """Record an event: a fault, an EMCY, a lost frame, a stop. Long texts are cut.
@@ -127,26 +109,6 @@ class EnergyLogWriter:
         texts = zip((kind, port, text), EVENT_TEXT_SIZES.values(), strict=True)
         self._events.push((sync_index, *(_cut(words, size) for words, size in texts)))
 
-    def close(self, status: str = "complete") -> None:
-        """Write everything that is still in the ring, pack the file and wait for it. A second call does nothing.
-
-        Args:
-            status: Status of the run.
-
-        Raises:
-            LogStoppedError: The log is not complete.
-        """
-        self._process.close(status)
-
 
 def _cut(text: str, size: int) -> bytes:
     return text.encode()[:size].decode("utf-8", "ignore").encode()
-
-
-def _check_names(ports: Sequence[PortDescription]) -> None:
-    names = [port.name for port in ports]
-    for name in names:
-        if not name or "/" in name or name == ".":
-            raise ParameterError(f"port name {name!r}: expected a word without '/'; rename the axis")
-    if len(set(names)) != len(names):
-        raise ParameterError(f"ports {names}: expected different names; rename one of the axes")

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from canhaptic.logs.columns import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, LogSchema
-from canhaptic.logs.growing_file import NO_SPACE, cause_of, open_regular, require_same_file
+from canhaptic.logs.growing_file import NO_SPACE, LogSink, cause_of, open_regular, require_same_file
 from canhaptic.logs.hdf5 import Attribute, Dataset, Hdf5File, mark_failed, row_digests
 from canhaptic.logs.ring import SharedArea
 
@@ -77,7 +77,7 @@ def _copy_column(dataset: Dataset, new: Hdf5File, path: str, rows: int) -> None:
         copy.append(dataset.read(start, min(rows, start + _BLOCK)))
 
 
-class EnergySink:
+class EnergySink(LogSink):
     """One energy log being written.
 
     Args:
@@ -91,9 +91,8 @@ class EnergySink:
         self._schema = schema
         self._rows, self._events = area.rings
         self._columns = schema.columns()
-        fields = [f"f{number}" for number in range(len(self._columns))]
-        formats = ["<f8" if column.dtype == "f8" else "<i8" for column in self._columns]
-        self._record = np.dtype(list(zip(fields, formats, strict=True)))
+        kinds = ("<f8" if column.dtype == "f8" else "<i8" for column in self._columns)
+        self._record = np.dtype([(f"f{number}", kind) for number, kind in enumerate(kinds)])
         self._next_row = 0
         self._next_event = 0
         self._lost = 0

@@ -9,6 +9,7 @@ from typing import Final
 
 from canhaptic.host.output_file import replacing
 from canhaptic.logs.bus_sink import FRAME_RING, format_frames
+from canhaptic.logs.growing_file import LogSink
 from canhaptic.logs.ring import SharedArea
 
 _GOOD_ENDINGS: Final = frozenset({"complete", "completed", "stopped"})
@@ -17,7 +18,7 @@ _TIMESTAMP: Final = struct.Struct("=q")
 _SIZE: Final = struct.calcsize(FRAME_RING.record)
 
 
-class FaultSink:
+class FaultSink(LogSink):
     """Keeps the last frames in the memory of the writer process: they survive the controller, not the writer.
 
     A later bad end replaces the file of an earlier one; a good end leaves it.
@@ -45,9 +46,6 @@ class FaultSink:
         os.close(os.open(probe, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         probe.unlink()
 
-    def check(self) -> None:
-        """Do nothing: the file is written only at the end."""
-
     def drain(self, heads: list[int], final: bool) -> None:
         """Take all frames up to `heads[0]` and discard old ones."""
         del final
@@ -61,9 +59,6 @@ class FaultSink:
 
     def _oldest(self) -> int:
         return _last_time(self._blocks[-1]) - self._last_ns
-
-    def fail(self, cause: str) -> None:
-        """Leave the file as it is: its format has no place for a status."""
 
     def finish(self, status: str) -> None:
         """Write the kept frames, unless the run ended well."""

@@ -14,6 +14,25 @@ _FULL: Final = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
 _REMEDY: Final = "the rows from then on are lost; keep other programs away from a log while it is written"
 
 
+class LogSink:
+    """Destination of the records of a shared area."""
+
+    def open(self, restart: bool) -> None:
+        """Prepare the file; after a restart, continue the one that a killed writer left."""
+
+    def drain(self, heads: list[int], final: bool) -> None:
+        """Write records up to `heads`; may keep an incomplete block for later unless `final`."""
+
+    def check(self) -> None:
+        """Return while the file is as it was written; raise LogWriteError."""
+
+    def finish(self, status: str) -> None:
+        """Complete and close the file."""
+
+    def fail(self, cause: str) -> None:
+        """Say in the file, where it has room for that, why it ends before the run."""
+
+
 def open_regular(path: Path, flags: int) -> int:
     """Return a descriptor of a regular file; neither a symbolic link nor a pipe is opened.
 

@@ -10,7 +10,6 @@ import os
 import struct
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
-from enum import IntEnum
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -34,13 +33,6 @@ class RingShape(NamedTuple):
     capacity: int  # records
 
 
-class AreaState(IntEnum):
-    """State of the producer: running, or asking the writer to finish."""
-
-    RUNNING = 0
-    CLOSING = 1
-
-
 class SharedArea:
     """The mapped memory: a state, two short texts and one or more rings.
 
@@ -60,13 +52,13 @@ class SharedArea:
             offset += struct.calcsize(shape.record) * shape.capacity
 
     @property
-    def state(self) -> AreaState:
-        """State of the producer: running, or asking the writer to finish."""
-        return AreaState(self._cells[_STATE_CELL])
+    def is_closing(self) -> bool:
+        """Whether the producer asks the writer to finish."""
+        return bool(self._cells[_STATE_CELL])
 
-    @state.setter
-    def state(self, state: AreaState) -> None:
-        self._cells[_STATE_CELL] = state
+    def close_writer(self) -> None:
+        """Ask the writer to finish."""
+        self._cells[_STATE_CELL] = 1
 
     @property
     def mark(self) -> int:

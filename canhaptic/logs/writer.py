@@ -12,12 +12,12 @@ import sys
 import threading
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from canhaptic.errors import CanHapticError, LogWriteError
 from canhaptic.host.output_file import why_not_written
-from canhaptic.logs.growing_file import cause_of
-from canhaptic.logs.ring import AreaState, RingShape, SharedArea
+from canhaptic.logs.growing_file import LogSink, cause_of
+from canhaptic.logs.ring import RingShape, SharedArea
 
 
 class LogLock:
@@ -70,26 +70,7 @@ _PAUSE: Final = 0.01  # [s] between two looks at the ring
 _INTERRUPTED: Final = "interrupted: the controlling process ended without closing the log"
 
 
-class _Sink(Protocol):
-    """Destination of the records of an area."""
-
-    def open(self, restart: bool) -> None:
-        """Prepare the file; after a restart, continue the one that a killed writer left."""
-
-    def drain(self, heads: list[int], final: bool) -> None:
-        """Write records up to `heads`; may keep an incomplete block for later unless `final`."""
-
-    def check(self) -> None:
-        """Return while the file is as it was written; raise LogWriteError."""
-
-    def finish(self, status: str) -> None:
-        """Complete and close the file."""
-
-    def fail(self, cause: str) -> None:
-        """Say in the file, where it has room for that, why it ends before the run."""
-
-
-def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, _Sink]:
+def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, LogSink]:
     """Shared area and sink of a job; imports only what it needs."""
     area = SharedArea(descriptor, [RingShape(*shape) for shape in job["shapes"]])
     if job["kind"] == "energy":
@@ -109,7 +90,7 @@ def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, _Sink]:
     )
 
 
-def _serve(area: SharedArea, sink: _Sink, parent: int) -> None:
+def _serve(area: SharedArea, sink: LogSink, parent: int) -> None:
     """Write until the producer closes or is gone.
 
     A head is acted on one poll after it was first seen: by then the record behind it has reached this processor too, on
@@ -119,7 +100,7 @@ def _serve(area: SharedArea, sink: _Sink, parent: int) -> None:
     seen = [ring.tail for ring in area.rings]
     while True:
         gone = os.getppid() != parent
-        ending = gone or area.state == AreaState.CLOSING
+        ending = gone or area.is_closing
         heads = [ring.head for ring in area.rings]
         sink.check()
         sink.drain(seen, final=False)
@@ -144,7 +125,7 @@ def _become_ordinary(patient: bool) -> None:
         os.nice(_NICENESS)
 
 
-def _open(job: dict[str, Any], sink: _Sink) -> LogLock:
+def _open(job: dict[str, Any], sink: LogSink) -> LogLock:
     """Lock and open the log.
 
     Raises:
@@ -167,6 +148,7 @@ def _open(job: dict[str, Any], sink: _Sink) -> LogLock:
 def main() -> None:
     """Read the job, report `ready` once the file is open, and serve."""
     job = json.load(sys.stdin)
+    sys.path += job["folders"]  # behind the installation: an isolated interpreter has neither of this process's
     _become_ordinary(patient=job["pace"] == "real")
     area, sink = make_sink(job, int(sys.argv[1]))
     lock: LogLock | None = None

@@ -7,13 +7,13 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Final
 
 from canhaptic.errors import LogStoppedError, LogWriteError
-from canhaptic.logs.ring import AreaState, Record, Ring, RingShape, SharedArea, allocate, size_of
+from canhaptic.logs.ring import Record, Ring, RingShape, SharedArea, allocate, size_of
 from canhaptic.logs.writer import FAILED
 
 _RESTARTS: Final = 5  # a writer that is killed more often than this has a reason
@@ -22,20 +22,42 @@ _LAST_WAIT: Final = 1.0  # [s] for the end of a process that was killed
 _PACKAGES: Final = Path(__file__).resolve().parents[2]
 _PROGRAM: Final = """
 import sys
-sys.path.insert(0, sys.argv[2])
+sys.path.insert(0, sys.argv.pop(1))
 import canhaptic
 del sys.path[0]
-sys.path += sys.argv[3:]
-from canhaptic.logs.writer import main
+from {} import main
 main()
 """
-"""Takes canhaptic from where this process has it, and all else from the installation first: an isolated interpreter
-neither looks into the working folder nor at PYTHONPATH."""
 _WAIT: Final = 0.001  # [s] between two looks at a full ring, at free pace
 
 
+def isolated_program(
+    module: str, arguments: Iterable[object], descriptors: Sequence[int], **options: object
+) -> "subprocess.Popen[str]":
+    """Start `main` of a module in an interpreter that knows neither the working folder nor PYTHONPATH.
+
+    It takes canhaptic from where this process has it, and has a pipe as its standard input.
+
+    Args:
+        module: Name of the module.
+        arguments: Words of its `sys.argv` from the second on.
+        descriptors: Open files that it inherits.
+        options: Further arguments of `Popen`.
+    """
+    words = [sys.executable, "-I", "-c", _PROGRAM.format(module), str(_PACKAGES), *map(str, arguments)]
+    given: dict[str, Any] = options
+    return subprocess.Popen(
+        words,
+        stdin=subprocess.PIPE,
+        pass_fds=descriptors,
+        start_new_session=True,  # Ctrl-C in the terminal is for the controller, which then ends in order
+        text=True,
+        **given,
+    )
+
+
 class WriterProcess:
-    """A running writer and the memory shared with it.
+    """A log that is written: a running writer and the memory shared with it.
 
     The constructor returns when the file is open, so that nothing slow is left for the cycle. A thread sleeps in
     `waitpid` and starts another writer if this one is killed; the control thread spends nothing on it.
@@ -43,7 +65,13 @@ class WriterProcess:
     Args:
         job: Job of the writer (`canhaptic.logs.writer.make_sink`).
         shapes: The rings to share.
-        on_failure: Called once, from another thread, with the reason when writing ends prematurely.
+        on_failure: Called once, from another thread, with the reason when writing ends prematurely; records are then
+            dropped and counted at any pace.
+
+    Attributes:
+        dropped: Records lost so far because the ring was full.
+        failure: Reason why the log stopped before it was closed; empty while there is none.
+        restarts: Writers that were killed and replaced.
 
     Raises:
         LogWriteError: The file cannot be created.
@@ -54,11 +82,9 @@ class WriterProcess:
     ) -> None:
         _require_posix(job["path"])
         shapes = tuple(shapes)
-        self._job = {**job, "shapes": shapes, "parent": os.getpid()}
-        self._on_failure = on_failure
-        self.failure = ""
-        """Why writing ended before it was asked to; empty while all is well."""
-        self.restarts = 0
+        self._job = {**job, "shapes": shapes, "parent": os.getpid(), "folders": _trusted_folders()}
+        self._free, self._on_failure = job["pace"] == "free", on_failure
+        self.dropped, self.failure, self.restarts = 0, "", 0
         self._is_closed = False
         self._descriptor = _allocate(size_of(shapes), job["path"])
         self._area = SharedArea(self._descriptor, shapes)
@@ -77,12 +103,18 @@ class WriterProcess:
         """Process ID of the present writer."""
         return self._process.pid
 
-    def push_patiently(self, ring: Ring, record: Record) -> bool:
-        """Write one record as soon as the ring has room; return False if it never will.
+    def insist(self, ring: Ring, record: Record) -> bool:
+        """Write one record as soon as the ring has room, at free pace; else count it as dropped and return False.
 
         Raises:
             LogStoppedError: The writer has failed, the ring is full, and there is no `on_failure` to call.
         """
+        if self._free and self._push_patiently(ring, record):
+            return True
+        self.dropped += 1
+        return False
+
+    def _push_patiently(self, ring: Ring, record: Record) -> bool:
         pause = threading.Event()
         while not ring.push(record):
             if self.failure:
@@ -92,11 +124,12 @@ class WriterProcess:
             pause.wait(_WAIT)
         return True
 
-    def close(self, status: str) -> None:
+    def close(self, status: str = "complete") -> None:
         """Let the writer finish everything that is in the rings, and wait for it. A second call does nothing.
 
         Args:
-            status: Status of the run, kept in the file.
+            status: Status of the run, which an energy log keeps; anything but complete, completed or stopped is a bad
+                end, after which a bus log with `last` is written.
 
         Raises:
             LogStoppedError: The file is not complete.
@@ -105,7 +138,7 @@ class WriterProcess:
             return
         self._is_closed = True
         self._area.set_text("status", status)
-        self._area.state = AreaState.CLOSING
+        self._area.close_writer()
         self._supervisor.join()
         self._let_go()
         if self.failure:
@@ -116,14 +149,12 @@ class WriterProcess:
         os.close(self._descriptor)
 
     def _spawn(self, restart: bool) -> "subprocess.Popen[str]":
-        process = subprocess.Popen(
-            [sys.executable, "-I", "-c", _PROGRAM, str(self._descriptor), str(_PACKAGES), *_trusted_folders()],
-            stdin=subprocess.PIPE,
+        process = isolated_program(
+            "canhaptic.logs.writer",
+            [self._descriptor],
+            [self._descriptor],
             stdout=subprocess.DEVNULL if restart else subprocess.PIPE,
-            pass_fds=(self._descriptor,),
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # it multiplies nothing, and a thread a core takes long
-            start_new_session=True,  # Ctrl-C in the terminal is for the controller, which then closes the log
-            text=True,
         )
         self._give_job(process, restart)
         return process

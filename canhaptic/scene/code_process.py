@@ -18,7 +18,6 @@ import threading
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.cycle import Cycle
@@ -26,6 +25,7 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.errors import InputError, OwnCodeError
 from canhaptic.logs.ring import allocate
+from canhaptic.logs.writer_process import isolated_program
 from canhaptic.registry import load
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controller
@@ -38,14 +38,6 @@ _GOING: Final = 1.0  # [s] from the end of its pipe to its own
 _PRINTED: Final = 1_000_000  # characters that the code may print
 _SLOT: Final = 8192  # [bytes] from one slot to the next; the third has the text of an error
 _TRIES: Final = 3  # of reading a slot that is being written
-_PROGRAM: Final = """
-import sys
-sys.path.insert(0, sys.argv[1])
-import canhaptic
-del sys.path[0]
-from canhaptic.scene.code_process import main
-main()
-"""
 
 
 def apart(scene: Scene) -> Scene:
@@ -291,22 +283,17 @@ class CodeProcess:
         self._memory.close()
 
 
-def _spawned(scene: Scene, shared: int, wake: int, answers: int, pace: str) -> "subprocess.Popen[bytes]":
+def _spawned(scene: Scene, shared: int, wake: int, answers: int, pace: str) -> "subprocess.Popen[str]":
     """Return the process, started; it ends with this one."""
     job = {
         "text": scene.text, "source": scene.source, "overrides": scene.overrides, "path": sys.path,
         "pace": pace, "spin": scene.bus.spin_margin, "period": scene.bus.sample_time_ns,
     }  # fmt: skip
-    words = [sys.executable, "-I", "-c", _PROGRAM, str(Path(__file__).resolve().parents[2])]
-    process = subprocess.Popen(
-        [*words, str(shared), str(wake), str(answers)],
-        stdin=subprocess.PIPE,
-        pass_fds=(shared, wake, answers),
-        start_new_session=True,  # Ctrl-C in the terminal is for the cycle, which ends in order
-    )
+    descriptors = (shared, wake, answers)
+    process = isolated_program("canhaptic.scene.code_process", descriptors, descriptors)
     if process.stdin is not None:
         with suppress(BrokenPipeError):  # it has ended already
-            process.stdin.write(json.dumps(job).encode() + b"\n")
+            process.stdin.write(json.dumps(job) + "\n")
             process.stdin.flush()
     return process
 
@@ -333,7 +320,7 @@ class _Printed:
 
 def main() -> None:
     """Run the user code in this process until the process of the cycle ends."""
-    shared, wake, answers = map(int, sys.argv[2:5])
+    shared, wake, answers = map(int, sys.argv[1:])
     memory = mmap.mmap(shared, 3 * _SLOT)
     job = json.loads(sys.stdin.readline())
     threading.Thread(target=_end_with_the_cycle, daemon=True).start()

@@ -36,14 +36,14 @@ def write(path: Path, frames: list[tuple[int, int, bytes, bool]]) -> None:
 
 def test_a_full_ring_at_real_pace_drops_and_counts_without_waiting(tmp_path: Path) -> None:
     log = BusLogWriter(tmp_path / "full.log", "can0", pace="real")
-    os.kill(log.writer_pid, signal.SIGSTOP)  # the disk stalls
+    os.kill(log.pid, signal.SIGSTOP)  # the disk stalls
     try:
         room = FRAME_RING.capacity
         for number in range(room + 3):
             log(number, 0x181, b"12345678", True)
         assert log.dropped == 3
     finally:
-        os.kill(log.writer_pid, signal.SIGCONT)
+        os.kill(log.pid, signal.SIGCONT)
         log.close()
 
 
@@ -95,7 +95,7 @@ def test_a_killed_writer_is_replaced_and_no_line_is_lost_doubled_or_torn(tmp_pat
     log = BusLogWriter(path, "can0", pace="free")
     for k in range(120_000):
         if k in {20_000, 90_000}:
-            os.kill(log.writer_pid, 9)
+            os.kill(log.pid, 9)
         log(k * 1000, 0x181, k.to_bytes(8, "little"), True)
     log.close()
     lines = path.read_bytes().splitlines()

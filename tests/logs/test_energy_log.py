@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from canhaptic.control.balance import EnergyBalance
-from canhaptic.errors import LogFormatError, LogWriteError, ParameterError
-from canhaptic.logs.columns import PortDescription
+from canhaptic.errors import LogFormatError, LogWriteError
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.ring import RingShape, SharedArea, allocate, size_of
@@ -122,11 +121,11 @@ def test_noise_that_cannot_be_compressed_still_stays_within_the_size_limit(tmp_p
 def test_a_full_ring_at_real_pace_drops_counts_and_flags_without_waiting(tmp_path: Path) -> None:
     path = tmp_path / "full.h5"
     writer = EnergyLogWriter(path, PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True, ring_rows=64)
-    os.kill(writer.writer_pid, signal.SIGSTOP)  # the disk stalls
+    os.kill(writer.pid, signal.SIGSTOP)  # the disk stalls
     for k in range(100):
         append(writer, k)
     assert writer.dropped == 36
-    os.kill(writer.writer_pid, signal.SIGCONT)
+    os.kill(writer.pid, signal.SIGCONT)
     k = 100
     before = writer.dropped
     while True:  # until there is room again; every try is a cycle
@@ -174,12 +173,6 @@ def test_closing_twice_is_harmless_and_an_empty_log_is_a_log(tmp_path: Path) -> 
 def test_a_missing_folder_is_one_error_before_the_cycle(tmp_path: Path) -> None:
     with pytest.raises(LogWriteError, match="choose a folder that exists"):
         EnergyLogWriter(tmp_path / "no" / "run.h5", PORTS, {}, sample_time_ns=SAMPLE_TIME_NS)
-
-
-@pytest.mark.parametrize("names", [["a", "a"], ["a/b"], [""]])
-def test_port_names_that_the_file_cannot_hold_are_refused(tmp_path: Path, names: list[str]) -> None:
-    with pytest.raises(ParameterError, match="rename"):
-        EnergyLogWriter(tmp_path / "x.h5", [PortDescription(n, "m") for n in names], {}, sample_time_ns=1)
 
 
 @pytest.mark.parametrize("content", [b"", b"hello", b"\x89HDF\r\n\x1a\n" + bytes(200)])

@@ -42,7 +42,7 @@ while True:
 
 def kill(writer: EnergyLogWriter) -> None:
     with contextlib.suppress(ProcessLookupError):  # the last one is dead and the next not yet started
-        os.kill(writer.writer_pid, signal.SIGKILL)
+        os.kill(writer.pid, signal.SIGKILL)
 
 
 def status_of(path: Path) -> str:
@@ -99,9 +99,9 @@ def test_killing_the_writer_loses_no_row_because_another_takes_over(tmp_path: Pa
 def test_a_writer_killed_again_and_again_is_given_up_with_one_message(tmp_path: Path) -> None:
     writer = EnergyLogWriter(tmp_path / "run.h5", PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True)
     while not writer.failure:
-        killed = writer.writer_pid
+        killed = writer.pid
         kill(writer)
-        wait_for(lambda seen=killed: writer.failure or writer.writer_pid != seen)  # type: ignore[misc]
+        wait_for(lambda seen=killed: writer.failure or writer.pid != seen)  # type: ignore[misc]
     append(writer, 0)  # the cycle goes on
     with pytest.raises(LogWriteError, match="killed by SIGKILL"):
         writer.close()
@@ -114,7 +114,7 @@ def test_a_file_left_unreadable_is_put_aside_and_its_rows_are_counted_as_lost(tm
     )
     for k in range(700):  # more than the ring holds: some of them are in the file
         append(writer, k)
-    os.kill(writer.writer_pid, signal.SIGSTOP)
+    os.kill(writer.pid, signal.SIGSTOP)
     path.write_bytes(b"a bad sector")
     kill(writer)
     for k in range(700, 2000):

@@ -51,7 +51,7 @@ def _control(folder: Path, report: int) -> None:
         energy_log, bus_log = experiment.energy_log, experiment.bus_log
         assert energy_log is not None
         assert bus_log is not None
-        for number in (energy_log.writer_pid, bus_log.writer_pid):
+        for number in (energy_log.pid, bus_log.pid):
             os.write(report, _COUNT.pack(number))
         requested: list[int] = []
         signal.signal(signal.SIGTERM, lambda number, _frame: requested.append(number))

@@ -43,7 +43,7 @@ class Watch:
         assert experiment.energy_log is not None
         assert experiment.bus_log is not None
         self.account = AccountWatch(experiment)
-        self._processes = [os.getpid(), experiment.energy_log.writer_pid, experiment.bus_log.writer_pid]
+        self._processes = [os.getpid(), experiment.energy_log.pid, experiment.bus_log.pid]
         self._times = (cycles // 5, cycles)
         self._exchange = experiment.rig._exchange  # noqa: SLF001 - knows when each SYNC was sent
         self._last_sync = self.bursts = 0
