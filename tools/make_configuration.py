@@ -12,9 +12,14 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any, Final
 
-from canhaptic.scene.json_schema import Schema, scene_schema
+import yaml
 
-PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "configuration.md"
+from canhaptic.cli.check_eds import survey_of
+from canhaptic.scene.json_schema import Schema, scene_schema
+from canhaptic.scene.starter import starter_scene
+
+ROOT: Final = Path(__file__).resolve().parent.parent
+PAGE: Final = ROOT / "docs" / "configuration.md"
 WORDS: Final = PAGE.with_name("words.md")
 _INTRODUCTION: Final = """\
 ---
@@ -24,20 +29,23 @@ search:
 
 # Configuration
 
-Every key of a scene file; a key that is a link is explained in [words](words.md). This page is made from the models by
-`python -m tools.make_configuration`.
+Every key of a scene file. The keys in **bold** are all that a first rig needs: `canhaptic new` writes them. A key that
+is a link is explained in [words](words.md). This page is made from the models by `python -m tools.make_configuration`.
 
-Plain numbers are SI (or the unit given here). A text may carry a unit, which is checked for dimension: `1 kHz`,
-`100 N/m`, `50 us`. Where two units are given, the first is of a linear axis (`unit: m`), the second of a rotary one
-(`unit: rad`). A key without a default may be left out; where the words say None, they say what leaving it out (or
-`null`) means. A key that is not listed is an error that names the nearest one. Any value can be replaced from the
-command line: `--set environment.stiffness="500 N/m"`, `--set axes.0.node_id=5`. `--set passivity.algorithm=unprotected`
-and `--set environment.type=damper_wall` name another type: keys that only the old one has are dropped and named, and
-keys that the new one needs are listed with an example. With real drives nothing is dropped: it is an error.
+The second column has unit, range and default. Plain numbers are SI (or the unit given here). A text may carry a unit,
+which is checked for dimension: `1 kHz`, `100 N/m`, `50 us`. Where two units are given, the first is of a linear axis
+(`unit: m`), the second of a rotary one (`unit: rad`). A key without a default may be left out, unless it is required;
+where the words say None, they say what leaving it out (or `null`) means. A key that is not listed is an error that
+names the nearest one. Any value can be replaced from the command line: `--set environment.stiffness="500 N/m"`,
+`--set axes.0.node_id=5`. `--set passivity.algorithm=unprotected` and `--set environment.type=damper_wall` name another
+type: keys that only the old one has are dropped and named, and keys that the new one needs are listed with an example.
+With real drives nothing is dropped: it is an error.
 
 `canhaptic schema` prints the same as JSON Schema, for editors.
 """
-_HEAD: Final = "| key | unit | value | default | |\n|---|---|---|---|---|"
+_HEAD: Final = "| key | value | |\n|---|---|---|"
+_LAST: Final = ("groups", "simulation")
+"""Sections behind those that they refer to."""
 _LIMITS: Final = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
 _KINDS: Final = {"boolean": "`true`, `false`", "string": "text", "object": "mapping"}
 _MANY: Final = {"any": "numbers", "number": "numbers", "integer": "integers", "text": "texts", "keys": "mappings"}
@@ -55,13 +63,15 @@ class _Page:
 
     def __init__(self, schema: Schema) -> None:
         self._schema = schema
+        self._first = first_rig()
+        self._where: dict[tuple[str, ...], str] = {}  # the heading below which a row was shown first, by row
 
     def text(self) -> str:
         """Returns the whole page."""
         sections = self._schema["properties"]
-        top = [_row(name, of, name in self._schema["required"]) for name, of in sections.items()]
+        top = [_row(name, of, name in self._schema["required"], name in self._first) for name, of in sections.items()]
         parts = [_INTRODUCTION, "\n## Top level\n\nThe sections of a scene, and what belongs to none.\n", *_table(top)]
-        for name, of in sections.items():
+        for name, of in sorted(sections.items(), key=lambda section: section[0] in _LAST):
             if self._mappings(of):
                 parts.append(f"\n## `{name}`\n\n{fill(of.get('description', ''), 120)}\n")
                 parts.extend(self._below([name], of))
@@ -74,18 +84,32 @@ class _Page:
         common = _common(several) if len(several) > 1 and all(map(_chosen, several)) else []
         heading = ", ".join(f"`{path}`" for path in listed)
         if common:
-            yield f"\n### {heading}: with every `{_chosen(several[0]).partition(':')[0]}`\n"
-            yield from self._keys(listed[0], several[0], common)
+            title = f"{heading}: with every `{_chosen(several[0]).partition(':')[0]}`"
+            yield f"\n### {title}\n"
+            yield from self._keys(listed[0], several[0], common, title)
         for each in several:
             kind = f"`{_chosen(each)}`" if _chosen(each) else each.get("title", "")
             title = f"{heading}: {kind}" if len(several) > 1 else heading if "." in paths[0] else ""
             about = " ".join(each.get("description", "").split("\n\n")[0].split())
             yield f"\n### {title}\n\n{about}\n" if title else ""
-            yield from self._keys(listed[0], each, [key for key in each["properties"] if key not in common])
+            own = [key for key in each["properties"] if key not in common]
+            yield from self._keys(listed[0], each, own, title or heading)
 
-    def _keys(self, path: str, schema: Schema, keys: Sequence[str]) -> Iterator[str]:
+    def _keys(self, path: str, schema: Schema, keys: Sequence[str], title: str) -> Iterator[str]:
+        """Yields the table of some keys, the names of those that an earlier table has, and what is below them."""
         shown = {key: schema["properties"][key] for key in keys if key not in ("type", "algorithm")}
-        yield from _table([_row(key, of, key in schema.get("required", ())) for key, of in shown.items()])
+        rows, again = [], dict[str, list[str]]()
+        for key, of in shown.items():
+            whole = f"{path}.{key}".replace("[]", "")
+            row = _row(key, of, key in schema.get("required", ()), whole in self._first)
+            self._first.discard(whole)
+            if row in self._where:
+                again.setdefault(self._where[row], []).append(f"`{key}`")
+            else:
+                rows.append(row)
+        self._where |= dict.fromkeys(rows, title)
+        yield from _table(rows)
+        yield from (f"As in {where}: {', '.join(names)}.\n" for where, names in again.items())
         inner = {key: self._mappings(of) for key, of in shown.items() if f"{path}.{key}" not in _ELSEWHERE}
         for key, mappings in inner.items():
             same = [other for other in inner if mappings and inner[other] == mappings]
@@ -127,10 +151,25 @@ def _common(choices: Sequence[Schema]) -> list[str]:
     return [key for key, of in first.items() if all(other.get(key) == of for other in others)]
 
 
-def _row(name: str, schema: Schema, is_required: bool) -> tuple[str, ...]:
+def first_rig() -> set[str]:
+    """Returns the paths of the keys that `canhaptic new` writes for a rig with one axis, without list signs."""
+    generic, _ = survey_of(ROOT / "eds" / "cia402_servo.eds")
+    return set(_paths(yaml.safe_load(starter_scene(generic, simulate=False)), ""))
+
+
+def _paths(node: Any, path: str) -> Iterator[str]:
+    for each in node if isinstance(node, list) else [node]:
+        for key, inner in each.items() if isinstance(each, dict) else ():
+            yield f"{path}{key}"
+            yield from _paths(inner, f"{path}{key}.")
+
+
+def _row(name: str, schema: Schema, is_required: bool, is_of_first_rig: bool) -> tuple[str, ...]:
     unit, value = _value(schema)
     default = "required" if is_required else schema.get("taken") or _default(schema)
-    return _linked(name), "" if unit == "1" else unit, value, default, schema.get("description", "")
+    key = f"**{_linked(name)}**" if is_of_first_rig else _linked(name)
+    values = "; ".join(part for part in (f"{unit}: {value}" if unit not in ("", "1") else value, default) if part)
+    return key, values, schema.get("description", "")
 
 
 def _linked(name: str) -> str:
@@ -157,7 +196,8 @@ def _value(schema: Schema) -> tuple[str, str]:
     if "unit" in schema:
         number = schema["anyOf"][0]
         limits = ", ".join(f"{sign} {number[key]:g}" for key, sign in _LIMITS.items() if key in number)
-        return schema["unit"], limits or "any"
+        closed = re.fullmatch(r">= (\S+), <= (\S+)", limits)
+        return schema["unit"], f"{closed[1]} to {closed[2]}" if closed else limits or "any"
     if "const" in schema or "enum" in schema:
         return "", ", ".join(f"`{_plain(value)}`" for value in schema.get("enum") or [schema["const"]])
     if parts := [part for part in (schema.get("anyOf") or schema.get("oneOf") or ()) if part != {"type": "null"}]:

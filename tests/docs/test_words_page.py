@@ -26,7 +26,7 @@ def test_every_word_has_the_anchor_of_its_name() -> None:
 def test_the_keys_of_a_scene_link_to_their_words() -> None:
     """In the table of every key."""
     page = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
-    linked = dict(re.findall(r"^\| \[`(\w+)`\]\(words\.md#([\w-]+)\)", page, re.MULTILINE))
+    linked = dict(re.findall(r"^\| (?:\*\*)?\[`(\w+)`\]\(words\.md#([\w-]+)\)", page, re.MULTILINE))
     assert linked["hand_force"] == "hand-force"
     assert len(linked) > 15
 

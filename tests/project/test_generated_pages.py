@@ -43,6 +43,15 @@ def test_the_trace_of_a_cycle_is_current() -> None:
     assert make_how_it_works.page() == page, "run: python -m tools.make_how_it_works"
 
 
+ROW = r"^\| (?:\*\*)?\[?`(\w+)`"
+"""The key of a row, bold in a first rig, a link where a word explains it."""
+
+
+def keys_in(text: str) -> list[str]:
+    """The names in code spans."""
+    return re.findall(r"`(\w+)`", text)
+
+
 def keys_of(schema: Any, named: dict[str, Any]) -> Iterator[str]:
     """Every key that a JSON schema accepts, at any depth, but for `type` and `algorithm`, which are in titles."""
     if isinstance(schema, list):
@@ -72,8 +81,9 @@ def test_every_key_that_a_scene_may_have_is_in_its_section_of_the_page(
 ) -> None:
     parts = re.split(r"^## ", CONFIGURATION, flags=re.MULTILINE)
     above, own = parts[1], [part for part in parts if re.match(rf"`{section}\b", part)]
-    assert f"\n| `{section}` |" in above
-    listed = set(re.findall(r"^\| \[?`(\w+)`", "".join(own), re.MULTILINE))
+    assert section in re.findall(ROW, above, re.MULTILINE)
+    listed = set(re.findall(ROW, "".join(own), re.MULTILINE))
+    listed |= {key for keys in re.findall(r"^As in .*: (`.*)$", "".join(own), re.MULTILINE) for key in keys_in(keys)}
     schema = schema_of_scenes["properties"][section]
     if section == "axes":  # whose own environment and passivity are those of the sections of that name
         own_sections: dict[str, Any] = {"environment": {}, "passivity": {}}
@@ -84,11 +94,27 @@ def test_every_key_that_a_scene_may_have_is_in_its_section_of_the_page(
 
 
 def test_every_key_of_the_page_is_explained_and_has_a_value() -> None:
-    rows = re.findall(r"^\| \[?`(\w+)`[^|]* \|(.*)\|$", CONFIGURATION, re.MULTILINE)
+    rows = re.findall(rf"{ROW}[^|]* \|(.*)\|$", CONFIGURATION, re.MULTILINE)
     assert len(rows) > 250
     for name, cells in rows:
-        _unit, value, _default, words = [cell.strip() for cell in re.split(r"(?<!\\)\|", cells)]
+        value, words = [cell.strip() for cell in re.split(r"(?<!\\)\|", cells)]
         assert words, f"{name}: give its field a docstring"
         assert value, f"{name}: no kind of value"
-    assert re.findall(r"^\| `\w+` \| m or rad \| > 0", CONFIGURATION, re.MULTILINE)
+    assert re.findall(r"^\| `\w+` \| m or rad: > 0", CONFIGURATION, re.MULTILINE)
     assert "inside it" not in CONFIGURATION
+
+
+def test_what_is_as_in_an_earlier_section_is_in_its_table() -> None:
+    parts = re.findall(r"^### (.*?)\n(.*?)(?=^##)", CONFIGURATION, re.MULTILINE | re.DOTALL)
+    again = re.findall(r"^As in (.*): (`\w+`(?:, `\w+`)*)\.$", CONFIGURATION, re.MULTILINE)
+    assert len(again) > 30
+    for where, keys in again:
+        text = "".join(part for title, part in parts if title == where)
+        assert set(keys_in(keys)) <= set(re.findall(ROW, text, re.MULTILINE)), where
+
+
+def test_the_31_keys_of_a_first_rig_are_bold_and_no_other() -> None:
+    bold = re.findall(r"^\| \*\*\[?`(\w+)`", CONFIGURATION, re.MULTILINE)
+    sections = {"bus", "axes", "environment", "passivity"}
+    assert set(bold) == {path.split(".")[-1] for path in make_configuration.first_rig()} - {"type", "algorithm"}
+    assert len(set(bold) - sections) == 31
