@@ -11,7 +11,7 @@ import pytest
 import canhaptic
 from canhaptic import extending
 from tests.docs.documents import ROOT
-from tests.view.chromium import chromium
+from tests.view.chromium import Page, chromium
 
 _ASKED = re.compile(r"<(?:script|link|img|iframe|source|video)\b[^>]*?\b(?:src|href)=[\"']?(?:https?:)?//[^\"'> ]+")
 _ASKED_BY_STYLE = re.compile(r"(?:url\(\s*[\"']?|@import\s+[\"'])(?:https?:)?//[^)\"']+")
@@ -29,22 +29,29 @@ def _build(folder: Path) -> str:
 
 
 @pytest.mark.slow
-def test_the_search_works_from_a_folder(tmp_path: Path) -> None:
+def test_the_search_works_from_a_folder_and_finds_a_key_and_a_tutorial_first(tmp_path: Path) -> None:
     """Without a server, where a browser starts no worker; and finds a key inside its path."""
     _build(tmp_path)
     with chromium() as page:
-        page.open((tmp_path / "tutorials" / "your_own_wall.html").as_uri())
-        page.wait_for("document.readyState === 'complete' && document.querySelector('[data-md-toggle=search]')")
-        page.value("document.querySelector('[data-md-toggle=search]').click()")
-        page.value(
-            "{const query = document.querySelector('[data-md-component=search-query]'); query.value = 'sync_jitter';"
-            " query.dispatchEvent(new Event('keyup', {bubbles: true}))}"
-        )
-        page.wait_for("document.querySelector('.md-search-result__item a')")
-        found = page.value("[...document.querySelectorAll('.md-search-result__item a')].map(each => each.href).join()")
-        assert "words.html" in found
-        assert "configuration.html" in found
+        found = _searched(page, tmp_path, "sync_jitter")
+        assert "configuration.html" in " ".join(found)
+        assert found[0].endswith(("words.html", "configuration.html"))
+        assert "/tutorials/" in _searched(page, tmp_path, "own wall")[0]
         assert page.faults == []
+
+
+def _searched(page: Page, folder: Path, words: str) -> list[str]:
+    """Returns the addresses that the search of the site finds, best first."""
+    page.open((folder / "tutorials" / "your_own_wall.html").as_uri())
+    page.wait_for("document.readyState === 'complete' && document.querySelector('[data-md-toggle=search]')")
+    page.value("document.querySelector('[data-md-toggle=search]').click()")
+    page.value(
+        f"{{const query = document.querySelector('[data-md-component=search-query]'); query.value = '{words}';"
+        " query.dispatchEvent(new Event('keyup', {bubbles: true}))}"
+    )
+    page.wait_for("document.querySelector('.md-search-result__item a')")
+    links = page.value("[...document.querySelectorAll('.md-search-result__item a')].map(each => each.href).join()")
+    return str(links).split(",")
 
 
 @pytest.mark.slow
