@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.admittance.declared_hand import damping_border, declared_hand_settings, lightest
-from canhaptic.control.admittance.port import AdmittanceProperties, port_settings
+from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, loop_settings
 from canhaptic.control.certificates.scalar_bounds import (
     DisplacementResponse,
@@ -441,8 +441,8 @@ def _of_guard(axis: AxisScene, known: GuardedAdmittanceParameters, speed_unit: s
         )
         hints.append(Hint(name, "SYNC jitter of a certificate", 0.0, properties.jitter, "", text))
     elif known.hand_stiffness:
-        loop = loop_settings(known, properties)
-        carried = lightest(declared_hand_settings(known, loop, properties.latency), loop, properties.speed_limit)
+        hand = declared_hand_settings(known, loop_settings(known, properties), properties.latency)
+        carried = lightest(hand, properties.speed_limit)
         text = "at speed_limit, with a hand as declared (hand_stiffness); heavier at less" + about
         hints.append(Hint(name, "mass carried for the declared hand", carried, None, unit, text))
         if asked is not None and asked < never:
@@ -486,9 +486,7 @@ def _of_offset(axis: AxisScene, known: GuardedAdmittanceParameters, properties: 
     if known.drive_friction is None:
         text += "; found by commission only"
         return Hint(axis.parameters.name, "sensor with an offset", room, None, unit, text)
-    port, effort = port_settings(properties), effort_unit(axis.parameters.unit)
-    found = 2.0 * (
-        known.drive_friction + port.error + (0.0 if port.is_mean else 0.25 * port.slew * properties.longest_hold)
-    )
+    effort, sloped = effort_unit(axis.parameters.unit), 0.25 * properties.force_slew * properties.longest_hold
+    found = 2.0 * (known.drive_friction + properties.force_error + (0.0 if properties.is_mean else sloped))
     text += f"; noticed from about {found:.3g} {effort} on"
     return Hint(axis.parameters.name, "sensor with an offset", room, None, unit, text)

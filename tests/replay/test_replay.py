@@ -75,7 +75,7 @@ def test_the_master_sends_today_what_it_sent_when_recorded(name: str) -> None:
         ("bound_lossy_group", "multi_axis.per_axis_certificates.largest_share"),
         ("bound_display", "admittance.guarded_admittance.fastest"),
         ("bound_display_force", "admittance.guarded_admittance.fastest_for_hand"),
-        ("bound_declared_hand", "admittance.declared_hand.fastest_for_declared"),
+        ("bound_declared_hand", "admittance.guarded_admittance.fastest_for_declared"),
         ("bound_late_lossy_group", "multi_axis.per_axis_certificates.largest_share"),
         ("bound_group_of_handles", "multi_axis.per_axis_certificates.hand_force_bound"),
     ],

@@ -6,38 +6,51 @@ sensor's reading), and the `torque` of its balance is the commanded velocity [m/
 
 from typing import ClassVar
 
-from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment, send
+from canhaptic.control.admittance.admittance_environment import AdmittanceAxis, AdmittanceEnvironment
+from canhaptic.control.admittance.port import AdmittanceProperties
+from canhaptic.control.balance import AT_REST, EnergyBalance
+from canhaptic.control.environments.environment import plain
 from canhaptic.control.passivity.stepped import SteppedController, Wording
+from canhaptic.units import Parameters
 
 
 class AdmittanceController(SteppedController):
-    """An admittance kernel with the state of one axis."""
+    """An admittance algorithm on one axis; `_account` is its own."""
 
     _environment: AdmittanceEnvironment
+    _display: AdmittanceAxis
     wording: ClassVar[Wording] = Wording(
         "applied force", "velocity", "encoder, force sensor and their scaling", "mass and damping against the forces"
     )
 
+    def __init__(
+        self, environment: AdmittanceEnvironment, parameters: Parameters, properties: AdmittanceProperties
+    ) -> None:
+        """Prepare a run; `parameters` is of `parameters_type`.
+
+        Raises:
+            ParameterError: A property that the algorithm needs is unknown.
+        """
+        self._environment, self._given = plain(environment), plain(parameters)
+        self._properties, self._time = properties, properties.sample_time
+        self.reset()
+
+    def reset(self) -> None:
+        """Clear the state: no energy, no queued command, no last position."""
+        self._display = self._begun()
+        self._axis, self._commands = self._display.port, self._display.commands
+        self._inner = [0.0] * self._environment.states
+        self._memory, self._last, self._advance = None, AT_REST, self._account
+
+    def _begun(self) -> AdmittanceAxis:
+        """Return the axis at rest."""
+        return AdmittanceAxis(self._environment, self._properties, self._properties.delay + 1)
+
+    def _account(self, position: float, torque_applied: float) -> EnergyBalance:
+        """Account for the hold that ended; see `Controller.step`. `torque_applied` is minus the force of the sensor."""
+        raise NotImplementedError
+
     @property
     def energy_resolution(self) -> float:
         """Uncertainty of the sum of h_i [J]; the account books its lower end."""
-        doubt: float = self._axis.doubt
-        return 2.0 * doubt
-
-    def lasted(self, periods: float) -> None:
-        """Count skipped SYNCs as lost samples, during which the command kept acting."""
-        state, skipped = self._state, round(periods) - 1
-        if self._axis.started:
-            self._axis.missed += skipped
-            own = state.motion.speed - state.slip
-            for _ in range(skipped):
-                self._environment.go_along(self._memory.inner, own, own, self._settings.motion.sample_time)
-
-    def _command_unseen(self) -> float:
-        """Command for a SYNC without a sample [m/s or rad/s]: 0, unless an algorithm overrides this."""
-        state, memory = self._state, self._memory
-        before, state.slip = state.motion.speed - state.slip, 0.0
-        send(state.motion, memory.commands, 0.0)
-        self._environment.go_along(memory.inner, before, 0.0, self._settings.motion.sample_time)
-        self._axis.missed += 1
-        return 0.0
+        return 2.0 * self._display.port.doubt

@@ -6,14 +6,14 @@ certificates may have reduced.
 Motion of the rendered environment, its limits, and the queued commands.
 """
 
-from dataclasses import dataclass
 from math import inf
-from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self
+from typing import Annotated, ClassVar, Final, Literal, Self
 
 from pydantic import model_validator
 
-from canhaptic.control.admittance.port import AdmittanceProperties, PortSettings, port_positions
-from canhaptic.kernels import Buffer, MakeBuffer
+from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold, begin_port, book, port_of
+from canhaptic.control.environments.environment import plain
+from canhaptic.kernels import Buffer
 from canhaptic.units import Parameters, quantity
 
 
@@ -70,104 +70,88 @@ _BACK: Final = 0.125
 """Part of the way back that a command takes on in the time of a hold and of the drive's lag."""
 
 
-@dataclass(frozen=True, slots=True)
-class AdmittanceMotionSettings:
-    """Limits of the commanded motion."""
+class Commands(list[float]):
+    """Ring of the commands sent [m/s or rad/s].
 
-    sample_time: float  # [s]
-    delay: int
-    quantum: float  # of the command; 0: any [m/s or rad/s]
-    fastest: float  # [m/s or rad/s]
-    step: float  # largest rise of the speed in a hold [m/s or rad/s]
-    low: float  # least position [m or rad]
-    high: float  # largest position [m or rad]
-    lag: float  # of the drive: overshoot per speed [s]
-    states: int  # of the environment
+    Args:
+        kept: Length of the ring.
 
-
-class AdmittanceMemory(NamedTuple):
-    """Buffers of one axis."""
-
-    positions: Buffer  # of the SYNCs whose forces have not come [m or rad]
-    commands: Buffer  # the last ones sent, a ring [m/s or rad/s]
-    inner: Buffer  # states of the environment
-
-
-@dataclass(slots=True)
-class AdmittanceMotion:
-    """State of the commands."""
-
-    speed: float = 0.0  # of the last command [m/s or rad/s]
-    newest: int = 0  # place of the last command
-
-
-def motion_settings(
-    environment: AdmittanceEnvironment, properties: AdmittanceProperties, lag: float = 0.0
-) -> AdmittanceMotionSettings:
-    """Constants of a run; `lag` is the drive's moving mass over its gain [s]."""
-    time = properties.sample_time
-    return AdmittanceMotionSettings(
-        time, properties.delay, properties.speed_quantum, properties.speed_limit, properties.acceleration_limit * time,
-        max(environment.lower_wall, properties.position_low), min(environment.upper_wall, properties.position_high),
-        lag, environment.states,
-    )  # fmt: skip
-
-
-def display_memory(
-    port: PortSettings, motion: AdmittanceMotionSettings, kept: int, make_buffer: MakeBuffer
-) -> AdmittanceMemory:
-    """Buffers of one axis for this number of commands."""
-    return AdmittanceMemory(port_positions(port, make_buffer), make_buffer(kept), make_buffer(motion.states))
-
-
-def send(motion: AdmittanceMotion, commands: Buffer, speed: float) -> None:
-    """Store a command as the newest."""
-    motion.newest = motion.newest + 1 if motion.newest + 1 < len(commands) else 0
-    commands[motion.newest] = speed
-    motion.speed = speed
-
-
-def sent(motion: AdmittanceMotion, commands: Buffer, age: int) -> float:
-    """Return a command [m/s or rad/s]; age 0 is the newest."""
-    return commands[motion.newest - age]
-
-
-def limited(
-    settings: AdmittanceMotionSettings,
-    motion: AdmittanceMotion,
-    commands: Buffer,
-    request: float,
-    position: float,
-    velocity: float,
-) -> float:
-    """Return the nearest command that speed, acceleration and position limits allow [m/s or rad/s].
-
-    A command may always go to zero. Towards a position limit, room is left for the queued commands and for the
-    distance that the drive needs to follow. Beyond it the command leads back, slowly: a drive without an integral
-    yields to a pushing hand.
+    Attributes:
+        newest: Place of the last command.
+        speed: The last command.
     """
-    last, step, most = motion.speed, settings.step, settings.fastest
-    high = last + step if last > 0.0 else step
-    low = last - step if last < 0.0 else -step
-    ahead = position + settings.lag * velocity
-    for age in range(settings.delay):
-        ahead += settings.sample_time * commands[motion.newest - age]
-    span = settings.sample_time + settings.lag
-    room, rest = (settings.high - ahead) / span, (settings.low - ahead) / span
-    if room < 0.0:
-        room *= _BACK
-    if rest > 0.0:
-        rest *= _BACK
-    request = room if request > room else request
-    request = rest if request < rest else request
-    high, low = most if high > most else high, -most if low < -most else low
-    request = low if request < low else request
-    return high if request > high else request
+
+    __slots__ = ("newest", "speed")
+
+    def __init__(self, kept: int) -> None:
+        super().__init__([0.0] * kept)
+        self.newest, self.speed = 0, 0.0
+
+    def send(self, speed: float) -> None:
+        """Store a command as the newest."""
+        self.newest = self.newest + 1 if self.newest + 1 < len(self) else 0
+        self[self.newest] = self.speed = speed
+
+    def sent(self, age: int) -> float:
+        """Return a command [m/s or rad/s]; age 0 is the newest."""
+        return self[self.newest - age]
 
 
-def whole(settings: AdmittanceMotionSettings, speed: float) -> float:
-    """Round a command towards zero to whole quanta [m/s or rad/s]."""
-    quantum = settings.quantum
-    if quantum == 0.0 or speed in (inf, -inf):
-        return speed
-    return int(speed / quantum + 1e-9 if speed > 0.0 else speed / quantum - 1e-9) * quantum
+class AdmittanceAxis:
+    """Account of the port, limits and commands of one axis.
+
+    Args:
+        environment: Environment of the axis.
+        properties: Its declared properties.
+        kept: Number of commands to be kept.
+        lag: Moving mass of the drive over its gain: overshoot per speed [s].
+    """
+
+    def __init__(
+        self, environment: AdmittanceEnvironment, properties: AdmittanceProperties, kept: int, lag: float = 0.0
+    ) -> None:
+        self.properties, self._lag = plain(properties), lag
+        self._low = max(environment.lower_wall, properties.position_low)
+        self._high = min(environment.upper_wall, properties.position_high)
+        self._step = properties.acceleration_limit * properties.sample_time
+        self.port, self.commands = port_of(properties), Commands(kept)
+
+    def begin(self, position: float, force: float) -> None:
+        """Take the first sample."""
+        begin_port(self.port, position, force)
+
+    def book(self, position: float, force: float) -> BookedHold:
+        """Book the hold to which the received force belongs."""
+        return book(self.properties, self.port, position, force)
+
+    def limited(self, request: float, position: float, velocity: float) -> float:
+        """Return the nearest command that speed, acceleration and position limits allow [m/s or rad/s].
+
+        A command may always go to zero. Towards a position limit, room is left for the queued commands and for the
+        distance that the drive needs to follow. Beyond it the command leads back, slowly: a drive without an integral
+        yields to a pushing hand.
+        """
+        properties, commands, lag, step = self.properties, self.commands, self._lag, self._step
+        last, time, most = commands.speed, properties.sample_time, properties.speed_limit
+        high = last + step if last > 0.0 else step
+        low = last - step if last < 0.0 else -step
+        ahead = position + lag * velocity
+        for age in range(properties.delay):
+            ahead += time * commands[commands.newest - age]
+        room, rest = (self._high - ahead) / (time + lag), (self._low - ahead) / (time + lag)
+        if room < 0.0:
+            room *= _BACK
+        if rest > 0.0:
+            rest *= _BACK
+        request = room if request > room else request
+        request = rest if request < rest else request
+        high, low = most if high > most else high, -most if low < -most else low
+        request = low if request < low else request
+        return high if request > high else request
+
+    def whole(self, speed: float) -> float:
+        """Round a command towards zero to whole quanta [m/s or rad/s]."""
+        quantum = self.properties.speed_quantum
+        if quantum == 0.0 or speed in (inf, -inf):
+            return speed
+        return int(speed / quantum + 1e-9 if speed > 0.0 else speed / quantum - 1e-9) * quantum

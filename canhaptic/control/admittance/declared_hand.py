@@ -57,70 +57,57 @@ swings at w, and the real and imaginary parts of its equation vanish:
 For w tau small, b = K (tau + (M - m) / c). The sampled loop with the mean force of a hold has tau = (delay + 1/2) T.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, exp, inf, log1p, sin, sqrt
 from typing import Final, NamedTuple
 
-from canhaptic.control.admittance.admittance_environment import AdmittanceMotion
-from canhaptic.control.admittance.port import PortSettings
+from canhaptic.control.admittance.admittance_environment import Commands
+from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, VelocityLoopSettings, largest_square
-from canhaptic.kernels import Buffer, MakeBuffer
 
 
-@dataclass(frozen=True, slots=True)
-class HandForceSettings:
-    """Declared properties of the hand."""
-
-    force: float  # f, the largest that it pushes or pulls with [N or N*m]; 0: not declared
-
-
-def held_back(settings: HandForceSettings, loop: VelocityLoopSettings, speed: float) -> float:
-    """Return G at the largest possible speed [J]."""
-    force, gain = settings.force, loop.gain_least
+def held_back(force: float, loop: VelocityLoopSettings, speed: float) -> float:
+    """Return G for a largest force [N or N*m] at the largest possible speed [J]."""
+    gain = loop.gain_least
     rest = speed - force / gain * log1p(gain * speed / force)
     return force * loop.mass / gain * rest
 
 
-def lost_to_hand(
-    settings: HandForceSettings, loop: VelocityLoopSettings, commands: Buffer, motion: AdmittanceMotion
-) -> float:
+def lost_to_hand(force: float, loop: VelocityLoopSettings, commands: Commands) -> float:
     """Return the largest loss of E - G in the hold that ended [J]."""
-    square = largest_square(commands, motion, loop.delay, loop.delay + loop.losses)
-    return settings.force * loop.sample_time * sqrt(square)
+    square = largest_square(commands, loop.delay, loop.delay + loop.losses)
+    return force * loop.sample_time * sqrt(square)
 
 
-def fastest_for_hand(
-    settings: HandForceSettings, loop: VelocityLoopSettings, commands: Buffer, motion: AdmittanceMotion, budget: float
-) -> float:
+def fastest_for_hand(force: float, loop: VelocityLoopSettings, commands: Commands, budget: float) -> float:
     """Return the largest speed that may be commanded now [m/s or rad/s].
 
     In each hold that a lost RPDO may lengthen, the largest command that may act counts: the new one in all its
     holds where it is the largest of all, else only in its last one, where it is no larger than the one before.
     """
-    left = budget / (settings.force * loop.sample_time)
+    left = budget / (force * loop.sample_time)
     for age in range(loop.delay):
-        left -= sqrt(largest_square(commands, motion, age, age + loop.losses))
+        left -= sqrt(largest_square(commands, age, age + loop.losses))
     if left <= 0.0:
         return 0.0
     everywhere = left / (1 + loop.losses)
-    if loop.losses == 0 or everywhere >= sqrt(largest_square(commands, motion, 0, loop.losses - 1)):
+    if loop.losses == 0 or everywhere >= sqrt(largest_square(commands, 0, loop.losses - 1)):
         return everywhere
     for hold in range(loop.losses):
-        left -= sqrt(largest_square(commands, motion, 0, loop.losses - 1 - hold))
-    last = abs(commands[motion.newest])
+        left -= sqrt(largest_square(commands, 0, loop.losses - 1 - hold))
+    last = abs(commands[commands.newest])
     return max(0.0, min(left, last))
 
 
-def used_by_hand(
-    settings: HandForceSettings, loop: VelocityLoopSettings, commands: Buffer, motion: AdmittanceMotion
-) -> float:
+def used_by_hand(force: float, loop: VelocityLoopSettings, commands: Commands) -> float:
     """Return the largest loss of E - G by the commands that can still act, the newest included [J]."""
     total = 0.0
     for age in range(1, loop.delay + 1):
-        total += sqrt(largest_square(commands, motion, age, age + loop.losses))
+        total += sqrt(largest_square(commands, age, age + loop.losses))
     for hold in range(loop.losses + 1):
-        total += sqrt(largest_square(commands, motion, 0, loop.losses - hold))
-    return settings.force * loop.sample_time * total
+        total += sqrt(largest_square(commands, 0, loop.losses - hold))
+    return force * loop.sample_time * total
 
 
 _STEPS: Final = 5  # of the search for the largest speed; each halves the remaining gap at least
@@ -132,6 +119,7 @@ _OF_COMMANDS, _OF_WAY = 0.3125, 2.5
 class DeclaredHandSettings:
     """Declared properties of the hand, and constants that follow from drive and sensor."""
 
+    loop: VelocityLoopSettings
     stiffness: float  # K_e [N/m or N*m/rad]; 0: no hand is declared
     speed: float  # w [m/s or rad/s]
     mass: float  # N [kg or kg*m^2]
@@ -149,6 +137,7 @@ class DeclaredHandSettings:
 class DeclaredHand:
     """State at the SYNC of the last force, and the motion due to the commands alone."""
 
+    speeds: list[float]  # g at the SYNCs whose forces have not come, a ring of shape (latency + 1,) [m/s or rad/s]
     known: float = 0.0  # A, at least [J]
     speed: float = 0.0  # g now [m/s or rad/s]
     before: float = 0.0  # g at that SYNC [m/s or rad/s]
@@ -179,40 +168,28 @@ def declared_hand_settings(
     """Constants of a run."""
     lag = loop.mass / loop.gain
     return DeclaredHandSettings(
-        known.hand_stiffness, known.hand_speed, known.hand_mass, known.hand_damping,
+        loop, known.hand_stiffness, known.hand_speed, known.hand_mass, known.hand_damping,
         known.drive_friction or 0.0, known.drive_damping,
         loop.delay + latency, lag, exp(-loop.sample_time / lag), loop.mass * (1.0 - known.spread),
         loop.gain * known.spread,
     )  # fmt: skip
 
 
-def speeds_of(latency: int, make_buffer: MakeBuffer) -> Buffer:
-    """Ring of g at the SYNCs whose forces have not arrived, shape (latency + 1,) [m/s or rad/s]."""
-    return make_buffer(latency + 1)
-
-
-def go_on(settings: DeclaredHandSettings, hand: DeclaredHand, speeds: Buffer, command: float) -> None:
+def go_on(settings: DeclaredHandSettings, hand: DeclaredHand, command: float) -> None:
     """Advance g by the hold that ended, under the command that acted in it [m/s or rad/s]."""
     hand.speed = command + (hand.speed - command) * settings.decay
-    hand.place = hand.place + 1 if hand.place + 1 < len(speeds) else 0
-    speeds[hand.place] = hand.speed
+    hand.place = hand.place + 1 if hand.place + 1 < len(hand.speeds) else 0
+    hand.speeds[hand.place] = hand.speed
     hand.waiting += 1
 
 
-def hear(
-    settings: DeclaredHandSettings,
-    loop: VelocityLoopSettings,
-    port: PortSettings,
-    hand: DeclaredHand,
-    speeds: Buffer,
-    heard: HeardForce,
-) -> None:
+def hear(settings: DeclaredHandSettings, port: AdmittanceProperties, hand: DeclaredHand, heard: HeardForce) -> None:
     """Update A and the hand force with the force received for an earlier SYNC."""
-    samples, begin = hand.waiting, hand.before
+    samples, begin, loop = hand.waiting, hand.before, settings.loop
     hand.waiting = 0
-    hand.before = speeds[hand.place + 1 if hand.place + 1 < len(speeds) else 0]
+    hand.before = hand.speeds[hand.place + 1 - len(hand.speeds)]
     length = samples * loop.sample_time
-    mean, off = heard.moved / length, 0.5 * port.acceleration * length + port.count / length
+    mean, off = heard.moved / length, 0.5 * port.handle_acceleration * length + port.encoder_count / length
     hand.slowest, hand.fastest = mean - off, mean + off
     slip = max(hand.fastest - hand.before, hand.before - hand.slowest)
     least = heard.energy - 0.5 * loop.mass * slip * slip
@@ -221,67 +198,57 @@ def hear(
         hand.up = hand.down = hand.up_with_mass = hand.down_with_mass = -inf
         return
     if not heard.at_limit:
-        least = max(least, hand.known + _gained(settings, loop, port, heard, begin, hand.before))
+        least = max(least, hand.known + _gained(settings, port, heard, begin, hand.before))
     hand.known = least
-    error = port.error + port.lag * port.slew
-    hand.up, hand.up_with_mass = _forces(settings, loop, port, heard, 1.0, error)
-    hand.down, hand.down_with_mass = _forces(settings, loop, port, heard, -1.0, error)
+    error = port.force_error + port.lag * port.force_slew
+    hand.up, hand.up_with_mass = _forces(settings, port, heard, 1.0, error)
+    hand.down, hand.down_with_mass = _forces(settings, port, heard, -1.0, error)
 
 
 def _gained(
-    settings: DeclaredHandSettings,
-    loop: VelocityLoopSettings,
-    port: PortSettings,
-    heard: HeardForce,
-    begin: float,
-    end: float,
+    settings: DeclaredHandSettings, port: AdmittanceProperties, heard: HeardForce, begin: float, end: float
 ) -> float:
     """Least change of A in a hold by (1), with half of c s^2 reserved for D; -inf behind a filter [J]."""
     if port.lag > 0.0:
         return -inf
-    time, lead = loop.sample_time, heard.command - begin
+    loop, time, lead = settings.loop, settings.loop.sample_time, heard.command - begin
     way = heard.command * time - settings.lag * (end - begin)
     bend, rise = abs(lead) / settings.lag, abs(heard.change)
     if port.is_mean:
-        mean, doubt = heard.force, port.slew * bend * time * time * time / 12.0
+        mean, doubt = heard.force, port.force_slew * bend * time * time * time / 12.0
     else:
         mean, doubt = heard.force - 0.5 * heard.change, rise * bend * time * time / 12.0
-        room = port.slew * port.slew * time * time - rise * rise
+        room = port.force_slew * port.force_slew * time * time - rise * rise
         if room > 0.0:
-            doubt += max(abs(begin), abs(end)) * room / (4.0 * port.slew)
-    added = max(0.0, abs(heard.moved - way) - port.count)
+            doubt += max(abs(begin), abs(end)) * room / (4.0 * port.force_slew)
+    added = max(0.0, abs(heard.moved - way) - port.encoder_count)
     top = max(abs(begin), abs(end))
-    doubt += port.error * abs(way) + (settings.friction + 0.25 * settings.viscous * top) * top * time
+    doubt += port.force_error * abs(way) + (settings.friction + 0.25 * settings.viscous * top) * top * time
     doubt += settings.uncertainty * settings.uncertainty / (2.0 * loop.gain_least) * _square(settings, lead)
     return mean * way + 0.5 * loop.gain_least * added * added / time - doubt
 
 
 def _forces(
-    settings: DeclaredHandSettings,
-    loop: VelocityLoopSettings,
-    port: PortSettings,
-    heard: HeardForce,
-    sign: float,
-    error: float,
+    settings: DeclaredHandSettings, port: AdmittanceProperties, heard: HeardForce, sign: float, error: float
 ) -> tuple[float, float]:
     """Return the least F in a direction at the SYNC without a mass, and the least F + N a with one [N or N*m].
 
     A mean belongs to the whole hold: by its end the spring may have lost K_e times half the displacement, and the arm
     moved on. The mean of the acceleration follows from the drive.
     """
-    time = loop.sample_time
+    loop, time = settings.loop, settings.loop.sample_time
     along, late = sign * heard.force - error, 0.0
-    uncertainty = port.count / time
+    uncertainty = port.encoder_count / time
     if port.is_mean:
-        late = max(0.0, 0.5 * sign * heard.moved + port.acceleration * time * time / 12.0)
+        late = max(0.0, 0.5 * sign * heard.moved + port.handle_acceleration * time * time / 12.0)
         late = settings.stiffness * (late + 0.5 * settings.speed * time)
     else:
-        uncertainty += 0.5 * port.acceleration * time
+        uncertainty += 0.5 * port.handle_acceleration * time
     lead = sign * (heard.command - heard.moved / time) - uncertainty
     push = along + (loop.gain_least if lead > 0.0 else loop.gain) * lead - settings.friction
     push -= settings.viscous * (abs(heard.moved) / time + uncertainty)
     push /= loop.mass if push > 0.0 else settings.moved
-    alone = min(late, 0.5 * port.slew * time) if settings.mass == 0.0 else late
+    alone = min(late, 0.5 * port.force_slew * time) if settings.mass == 0.0 else late
     return along - alone, along - late + settings.mass * push
 
 
@@ -291,21 +258,19 @@ def _square(settings: DeclaredHandSettings, lead: float) -> float:
 
 
 def loss(
-    settings: DeclaredHandSettings, loop: VelocityLoopSettings, hand: DeclaredHand, commands: Buffer, newest: int,
-    speed: float, holds: int,
-) -> float:  # fmt: skip
+    settings: DeclaredHandSettings, hand: DeclaredHand, commands: Sequence[float], newest: int, speed: float
+) -> float:
     """Largest decrease of A at any time, by the queued commands and a new one [J].
 
     Args:
         settings: Constants of the run.
-        loop: Declared velocity loop of the drive.
         hand: State of the hand at the SYNC of the last force.
         commands: Ring of the commands sent.
         newest: Index of the oldest command that differs from the new one.
         speed: New command [m/s or rad/s].
-        holds: Number of holds in which older commands act first.
     """
-    time, lag, g = loop.sample_time, settings.lag, hand.before
+    loop, lag, holds, g = settings.loop, settings.lag, settings.holds, hand.before
+    time = loop.sample_time
     forth, back, late = lag * max(0.0, g), lag * max(0.0, -g), lag * lag * abs(g)
     top, square, bent = abs(g), 0.0, g
     for hold in range(holds + 1):
@@ -344,32 +309,26 @@ def loss(
 
 
 def fastest_for_declared(
-    settings: DeclaredHandSettings,
-    loop: VelocityLoopSettings,
-    hand: DeclaredHand,
-    commands: Buffer,
-    motion: AdmittanceMotion,
-    request: float,
-    allowance: float,
+    settings: DeclaredHandSettings, hand: DeclaredHand, commands: Commands, request: float, allowance: float
 ) -> float:
     """Largest certified speed in the direction of the request, unsigned [m/s or rad/s].
 
     The loss is convex: a chord between a speed that fits and one that does not meets the budget at one that fits.
     """
-    budget, newest = hand.known + allowance, motion.newest
+    budget, newest = hand.known + allowance, commands.newest
     if hand.waiting > 0 or hand.up == -inf:
         return 0.0
-    fits, low = 0.0, loss(settings, loop, hand, commands, newest, 0.0, settings.holds)
+    fits, low = 0.0, loss(settings, hand, commands, newest, 0.0)
     if low > budget:
         return 0.0
-    fails, high = request, loss(settings, loop, hand, commands, newest, request, settings.holds)
+    fails, high = request, loss(settings, hand, commands, newest, request)
     if high <= budget:
         return abs(request)
     for _ in range(_STEPS):
         fits += (fails - fits) * (budget - low) / (high - low)
-        low = loss(settings, loop, hand, commands, newest, fits, settings.holds)
+        low = loss(settings, hand, commands, newest, fits)
         middle = 0.5 * (fits + fails)
-        value = loss(settings, loop, hand, commands, newest, middle, settings.holds)
+        value = loss(settings, hand, commands, newest, middle)
         if value <= budget:
             fits, low = middle, value
         else:
@@ -377,27 +336,19 @@ def fastest_for_declared(
     return abs(fits)
 
 
-def used_by_declared(
-    settings: DeclaredHandSettings,
-    loop: VelocityLoopSettings,
-    hand: DeclaredHand,
-    commands: Buffer,
-    motion: AdmittanceMotion,
-) -> float:
+def used_by_declared(settings: DeclaredHandSettings, hand: DeclaredHand, commands: Commands) -> float:
     """Largest energy that the commands still able to act can take, the newest included [J]; inf if unknown."""
     if hand.waiting > 0 or hand.up == -inf:
         return inf
-    before = motion.newest - 1
-    return loss(settings, loop, hand, commands, before, commands[motion.newest], settings.holds)
+    return loss(settings, hand, commands, commands.newest - 1, commands[commands.newest])
 
 
-def lightest(settings: DeclaredHandSettings, loop: VelocityLoopSettings, speed: float) -> float:
+def lightest(settings: DeclaredHandSettings, speed: float) -> float:
     """Smallest virtual mass that keeps its speed with such a hand when nothing pushes it [kg or kg*m^2]."""
     steady = DeclaredHand(
-        before=speed, slowest=speed, fastest=speed, up=0.0, down=0.0, up_with_mass=0.0, down_with_mass=0.0
+        [], before=speed, slowest=speed, fastest=speed, up=0.0, down=0.0, up_with_mass=0.0, down_with_mass=0.0
     )
-    commands = [speed] * (settings.holds + 1)
-    return 2.0 * loss(settings, loop, steady, commands, settings.holds, speed, settings.holds) / (speed * speed)
+    return 2.0 * loss(settings, steady, [speed] * (settings.holds + 1), settings.holds, speed) / (speed * speed)
 
 
 _ROUNDS: Final = 60

@@ -7,58 +7,14 @@ Energy that flows in at the held velocity is u J; the damper takes T b u u+. The
 that keeps the sign. At rest it begins with J / m, which creates J^2 / 2m. Where there is no root the stored energy is
 overdrawn: the mass stops, and the shortfall is a deficit. A perfect drive is assumed, so that it bounds what the
 sampling creates and not what the drive does.
-sampling creates and not what the drive does.
 """
 
 from math import sqrt
-from typing import Any
 
-from canhaptic.control.admittance import sampled_mass
-from canhaptic.control.admittance.admittance_controller import AdmittanceController
 from canhaptic.control.admittance.group_environment import AdmittanceMass
 from canhaptic.control.admittance.port import AdmittanceProperties
-from canhaptic.control.admittance.sampled_mass import (
-    AdmittanceReply,
-    AdmittanceRun,
-    AdmittanceSettings,
-    NothingToChoose,
-    SampledHold,
-    display_kernel,
-)
+from canhaptic.control.admittance.unprotected_admittance import NothingToChoose, SampledHold, UnprotectedAdmittance
 from canhaptic.errors import ParameterError
-from canhaptic.kernels import new
-
-
-def settings_of(
-    environment: AdmittanceMass, parameters: NothingToChoose, properties: AdmittanceProperties
-) -> AdmittanceSettings[Any]:
-    """Constants of a run.
-
-    Raises:
-        ParameterError: What is rendered is no virtual mass, for which alone the balance is solved.
-    """
-    if not isinstance(environment, AdmittanceMass):
-        raise ParameterError(
-            f"internal_dissipation: got {type(environment).__name__}, expected environment: virtual_mass; the balance "
-            "is solved for a mass, use guarded"
-        )
-    return sampled_mass.settings_of(environment, parameters, properties)
-
-
-def first_energy(environment: AdmittanceMass, given: NothingToChoose, position: float) -> float:
-    """Return the potential at the first position [J]."""
-    return environment.potential(position)
-
-
-def respond(environment: AdmittanceMass, run: AdmittanceRun[NothingToChoose], hold: SampledHold) -> AdmittanceReply:
-    """Solve the energy balance for the next speed."""
-    state, time = run.state, run.settings.port.sample_time
-    impulse, potential = hold.force * time, environment.potential(state.axis.position)
-    risen, state.energy = potential - state.energy, potential
-    request = next_speed(environment, time, hold.before, impulse, risen)
-    if hold.before == 0.0:
-        request = (impulse + time * environment.pull(state.axis.position)) / environment.mass
-    return new(AdmittanceReply, (request, 0.0, 0.0))
 
 
 def next_speed(environment: AdmittanceMass, time: float, speed: float, impulse: float, risen: float) -> float:
@@ -80,8 +36,30 @@ def next_speed(environment: AdmittanceMass, time: float, speed: float, impulse: 
     return found if found * speed > 0.0 else 0.0
 
 
-class DissipatingAdmittance(AdmittanceController):
+class DissipatingAdmittance(UnprotectedAdmittance):
     """The paper's energy balance with force in and velocity out."""
 
-    parameters_type = NothingToChoose
-    kernel = display_kernel(respond, first_energy, settings_of)
+    _environment: AdmittanceMass
+
+    def __init__(
+        self, environment: AdmittanceMass, parameters: NothingToChoose, properties: AdmittanceProperties
+    ) -> None:
+        if not isinstance(environment, AdmittanceMass):
+            raise ParameterError(
+                f"internal_dissipation: got {type(environment).__name__}, expected environment: virtual_mass; the "
+                "balance is solved for a mass, use guarded"
+            )
+        super().__init__(environment, parameters, properties)
+
+    def first_energy(self, position: float) -> float:
+        """Return the potential at the first position [J]."""
+        return self._environment.potential(position)
+
+    def respond(self, hold: SampledHold) -> tuple[float, float, float]:
+        """Solve the energy balance for the next speed."""
+        environment, time, position = self._environment, self._time, self._axis.position
+        impulse, potential = hold.force * time, environment.potential(position)
+        risen, self._energy = potential - self._energy, potential
+        if hold.before == 0.0:
+            return (impulse + time * environment.pull(position)) / environment.mass, 0.0, 0.0
+        return next_speed(environment, time, hold.before, impulse, risen), 0.0, 0.0

@@ -31,118 +31,65 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from canhaptic.control.admittance.admittance_environment import AdmittanceMotion, sent
-from canhaptic.control.admittance.port import BookedHold, PortSettings
-from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, VelocityLoopSettings, reserve
-from canhaptic.kernels import Buffer, MakeBuffer, list_of_zeros
+from canhaptic.control.admittance.admittance_environment import Commands
+from canhaptic.control.admittance.port import AdmittanceProperties
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, VelocityLoopSettings
 
 
-@dataclass(slots=True)
 class LateMargin:
-    """Bounds of the margin W."""
+    """A lower bound of the margin W, with rings over the SYNCs whose forces have not arrived.
 
-    known: float = 0.0  # at least [J]
-    place: int = 0  # of this SYNC in the rings
+    Args:
+        latency: Delay of a force in samples.
 
+    Attributes:
+        known: W, at least [J].
+        place: Place of this SYNC in the rings.
+        changes: Changes of W in the holds that ended there [J].
+        before: W there, with all that was taken from the account before [J].
+    """
 
-class MarginMemory(NamedTuple):
-    """Rings over the SYNCs whose forces have not arrived, shape (latency + 1,)."""
+    __slots__ = ("before", "changes", "known", "place")
 
-    changes: Buffer  # of W in the hold that ended there [J]
-    before: Buffer  # W there, with all that was taken from the account before [J]
+    def __init__(self, latency: int) -> None:
+        self.known, self.place = 0.0, 0
+        self.changes, self.before = [0.0] * (latency + 1), [0.0] * (latency + 1)
 
+    def fall(self, change: float, taken: float) -> None:
+        """Apply the change of W in the hold that ended, and record the energy withdrawn from the account so far [J]."""
+        self.known += change
+        if len(self.changes) > 1:  # otherwise no force comes late
+            self.place = self.oldest()
+            self.changes[self.place] = change
+        self.before[self.place] = self.known + taken
 
-def margin_memory(latency: int, make_buffer: MakeBuffer) -> MarginMemory:
-    """Return the buffers of one margin."""
-    return MarginMemory(make_buffer(latency + 1), make_buffer(latency + 1))
+    def oldest(self) -> int:
+        """Index of the SYNC to which the received force belongs."""
+        then = self.place + 1
+        return then if then < len(self.changes) else 0
 
-
-def fall(margin: LateMargin, memory: MarginMemory, change: float, taken: float) -> None:
-    """Apply the change of W in the hold that ended [J], and record the energy withdrawn from the account so far [J]."""
-    margin.known += change
-    if len(memory.changes) == 1:  # no force comes late
-        memory.before[0] = margin.known + taken
-        return
-    place = margin.place + 1
-    if place == len(memory.changes):
-        place = 0
-    margin.place = place
-    memory.changes[place] = change
-    memory.before[place] = margin.known + taken
-
-
-def oldest(margin: LateMargin, memory: MarginMemory) -> int:
-    """Index of the SYNC to which the received force belongs."""
-    then = margin.place + 1
-    return then if then < len(memory.changes) else 0
-
-
-def known_then(known: float, margin: LateMargin, memory: MarginMemory) -> float:
-    """Present bound, less the changes since the SYNC of the received force [J]."""
-    then = oldest(margin, memory)
-    for place in range(len(memory.changes)):
-        if place != then:
-            known -= memory.changes[place]
-    return known
-
-
-def rise(margin: LateMargin, memory: MarginMemory, then: int, value: float, taken: float) -> None:
-    """Raise the bound to W at the index `then`, as the force shows it [J]."""
-    if then != margin.place:
-        for place in range(len(memory.changes)):
+    def known_then(self, known: float) -> float:
+        """Present bound, less the changes since the SYNC of the received force [J]."""
+        then = self.oldest()
+        for place, change in enumerate(self.changes):
             if place != then:
-                value += memory.changes[place]
-    if value > margin.known:
-        margin.known = value
-    if then == margin.place:
-        memory.before[then] = margin.known + taken
+                known -= change
+        return known
+
+    def rise(self, then: int, value: float, taken: float) -> None:
+        """Raise the bound to W at the index `then`, as the force shows it [J]."""
+        if then != self.place:
+            for place, change in enumerate(self.changes):
+                if place != then:
+                    value += change
+        if value > self.known:
+            self.known = value
+        if then == self.place:
+            self.before[then] = self.known + taken
 
 
 ROUNDING: Final = 1e-9
 """Largest difference of two sums of the same energy [J]."""
-
-
-@dataclass(slots=True)
-class ForceEvidence:
-    """Energy sums by force and by encoder for one axis of a group.
-
-    Args:
-        latency: Delay of a force in samples.
-    """
-
-    latency: int
-    by_encoder: float = 0.0  # E - V by encoder and commands alone, at least [J]
-    by_force: float = 0.0  # E by the force, at most [J]
-    margin: LateMargin = field(default_factory=LateMargin)
-    memory: MarginMemory = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.memory = margin_memory(self.latency, list_of_zeros)
-
-    def fall(self, change: float) -> None:
-        """Apply a lower bound on the change of E - V in the hold that ended [J]."""
-        self.by_encoder += change
-        fall(self.margin, self.memory, change, 0.0)
-
-    def book(self, loop: VelocityLoopSettings, hold: BookedHold, acceleration: float) -> None:
-        """Add the energy bounds of a received force; the handle may have moved before the first one.
-
-        Args:
-            loop: Declared velocity loop of the drive.
-            hold: The hold as it was booked.
-            acceleration: Largest acceleration of the handle [m/s^2 or rad/s^2].
-        """
-        if not hold.is_booked:
-            return
-        if self.by_force == 0.0:
-            self.by_encoder -= reserve(loop, 0.0, hold.speed + acceleration * hold.elapsed)
-        self.by_force += hold.most
-
-    @property
-    def is_contradicted(self) -> bool:
-        """Whether encoder and commands show more energy at the SYNC of the last force than the force allows."""
-        late = self.by_encoder - self.by_force
-        return late > 0.0 and known_then(self.by_encoder, self.margin, self.memory) > self.by_force + ROUNDING
 
 
 def contradiction(of: str, by_force: float, by_encoder: float) -> str:
@@ -234,7 +181,9 @@ class MomentumCheck:
         loop: Declared velocity loop of the drive.
     """
 
-    def __init__(self, parameters: GuardedAdmittanceParameters, port: PortSettings, loop: VelocityLoopSettings) -> None:
+    def __init__(
+        self, parameters: GuardedAdmittanceParameters, port: AdmittanceProperties, loop: VelocityLoopSettings
+    ) -> None:
         self._port, self._loop, self._spread = port, loop, parameters.spread
         self._friction, self._damping = parameters.drive_friction or 0.0, parameters.drive_damping
         self._holds = max(_FEWEST, round(_HALF / port.sample_time))
@@ -284,8 +233,8 @@ class MomentumCheck:
         half.rising_lead += rise * lead
         half.loose += loose
         half.rising_loose += rise * loose
-        torque = self._loop.gain * (abs(slip) + 0.5 * port.acceleration * time + port.count / time)
-        torque += self._loop.integral * (abs(lead) + port.count + abs(slip) * time)
+        torque = self._loop.gain * (abs(slip) + 0.5 * port.handle_acceleration * time + port.encoder_count / time)
+        torque += self._loop.integral * (abs(lead) + port.encoder_count + abs(slip) * time)
         half.is_limited = half.is_limited or torque >= self._loop.torque_limit
         half.command_change += abs(hold.command - memory.command)
         half.force_change += abs(force - memory.force)
@@ -299,7 +248,9 @@ class MomentumCheck:
         port, change, doubt = self._port, force - before, 0.0
         if not port.is_mean:
             length = port.sample_time * (1.0 + port.jitter)
-            doubt = max(0.0, port.slew * port.slew * length * length - change * change) / (4.0 * port.slew * length)
+            doubt = max(0.0, port.force_slew * port.force_slew * length * length - change * change) / (
+                4.0 * port.force_slew * length
+            )
             force = 0.5 * (force + before)
         return force + change * port.lag / port.sample_time, doubt
 
@@ -328,11 +279,11 @@ class MomentumCheck:
         port, loop, half = self._port, self._loop, self._half
         time = port.sample_time
         turned = time * time / (6.0 * half)
-        margin = port.error * (1.0 + 4.0 * port.lag / half) + port.slew * turned + self._friction
-        margin += self._damping * 0.25 * port.acceleration * time
-        margin += loop.gain * (port.acceleration * turned + port.count / half)
-        margin += loop.integral * (port.count + port.acceleration * time * time / 8.0)
-        margin += 2.0 * loop.mass * port.count / (half * half)
+        margin = port.force_error * (1.0 + 4.0 * port.lag / half) + port.force_slew * turned + self._friction
+        margin += self._damping * 0.25 * port.handle_acceleration * time
+        margin += loop.gain * (port.handle_acceleration * turned + port.encoder_count / half)
+        margin += loop.integral * (port.encoder_count + port.handle_acceleration * time * time / 8.0)
+        margin += 2.0 * loop.mass * port.encoder_count / (half * half)
         if port.jitter:
             shift = port.jitter * time / half
             command = 2.0 * max(first.largest_command, second.largest_command)
@@ -342,27 +293,24 @@ class MomentumCheck:
         return margin
 
 
-def moved_hold(
-    loop: VelocityLoopSettings, motion: AdmittanceMotion, commands: Buffer, moved: float, lead: float
-) -> MovedHold:
+def moved_hold(loop: VelocityLoopSettings, commands: Commands, moved: float, lead: float) -> MovedHold:
     """Return the hold that ended; to be called after the command of this SYNC is sent.
 
     Args:
         loop: Declared velocity loop of the drive.
-        motion: Motion, with the index of the newest command.
         commands: Ring of the commands sent.
         moved: Displacement in the hold [m or rad].
         lead: Lead at the end of the hold [m or rad].
     """
     age = loop.delay + 1
-    acted, uncertainty = sent(motion, commands, age), 0.0
+    acted, uncertainty = commands.sent(age), 0.0
     for older in range(age + 1, age + loop.losses + 1):
-        uncertainty = max(uncertainty, abs(sent(motion, commands, older) - acted))
+        uncertainty = max(uncertainty, abs(commands.sent(older) - acted))
     return MovedHold(moved, acted, uncertainty, lead)
 
 
 def momentum_check(
-    parameters: GuardedAdmittanceParameters, port: PortSettings, loop: VelocityLoopSettings
+    parameters: GuardedAdmittanceParameters, port: AdmittanceProperties, loop: VelocityLoopSettings
 ) -> MomentumCheck | None:
     """Return the comparison where `drive_friction` is declared and the drive's integral is known."""
     if parameters.drive_friction is None or (loop.integral > 0.0 and port.jitter > 0.0):

@@ -15,151 +15,41 @@ Where a largest force of the hand is declared (`largest_hand_force`), or the han
 (`hand_stiffness`), a command may rest on that instead: see `hand_force` and `declared_hand`.
 
 Where the mass asked for is lighter than the drive carries safely, the hand feels a heavier one; nothing else changes.
-
-Constants and state of `guarded` of an admittance display.
 """
 
-from dataclasses import dataclass, field
 from math import inf
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
-from canhaptic.control.admittance import declared_hand
 from canhaptic.control.admittance.admittance_controller import AdmittanceController
-from canhaptic.control.admittance.admittance_environment import (
-    AdmittanceEnvironment,
-    AdmittanceMemory,
-    AdmittanceMotion,
-    AdmittanceMotionSettings,
-    display_memory,
-    limited,
-    motion_settings,
-    send,
-    sent,
-    whole,
-)
+from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
 from canhaptic.control.admittance.declared_hand import (
     DeclaredHand,
-    DeclaredHandSettings,
-    HandForceSettings,
     HeardForce,
+    declared_hand_settings,
+    fastest_for_declared,
     fastest_for_hand,
+    go_on,
+    hear,
     held_back,
     lost_to_hand,
+    used_by_declared,
     used_by_hand,
 )
-from canhaptic.control.admittance.force_evidence import (
-    ROUNDING,
-    LateMargin,
-    MarginMemory,
-    MomentumCheck,
-    contradiction,
-    fall,
-    known_then,
-    margin_memory,
-    momentum_check,
-    moved_hold,
-    oldest,
-    rise,
-)
-from canhaptic.control.admittance.port import (
-    AdmittanceProperties,
-    Port,
-    PortSettings,
-    begin_port,
-    book,
-    port_settings,
-    reopen,
-)
+from canhaptic.control.admittance.force_evidence import LateMargin
+from canhaptic.control.admittance.guarded_axis import GuardedAxis
+from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold, reopen
 from canhaptic.control.admittance.velocity_loop import (
     GuardedAdmittanceParameters,
-    LoopState,
-    VelocityLoopSettings,
     fastest,
-    gained,
-    loop_settings,
-    loss_of_skip,
     loss_under_way,
-    lost_unseen,
     may_limit,
     reserve,
 )
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.passivity.stepped import settle
 from canhaptic.errors import ForceContradictedError
-from canhaptic.kernels import Buffer, Kernel, MakeBuffer, Run, new
+from canhaptic.kernels import new
 from canhaptic.units import Parameters
-
-
-@dataclass(frozen=True, slots=True)
-class GuardedAdmittanceSettings:
-    """Constants of a run."""
-
-    port: PortSettings
-    motion: AdmittanceMotionSettings
-    loop: VelocityLoopSettings
-    hand: HandForceSettings
-    declared: DeclaredHandSettings
-    allowance: float  # [J]
-    may_be_limited: bool  # a torque at its limit would void the proof
-
-
-@dataclass(slots=True)
-class GuardedAdmittanceState:
-    """State kept from SYNC to SYNC."""
-
-    axis: Port = field(default_factory=Port)
-    motion: AdmittanceMotion = field(default_factory=AdmittanceMotion)
-    loop: LoopState = field(default_factory=LoopState)
-    margin: LateMargin = field(default_factory=LateMargin)  # E - V
-    hand: LateMargin = field(default_factory=LateMargin)  # E - G
-    declared: DeclaredHand = field(default_factory=DeclaredHand)
-    h_s: float = 0.0  # [J]
-    surplus: float = 0.0  # [J]
-    taken: float = 0.0  # dissipated or leaked so far, and not paid [J]
-    limited: int = 0  # SYNCs for which a force may belong to a hold in which the drive was at its torque limit
-    uncertainty: bool = False  # it may have done so where a certificate rested on that it does not
-    by_encoder: float = 0.0  # E - V by encoder and commands alone, at least [J]
-    by_force: float = 0.0  # E by the force, at most [J]
-
-
-class GuardedMemory(NamedTuple):
-    """Buffers of one axis."""
-
-    display: AdmittanceMemory
-    margin: MarginMemory
-    hand: MarginMemory
-    leads: Buffer  # a ring like those of the margins [m or rad]
-    speeds: Buffer  # another, of the motion that the commands make [m/s or rad/s]
-
-
-def settings_of(
-    environment: AdmittanceEnvironment, parameters: GuardedAdmittanceParameters, properties: AdmittanceProperties
-) -> GuardedAdmittanceSettings:
-    """Constants of a run.
-
-    Raises:
-        ParameterError: A hand or losses are declared where their proof does not hold.
-    """
-    loop = loop_settings(parameters, properties)
-    motion = motion_settings(environment, properties, loop.mass / loop.gain_least)
-    hand = HandForceSettings(parameters.largest_hand_force)
-    declared = declared_hand.declared_hand_settings(parameters, loop, properties.latency)
-    ends = loop.integral > 0.0 or hand.force > 0.0 or declared.stiffness > 0.0
-    return GuardedAdmittanceSettings(
-        port_settings(properties), motion, loop, hand, declared, parameters.energy_allowance, ends
-    )
-
-
-def memory_of(settings: GuardedAdmittanceSettings, make_buffer: MakeBuffer) -> GuardedMemory:
-    """Return the buffers of one axis."""
-    kept, late = settings.loop.delay + settings.loop.losses + 2, settings.port.latency
-    kept += late if settings.declared.stiffness > 0.0 else 0
-    display = display_memory(settings.port, settings.motion, kept, make_buffer)
-    return GuardedMemory(
-        display, margin_memory(late, make_buffer), margin_memory(late, make_buffer), make_buffer(late + 1),
-        declared_hand.speeds_of(late, make_buffer),
-    )  # fmt: skip
-
 
 _EXACT, _DEPLETED, _FREE = Branch.EXACT.value, Branch.DEPLETED.value, Branch.FREE.value
 _UNBOUNDED, _NONE = Certificate.EXACT.value, Certificate.NONE.value
@@ -167,289 +57,215 @@ _BY_LOOP, _BY_HAND = Certificate.VELOCITY_LOOP.value, Certificate.LARGEST_HAND_F
 _BY_DECLARED = Certificate.DECLARED_HAND.value
 
 
-def step(
-    environment: AdmittanceEnvironment,
-    run: Run[GuardedAdmittanceSettings, GuardedAdmittanceState, GuardedMemory],
-    position: float,
-    torque_applied: float,
-) -> EnergyBalance:
-    """Account for the hold that ended; see `Controller.step`. `torque_applied` is minus the force of the sensor."""
-    settings, state, memory = run.settings, run.state, run.memory
-    motion, commands, force = state.motion, memory.display.commands, -torque_applied
-    inner, time = memory.display.inner, settings.motion.sample_time
-    if not state.axis.started:
-        begin_port(state.axis, memory.display.positions, position, force)
-        state.uncertainty = settings.loop.integral > 0.0 and settings.port.jitter > 0.0  # its integral is then unknown
-        return AT_REST
-    h_i, velocity = _take(settings, state, memory, position, force)
-    before = motion.speed
-    request = environment.speed_after(inner, before, force, position, time)
-    request = limited(settings.motion, motion, commands, request, position, velocity)
-    request, certificate = _certified(settings, state, commands, request)
-    send(motion, commands, whole(settings.motion, request))
-    environment.go_along(inner, before, motion.speed, time)
-    speed = abs(velocity) + settings.port.acceleration * time
-    _watch_limit(settings, state, commands)
-    if state.uncertainty:
-        certificate = _NONE
-    h_s, h_r, deficit, leak, paid = _settle(environment, settings, state, memory, h_i, before, speed)
-    branch = _DEPLETED if deficit > 0.0 else _FREE if motion.speed == 0.0 and before == 0.0 else _EXACT
-    return new(EnergyBalance, (
-        motion.speed, h_i, 0.0, h_i, h_r, h_s, state.surplus, 0.0, deficit, leak, paid, branch, environment.damping,
-        certificate, environment.stretch(position),
-    ))  # fmt: skip
-
-
-def _certified(
-    settings: GuardedAdmittanceSettings, state: GuardedAdmittanceState, commands: Buffer, request: float
-) -> tuple[float, int]:
-    """Nearest certified speed [m/s or rad/s], and the certificate that reduced it."""
-    sign = 1.0 if request >= 0.0 else -1.0
-    motion, budget = state.motion, state.margin.known + settings.allowance
-    most = fastest(settings.loop, state.loop.lead, commands, motion, budget, sign)
-    if abs(request) <= most:
-        return request, _UNBOUNDED
-    certificate = _BY_LOOP
-    if settings.hand.force > 0.0:
-        budget = state.hand.known + settings.allowance
-        by_hand = fastest_for_hand(settings.hand, settings.loop, commands, motion, budget)
-        if abs(request) <= by_hand:
-            return request, _BY_HAND
-        if by_hand > most:
-            most, certificate = by_hand, _BY_HAND
-    if settings.declared.stiffness > 0.0:
-        by_declared = declared_hand.fastest_for_declared(
-            settings.declared, settings.loop, state.declared, commands, motion, request, settings.allowance
-        )
-        if by_declared > most:
-            most, certificate = by_declared, _BY_DECLARED
-    return sign * most, certificate
-
-
-def _watch_limit(settings: GuardedAdmittanceSettings, state: GuardedAdmittanceState, commands: Buffer) -> None:
-    """Determine whether the torque may reach its limit under the newest command; end the certificates that this voids.
-
-    The loop without an integral may certify all that is under way: a torque at its limit then ends nothing.
-    """
-    loop, port = settings.loop, state.axis
-    if not settings.may_be_limited or not may_limit(loop, state.loop, state.motion.speed, port.missed):
-        return
-    state.limited = loop.delay + 1 + loop.losses + settings.port.latency
-    if loop.integral > 0.0:
-        state.uncertainty = True
-    elif not state.uncertainty:
-        under_way = loss_under_way(loop, 0.0, commands, state.motion)
-        state.uncertainty = under_way > state.margin.known + settings.allowance
-
-
-def miss(
-    environment: AdmittanceEnvironment,
-    settings: GuardedAdmittanceSettings,
-    state: GuardedAdmittanceState,
-    memory: GuardedMemory,
-) -> float:
-    """Handle a SYNC without a sample; return the command [m/s or rad/s].
-
-    Without an integral the last command continues as long as it is certified for any motion in the hold; with one the
-    command is 0 at once, and all queued commands count as lost.
-    """
-    motion, loop, commands = state.motion, state.loop, memory.display.commands
-    if settings.loop.integral == 0.0:
-        change = -lost_unseen(settings.loop, commands, motion)
-    else:
-        change = 0.0 if state.axis.missed else -loss_under_way(settings.loop, loop.lead, commands, motion)
-    _let_pass(settings, state, memory, change)
-    before, speed = motion.speed, 0.0
-    if settings.loop.integral == 0.0:
-        speed, _ = _certified(settings, state, commands, before)
-    send(motion, commands, whole(settings.motion, speed))
-    environment.go_along(memory.display.inner, before, motion.speed, settings.motion.sample_time)
-    _watch_limit(settings, state, commands)
-    return motion.speed
-
-
-def skip(
-    environment: AdmittanceEnvironment,
-    settings: GuardedAdmittanceSettings,
-    state: GuardedAdmittanceState,
-    memory: GuardedMemory,
-    skipped: int,
-) -> None:
-    """Account for skipped SYNCs: no command was sent, and the queued one acted longer."""
-    loop, motion, commands = settings.loop, state.motion, memory.display.commands
-    if loop.integral > 0.0:
-        state.uncertainty = state.uncertainty or state.axis.missed > 0
-        first, further = -loss_of_skip(loop, state.loop.lead, commands, motion, skipped), 0.0
-    else:
-        first = further = -lost_unseen(loop, commands, motion)
-    for number in range(skipped):
-        _let_pass(settings, state, memory, further if number else first)
-        environment.go_along(memory.display.inner, motion.speed, motion.speed, settings.motion.sample_time)
-    _watch_limit(settings, state, commands)
-
-
-def _let_pass(
-    settings: GuardedAdmittanceSettings, state: GuardedAdmittanceState, memory: GuardedMemory, change: float
-) -> None:
-    """Account for a hold without a sample, in which the margin changed by at least this amount [J]."""
-    acted = sent(state.motion, memory.display.commands, settings.loop.delay)
-    state.loop.lead += acted * settings.port.sample_time
-    state.axis.missed += 1
-    state.by_encoder += change
-    _fall(settings, state, memory, change)
-
-
-def _take(
-    settings: GuardedAdmittanceSettings, state: GuardedAdmittanceState, memory: GuardedMemory,
-    position: float, force: float,
-) -> tuple[float, float]:  # fmt: skip
-    """Book the hold that ended and update W; return (h_i [J], mean velocity [m/s or rad/s])."""
-    port, loop, motion, commands = state.axis, state.loop, state.motion, memory.display.commands
-    missed, origin, heard = port.missed, port.origin, port.force
-    at_limit = state.limited > 0
-    hold = book(settings.port, port, memory.display.positions, position, force)
-    if not missed:
-        change = gained(settings.loop, loop.lead, commands, motion, hold.moved)
-    else:  # with an integral all is deducted by now
-        change = 0.0 if settings.loop.integral > 0.0 else -lost_unseen(settings.loop, commands, motion)
-    loop.lead += sent(motion, commands, settings.loop.delay) * settings.port.sample_time - hold.moved
-    _fall(settings, state, memory, change)
-    state.by_encoder += change
-    loop.velocity = velocity = hold.moved / hold.elapsed
-    loop.holds = missed + 1
-    if not hold.is_booked:
-        return 0.0, velocity
-    if state.by_force == 0.0:  # the handle may have moved already
-        state.by_encoder -= reserve(settings.loop, 0.0, hold.speed + settings.port.acceleration * hold.elapsed)
-    state.by_force += hold.most
-    free = state.h_s - state.surplus
-    late = free + hold.energy
-    if state.uncertainty:
-        return hold.energy, velocity
-    if settings.declared.stiffness > 0.0:
-        acted = sent(motion, commands, settings.declared.holds)
-        said = new(HeardForce, (late, port.origin - origin, acted, port.force, port.force - heard, at_limit))
-        declared_hand.hear(settings.declared, settings.loop, settings.port, state.declared, memory.speeds, said)
-    then = oldest(state.margin, memory.margin)
-    rise(state.margin, memory.margin, then, late - reserve(settings.loop, memory.leads[then], hold.speed), state.taken)
-    if settings.hand.force > 0.0:
-        kept = held_back(settings.hand, settings.loop, hold.speed)
-        rise(state.hand, memory.hand, oldest(state.hand, memory.hand), late - kept, state.taken)
-    proved = memory.margin.before[then] - state.taken
-    if proved <= late:
-        return late - free, velocity
-    reopen(port)
-    return proved - free, velocity
-
-
-def _fall(
-    settings: GuardedAdmittanceSettings, state: GuardedAdmittanceState, memory: GuardedMemory, change: float
-) -> None:
-    """Update the margins for the hold that ended, and record the state of this SYNC for its force."""
-    fall(state.margin, memory.margin, change, state.taken)
-    memory.leads[state.margin.place] = state.loop.lead
-    if settings.hand.force > 0.0:
-        lost = lost_to_hand(settings.hand, settings.loop, memory.display.commands, state.motion)
-        fall(state.hand, memory.hand, -inf if state.limited > settings.port.latency else -lost, state.taken)
-    state.limited = max(0, state.limited - 1)
-    if settings.declared.stiffness > 0.0:
-        acted = sent(state.motion, memory.display.commands, settings.loop.delay)
-        declared_hand.go_on(settings.declared, state.declared, memory.speeds, acted)
-
-
-def _settle(
-    environment: AdmittanceEnvironment,
-    settings: GuardedAdmittanceSettings,
-    state: GuardedAdmittanceState,
-    memory: GuardedMemory,
-    h_i: float,
-    before: float,
-    speed: float,
-) -> tuple[float, float, float, float, float]:
-    """Dissipate and leak what neither the mass nor the drive can give back; return (h_s, h_r, deficit, leak, paid).
-
-    Where h_i [J] came in, `before` was the command before the newest and `speed` is the handle's largest now.
-    """
-    loop, motion, commands = state.loop, state.motion, memory.display.commands
-    under_way = loss_under_way(settings.loop, loop.lead, commands, motion)
-    ceiling, largest = reserve(settings.loop, loop.lead, speed) + under_way, 0.0
-    if state.h_s + h_i > ceiling:
-        for command in commands:
-            if command * command > largest * largest:
-                largest = command
-        kept = environment.stored(memory.display.inner, largest, state.axis.position)
-        ceiling = kept if kept > ceiling else ceiling
-    lost = environment.damping * before * before * settings.port.sample_time
-    slack = state.margin.known + settings.allowance - under_way
-    if settings.hand.force > 0.0:
-        by_hand = used_by_hand(settings.hand, settings.loop, commands, motion)
-        slack = max(slack, state.hand.known + settings.allowance - by_hand)
-    if settings.declared.stiffness > 0.0:
-        used = declared_hand.used_by_declared(settings.declared, settings.loop, state.declared, commands, motion)
-        slack = max(slack, state.declared.known + settings.allowance - used)
-    h_s, surplus, h_r, deficit, leak, paid = settle(state.h_s + h_i, state.surplus, lost, ceiling, slack)
-    taken = h_r + leak - paid
-    state.margin.known -= taken
-    state.hand.known -= taken
-    state.declared.known -= taken
-    state.taken += taken
-    state.h_s, state.surplus = h_s, surplus
-    return h_s, h_r, deficit, leak, paid
-
-
 class GuardedAdmittance(AdmittanceController):
     """A virtual mass with the certificate of the drive's velocity loop."""
 
     parameters_type: ClassVar[type[Parameters]] = GuardedAdmittanceParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, GuardedAdmittanceState, memory_of, step)
+    _display: GuardedAxis
+    _given: GuardedAdmittanceParameters
 
     def __init__(
-        self, environment: AdmittanceEnvironment, parameters: GuardedAdmittanceParameters, loop: AdmittanceProperties
+        self,
+        environment: AdmittanceEnvironment,
+        parameters: GuardedAdmittanceParameters,
+        properties: AdmittanceProperties,
     ) -> None:
-        super().__init__(environment, parameters, loop)
         self.max_consecutive_losses = parameters.max_consecutive_losses
-        self.energy_allowance = parameters.energy_allowance
-        self._check = momentum_check(parameters, self._settings.port, self._settings.loop)
+        self.energy_allowance = self._allowance = parameters.energy_allowance
+        self._hand_force, self._is_declared = parameters.largest_hand_force, parameters.hand_stiffness > 0.0
+        # a torque at its limit would void the proof
+        self._may_be_limited = parameters.integral_gain > 0.0 or self._hand_force > 0.0 or self._is_declared
+        super().__init__(environment, parameters, properties)
+        self._declared_settings = declared_hand_settings(parameters, self._display.loop, properties.latency)
 
-    def step(self, position: float, torque_applied: float) -> EnergyBalance:
+    def _begun(self) -> GuardedAxis:
+        return GuardedAxis(self._environment, self._given, self._properties)
+
+    def reset(self) -> None:
+        """Clear the state; see `Controller.reset`."""
+        super().reset()
+        latency = self._properties.latency
+        self._margin, self._hand = LateMargin(latency), LateMargin(latency)  # E - V, E - G
+        self._declared = DeclaredHand([0.0] * (latency + 1))
+        self._h_s = self._surplus = 0.0  # [J]
+        self._taken = 0.0  # dissipated or leaked so far, and not paid [J]
+        self._limited = 0  # SYNCs for which a force may belong to a hold in which the drive was at its torque limit
+        # whether it may have been there where a certificate rests on that it is not; its integral is then unknown
+        self._is_unsure = self._display.loop.integral > 0.0 and self._properties.jitter > 0.0
+
+    def _account(self, position: float, torque_applied: float) -> EnergyBalance:
         """Account for the hold that ended; see `Controller.step`.
 
         Raises:
-            ControlError: A force, position or velocity is not finite.
             ForceContradictedError: The force sensor contradicts the encoder.
         """
-        before, state = self._axis.missed or not self._axis.started, self._state
-        balance = super().step(position, torque_applied)
-        if self._check is not None:
-            self._compare(self._check, -torque_applied, is_first=bool(before))
-        at_force = known_then(state.by_encoder, state.margin, self._memory.margin)  # more may have come in since
-        if at_force > state.by_force + ROUNDING and not state.uncertainty:
-            error = ForceContradictedError(contradiction("force sensor", state.by_force, state.by_encoder))
+        display, commands, force = self._display, self._commands, -torque_applied
+        environment, inner, is_first = self._environment, self._inner, bool(display.port.missed)
+        if not display.port.started:
+            display.begin(position, force)
+            return AT_REST
+        hold, h_i = self._take(position, force)
+        velocity, before = display.drive.velocity, commands.speed
+        request = environment.speed_after(inner, before, force, position, self._time)
+        request, certificate = self._certified(display.limited(request, position, velocity))
+        commands.send(display.whole(request))
+        environment.go_along(inner, before, commands.speed, self._time)
+        self._watch_limit()
+        if self._is_unsure:
+            certificate = _NONE
+        elif text := display.contradiction("force sensor", hold, force, is_first=is_first):
             self.reset()
-            raise error
-        return balance
+            raise ForceContradictedError(text)
+        speed = abs(velocity) + display.properties.handle_acceleration * self._time
+        h_s, h_r, deficit, leak, paid = self._settle(h_i, before, speed)
+        branch = _DEPLETED if deficit > 0.0 else _FREE if commands.speed == 0.0 and before == 0.0 else _EXACT
+        return new(EnergyBalance, (
+            commands.speed, h_i, 0.0, h_i, h_r, h_s, self._surplus, 0.0, deficit, leak, paid, branch,
+            environment.damping, certificate, environment.stretch(position),
+        ))  # fmt: skip
 
-    def _compare(self, check: MomentumCheck, force: float, *, is_first: bool) -> None:
-        """Compare force and motion; raise ForceContradictedError."""
-        state, loop = self._state, self._settings.loop
-        if is_first or state.uncertainty:
-            check.begin(state.axis.position, force, state.loop.lead)
+    def _certified(self, request: float) -> tuple[float, int]:
+        """Nearest certified speed [m/s or rad/s], and the certificate that reduced it."""
+        loop, commands, budget = self._display.loop, self._commands, self._margin.known + self._allowance
+        sign = 1.0 if request >= 0.0 else -1.0
+        most = fastest(loop, self._display.drive.lead, commands, budget, sign)
+        if abs(request) <= most:
+            return request, _UNBOUNDED
+        certificate = _BY_LOOP
+        if self._hand_force > 0.0:
+            by_hand = fastest_for_hand(self._hand_force, loop, commands, self._hand.known + self._allowance)
+            if abs(request) <= by_hand:
+                return request, _BY_HAND
+            if by_hand > most:
+                most, certificate = by_hand, _BY_HAND
+        if self._is_declared:
+            by_declared = fastest_for_declared(
+                self._declared_settings, self._declared, commands, request, self._allowance
+            )
+            if by_declared > most:
+                most, certificate = by_declared, _BY_DECLARED
+        return sign * most, certificate
+
+    def _watch_limit(self) -> None:
+        """Determine whether the torque may reach its limit under the newest command; end certificates that this voids.
+
+        The loop without an integral may certify all that is under way: a torque at its limit then ends nothing.
+        """
+        display = self._display
+        loop, drive, speed = display.loop, display.drive, self._commands.speed
+        if not self._may_be_limited or not may_limit(loop, drive, speed, display.port.missed):
             return
-        hold = moved_hold(loop, state.motion, self._memory.display.commands, state.axis.moved, state.loop.lead)
-        found = check.take(hold, force)
-        if found is not None:
-            self.reset()
-            raise ForceContradictedError(found.text())
+        self._limited = loop.delay + 1 + loop.losses + display.properties.latency
+        if loop.integral > 0.0:
+            self._is_unsure = True
+        elif not self._is_unsure:
+            under_way = loss_under_way(loop, 0.0, self._commands)
+            self._is_unsure = under_way > self._margin.known + self._allowance
 
-    def lasted(self, periods: float) -> None:
-        """Count skipped SYNCs; a run with one is not certified."""
-        if self._axis.started:
-            skip(self._environment, self._settings, self._state, self._memory, round(periods) - 1)
+    def _command_unseen(self) -> float:
+        """Handle a SYNC without a sample; return the command [m/s or rad/s].
+
+        Without an integral the last command continues as long as it is certified for any motion in the hold; with one
+        the command is 0 at once, and all queued commands count as lost.
+        """
+        display, commands = self._display, self._commands
+        self._let_pass(display.unseen())
+        before, speed = commands.speed, 0.0
+        if display.loop.integral == 0.0:
+            speed, _ = self._certified(before)
+        commands.send(display.whole(speed))
+        self._environment.go_along(self._inner, before, commands.speed, self._time)
+        self._watch_limit()
+        return commands.speed
 
     def sample_lost(self) -> EnergyBalance:
         """Answer a SYNC without a sample; see `Controller.sample_lost`."""
         balance = super().sample_lost()
-        return balance._replace(certificate=_NONE) if self._state.uncertainty else balance
+        return balance._replace(certificate=_NONE) if self._is_unsure else balance
 
-    def _command_unseen(self) -> float:
-        return miss(self._environment, self._settings, self._state, self._memory)
+    def lasted(self, periods: float) -> None:
+        """Account for skipped SYNCs: no command was sent, and the queued one acted longer."""
+        display, speed = self._display, self._commands.speed
+        if not display.port.started:
+            return
+        self._is_unsure = self._is_unsure or (display.loop.integral > 0.0 and display.port.missed > 0)
+        skipped = round(periods) - 1
+        changes = display.change_of_skip(skipped)
+        for number in range(skipped):
+            self._let_pass(changes[min(number, 1)])
+            self._environment.go_along(self._inner, speed, speed, self._time)
+        self._watch_limit()
+
+    def _let_pass(self, change: float) -> None:
+        """Account for a hold without a sample, in which the margin changed by at least this amount [J]."""
+        self._display.let_pass()
+        self._fall(change)
+
+    def _take(self, position: float, force: float) -> tuple[BookedHold, float]:
+        """Book the hold that ended and update the margins; return it and h_i [J]."""
+        display, at_limit = self._display, self._limited > 0
+        port, loop, origin, heard = display.port, display.loop, display.port.origin, display.port.force
+        hold, change = display.take(position, force)
+        self._fall(change)
+        if not hold.is_booked:
+            return hold, 0.0
+        free = self._h_s - self._surplus
+        late = free + hold.energy
+        if self._is_unsure:
+            return hold, hold.energy
+        if self._is_declared:
+            acted = self._commands.sent(self._declared_settings.holds)
+            said = new(HeardForce, (late, port.origin - origin, acted, port.force, port.force - heard, at_limit))
+            hear(self._declared_settings, display.properties, self._declared, said)
+        margin, hand = self._margin, self._hand
+        then = margin.oldest()
+        margin.rise(then, late - reserve(loop, display.leads[then], hold.speed), self._taken)
+        if self._hand_force > 0.0:
+            hand.rise(hand.oldest(), late - held_back(self._hand_force, loop, hold.speed), self._taken)
+        proved = margin.before[then] - self._taken
+        if proved <= late:
+            return hold, late - free
+        reopen(port)
+        return hold, proved - free
+
+    def _fall(self, change: float) -> None:
+        """Update the margins for the hold that ended, and record the state of this SYNC for its force."""
+        display, commands = self._display, self._commands
+        display.fall(change)
+        self._margin.fall(change, self._taken)
+        if self._hand_force > 0.0:
+            is_in_doubt = self._limited > display.properties.latency
+            lost = inf if is_in_doubt else lost_to_hand(self._hand_force, display.loop, commands)
+            self._hand.fall(-lost, self._taken)
+        self._limited = max(0, self._limited - 1)
+        if self._is_declared:
+            go_on(self._declared_settings, self._declared, commands.sent(display.loop.delay))
+
+    def _settle(self, h_i: float, before: float, speed: float) -> tuple[float, float, float, float, float]:
+        """Dissipate and leak what neither the mass nor the drive can give back; return (h_s, h_r, deficit, leak, paid).
+
+        Where h_i [J] came in, `before` was the command before the newest and `speed` is the handle's largest now.
+        """
+        display, commands, environment = self._display, self._commands, self._environment
+        under_way, allowance = display.used(), self._allowance
+        ceiling, largest = display.reserve(speed) + under_way, 0.0
+        if self._h_s + h_i > ceiling:
+            for command in commands:
+                if command * command > largest * largest:
+                    largest = command
+            kept = environment.stored(self._inner, largest, display.port.position)
+            ceiling = kept if kept > ceiling else ceiling
+        lost = environment.damping * before * before * self._time
+        slack = self._margin.known + allowance - under_way
+        if self._hand_force > 0.0:
+            slack = max(slack, self._hand.known + allowance - used_by_hand(self._hand_force, display.loop, commands))
+        if self._is_declared:
+            used = used_by_declared(self._declared_settings, self._declared, commands)
+            slack = max(slack, self._declared.known + allowance - used)
+        h_s, surplus, h_r, deficit, leak, paid = settle(self._h_s + h_i, self._surplus, lost, ceiling, slack)
+        taken = h_r + leak - paid
+        for margin in (self._margin, self._hand, self._declared):
+            margin.known -= taken
+        self._taken += taken
+        self._h_s, self._surplus = h_s, surplus
+        return h_s, h_r, deficit, leak, paid

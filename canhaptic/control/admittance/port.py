@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from math import isnan, nan, pi
 from typing import Annotated, Literal, NamedTuple
 
-from canhaptic.kernels import Buffer, MakeBuffer, new
+from canhaptic.kernels import new
 from canhaptic.units import Parameters, quantity
 
 
@@ -68,27 +68,27 @@ class AdmittanceProperties(Parameters):
         """Longest duration of a hold [s]: the energy at risk and its uncertainty grow with it."""
         return self.sample_time * (1.0 + self.jitter)
 
+    @property
+    def is_mean(self) -> bool:
+        """Whether one force is the mean over a hold, and not its value at the SYNC."""
+        return self.sampling != "point"
 
-@dataclass(frozen=True, slots=True)
-class PortSettings:
-    """Settings of the account of a hold."""
+    @property
+    def is_impulse(self) -> bool:
+        """Whether the mean is that since the last force that came, however many were lost."""
+        return self.sampling == "impulse"
 
-    sample_time: float  # [s]
-    is_mean: bool  # one force is the mean over a hold, and not its value at the SYNC
-    is_impulse: bool  # the mean is that since the last force that came, however many were lost
-    latency: int  # delay of a force in whole samples
-    slew: float  # largest of the force [N/s or N*m/s]
-    acceleration: float  # largest of the handle [m/s^2 or rad/s^2]
-    error: float  # largest of one force [N or N*m]
-    count: float  # of the encoder [m or rad]
-    lag: float  # time constant of the sensor's filter; 0: none [s]
-    jitter: float = 0.0  # every hold lasts T (1 +- jitter)
+    @property
+    def lag(self) -> float:
+        """Time constant of the sensor's filter [s]; 0: none."""
+        return 1.0 / (2.0 * pi * self.filter) if self.filter else 0.0
 
 
 @dataclass(slots=True)
 class Port:
     """State kept from SYNC to SYNC."""
 
+    positions: list[float]  # of the SYNCs whose forces have not come, a ring of shape (latency + 1,) [m or rad]
     started: bool = False
     position: float = 0.0  # of the last SYNC that came [m or rad]
     missed: int = 0  # samples lost since
@@ -112,28 +112,17 @@ class BookedHold(NamedTuple):
     most: float  # energy that came in, at most [J]
 
 
-def port_settings(properties: AdmittanceProperties) -> PortSettings:
-    """Constants of a run."""
-    lag = 1.0 / (2.0 * pi * properties.filter) if properties.filter else 0.0
-    return PortSettings(
-        properties.sample_time, properties.sampling != "point", properties.sampling == "impulse", properties.latency,
-        properties.force_slew,
-        properties.handle_acceleration, properties.force_error, properties.encoder_count, lag, properties.jitter,
-    )  # fmt: skip
+def port_of(properties: AdmittanceProperties) -> Port:
+    """Return the port of an axis at rest."""
+    return Port([0.0] * (properties.latency + 1))
 
 
-def port_positions(settings: PortSettings, make_buffer: MakeBuffer) -> Buffer:
-    """Positions of the SYNCs whose forces have not arrived, a ring of shape (latency + 1,) [m or rad]."""
-    return make_buffer(settings.latency + 1)
-
-
-def begin_port(port: Port, positions: Buffer, position: float, force: float) -> None:
+def begin_port(port: Port, position: float, force: float) -> None:
     """Take the first position and force."""
     port.started, port.position, port.origin, port.force = True, position, position, force
     port.missed = port.newest = port.waiting = 0
     port.moved = port.mean = port.doubt = 0.0
-    for place in range(len(positions)):
-        positions[place] = position
+    port.positions = [position] * len(port.positions)
 
 
 def reopen(port: Port) -> None:
@@ -141,13 +130,12 @@ def reopen(port: Port) -> None:
     port.mean = 0.0
 
 
-def book(settings: PortSettings, port: Port, positions: Buffer, position: float, force: float) -> BookedHold:
+def book(settings: AdmittanceProperties, port: Port, position: float, force: float) -> BookedHold:
     """Book the hold to which the received force belongs.
 
     Args:
-        settings: Settings of the port.
+        settings: Declared properties of the axis.
         port: State of the port; advanced to this SYNC.
-        positions: Ring of the positions at the previous SYNCs.
         position: Position at this SYNC [m or rad].
         force: Force received at this SYNC [N or N*m].
     """
@@ -158,9 +146,9 @@ def book(settings: PortSettings, port: Port, positions: Buffer, position: float,
     then = position  # the position that belongs to the force
     if settings.latency:
         for _ in range(port.missed):
-            _put(port, positions, nan)
-        _put(port, positions, position)
-        then = positions[port.newest + 1 if port.newest + 1 < len(positions) else 0]
+            _put(port, nan)
+        _put(port, position)
+        then = port.positions[port.newest + 1 - len(port.positions)]
     port.missed = 0
     elapsed = holds * settings.sample_time
     if isnan(then):
@@ -170,17 +158,19 @@ def book(settings: PortSettings, port: Port, positions: Buffer, position: float,
     return new(BookedHold, (energy, speed, True, moved, elapsed, most))
 
 
-def _put(port: Port, positions: Buffer, position: float) -> None:
-    port.newest = port.newest + 1 if port.newest + 1 < len(positions) else 0
-    positions[port.newest] = position
+def _put(port: Port, position: float) -> None:
+    port.newest = port.newest + 1 if port.newest + 1 < len(port.positions) else 0
+    port.positions[port.newest] = position
 
 
-def _energy(settings: PortSettings, port: Port, moved: float, force: float, samples: int) -> tuple[float, float, float]:
+def _energy(
+    settings: AdmittanceProperties, port: Port, moved: float, force: float, samples: int
+) -> tuple[float, float, float]:
     """Least energy that came in [J], the largest speed at the end [m/s or rad/s], and the most energy [J]."""
     length, way = samples * settings.sample_time * (1.0 + settings.jitter), abs(moved)
     shortest = samples * settings.sample_time * (1.0 - settings.jitter)
-    slew, acceleration, change = settings.slew, settings.acceleration, force - port.force
-    error, count = settings.error, settings.count
+    slew, acceleration, change = settings.force_slew, settings.handle_acceleration, force - port.force
+    error, count = settings.force_error, settings.encoder_count
     if not settings.is_mean:
         mean, rise = 0.5 * (force + port.force), abs(change)
         fastest = (way + count) / shortest + 0.5 * acceleration * length

@@ -9,31 +9,13 @@ from collections.abc import Sequence
 from math import isfinite, sqrt
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
-from canhaptic.control.admittance.admittance_environment import (
-    AdmittanceMemory,
-    AdmittanceMotion,
-    AdmittanceMotionSettings,
-    display_memory,
-    limited,
-    motion_settings,
-    send,
-    whole,
-)
+from canhaptic.control.admittance.admittance_environment import AdmittanceAxis
 from canhaptic.control.admittance.group_environment import AdmittanceMass
-from canhaptic.control.admittance.port import (
-    AdmittanceProperties,
-    BookedHold,
-    Port,
-    PortSettings,
-    begin_port,
-    book,
-    port_settings,
-)
-from canhaptic.control.admittance.sampled_mass import NothingToChoose
+from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold
+from canhaptic.control.admittance.unprotected_admittance import NothingToChoose
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.multi_axis.group_controller import GroupBalance, group_at_rest
 from canhaptic.errors import ControlError, ParameterError
-from canhaptic.kernels import list_of_zeros
 from canhaptic.units import Parameters
 
 _Vector = list[float]
@@ -84,25 +66,7 @@ def require_finite(positions: Sequence[float], torques: Sequence[float], axes: i
         )
 
 
-class GroupAxis:
-    """Settings and state of one axis of any group of displays."""
-
-    port_settings: PortSettings
-    motion_settings: AdmittanceMotionSettings
-    port: Port
-    motion: AdmittanceMotion
-    memory: AdmittanceMemory
-
-    def begin(self, position: float, force: float) -> None:
-        """Take the first sample."""
-        begin_port(self.port, self.memory.positions, position, force)
-
-    def book(self, position: float, force: float) -> BookedHold:
-        """Book the hold that ended."""
-        return book(self.port_settings, self.port, self.memory.positions, position, force)
-
-
-_Axis = TypeVar("_Axis", bound=GroupAxis)
+_Axis = TypeVar("_Axis", bound=AdmittanceAxis)
 
 
 class AdmittanceGroup(ABC, Generic[_Axis]):
@@ -157,24 +121,7 @@ class AdmittanceGroup(ABC, Generic[_Axis]):
         """Book the hold that ended, send the next commands and return the account of both."""
 
 
-class _SampledAxis(GroupAxis):
-    """State of one axis."""
-
-    def __init__(self, environment: GroupMotion, place: int, properties: AdmittanceProperties) -> None:
-        self.port_settings = port_settings(properties)
-        self.motion_settings = motion_settings(environment.of_axis(place), properties)
-        self.port, self.motion = Port(), AdmittanceMotion()
-        self.memory = display_memory(self.port_settings, self.motion_settings, properties.delay + 1, list_of_zeros)
-
-    def send(self, request: float, position: float, velocity: float) -> float:
-        """Send the nearest command that the limits of the axis allow; return it [m/s or rad/s]."""
-        commands = self.memory.commands
-        request = limited(self.motion_settings, self.motion, commands, request, position, velocity)
-        send(self.motion, commands, whole(self.motion_settings, request))
-        return self.motion.speed
-
-
-class UnprotectedAdmittanceGroup(AdmittanceGroup[_SampledAxis]):
+class UnprotectedAdmittanceGroup(AdmittanceGroup[AdmittanceAxis]):
     """A mass on several axes without protection; a `GroupController`.
 
     Args:
@@ -203,7 +150,10 @@ class UnprotectedAdmittanceGroup(AdmittanceGroup[_SampledAxis]):
 
     def reset(self) -> None:
         """Return to the initial state; see `GroupController`."""
-        self._each = [_SampledAxis(self._environment, place, of) for place, of in enumerate(self._properties)]
+        self._each = [
+            AdmittanceAxis(self._environment.of_axis(place), of, of.delay + 1)
+            for place, of in enumerate(self._properties)
+        ]
         self._slips, self._h_s, self._energy, self._started = [0.0] * self.axes, 0.0, self._begin(), False
         self._last = group_at_rest(self.axes)
 
@@ -217,7 +167,7 @@ class UnprotectedAdmittanceGroup(AdmittanceGroup[_SampledAxis]):
         if self._started:
             for axis in self._each:
                 axis.port.missed += 1
-                send(axis.motion, axis.memory.commands, 0.0)
+                axis.commands.send(0.0)
             self._slips = [0.0] * self.axes
         last = self._last.account
         return GroupBalance(speeds, AT_REST._replace(h_s=last.h_s, branch=Branch.HELD.value), speeds)
@@ -227,16 +177,16 @@ class UnprotectedAdmittanceGroup(AdmittanceGroup[_SampledAxis]):
         holds = [
             axis.book(position, force) for axis, position, force in zip(self._each, positions, forces, strict=True)
         ]
-        before = [axis.motion.speed - slip for axis, slip in zip(self._each, self._slips, strict=True)]
+        before = [axis.commands.speed - slip for axis, slip in zip(self._each, self._slips, strict=True)]
         h_pas = sum(force * slip for force, slip in zip(forces, self._slips, strict=True)) * holds[0].elapsed
-        self._observe(sum(force * axis.motion.speed for force, axis in zip(forces, self._each, strict=True)) * time)
+        self._observe(sum(force * axis.commands.speed for force, axis in zip(forces, self._each, strict=True)) * time)
         request = self._environment.speeds_after(before, forces, list(positions), time)
         request, slips = self._protected(request, forces)
         self._slips = []
         for place, (axis, hold) in enumerate(zip(self._each, holds, strict=True)):
             asked = request[place] + slips[place]
-            sent = axis.send(asked, positions[place], hold.moved / hold.elapsed)
-            self._slips.append(slips[place] if abs(sent - asked) < abs(slips[place]) else 0.0)
+            axis.commands.send(axis.whole(axis.limited(asked, positions[place], hold.moved / hold.elapsed)))
+            self._slips.append(slips[place] if abs(axis.commands.speed - asked) < abs(slips[place]) else 0.0)
         return self._closed(holds, h_pas, before)
 
     def _observe(self, energy: float) -> None:
@@ -249,7 +199,7 @@ class UnprotectedAdmittanceGroup(AdmittanceGroup[_SampledAxis]):
     def _closed(self, holds: list[BookedHold], h_pas: float, before: _Vector) -> GroupBalance:
         """Return the commands with the account of the hold."""
         environment, energy = self._environment, sum(hold.energy for hold in holds)
-        commands = tuple(axis.motion.speed for axis in self._each)
+        commands = tuple(axis.commands.speed for axis in self._each)
         own = [speed - slip for speed, slip in zip(commands, self._slips, strict=True)]
         h_s, h_r = environment.stored(own), environment.lost(before, holds[0].elapsed)
         rest = self._h_s + energy - h_pas - h_r - h_s

@@ -28,10 +28,9 @@ from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Annotated
 
-from canhaptic.control.admittance.admittance_environment import AdmittanceMotion, sent
+from canhaptic.control.admittance.admittance_environment import Commands
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.errors import ParameterError
-from canhaptic.kernels import Buffer
 from canhaptic.units import Parameters, quantity
 
 
@@ -90,29 +89,26 @@ def may_limit(settings: VelocityLoopSettings, loop: LoopState, command: float, m
     return torque >= settings.torque_limit
 
 
-def gained(
-    settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: AdmittanceMotion, moved: float
-) -> float:
+def gained(settings: VelocityLoopSettings, lead: float, commands: Commands, moved: float) -> float:
     """Least change of W over the hold that ended, from encoder and commands [J].
 
     Args:
         settings: Declared velocity loop of the drive.
         lead: Lead at the beginning of the hold [m or rad].
         commands: Ring of the commands sent.
-        motion: Motion, with the index of the newest command.
         moved: Displacement in the hold [m or rad].
     """
     if settings.integral > 0.0:
-        return _gained_with_integral(settings, lead, sent(motion, commands, settings.delay), moved)
-    least = _by_damping(settings, sent(motion, commands, settings.delay), moved)
+        return _gained_with_integral(settings, lead, commands.sent(settings.delay), moved)
+    least = _by_damping(settings, commands.sent(settings.delay), moved)
     for age in range(settings.delay + 1, settings.delay + settings.losses + 1):
-        least = min(least, _by_damping(settings, sent(motion, commands, age), moved))
+        least = min(least, _by_damping(settings, commands.sent(age), moved))
     return least
 
 
-def lost_unseen(settings: VelocityLoopSettings, commands: Buffer, motion: AdmittanceMotion) -> float:
+def lost_unseen(settings: VelocityLoopSettings, commands: Commands) -> float:
     """Largest loss of W in a hold without a sample; without an integral [J]."""
-    square = largest_square(commands, motion, settings.delay, settings.delay + settings.losses)
+    square = largest_square(commands, settings.delay, settings.delay + settings.losses)
     return 0.25 * settings.gain * settings.sample_time * square
 
 
@@ -160,12 +156,10 @@ def _turned(settings: VelocityLoopSettings, lead: float, way: float) -> float:
     return share * product + settings.integral * settings.count * abs(way)
 
 
-def sequence_loss(
-    settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: AdmittanceMotion, holds: int, oldest: int
-) -> float:
+def sequence_loss(settings: VelocityLoopSettings, lead: float, commands: Commands, holds: int, oldest: int) -> float:
     """Largest loss of W over consecutive commands, the first of which has the age `oldest` [J]."""
     time, way, squares, shifts = settings.sample_time, 0.0, 0.0, 0.0
-    newest = motion.newest - oldest + holds - 1
+    newest = commands.newest - oldest + holds - 1
     for place in range(newest, newest - holds, -1):  # from the last to the first; below 0 it wraps
         command = commands[place]
         squares += command * command * time
@@ -182,8 +176,7 @@ def sequence_loss(
 def fastest(
     settings: VelocityLoopSettings,
     lead: float,
-    commands: Buffer,
-    motion: AdmittanceMotion,
+    commands: Commands,
     budget: float,
     sign: float,
 ) -> float:
@@ -193,17 +186,16 @@ def fastest(
         settings: Declared velocity loop of the drive.
         lead: Lead at this SYNC [m or rad].
         commands: Ring of the commands sent.
-        motion: Motion, with the index of the newest command.
         budget: W and the energy allowance [J].
         sign: 1.0 or -1.0.
     """
     if settings.integral == 0.0:
-        return _fastest_by_damping(settings, commands, motion, budget)
+        return _fastest_by_damping(settings, commands, budget)
     time, gain, least, delay = settings.sample_time, settings.integral, settings.gain_least, settings.delay
-    before = sequence_loss(settings, lead, commands, motion, delay, delay - 1)
+    before = sequence_loss(settings, lead, commands, delay, delay - 1)
     way, shift = 0.0, 0.0
     for age in range(delay):  # from the last under way to the first
-        step = commands[motion.newest - age] * time
+        step = commands[commands.newest - age] * time
         shift += time * (2.0 * way + step)
         way += step
     square = 0.25 * time * settings.gain + 0.25 * gain * time * time
@@ -220,9 +212,7 @@ def fastest(
     return 2.0 * room / (root + line) if room > 0.0 else 0.0
 
 
-def _fastest_by_damping(
-    settings: VelocityLoopSettings, commands: Buffer, motion: AdmittanceMotion, budget: float
-) -> float:
+def _fastest_by_damping(settings: VelocityLoopSettings, commands: Commands, budget: float) -> float:
     """The same without an integral: c T / 4 times the squares of all commands that may act.
 
     In each queued hold the largest of the commands that may act counts, as up to `losses` RPDOs in a row may be
@@ -232,77 +222,76 @@ def _fastest_by_damping(
     if losses == 0:
         left = 4.0 * budget / (settings.gain * settings.sample_time)
         for age in range(delay):
-            command = commands[motion.newest - age]
+            command = commands[commands.newest - age]
             left -= command * command
         return sqrt(left) if left > 0.0 else 0.0
     left = 4.0 * budget / (settings.gain * settings.sample_time)
     for age in range(delay):
-        left -= largest_square(commands, motion, age, age + losses)
+        left -= largest_square(commands, age, age + losses)
     if left <= 0.0:
         return 0.0
     best = 0.0
     for own in range(1, losses + 2):  # holds in which the new one is the largest: the last `own` of them
         rest = left
         for hold in range(losses + 1 - own):
-            rest -= largest_square(commands, motion, 0, losses - 1 - hold)
+            rest -= largest_square(commands, 0, losses - 1 - hold)
         if rest > 0.0:
-            best = max(best, _within(commands, motion, sqrt(rest / own), own, losses))
+            best = max(best, _within(commands, sqrt(rest / own), own, losses))
     return best
 
 
-def _within(commands: Buffer, motion: AdmittanceMotion, speed: float, own: int, losses: int) -> float:
+def _within(commands: Commands, speed: float, own: int, losses: int) -> float:
     """The speed if it is the largest command in exactly this number of its holds, else 0."""
     square = speed * speed
     if own > 1 or losses > 0:
         first = losses + 1 - own  # the first hold in which it is to be the largest
-        older = largest_square(commands, motion, 0, losses - 1 - first) if first < losses else 0.0
+        older = largest_square(commands, 0, losses - 1 - first) if first < losses else 0.0
         if square < older:
             return 0.0
         if first > 0:
-            before = largest_square(commands, motion, 0, losses - first)
+            before = largest_square(commands, 0, losses - first)
             if square > before:
                 return sqrt(before)
     return speed
 
 
-def largest_square(commands: Buffer, motion: AdmittanceMotion, newest: int, oldest: int) -> float:
+def largest_square(commands: Commands, newest: int, oldest: int) -> float:
     """Return the largest square of the commands of some ages [m^2/s^2 or rad^2/s^2]."""
     largest = 0.0
     for age in range(newest, oldest + 1):
-        command = sent(motion, commands, age)
+        command = commands.sent(age)
         largest = max(largest, command * command)
     return largest
 
 
-def loss_under_way(settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: AdmittanceMotion) -> float:
+def loss_under_way(settings: VelocityLoopSettings, lead: float, commands: Commands) -> float:
     """Return the largest loss of W by the commands that can still act, the newest included, at any SYNC [J]."""
     total = largest = 0.0
     if settings.integral > 0.0:
         for holds in range(1, settings.delay + 2):
-            loss = sequence_loss(settings, lead, commands, motion, holds, settings.delay)
+            loss = sequence_loss(settings, lead, commands, holds, settings.delay)
             if loss > largest:
                 largest = loss
         return largest
     if settings.losses == 0:
         for age in range(settings.delay + 1):
-            command = commands[motion.newest - age]
+            command = commands[commands.newest - age]
             total += command * command
         return 0.25 * settings.gain * settings.sample_time * total
     for age in range(1, settings.delay + 1):
-        total += largest_square(commands, motion, age, age + settings.losses)
+        total += largest_square(commands, age, age + settings.losses)
     for hold in range(settings.losses + 1):
-        total += largest_square(commands, motion, 0, settings.losses - hold)
+        total += largest_square(commands, 0, settings.losses - hold)
     return 0.25 * settings.gain * settings.sample_time * total
 
 
-def loss_of_skip(
-    settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: AdmittanceMotion, skipped: int
-) -> float:
+def loss_of_skip(settings: VelocityLoopSettings, lead: float, commands: Commands, skipped: int) -> float:
     """Largest loss of W by all queued commands where SYNCs are skipped and the oldest acts longer [J]."""
     holds = [settings.delay] * skipped + [*range(settings.delay, -1, -1)]
-    acting = [sent(motion, commands, age) for age in holds]
-    longer = replace(settings, delay=settings.delay + skipped)
-    return loss_under_way(longer, lead, acting, AdmittanceMotion(newest=len(acting) - 1))
+    acting = Commands(len(holds))
+    for age in holds:
+        acting.send(commands.sent(age))
+    return loss_under_way(replace(settings, delay=settings.delay + skipped), lead, acting)
 
 
 class GuardedAdmittanceParameters(Parameters):

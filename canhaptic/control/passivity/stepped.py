@@ -10,6 +10,8 @@ algorithm has a pole at -1.618 for a delay of one sample.
 Division of one hold's energy between stored energy and surplus, as in `guarded` for one axis and for a group.
 """
 
+from collections.abc import Callable
+from functools import partial
 from math import isfinite
 from typing import ClassVar, Final, NamedTuple
 
@@ -159,7 +161,6 @@ class SteppedController:
         """
         self._environment = environment
         self._settings = self.kernel.settings(environment, parameters, loop)
-        self._step = self.kernel.step
         self.reset()
 
     def reset(self) -> None:
@@ -167,7 +168,8 @@ class SteppedController:
         self._state = self.kernel.state()
         self._axis = self._state.axis
         self._memory = with_quick_fields(self.kernel.memory(self._settings, list_of_zeros))
-        self._run = with_quick_fields(Run(self._settings, self._state, self._memory))
+        run = with_quick_fields(Run(self._settings, self._state, self._memory))
+        self._advance: Callable[[float, float], EnergyBalance] = partial(self.kernel.step, self._environment, run)
         self._last = AT_REST
 
     def sample_lost(self) -> EnergyBalance:
@@ -201,7 +203,7 @@ class SteppedController:
                 f"controller: got position {position!r} and {effort} {torque_applied!r}, expected finite numbers; "
                 f"{command} is zero and the controller was reset; check {sensors}"
             )
-        balance: EnergyBalance = self._step(self._environment, self._run, position, torque_applied)
+        balance = self._advance(position, torque_applied)
         if not isfinite(balance[0]):
             _, command, _, values = self.wording
             self.reset()

@@ -7,11 +7,8 @@ Schindlbeck and Haddadin, ICRA 2015.
 
 from typing import Annotated, ClassVar
 
-from canhaptic.control.admittance.admittance_controller import AdmittanceController
-from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
 from canhaptic.control.admittance.sampled_group import UnprotectedAdmittanceGroup
-from canhaptic.control.admittance.sampled_mass import AdmittanceReply, AdmittanceRun, SampledHold, display_kernel
-from canhaptic.kernels import new
+from canhaptic.control.admittance.unprotected_admittance import SampledHold, UnprotectedAdmittance
 from canhaptic.units import Parameters, quantity
 
 
@@ -24,28 +21,24 @@ class TankAdmittanceParameters(Parameters):
     """Largest energy in the tank."""
 
 
-def first_energy(environment: AdmittanceEnvironment, given: TankAdmittanceParameters, position: float) -> float:
-    """Return the energy in the tank at the start [J]."""
-    return given.initial
-
-
-def respond(
-    environment: AdmittanceEnvironment, run: AdmittanceRun[TankAdmittanceParameters], hold: SampledHold
-) -> AdmittanceReply:
-    """Scale a command that would take more than the tank holds."""
-    settings, state, request = run.settings, run.state, hold.request
-    state.energy = min(settings.given.capacity, state.energy + hold.force * hold.before * hold.elapsed)
-    taken = -hold.force * request * settings.port.sample_time
-    if taken > 0.0 and taken > state.energy:
-        request *= max(0.0, state.energy) / taken
-    return new(AdmittanceReply, (request, 0.0, 0.0))
-
-
-class TankAdmittance(AdmittanceController):
+class TankAdmittance(UnprotectedAdmittance):
     """A virtual mass that moves by the energy in its tank."""
 
     parameters_type = TankAdmittanceParameters
-    kernel = display_kernel(respond, first_energy)
+    _given: TankAdmittanceParameters
+
+    def first_energy(self, position: float) -> float:
+        """Return the energy in the tank at the start [J]."""
+        return self._given.initial
+
+    def respond(self, hold: SampledHold) -> tuple[float, float, float]:
+        """Scale a command that would take more than the tank holds."""
+        request = hold.request
+        self._energy = min(self._given.capacity, self._energy + hold.force * hold.before * hold.elapsed)
+        taken = -hold.force * request * self._time
+        if taken > 0.0 and taken > self._energy:
+            request *= max(0.0, self._energy) / taken
+        return request, 0.0, 0.0
 
 
 class TankAdmittanceGroup(UnprotectedAdmittanceGroup):

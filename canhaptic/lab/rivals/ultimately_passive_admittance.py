@@ -7,10 +7,7 @@ stability of the slip against the stiffest hand declared (C K T <= 0.5).
 
 from typing import Annotated
 
-from canhaptic.control.admittance.admittance_controller import AdmittanceController
-from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
-from canhaptic.control.admittance.sampled_mass import AdmittanceReply, AdmittanceRun, SampledHold, display_kernel
-from canhaptic.kernels import new
+from canhaptic.control.admittance.unprotected_admittance import SampledHold, UnprotectedAdmittance
 from canhaptic.units import Parameters, quantity
 
 _STABLE = 0.5
@@ -26,19 +23,15 @@ class UltimatelyPassiveAdmittanceParameters(Parameters):
     """Stiffest hand, an over-estimate: bounds the slip."""
 
 
-def respond(
-    environment: AdmittanceEnvironment, run: AdmittanceRun[UltimatelyPassiveAdmittanceParameters], hold: SampledHold
-) -> AdmittanceReply:
-    """Dissipate part of the surplus."""
-    state, given = run.state, run.settings.given
-    h_pas = hold.force * state.slip * hold.elapsed
-    state.energy = max(0.0, max(0.0, state.energy + state.created) - h_pas)
-    most = _STABLE / (given.hand_stiffness * run.settings.port.sample_time)
-    return new(AdmittanceReply, (hold.request, min(given.alpha * state.energy, most) * hold.force, h_pas))
-
-
-class UltimatelyPassiveAdmittance(AdmittanceController):
+class UltimatelyPassiveAdmittance(UnprotectedAdmittance):
     """A virtual mass whose surplus is dissipated gradually."""
 
     parameters_type = UltimatelyPassiveAdmittanceParameters
-    kernel = display_kernel(respond)
+    _given: UltimatelyPassiveAdmittanceParameters
+
+    def respond(self, hold: SampledHold) -> tuple[float, float, float]:
+        """Dissipate part of the surplus."""
+        h_pas = hold.force * self._slip * hold.elapsed
+        self._energy = max(0.0, max(0.0, self._energy + self._created) - h_pas)
+        most = _STABLE / (self._given.hand_stiffness * self._time)
+        return hold.request, min(self._given.alpha * self._energy, most) * hold.force, h_pas

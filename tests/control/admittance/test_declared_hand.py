@@ -65,10 +65,9 @@ def _known(**declared: float | None) -> tuple[GuardedAdmittanceParameters, Admit
 def _worst(speed: float, **declared: float) -> tuple[float, float]:
     """Returns what one command for one hold costs by the formula, and what the worst hand known takes of it [J]."""
     known, properties = _known(**declared)
-    loop = loop_settings(known, properties)
-    settings = declared_hand_settings(known, loop, 0)
-    still = DeclaredHand(up=0.0, down=0.0, up_with_mass=0.0, down_with_mass=0.0)
-    said = loss(settings, loop, still, [0.0] * 4, 0, speed, settings.holds)
+    settings = declared_hand_settings(known, loop_settings(known, properties), 0)
+    still = DeclaredHand([], up=0.0, down=0.0, up_with_mass=0.0, down_with_mass=0.0)
+    said = loss(settings, still, [0.0] * 4, 0, speed)
     rig = DeclaredRig(
         moved=2.0, bandwidth=628.0 / (2.0 * math.pi * 2.0), stiffness=known.hand_stiffness,
         speed=known.hand_speed, mass=known.hand_mass, damping=known.hand_damping,
@@ -102,19 +101,18 @@ def test_what_a_command_costs_is_what_a_hand_can_take_and_little_more(declared: 
 def test_commands_are_followed_as_a_loop_of_first_order_follows() -> None:
     known, properties = _known()
     settings = declared_hand_settings(known, loop_settings(known, properties), 0)
-    hand, speeds = DeclaredHand(), [0.0]
+    hand = DeclaredHand([0.0])
     for _ in range(10):
-        go_on(settings, hand, speeds, 0.5)
+        go_on(settings, hand, 0.5)
     assert hand.speed == pytest.approx(0.5 * (1.0 - math.exp(-10e-3 * 628.0 / 2.0)))
-    assert speeds == [hand.speed]
+    assert hand.speeds == [hand.speed]
 
 
 def test_the_lightest_mass_is_that_of_the_spring_for_a_hand_at_rest() -> None:
     """K_e (nT + aT + l)^2, and little more for what the drive yields."""
     known, properties = _known()
-    loop = loop_settings(known, properties)
     way = 2.0 / 628.0 + 2e-3
-    carried = lightest(declared_hand_settings(known, loop, 0), loop, 0.5)
+    carried = lightest(declared_hand_settings(known, loop_settings(known, properties), 0), 0.5)
     assert 1.0 <= carried / (1000.0 * way * way) < 1.1
 
 

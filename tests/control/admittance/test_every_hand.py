@@ -258,7 +258,7 @@ def test_a_torque_limit_in_reach_leaves_the_loop_as_the_only_certificate() -> No
     for _ in range(60):
         loop.sync(_steady(lambda _drive, _command: 10.0, loop.drive.substeps))
     assert loop.cut > 0
-    assert loop.controller._state.margin.known >= 0.0
+    assert loop.controller._margin.known >= 0.0
 
 
 def _out_and_back(rig: _Rig, holds: int) -> tuple[Any, float]:
@@ -278,7 +278,7 @@ def test_a_torque_limit_may_be_reached_where_no_sample_shows_it(limit: float) ->
     rig = _Rig(corner=20.0, acceleration=60.0, torque_limit=limit, bandwidth=50.0, delay=0)
     controller, speed = _out_and_back(rig, 8)
     assert (rig.gain * speed > limit) is (limit < 1e3)
-    balance = controller.step(controller._state.axis.position, 0.0)
+    balance = controller.step(controller._axis.position, 0.0)
     assert (balance.certificate == 4) is (limit < 1e3)
 
 
@@ -289,12 +289,12 @@ def test_at_the_torque_limit_nothing_rests_on_the_hand_until_the_command_has_act
         _WEAK_HAND, latency=3, torque_limit=105.0, virtual_mass=1e3, losses=losses, acceleration=50.0 / (2.5 + losses)
     )
     loop = _Loop(rig, rig.controller(), np.random.default_rng(1))
-    state, changes = loop.controller._state, loop.controller._memory.hand.changes
+    made, hand = loop.controller, loop.controller._hand
     lost, waited = [], []
     for force in (0.0, 0.0, 0.0, 150.0, *[0.0] * 8):  # moves fastest in the hold after: 52 N of the gain, 63 unseen
-        waited.append(state.limited)
+        waited.append(made._limited)
         loop.sync(lambda _drive, _command, push=force: push)  # type: ignore[misc]
-        lost.append(changes[state.hand.place] == -math.inf)
+        lost.append(hand.changes[hand.place] == -math.inf)
     assert waited == [0] * 5 + [*range(5 + losses, 0, -1), 0, 0, 0][:7]
     assert lost == [False] * 5 + [True] * (2 + losses) + [False] * (5 - losses)
 
@@ -304,7 +304,7 @@ def _known_of_declared(torque_limit: float) -> float:
     loop = _Loop(rig, rig.controller(hand_stiffness=100.0, drive_friction=0.0), np.random.default_rng(1))
     for _ in range(20):
         loop.sync(_steady(lambda _drive, _command: 5.0, loop.drive.substeps))
-    return float(loop.controller._state.declared.known)
+    return float(loop.controller._declared.known)
 
 
 def test_at_the_torque_limit_the_motion_proves_nothing_of_a_declared_hand() -> None:
@@ -333,5 +333,5 @@ def test_where_syncs_are_skipped_the_margin_stays_below_the_true_one(delay: int,
     loop.controller.lasted(8.0)
     loop.controller.step(float(loop.drive.state[0]), 0.0)
     true = loop.drive.energy - loop.drive.reserve
-    assert true - 0.5 < loop.controller._state.margin.known <= true + 1e-9
-    assert loop.controller._state.axis.missed == 0
+    assert true - 0.5 < loop.controller._margin.known <= true + 1e-9
+    assert loop.controller._axis.missed == 0

@@ -146,7 +146,7 @@ def test_a_torque_limit_may_be_reached_where_no_sample_shows_it(holds: int, cert
 def test_a_skipped_sync_changes_no_command() -> None:
     controller, found = run("unprotected", 50)
     controller.lasted(3.0)
-    assert tuple(axis.motion.speed for axis in controller._each) == found[-1].torques
+    assert tuple(axis.commands.speed for axis in controller._each) == found[-1].torques
     assert [axis.port.missed for axis in controller._each] == [2, 2]
 
 
@@ -159,7 +159,7 @@ def test_a_skipped_sync_costs_a_guarded_group_what_its_commands_may_cost() -> No
     controller.lasted(3.0)
     lost = 2.0 * sum(0.25 * 100.0 * TIME * speed * speed for speed in sent[-2])
     assert 0.0 < lost == pytest.approx(before - controller._margin.known)
-    assert tuple(axis.motion.speed for axis in controller._each) == sent[-1]
+    assert tuple(axis.commands.speed for axis in controller._each) == sent[-1]
 
 
 def test_a_sample_that_was_lost_commands_nothing_and_a_wrong_one_ends_it() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from canhaptic.control.admittance.force_evidence import Disagreement, MomentumCheck, MovedHold, momentum_check
-from canhaptic.control.admittance.port import AdmittanceProperties, port_settings
+from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, loop_settings
 from canhaptic.errors import ForceContradictedError
 from tools.displays.direct import run
@@ -29,7 +29,7 @@ def check_of(**changes: Any) -> MomentumCheck:
         update={k: v for k, v in changes.items() if k in GuardedAdmittanceParameters.model_fields}
     )
     known = PROPERTIES.model_copy(update={k: v for k, v in changes.items() if k in AdmittanceProperties.model_fields})
-    found = momentum_check(declared, port_settings(known), loop_settings(declared, known))
+    found = momentum_check(declared, known, loop_settings(declared, known))
     assert found is not None
     return found
 
@@ -129,9 +129,9 @@ def test_nothing_is_said_where_the_torque_may_be_at_its_limit_or_a_command_was_l
 
 
 def test_without_a_declared_friction_nothing_is_compared() -> None:
-    port, loop = port_settings(PROPERTIES), loop_settings(DECLARED, PROPERTIES)
-    assert momentum_check(DECLARED.model_copy(update={"drive_friction": None}), port, loop) is None
-    uneven = replace(port, jitter=0.01)
+    loop = loop_settings(DECLARED, PROPERTIES)
+    assert momentum_check(DECLARED.model_copy(update={"drive_friction": None}), PROPERTIES, loop) is None
+    uneven = PROPERTIES.model_copy(update={"jitter": 0.01})
     assert momentum_check(DECLARED, uneven, replace(loop, integral=1.0)) is None
 
 

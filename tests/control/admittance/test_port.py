@@ -4,15 +4,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from canhaptic.control.admittance.port import Port, PortSettings, begin_port, book
+from canhaptic.control.admittance.port import AdmittanceProperties, begin_port, book, port_of
 
 _TIME, _SLEW, _ACCELERATION = 1e-3, 2000.0, 20.0
 _STEPS = 200
 Array = NDArray[np.float64]
 
 
-def _settings(*, is_mean: bool, count: float = 0.0, error: float = 0.0, latency: int = 0) -> PortSettings:
-    return PortSettings(_TIME, is_mean, False, latency, _SLEW, _ACCELERATION, error, count, 0.0)
+def _settings(*, is_mean: bool, count: float = 0.0, error: float = 0.0, latency: int = 0) -> AdmittanceProperties:
+    return AdmittanceProperties(
+        sample_time=_TIME, sampling="mean" if is_mean else "point", latency=latency, force_slew=_SLEW,
+        handle_acceleration=_ACCELERATION, force_error=error, encoder_count=count, speed_limit=1.0,
+        acceleration_limit=1.0,
+    )  # fmt: skip
 
 
 def _slopes(random: np.random.Generator, holds: int) -> Array:
@@ -42,11 +46,11 @@ def _energies(force: Array, speed: Array) -> tuple[Array, Array, Array]:
     return energy.sum(1), (step * (v0 + v1) / 2.0).sum(1), (step * (f0 + f1) / 2.0).sum(1) / _TIME
 
 
-def _booked(settings: PortSettings, first: float, last: float, mean: float, way: float) -> tuple[float, float]:
+def _booked(settings: AdmittanceProperties, first: float, last: float, mean: float, way: float) -> tuple[float, float]:
     """Returns (energy booked at least, its doubt)."""
-    port, positions = Port(), [0.0] * (settings.latency + 1)
-    begin_port(port, positions, 0.0, first)
-    energy = book(settings, port, positions, way, mean if settings.is_mean else last).energy
+    port = port_of(settings)
+    begin_port(port, 0.0, first)
+    energy = book(settings, port, way, mean if settings.is_mean else last).energy
     return energy, port.doubt
 
 
@@ -78,15 +82,16 @@ def test_a_built_hold_reaches_the_bound_of_two_samples() -> None:
 
 def test_an_encoder_in_counts_costs_half_a_count_times_the_change_of_the_force() -> None:
     random, count = np.random.default_rng(8), 1e-5
-    settings, port, positions = _settings(is_mean=True, count=count), Port(), [0.0]
+    settings = _settings(is_mean=True, count=count)
+    port = port_of(settings)
     force = np.cumsum(random.normal(0.0, 0.05, 3000)) + 5.0
     way = np.cumsum(random.normal(0.0, 3e-5, 3000))
     true = booked = position = 0.0
-    begin_port(port, positions, 0.0, 0.0)
+    begin_port(port, 0.0, 0.0)
     for value, place in zip(force.tolist(), way.tolist(), strict=True):
         true += value * (place - position)
         position = place
-        booked += book(settings, port, positions, round(place / count) * count, value).energy
+        booked += book(settings, port, round(place / count) * count, value).energy
         assert booked <= true + 1e-12
     assert true - booked < 0.05  # 3000 holds at 5 N: a count of each would be 0.15 J
 
@@ -94,13 +99,13 @@ def test_an_encoder_in_counts_costs_half_a_count_times_the_change_of_the_force()
 @pytest.mark.parametrize("latency", [0, 1, 2, 3])
 def test_a_late_force_is_booked_with_the_way_of_its_own_time(latency: int) -> None:
     random = np.random.default_rng(latency)
-    settings, port = _settings(is_mean=True, latency=latency), Port()
-    positions, force = [0.0] * (latency + 1), random.uniform(-5.0, 5.0, 400)
+    settings = _settings(is_mean=True, latency=latency)
+    port, force = port_of(settings), random.uniform(-5.0, 5.0, 400)
     way = np.cumsum(random.normal(0.0, 1e-4, 400))
-    begin_port(port, positions, 0.0, 0.0)
+    begin_port(port, 0.0, 0.0)
     booked = 0.0
     for k in range(400):
-        booked += book(settings, port, positions, way[k], force[k - latency] if k >= latency else 0.0).energy
+        booked += book(settings, port, way[k], force[k - latency] if k >= latency else 0.0).energy
     steps = np.diff(np.concatenate([[0.0], way]))
     assert booked + port.doubt == pytest.approx(float((force * steps)[: 400 - latency].sum()), abs=1e-9)
 
@@ -113,12 +118,13 @@ def test_lost_samples_are_booked_with_their_doubt() -> None:
     speed = 0.2 * np.sin(np.arange(holds + 1) * 0.02)
     steps = _TIME * ((force[:-1] + force[1:]) * (speed[:-1] + speed[1:]) / 4.0 + np.diff(force) * np.diff(speed) / 12.0)
     way = np.cumsum(_TIME * (speed[:-1] + speed[1:]) / 2.0)
-    settings, port, positions, booked, true = _settings(is_mean=False), Port(), [0.0], 0.0, 0.0
-    begin_port(port, positions, 0.0, force[0])
+    settings, booked, true = _settings(is_mean=False), 0.0, 0.0
+    port = port_of(settings)
+    begin_port(port, 0.0, force[0])
     for k in range(holds):
         true += steps[k]
         if random.random() < 0.2:
             port.missed += 1
             continue
-        booked += book(settings, port, positions, way[k], force[k + 1]).energy
+        booked += book(settings, port, way[k], force[k + 1]).energy
         assert booked <= true + 1e-12

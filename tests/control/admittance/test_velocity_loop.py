@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from canhaptic.control.admittance.admittance_environment import AdmittanceMotion, send
+from canhaptic.control.admittance.admittance_environment import Commands
 from canhaptic.control.admittance.velocity_loop import (
     LoopState,
     VelocityLoopSettings,
@@ -43,11 +43,11 @@ def _worst(commands: list[float], gain: float, integral: float, lead: float, tim
     return float(speed @ quadratic @ speed + linear @ speed + constant)
 
 
-def _sent(commands: list[float]) -> tuple[list[float], AdmittanceMotion]:
-    ring, motion = [0.0] * (len(commands) + 1), AdmittanceMotion()
+def _sent(commands: list[float], kept: int = 0) -> Commands:
+    ring = Commands(kept or len(commands) + 1)
     for command in commands:
-        send(motion, ring, command)
-    return ring, motion
+        ring.send(command)
+    return ring
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -57,8 +57,8 @@ def test_the_loss_of_a_sequence_is_that_of_the_worst_motion(seed: int) -> None:
     integral = gain * random.choice([0.0, 20.0, 100.0])
     commands = random.uniform(-1.0, 1.0, random.integers(1, 5)).tolist()
     lead = random.uniform(-0.02, 0.02) if integral else 0.0
-    ring, motion = _sent(commands)
-    found = sequence_loss(_settings(gain, integral, time=time), lead, ring, motion, len(commands), len(commands) - 1)
+    ring = _sent(commands)
+    found = sequence_loss(_settings(gain, integral, time=time), lead, ring, len(commands), len(commands) - 1)
     worst = _worst(commands, gain, integral, lead, time)
     scale = gain * time * max(abs(c) for c in commands) ** 2
     assert worst <= found + 1e-9 * scale
@@ -72,8 +72,8 @@ def test_the_gain_by_encoder_and_command_is_the_least_of_all_motions_of_that_way
     integral = gain * random.choice([0.0, 20.0, 100.0])
     command, moved = random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0) * time
     lead = random.uniform(-0.02, 0.02) if integral else 0.0
-    ring, motion = _sent([command, 0.0])
-    found = gained(_settings(gain, integral, time=time), lead, ring, motion, moved)
+    ring = _sent([command, 0.0])
+    found = gained(_settings(gain, integral, time=time), lead, ring, moved)
     quadratic, linear, constant = _form([command], gain, integral, lead, time)
     step = time / _STEPS  # least -loss with the way given: a bordered linear system
     system = np.block(
@@ -100,8 +100,8 @@ def test_a_drive_at_its_torque_limit_proves_no_more_than_it_brakes(evenness: flo
         command = random.uniform(-1.5, 1.5)
         torque = np.clip(gain * (command - speed), -limit, limit)
         at_limit += bool((abs(torque) == limit).any())
-        ring, motion = _sent([command, 0.0])
-        found = gained(settings, 0.0, ring, motion, float(speed.sum() * step))
+        ring = _sent([command, 0.0])
+        found = gained(settings, 0.0, ring, float(speed.sum() * step))
         assert found <= -float((torque * speed).sum() * step) + 1e-3  # of the steps
     assert at_limit > 100
 
@@ -122,10 +122,10 @@ def test_what_is_allowed_loses_just_the_budget(seed: int) -> None:
     under_way = random.uniform(-0.3, 0.3, delay).tolist()
     lead = random.uniform(-0.01, 0.01) if integral else 0.0
     settings, sign = _settings(gain, integral, delay=delay, time=time), float(random.choice([-1.0, 1.0]))
-    ring, motion = _sent([*under_way, 0.0])
-    motion.newest -= 1
+    ring = _sent([*under_way, 0.0])
+    ring.newest -= 1
     budget = random.uniform(0.0, 0.3)
-    speed = fastest(settings, lead, ring, motion, budget, sign)
+    speed = fastest(settings, lead, ring, budget, sign)
     worst = _worst([*under_way, sign * speed], gain, integral, lead, time)
     assert worst <= budget + 1e-9 or speed == 0.0
     if speed > 0.0:
@@ -139,14 +139,12 @@ def test_no_way_of_losing_commands_loses_more_than_is_counted(delay: int, losses
     for _ in range(50):
         settings = _settings(500.0, 0.0, delay=delay, losses=losses)
         sent = random.uniform(-0.3, 0.3, delay + losses + 1).tolist()
-        ring, motion = [0.0] * (delay + losses + 2), AdmittanceMotion()
-        for command in sent:
-            send(motion, ring, command)
+        ring = _sent(sent, delay + losses + 2)
         budget = random.uniform(0.0, 0.2)
-        speed = fastest(settings, 0.0, ring, motion, budget, 1.0)
-        send(motion, ring, speed)
+        speed = fastest(settings, 0.0, ring, budget, 1.0)
+        ring.send(speed)
         most = max(_losses_of(sent[1:] if len(sent) > delay + losses else sent, speed, delay, losses, settings))
-        assert most <= loss_under_way(settings, 0.0, ring, motion) + 1e-12
+        assert most <= loss_under_way(settings, 0.0, ring) + 1e-12
         if speed > 0.0:
             assert most <= budget + 1e-12
 

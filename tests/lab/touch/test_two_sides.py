@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canhaptic.control.admittance.sampled_mass import NothingToChoose
+from canhaptic.control.admittance.unprotected_admittance import NothingToChoose
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.cycle import run
 from canhaptic.errors import InputError
