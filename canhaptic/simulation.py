@@ -12,11 +12,10 @@ import html
 import io
 import json
 import shutil
-import sys
 import tempfile
 import weakref
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from math import nan
@@ -28,21 +27,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.control.verdict import Headline, Verdict
-from canhaptic.cycle import run
-from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.logs import energy_reader
 from canhaptic.result import RunResult
-from canhaptic.scene.build import Experiment, build, experiment_account
+from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene, scene_from_mapping
 from canhaptic.scene.models import RunParameters, Scene
 from canhaptic.units import shown
+from canhaptic.view.terminal import run_progress
 
 if TYPE_CHECKING:
     import pandas
     import xarray
     from matplotlib.figure import Figure
-    from rich.progress import Progress
 
     from canhaptic.audit.inspection import Inspection
 
@@ -382,7 +379,10 @@ def simulate(
     cycles = max(1, round(length / loaded.bus.sample_time))
     folder = Path(tempfile.mkdtemp(prefix="canhaptic-"))
     try:
-        raw, error = _run(build(loaded, "free", folder / _LOG_NAME, None, no_torque=no_torque), cycles, progress)
+        with build(loaded, "free", folder / _LOG_NAME, None, no_torque=no_torque) as experiment, (
+            run_progress(cycles, loaded.bus.sample_time, "free") if progress else nullcontext()
+        ) as shown_progress:  # fmt: skip
+            raw, error = experiment.run_through(cycles, progress=shown_progress)
         if error is not None and check:
             raise error
     except BaseException:
@@ -423,49 +423,6 @@ def _override(path: str, value: object) -> str:
 def _plain(value: object) -> object:
     """Return a number or array of NumPy, or a path, as a plain value."""
     return value.tolist() if isinstance(value, np.generic | np.ndarray) else fspath(cast("PathLike[str]", value))
-
-
-def _run(experiment: Experiment, cycles: int, progress: bool) -> tuple[RunResult, CanHapticError | None]:
-    """Run to the end, normal or not; return the account and the error that ended the run early."""
-    error: CanHapticError | None = None
-    clock = WallClock()
-    begin = clock.now()
-    with experiment:
-        try:
-            with _bar(cycles, progress) as bar:
-                run(experiment.cycle, cycles, progress=bar)
-        except CanHapticError as raised:
-            error = raised
-        status = "completed" if error is None else f"failed: {error}"
-        raw = experiment_account(experiment, status, (clock.now() - begin) * 1e-9)
-        experiment.close(status)
-    return raw, error
-
-
-@contextmanager
-def _bar(cycles: int, wanted: bool) -> "Iterator[_Bar | None]":
-    """Yield a progress bar in a terminal or a notebook."""
-    if not wanted or not (sys.stderr.isatty() or "ipykernel" in sys.modules):
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console = Console(stderr="ipykernel" not in sys.modules)
-    with Progress(console=console, auto_refresh=False, transient=True) as display:
-        yield _Bar(display, cycles)
-
-
-class _Bar:
-    """Takes the number of completed cycles; draws one of a thousand."""
-
-    def __init__(self, display: "Progress", cycles: int) -> None:
-        self._display = display
-        self._task = display.add_task("simulating", total=cycles)
-
-    def __call__(self, cycles: int) -> None:
-        if cycles % 1000 == 0:
-            self._display.update(self._task, completed=cycles, refresh=True)
 
 
 def _port_account(name: str, raw: "RunResult | Inspection") -> PortAccount:

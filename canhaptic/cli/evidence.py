@@ -18,9 +18,8 @@ from canhaptic.cli.long_command import StopSignal, check_list
 from canhaptic.cli.options import scene_of
 from canhaptic.cli.output import note_file, write_file
 from canhaptic.commission.session import CommissioningLimits, Dialogue, Session
-from canhaptic.cycle import run
-from canhaptic.errors import CanHapticError, InputError
-from canhaptic.scene.build import build, experiment_account
+from canhaptic.errors import InputError
+from canhaptic.scene.build import build
 from canhaptic.scene.edited_text import Change, edited_text
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene, require_no_guesses
@@ -123,14 +122,10 @@ def _run(
     if not dialogue.confirm(f"a run of {duration:g} s {torque}: hand on the handle. Now?"):
         raise InputError(f"{name}: was not agreed to; the folder {out} is not complete")
     with build(scene, None, out / f"{name}.h5", out / f"{name}.log", no_torque=no_torque) as experiment:
-        status, failure = "completed", None
-        try:
-            run(experiment.cycle, round(duration / scene.bus.sample_time), stop.requested)
-        except CanHapticError as error:
-            status, failure = f"failed: {error}", error
-        _write_json(out / f"{name}.json", experiment_account(experiment, status, duration))
-        if failure is not None:
-            raise failure
+        account, error = experiment.run_through(round(duration / scene.bus.sample_time), stop.requested)
+        _write_json(out / f"{name}.json", account)
+        if error is not None:
+            raise error
 
 
 def _write_json(path: Path, value: Any) -> None:

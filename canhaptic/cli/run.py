@@ -8,15 +8,14 @@ from pathlib import Path
 from typing import Final
 
 from canhaptic.axis_units import effort_unit
-from canhaptic.cli.long_command import StopSignal, notes, run_progress, walls_first
+from canhaptic.cli.long_command import StopSignal, notes, walls_first
 from canhaptic.cli.options import check_picture, require_new, scene_of
 from canhaptic.cli.output import failure, note_file, write_failure, write_json, write_line, write_note
-from canhaptic.cycle import run
-from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError, ParameterError
 from canhaptic.result import RunResult
-from canhaptic.scene.build import Experiment, build, experiment_account, logs_elsewhere
+from canhaptic.scene.build import Experiment, build, logs_elsewhere
 from canhaptic.scene.models import Scene, require_no_guesses
+from canhaptic.view.terminal import run_progress
 
 _NOT_PASSIVE: Final = 1  # exit status of --strict
 _LARGE: Final = 0.01  # energy allowance that needs --large-allowance [J]
@@ -111,25 +110,13 @@ def _fails(result: RunResult) -> bool:
 
 
 def _run(experiment: Experiment, duration: float | None, stop: StopSignal) -> tuple[RunResult, CanHapticError | None]:
-    """Run to the end, good or bad; return the account and the error."""
-    scene, clock = experiment.scene, WallClock()
-    cycles = None if duration is None else max(1, round(duration / scene.bus.sample_time))
-    error: CanHapticError | None = None
-    begin = clock.now()
-    try:
-        with run_progress(cycles, scene.bus.sample_time, experiment.pace) as progress:
-            run(experiment.cycle, cycles, walls_first(experiment, stop.requested), progress)
-    except CanHapticError as raised:
-        error = raised
-    elapsed = (clock.now() - begin) * 1e-9
-    status = "completed" if error is None else f"failed: {error}"
-    if error is None and stop.requested():
-        status = "stopped"
-    result = experiment_account(experiment, status if error is None else "failed", elapsed)  # why: printed after it
-    try:
-        experiment.close(status)
-    except CanHapticError as raised:
-        error = error or raised
+    """Run to the end, good or bad; return the account and the error, which is printed after it."""
+    period = experiment.scene.bus.sample_time
+    cycles = None if duration is None else max(1, round(duration / period))
+    with run_progress(cycles, period, experiment.pace) as progress:
+        result, error = experiment.run_through(cycles, walls_first(experiment, stop.requested), progress)
+    if error is not None and result["status"].startswith("failed"):
+        result["status"] = "failed"
     return result, error
 
 

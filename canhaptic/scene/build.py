@@ -26,12 +26,12 @@ import can
 
 from canhaptic.control.ledger import EnergyLossMeter
 from canhaptic.control.verdict import PortResult
-from canhaptic.cycle import Cycle
+from canhaptic.cycle import Cycle, run
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link, Recorder
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
-from canhaptic.errors import InputError, ParameterError
+from canhaptic.errors import CanHapticError, InputError, ParameterError
 from canhaptic.host.interfaces import opening_error
 from canhaptic.registry import load
 from canhaptic.result import RunResult, run_result
@@ -268,6 +268,30 @@ class Experiment:
 
         motors = [drive.servo.motor for drive in self.far_side.drives]
         return [motor for motor in motors if isinstance(motor, Plant)]
+
+    def run_through(
+        self,
+        cycles: int | None,
+        stop_requested: Callable[[], bool] = lambda: False,
+        progress: Callable[[int], None] | None = None,
+    ) -> tuple[RunResult, CanHapticError | None]:
+        """Run to the end, good or bad, and close; return the account and the error that ended the run.
+
+        The arguments are those of `canhaptic.cycle.run`.
+        """
+        clock, error = WallClock(), None
+        begin = clock.now()
+        try:
+            run(self.cycle, cycles, stop_requested, progress)
+        except CanHapticError as raised:
+            error = raised
+        status = f"failed: {error}" if error else "stopped" if stop_requested() else "completed"
+        result = experiment_account(self, status, (clock.now() - begin) * 1e-9)
+        try:
+            self.close(status)
+        except CanHapticError as raised:
+            error = error or raised
+        return result, error
 
     def close(self, status: str = "completed") -> None:
         """Close logs and buses; a second call does nothing.

@@ -1,7 +1,22 @@
-"""Safe terminal output: control characters in texts from files and drives are shown, not sent."""
+"""Safe terminal output: control characters in texts from files and drives are shown, not sent.
 
+Progress on standard error, on a terminal or in a notebook, and only for tasks longer than a second. At real pace the
+terminal must not delay the cycle: one short line twice a second, and only if it can be written without waiting. No
+thread is started.
+"""
+
+import os
+import select
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import chain
-from typing import Final
+from typing import TYPE_CHECKING, Final, Literal
+
+from canhaptic.drive.clock import WallClock
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 _STEERING: Final = chain(
     (code for code in range(0x20) if chr(code) not in "\t\n"),
@@ -15,3 +30,94 @@ _SHOWN: Final = {code: f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" fo
 def visible(text: str) -> str:
     r"""Return a text with what would steer a terminal written out: escape as `\x1b`; lines and tabs stay."""
     return text if text.isprintable() else text.translate(_SHOWN)
+
+
+_FIRST: Final = 1_000_000_000  # [ns]
+_INTERVAL: Final = {"real": 500_000_000, "free": 100_000_000}  # [ns]
+_NOTEBOOK: Final = "ipykernel"
+_Pace = Literal["real", "free"]
+
+
+@contextmanager
+def run_progress(
+    cycles: int | None, sample_time: float, pace: _Pace, every: int = 64
+) -> Iterator["RunProgress | None"]:
+    """Progress of a run on a terminal or in a notebook; None elsewhere.
+
+    The arguments are those of `RunProgress`.
+    """
+    if not (sys.stderr.isatty() or _NOTEBOOK in sys.modules):
+        yield None
+        return
+    progress = RunProgress(cycles, sample_time, pace, every)
+    try:
+        yield progress
+    finally:
+        progress.close()
+
+
+class RunProgress:
+    """Takes the number of completed cycles and shows it from time to time.
+
+    Args:
+        cycles: Total number of cycles; None if unknown.
+        sample_time: Sample time [s].
+        pace: Pace of the run.
+        every: At free pace, number of cycles between updates.
+    """
+
+    def __init__(self, cycles: int | None, sample_time: float, pace: _Pace, every: int = 64) -> None:
+        self._cycles = cycles
+        self._every = every
+        self._sample_time = sample_time
+        self._pace = pace
+        self._clock = WallClock()
+        self._next = self._clock.now() + _FIRST
+        self._shown = False
+        self._bar: Progress | None = None
+
+    def __call__(self, cycles: int) -> None:
+        """Take the number of completed cycles; cheap except for a few calls a second."""
+        if self._pace == "free" and cycles % self._every:
+            return
+        now = self._clock.now()
+        if now >= self._next:
+            self._next = now + _INTERVAL[self._pace]
+            self._show(cycles)
+
+    def _show(self, cycles: int) -> None:
+        self._shown = True
+        if self._pace == "real" or self._cycles is None:
+            end = "" if self._cycles is None else f" of {self._cycles * self._sample_time:g} s"
+            _write_if_free(f"\r  {cycles * self._sample_time:8.1f} s{end}   {cycles} cycles ")
+            return
+        if self._bar is None:
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+            columns = (
+                TextColumn("  running"),
+                BarColumn(),
+                TextColumn("{task.percentage:3.0f} %"),
+                TimeRemainingColumn(),
+            )
+            self._bar = Progress(
+                *columns, console=Console(stderr=_NOTEBOOK not in sys.modules), auto_refresh=False, transient=True
+            )
+            self._bar.start()
+            self._bar.add_task("run", total=self._cycles)
+        self._bar.update(self._bar.task_ids[0], completed=cycles, refresh=True)
+
+    def close(self) -> None:
+        """Take the progress off the terminal."""
+        if self._bar is not None:
+            self._bar.stop()
+        elif self._shown:
+            _write_if_free("\r\033[K")
+
+
+def _write_if_free(text: str) -> None:
+    """Write to standard error unless that would wait (a terminal stopped with Ctrl-S)."""
+    descriptor = sys.stderr.fileno()
+    if select.select([], [descriptor], [], 0.0)[1]:
+        os.write(descriptor, text.encode())

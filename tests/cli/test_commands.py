@@ -5,19 +5,19 @@ import os
 import subprocess
 import sys
 import threading
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
 
 from canhaptic.cli import drive as drive_command
-from canhaptic.cli.long_command import RunProgress
 from canhaptic.cli.main import main
 from canhaptic.cli.options import seconds
 from canhaptic.cycle import run
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import build, build_drive_group, open_bus
 from canhaptic.scene.load import load_scene
+from canhaptic.view.terminal import RunProgress
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 DEMO = str(CONFIGS / "demo.yaml")
@@ -141,7 +141,7 @@ def test_progress_is_shown_after_a_second_and_not_before(
 ) -> None:
     with (tmp_path / "terminal").open("w+") as terminal:
         monkeypatch.setattr(sys, "stderr", terminal)
-        with RunProgress(cycles, 1e-3, "real" if pace == "real" else "free") as progress:
+        with closing(RunProgress(cycles, 1e-3, "real" if pace == "real" else "free")) as progress:
             progress(64)
             assert (tmp_path / "terminal").read_bytes() == b""
             progress._next = 0
@@ -152,7 +152,7 @@ def test_progress_is_shown_after_a_second_and_not_before(
 
 def test_a_bar_is_drawn_where_the_end_is_known(capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
-    with RunProgress(4096, 1e-3, "free") as progress:
+    with closing(RunProgress(4096, 1e-3, "free")) as progress:
         progress._next = 0
         progress(2048)
         progress._next = 0

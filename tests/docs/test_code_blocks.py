@@ -41,7 +41,6 @@ QUICK = {
     "scope": None,  # lives until it is stopped; tests/view start it
     "touch": None,  # tests/lab/touch start it
     "drive": ["--duration", "0.2"],
-    "evidence": ["--yes"],
 }
 """Arguments that make a command short; None for one that other tests run."""
 IN_NO_HURRY = {"real": "free"}

@@ -5,13 +5,14 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from canhaptic.cli.long_command import StopSignal, run_progress
+from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.options import check_page, check_picture, check_place, scene_of
 from canhaptic.cli.output import note_file, write_file, write_json, write_note
 from canhaptic.lab.studies.accuracy.study import UNITS, AccuracyStudy, length_of
 from canhaptic.scene.method import dear_holds
 from canhaptic.scene.models import Scene
 from canhaptic.view.run_lines import make_console
+from canhaptic.view.terminal import run_progress
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -4,7 +4,6 @@ import argparse
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
-from canhaptic.cli.long_command import run_progress
 from canhaptic.cli.options import check_picture, scene_of
 from canhaptic.cli.output import note_file, write_json, write_note
 from canhaptic.errors import InputError
@@ -13,6 +12,7 @@ from canhaptic.lab.studies.compare import compare
 from canhaptic.scene.method import plant_errors
 from canhaptic.scene.models import Scene
 from canhaptic.view.run_lines import make_console
+from canhaptic.view.terminal import run_progress
 
 
 def execute(arguments: argparse.Namespace) -> int:
