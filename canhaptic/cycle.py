@@ -215,6 +215,12 @@ class Cycle:
             kind, axis = "emcy" if isinstance(error, EmergencyError) else "fault", getattr(error, "axis", "")
             self._log.event(self.rig.sync_index, kind, axis, str(error))
 
+    def note_holds(self) -> None:
+        """Log whether the hold of each drive's torques was checked, for the verdict that a reader of the log forms."""
+        for drive in self.rig.drives:
+            if self._log is not None and drive.hold:
+                self._log.event(0, "hold", drive.axis.name, drive.hold)
+
     def note_unrestored(self) -> None:
         """Log objects of a drive that the start changed and the stop did not restore."""
         if self._log is not None:
@@ -337,6 +343,7 @@ def _started(cycle: Cycle) -> Iterator[None]:
     rig = cycle.rig
     rig.start()
     try:
+        cycle.note_holds()
         yield
     except LogStoppedError:
         rig.stop()

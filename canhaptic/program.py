@@ -13,9 +13,11 @@ react (SIGKILL, `os._exit`, a crash of the interpreter), each drive's watchdog a
 import atexit
 import os
 import signal
+import sys
 import threading
 import weakref
 from collections.abc import Iterator, Mapping
+from functools import partial
 from math import isfinite
 from numbers import Real
 from os import PathLike
@@ -265,6 +267,10 @@ class OpenRig:
         if self._replay is not None:
             self._source = OpenReplay(self._replay, scene, realtime=self._pace == "real", dry_run=self._no_torque)
         else:
+            if not self._no_torque and any(axis.parameters.check_hold is not None for axis in scene.axes):
+                from canhaptic.commission.start_check import checked_holds
+
+                self.scene = scene = checked_holds(scene, partial(print, file=sys.stderr), lambda: False)
             self._source = build(scene, self._pace, *self._logs, no_torque=self._no_torque)
         controllers = self._source.cycle.controllers
         for axis, controller in zip(scene.axes, controllers, strict=True):

@@ -19,6 +19,7 @@ from typing import Final, NotRequired, TypedDict, cast
 from canhaptic.control.balance import Certificate
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.verdict import (
+    NOT_CHECKED,
     Headline,
     PortResult,
     RenderedShares,
@@ -75,6 +76,7 @@ _OF_AN_AXIS: Final = (
     "read_back_bound",
     "dry_run",
     "withheld_torque",
+    "hold",
 )
 
 
@@ -166,6 +168,9 @@ def _accounts(
             "unsure": group.uncertainty,
             "limits": dict(group.limits),
         }
+    for (name, _), drive in zip(ports, drives, strict=True):
+        if drive.hold:
+            accounts[name]["hold"] = drive.hold
     for (name, _), drive in zip(ports, drives, strict=True) if cycle.rig.dry_run else ():
         accounts[name]["withheld_torque"] = drive.withheld
     for account in accounts.values() if cycle.rig.dry_run else ():
@@ -265,6 +270,9 @@ def with_groups(
         truth: Energies of the simulated plant by port; None without a simulation.
     """
     found = {name: account.copy() for name, account in accounts.items()}
+    for group, axes in groups.items():
+        if holds := [found[name]["hold"] for name in axes if "hold" in found[name]]:
+            found[group]["hold"] = max(holds, key=NOT_CHECKED.__eq__)
     for name, account in found.items():
         known = None if truth is None else truth.get(name)
         add_verdicts(account, known and (known["least_interaction"], known["least_at_handle"]))

@@ -14,7 +14,7 @@ import numpy as np
 
 from canhaptic.control.balance import OUT_OF_CONTACT, Branch, certificates_of
 from canhaptic.control.friction_watch import FrictionDeclared, FrictionWatch
-from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, PortResult, claim_nothing
+from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, NOT_CHECKED, PortResult, claim_nothing
 from canhaptic.errors import InputError, LogFormatError
 from canhaptic.logs.columns import ACTIVE_LIMITS, DIGEST, FRICTION_DECLARED
 from canhaptic.logs.energy_reader import EnergyLog
@@ -146,6 +146,7 @@ class PortRecord:
         self._device = self._asked = self._given = self._damping = self._sizes_asked = self._sizes_sent = 0.0
         self._is_open, self._in = False, 0.0
         self._watch = _watch(log, f"{name}.{FRICTION_DECLARED}")
+        self._hold = ""
 
     def _at(self, log: EnergyLog, column: str, row: int) -> float:
         return float(log.ports[self._name].read(column, row, row + 1)[0]) if self._is_measured else 0.0
@@ -168,6 +169,10 @@ class PortRecord:
         self._silent += int((touching & (torque == 0.0)).sum())
         self._damping += float(port.read("damping_rendered", start, stop)[touching].sum())
         self._is_open = bool(branch[-1] == Branch.HELD)
+        if not self._hold:
+            axes = log.groups.get(self._name, (self._name,))
+            found = [event.text for event in log.events if event.kind == "hold" and event.port in axes]
+            self._hold = max(found, key=NOT_CHECKED.__eq__, default="")
         if self._is_measured:
             self._take_measured(log, start, stop, running, torque, branch)
 
@@ -230,6 +235,8 @@ class PortRecord:
             "max_consecutive_losses": self._promise.max_consecutive_losses,
             "energy_allowance": self._promise.energy_allowance,
         }
+        if self._hold:
+            account["hold"] = self._hold
         if self._is_measured:
             account["energy_resolution"] = self._resolution + self._unknown
             account["least_certain"] = self._certain - self._unknown

@@ -4,7 +4,7 @@ The drives' data are decoded here with the maps and rated torques of the log's o
 codecs and its record of the run take no part, so the account can be held against the one that was logged.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from math import inf
 from pathlib import Path
@@ -17,7 +17,7 @@ from canhaptic.canopen import objects as od
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.multi_axis.group_controller import GroupedControllers
-from canhaptic.control.verdict import Headline, PortResult, Verdict, claim_nothing
+from canhaptic.control.verdict import NOT_CHECKED, Headline, PortResult, Verdict, claim_nothing
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
@@ -151,7 +151,7 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     cycles = derived.cycles
     if not cycles:
         raise InputError(f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}")
-    ports = derived.accounts()
+    ports = derived.accounts(_holds(scene, log))
     verdict = overall(ports)
     result: Rederived = {"cycles": cycles, "verdict": verdict["verdict"], "passive": verdict["passive"], "ports": ports}
     if log is not None:
@@ -160,6 +160,14 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
             short = Departure(port="", cycle=cycles, quantity="cycles", logged=log.rows, rederived=cycles)
             result["differences"].append(short)
     return result
+
+
+def _holds(scene: Scene, log: EnergyLog | None) -> dict[str, str]:
+    """Whether the hold of each axis was checked: as the run says, or without its log as the scene declares."""
+    if log is not None:
+        return {event.port: event.text for event in log.events if event.kind == "hold"}
+    given = [axis.parameters for axis in scene.axes if not scene.simulated and axis.parameters.admittance is None]
+    return {of.name: "checked at commissioning" if of.hold_checked else NOT_CHECKED for of in given}
 
 
 def _asked(
@@ -216,8 +224,12 @@ class _Derivation:
         self.cycles += 1
         return list(zip(samples, balances, strict=True))
 
-    def accounts(self) -> dict[str, PortResult]:
-        """Accounts of the axes, then of the groups; of an axis in a group, only the energy through it."""
+    def accounts(self, holds: Mapping[str, str]) -> dict[str, PortResult]:
+        """Accounts of the axes, then of the groups; of an axis in a group, only the energy through it.
+
+        Args:
+            holds: Whether the hold of an axis was checked, where its account asks.
+        """
         scene = self._scene
         rendered = [*(axis.passivity for axis in scene.axes), *(group.passivity for group in scene.groups)]
         known = zip(self.units.items(), self._meters.ports, self._ledgers, rendered, strict=True)
@@ -225,6 +237,8 @@ class _Derivation:
             name: {"unit": unit, **port_account(port, ledger, promise_of(of.parameters), scene.bus.sample_time)}
             for (name, unit), port, ledger, of in known
         }
+        for name, hold in holds.items():
+            ports[name]["hold"] = hold
         for account in ports.values() if self._dry_run else ():
             claim_nothing(account)
         return with_groups(ports, {group.name: group.axes for group in scene.groups})

@@ -41,6 +41,7 @@ def execute(arguments: argparse.Namespace) -> int:
         if any(bus.parameters.interface == "socketcan" for bus in scene.buses):
             _preflight(scene)
         stop = stack.enter_context(StopSignal())
+        scene = _with_checked_holds(scene, stop, arguments)
         experiment = build(scene, arguments.pace, energy_log, bus_log, no_torque=arguments.no_torque)
         for text in (*notes(scene), *_dear_holds(scene)):
             write_note(f"  {text}")
@@ -58,6 +59,15 @@ def execute(arguments: argparse.Namespace) -> int:
     if error is not None:
         return error.exit_status
     return stop.exit_status or (_NOT_PASSIVE if arguments.strict and _fails(result) else 0)
+
+
+def _with_checked_holds(scene: Scene, stop: StopSignal, arguments: argparse.Namespace) -> Scene:
+    """Return the scene after the check that `check_hold` asks for; nothing of it is loaded otherwise."""
+    if arguments.no_torque or all(axis.parameters.check_hold is None for axis in scene.axes):
+        return scene
+    from canhaptic.commission.start_check import checked_holds
+
+    return checked_holds(scene, write_note, stop.requested)
 
 
 def _dear_holds(scene: Scene) -> list[str]:

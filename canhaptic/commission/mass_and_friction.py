@@ -279,7 +279,9 @@ _OVER: Final = 1.1
 _EARLY: Final = 3.0  # standard deviations below 0 from which on a torque acts before its SYNC
 
 
-def time_the_torque(session: Session, axis: int, most: float, mass: float, known: Mapping[str, float] | None) -> None:
+def time_the_torque(
+    session: Session, axis: int, most: float, mass: float, known: Mapping[str, float] | None = None
+) -> None:
     """Find the hold in which a torque acts, measure its lateness, and propose its upper bounds.
 
     The test is repeated, longer each time, while the hold is unclear or the uncertainty costs too much of the wall.
@@ -294,7 +296,8 @@ def time_the_torque(session: Session, axis: int, most: float, mass: float, known
     Raises:
         RigError: Drive or link failed.
     """
-    friction = 0.5 * (known or {}).get("device_friction_bound", 0.0)
+    declared = session.axes[axis].loop.device_friction_bound or 0.0
+    friction = 0.5 * (known or {}).get("device_friction_bound", declared)
     torque, longest = _reversal(session, axis, most, mass, friction)
     name = session.axes[axis].parameters.name
     if not session.agreed(f"{name}: hands off. Reversals of {session.shown(axis, torque)}, now?", _ITEM, [axis]):

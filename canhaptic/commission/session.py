@@ -609,14 +609,21 @@ class Session:
         self.report.propose(Value(self.axes[axis].parameters.name, key, value, unit, comment))
 
 
+_OF_A_HAND: Final = ("tremor", "grasp_change")
+
+
 def _no_hand(_: AxisScene) -> None:
     """Return the hand at a handle that is let go."""
 
 
 def _with_hands(scene: Scene, hand: Callable[[AxisScene], Any]) -> Scene:
-    """Return the scene with other hands at its simulated handles."""
-    axes = [
-        dataclasses.replace(axis, simulation=axis.simulation and dataclasses.replace(axis.simulation, user=hand(axis)))
-        for axis in scene.axes
-    ]
+    """Return the scene with other hands at its simulated handles, and where there is none without its effects."""
+    axes = []
+    for axis in scene.axes:
+        if (simulation := axis.simulation) is not None:
+            user, effects = hand(axis), simulation.effects
+            if user is None:
+                effects = tuple(effect for effect in effects if effect.name not in _OF_A_HAND)
+            simulation = dataclasses.replace(simulation, user=user, effects=effects)
+        axes.append(dataclasses.replace(axis, simulation=simulation))
     return dataclasses.replace(scene, axes=tuple(axes))

@@ -9,9 +9,10 @@ sum (share |f_k| + offset) |x_k - x_(k-1)|, if the axis does not turn back withi
 
 **Late.** A torque changes within a time theta of its SYNC, window and lag together: over the run, the previous one
 acts in its place no longer than that (`certificates.hold_timing`). So each change adds |f_k - f_(k-1)| theta v,
-unless the algorithm has a tighter bound. `guarded` with dry friction alone knows no motion inside a hold, and
-v is the largest speed of the axis (`speed_limit`). For algorithms without certificates v is an estimate, twice the
-largest mean speed of the hold and its neighbour: with `speed_limit` no account would ever be judged active.
+unless the algorithm has a tighter bound. `guarded` with damping or dry friction of the device alone knows no motion
+inside a hold, and v is the largest speed of the axis (`speed_limit`): what the device dissipates there covers the
+promise at the handle, and says nothing of the sum at the motor. For algorithms without certificates v is an estimate,
+twice the largest mean speed of the hold and its neighbour: with `speed_limit` no account would ever be judged active.
 
 **Lost.** After lost process data the displacement D of n holds is known, and the torque f of the last of them, read
 back. Booked is -f D, true is -sum f_j D_j, where f_j is a torque sent since then, or the previous one if commands were

@@ -8,9 +8,10 @@ that at the handle, and it is refuted where booked + R + D < -A, with D the most
 An R that is an estimate, and no bound, refutes nothing.
 
 **Passive.** "Yes, measured" where booked - R >= -A after every hold: no more came out, whether or not the declarations
-are right. "Yes, by certificate" where every torque was certified, nothing refutes it, and R at the end is at most a
-tenth of what came in, or A, or 10 uJ: a certificate rests on the positions too. For a spring pressed to a depth,
-R over what came in is 2 counts over the depth. Otherwise "in doubt", with the reason.
+of hand and device are right; those of timing and hold it rests on too. "Yes, by certificate" where every torque was
+certified, nothing refutes it, and R at the end is at most a tenth of what came in, or A, or 10 uJ: a certificate rests
+on the positions too. For a spring pressed to a depth, R over what came in is 2 counts over the depth. Of a real drive a
+hands-off test must have found in which hold its torques act. Otherwise "in doubt", with the reason.
 
 The account of a dry run, in which no torque was sent: a positive result proves nothing about the controller.
 """
@@ -34,6 +35,8 @@ ACTIVE_AT_MOTOR: Final = 1
 """Bit of the column `active`: the sum at the motor fell below the allowance for certain."""
 ACTIVE_AT_HANDLE: Final = 2
 """The same of the sum at the handle."""
+NOT_CHECKED: Final = "not checked"
+"""`hold` of a port of which no hands-off test says in which hold its torques act."""
 _LARGEST_DOUBT: Final = 0.1
 """Resolution over the energy that came in beyond which no certificate says yes."""
 _SMALLEST_DOUBT: Final = 1e-5
@@ -129,7 +132,7 @@ class PortResult(_Flows, total=False):
     friction_excess: float
     rendered: RenderedShares
     read_back: str
-    hold: str  # whether a commissioning of this very drive found the hold in which its torques act
+    hold: str  # whether a hands-off test found in which hold the torques of this drive act; of a group the worst
     read_back_bound: float | None
     peak_torque: float
     limited_cycles: int
@@ -259,6 +262,8 @@ def _verdict_of(
         certain=certain,
         books_least=account.get("books_least", False),
     )
+    if why == "by certificate" and account.get("hold") == NOT_CHECKED:
+        return "in doubt", f"the hold of its torques was {NOT_CHECKED}: canhaptic commission, or check_hold"
     is_other = account.get("uncommanded_cycles", 0) > 0  # the read-back may be of another hold than declared
     return ("in doubt", "torques were held that were not commanded") if is_other and found == "yes" else (found, why)
 

@@ -505,6 +505,10 @@ def _recorder(bus_log: "BusLogWriter | None", index: int) -> Recorder | None:
 def _build_rig(scene: Scene, links: Sequence[Link], *, dry_run: bool) -> Rig:
     by_name = {bus.name: (link, bus.parameters) for bus, link in zip(scene.buses, links, strict=True)}
     drives = [build_servo_drive(axis, *by_name[axis.bus], dry_run=dry_run) for axis in scene.axes]
+    for drive, axis in zip(drives, scene.axes, strict=True):
+        given = axis.parameters
+        is_asked = not scene.simulated or given.hold_checked or given.check_hold  # else it is as the simulation says
+        drive.hold = "not checked" if is_asked and given.admittance is None else ""
     return Rig(links, drives, scene.bus, group_places(scene))
 
 
@@ -559,19 +563,12 @@ def experiment_account(experiment: Experiment, status: str, elapsed: float) -> R
 
 
 def _add_of_axes(experiment: Experiment, ports: Mapping[str, PortResult]) -> None:
-    """Add what is known of the hold of each axis, and what keeps a wall away that was not felt."""
+    """Add what signs in the torques say of the hold of each axis, and what keeps a wall away that was not felt."""
     controllers = iter(experiment.cycle.controllers)
-    for axis, drive in zip(experiment.scene.axes, experiment.rig.drives, strict=True):
-        given, port, controller = (
-            axis.parameters,
-            ports[axis.parameters.name],
-            None if axis.group else next(controllers),
-        )
-        checked = "checked at commissioning" if drive.hold_is_checked else ""
-        if given.hold_dither is not None:
-            port["hold"] = getattr(controller, "hold_found", "") or checked or "undecided"
-        elif given.hold_checked or not experiment.scene.simulated:  # else it is as the simulation says
-            port["hold"] = checked or "not checked"
+    for axis in experiment.scene.axes:
+        port, controller = ports[axis.parameters.name], None if axis.group else next(controllers)
+        if axis.parameters.hold_dither is not None:
+            port["hold"] = getattr(controller, "hold_found", "") or port.get("hold", "undecided")
         if port.get("verdict") == "nothing rendered":
             from canhaptic.scene.first_contact import advice, can_be_tried
 

@@ -125,6 +125,8 @@ def _check_hold(scene: Scene, entries: list[MarkedMapping], faults: Diagnostics)
         if quirks.syncs_late and rpdo == "event":
             text = "got 'acts_a_sync_late' with bus.rpdo: event, where no torque waits for a SYNC"
             faults.add(entry.value_at("quirks"), f"{text}; set rpdo: synchronous, or leave it out")
+        if axis.parameters.check_hold is not None and (why := _why_unchecked(scene, axis)):
+            faults.add(entry.value_at("check_hold"), f"got a check at each start {why}")
         if (dither := axis.parameters.hold_dither) is not None:
             if axis.group or axis.guard or axis.parameters.admittance or axis.passivity.name != "guarded":
                 text = "got a sequence where `guarded` does not render on this axis alone"
@@ -135,6 +137,17 @@ def _check_hold(scene: Scene, entries: list[MarkedMapping], faults: Diagnostics)
         if axis.group and quirks.syncs_late != late.setdefault(axis.group, quirks.syncs_late):
             text = f"the axes of group {axis.group!r} act in different holds"
             faults.add(entry.value_at("quirks"), f"{text}; expected acts_a_sync_late of all of them, or of none")
+
+
+def _why_unchecked(scene: Scene, axis: AxisScene) -> str:
+    """Return why no test at a start tells the hold of an axis, and the remedy; empty where one does."""
+    if axis.parameters.admittance is not None:
+        return "of a drive that holds a velocity; leave it out"
+    if axis.loop.moving_mass is None:
+        return "without moving_mass, by which its motion is kept small; declare it (canhaptic commission measures it)"
+    if axis.parameters.torque_verified == "no" and not scene.simulated:
+        return "of a torque whose scale is not verified; run canhaptic commission first"
+    return "of axes that a simulated mechanism joins; leave it out" if scene.mechanisms else ""
 
 
 def _check_buses(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:

@@ -376,6 +376,7 @@ _LATER_KEYS: Final[tuple[tuple[str, object], ...]] = (
     ("drive_objects", {}),
     ("restore_limits", False),
     ("hold_checked", None),
+    ("check_hold", None),
     ("hold_dither", None),
     *((key, None) for key in _REQUIRED),
 )

@@ -66,17 +66,12 @@ def loop_as_known(axis: AxisScene) -> LoopProperties:
     return loop.model_copy(update=changes) if changes else loop
 
 
-def accuracy_of(axis: AxisScene, algorithm: str) -> Accuracy:
-    """Accuracy of the sensors and the device of an axis.
-
-    Args:
-        axis: Axis of the scene.
-        algorithm: Name of the algorithm that renders on it, or on its group.
-    """
+def accuracy_of(scene: Scene, axis: AxisScene) -> Accuracy:
+    """Accuracy of the sensors and the device of an axis."""
     effects, loop = _effects(axis), loop_as_known(axis)
     late = (loop.torque_window or 0.0) + (loop.current_lag or 0.0)  # beyond a hold too, where nothing is certified
-    certifies, unasked = algorithm == "guarded", _unasked(effects, axis)
-    bounds_motion = certifies and (bool(axis.group) or _bounds_motion(axis, loop))
+    certifies, unasked = scene.passivity_of(axis).name == "guarded", _unasked(effects, axis)
+    bounds_motion = certifies and _bounds_motion(scene, axis)
     return Accuracy(
         sample_time=loop.sample_time * (1.0 + (loop.sync_jitter or 0.0)),
         position=0.5 * loop.encoder_count,
@@ -96,10 +91,11 @@ def accuracy_of(axis: AxisScene, algorithm: str) -> Accuracy:
     )
 
 
-def _bounds_motion(axis: AxisScene, loop: LoopProperties) -> bool:
-    """Whether certificates of one axis bound its motion inside a hold: all but dry friction do."""
-    force, speed = (getattr(axis.passivity.parameters, key, None) for key in ("hand_force", "hand_speed"))
-    return bool(loop.device_damping or speed or (force is not None and loop.moving_mass is not None))
+def _bounds_motion(scene: Scene, axis: AxisScene) -> bool:
+    """Whether certificates bound the motion inside a hold: damping and friction of the device do not."""
+    force, speed = (getattr(scene.passivity_of(axis).parameters, key, None) for key in ("hand_force", "hand_speed"))
+    together = [of for of in scene.axes if of.group == axis.group] if axis.group else [axis]
+    return bool(speed or (force is not None and all(of.loop.moving_mass is not None for of in together)))
 
 
 def friction_declared(axis: AxisScene) -> "FrictionDeclared | None":
@@ -269,19 +265,18 @@ def group_places(scene: Scene) -> list[tuple[int, ...]]:
 
 def build_axis_meters(scene: Scene) -> list[AxisMeter]:
     """Return the meter of each axis."""
-    algorithms = {group.name: group.passivity.name for group in scene.groups}
-    return [_axis_meter(axis, algorithms.get(axis.group, axis.passivity.name)) for axis in scene.axes]
+    return [_axis_meter(scene, axis) for axis in scene.axes]
 
 
-def _axis_meter(axis: AxisScene, algorithm: str) -> AxisMeter:
+def _axis_meter(scene: Scene, axis: AxisScene) -> AxisMeter:
     if axis.parameters.admittance is not None:
         return SilentMeter()
     environment = None if axis.group or axis.guard else plain(cast(Environment, axis.environment.parameters))
     if (declared := friction_declared(axis)) is None:
-        return AxisMeter(accuracy_of(axis, algorithm), environment)
+        return AxisMeter(accuracy_of(scene, axis), environment)
     from canhaptic.control.friction_watch import FrictionWatch
 
-    return AxisMeter(accuracy_of(axis, algorithm), environment, FrictionWatch(declared))
+    return AxisMeter(accuracy_of(scene, axis), environment, FrictionWatch(declared))
 
 
 def build_group(scene: Scene, group: GroupScene) -> "GroupController":

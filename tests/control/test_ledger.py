@@ -169,6 +169,10 @@ def test_a_run_ends_with_an_open_hold_where_the_last_was_held_on(branch: Branch)
         ("hand_force", {"open_hold": True}, ("yes", "by certificate")),
         ("hand_force", {"uncommanded_cycles": 1}, ("in doubt", "torques were held that were not commanded")),
         ("hand_force", {"least_certain": -1.0, "active_since": 0.5}, ("no", "")),
+        ("hand_force", {"hold": "checked at commissioning"}, ("yes", "by certificate")),
+        ("hand_force", {"hold": "not checked"},
+         ("in doubt", "the hold of its torques was not checked: canhaptic commission, or check_hold")),
+        ("hand_force", {"hold": "not checked", "least_certain": 0.0}, ("yes", "measured")),
     ],
 )  # fmt: skip
 def test_a_yes_is_measured_at_every_time_or_certified_with_a_fine_resolution(

@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass, replace
 from math import inf
 from typing import Any, Final
 
+from canhaptic.commission.start_check import checked_holds
 from canhaptic.cycle import Cycle, run
 from canhaptic.errors import CanHapticError
 from canhaptic.result import RunResult, run_result
@@ -37,8 +38,9 @@ LOSS_LIMIT: Final = 0.01
 """Energy given out beyond what is declared at which a rig stops by default [J]."""
 _MOST_LOSSES: Final = 4
 """Cycles in a row with a loss that a scene declares, once its bus has really lost so many."""
-_PROMISES_NO_YES: Final = frozenset(("timing:stall",))
-"""A host that stalls makes a hold longer than is declared."""
+_UNCHECKED: Final = "hold:not_checked"
+_PROMISES_NO_YES: Final = frozenset(("timing:stall", _UNCHECKED))
+"""A host that stalls makes a hold longer than is declared; of an unchecked hold no certificate says yes."""
 _TRIES: Final = 4
 _ESTIMATE: Final = 1.1
 """Factor within which a resolution that the account calls an estimate has to be right; no verdict may rest on it."""
@@ -142,7 +144,7 @@ def _of_hand(watch: HandWatch) -> dict[str, float]:
 def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
     """Returns what a run came to, and who watched its hand; None where the scene was refused."""
     try:
-        loaded = scene_from_mapping(scene.values, SOURCE)
+        loaded = checked_holds(scene_from_mapping(scene.values, SOURCE), lambda text: None, lambda: False)
         experiment = build(loaded, "free")
     except CanHapticError as error:
         return _refused(scene, str(error)), None
@@ -293,7 +295,8 @@ def _outcome(
     section = scene.passivity
     hand = _of_hand(watch)
     within = all(section.get(key) is None or seen <= section[key] for key, seen in hand.items())
-    declared = scene.is_true and (within or not scene.promises)
+    is_unchecked = any(axis.get("hold") == "not checked" for axis in account["ports"].values())
+    declared = scene.is_true and (within or not scene.promises) and not (is_unchecked and "hold:other" in scene.tags)
     claims = [
         claim for name, port in ports.items() for claim in _false_claims(name, port, account["truth"][name], section)
     ]
@@ -303,7 +306,7 @@ def _outcome(
     handles = [port["passive_at_handle"] for port in ports.values() if "passive_at_handle" in port]
     return Outcome(
         seed=scene.seed,
-        tags=tuple(sorted(scene.tags)),
+        tags=tuple(sorted({*scene.tags, *([_UNCHECKED] if is_unchecked else [])})),
         status=status,
         verdict=str(account["passive"]),
         at_handle=max(handles, key=("yes", "in doubt", "no").index) if handles else "",

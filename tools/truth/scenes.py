@@ -22,6 +22,9 @@ SOURCE: Final = str(Path(__file__).resolve().parents[2] / "configs" / "truth.yam
 """Where paths of a scene start from."""
 _RATES: Final = {40: 0.25, 100: 0.35, 250: 0.2, 500: 0.1, 1000: 0.1}
 _BRAKES: Final = 0.05  # share of single axes
+_RATE_OF_A_CHECK: Final = 250  # [Hz] at least: slower, it takes longer than the run
+_CHECKS: Final = 0.02
+"""Share of single axes at such a rate whose hold is checked at the start."""
 _FIVE_BARS: Final = 0.4
 """Share of the stages that are a five-bar linkage instead."""
 _RATES_OF_GROUPS: Final = {250: 0.5, 500: 0.3, 1000: 0.2}
@@ -121,8 +124,21 @@ def random_scene(seed: int, *, further: bool = True, changes: float | None = Non
         _declare_push(np.random.default_rng([seed, 16]), values, chance.tags)
         outward = draw_program(seed, values, chance.tags, outward)
     _declare_falsely(chance, values)
+    if rate >= _RATE_OF_A_CHECK and further:
+        _check_hold(np.random.default_rng([seed, 41]), values, chance.tags)
     chance.tags.add(f"rate:{rate}")
     return TruthScene(seed, values, frozenset(chance.tags), outward, values["duration"])
+
+
+def _check_hold(random: np.random.Generator, values: dict[str, Any], tags: set[str]) -> None:
+    """Checks the hold at the start of some scenes of one axis; the drives of half of them act in another hold."""
+    if "groups" in values or "false:hold" in tags or random.random() >= _CHECKS:
+        return
+    values["axes"][0]["check_hold"] = "each_start"
+    is_other = random.random() < 0.5 and values["bus"]["rpdo"] == "synchronous" and "drive:acts_a_sync_late" not in tags
+    if is_other:
+        values["simulation"]["drive"].update({"acts_at_once": True} if random.random() < 0.5 else {"syncs_late": 1})
+    tags.add("hold:other" if is_other else "hold:checked")
 
 
 def _declare_push(random: np.random.Generator, values: dict[str, Any], tags: set[str]) -> None:

@@ -273,10 +273,10 @@ def doubt_of_late(
 ) -> float:
     """Largest shortfall of the energy received against the booked energy, in a hold whose torque came late [J].
 
-    See `hold_timing`. The hand's force is used in the direction out of the contact alone. Dry friction alone bounds no
-    motion inside a hold, and its promise needs none: it covers each torque at every instant. There an estimate is
-    subtracted, for an axis no faster than twice the mean of this hold or the previous one; `AxisMeter` adds the
-    uncertainty for a hand of the largest speed.
+    See `hold_timing`. The hand's force is used in the direction out of the contact alone. Damping and dry
+    friction of the device alone bound no motion inside a hold, and their promise at the handle needs none: it covers
+    each torque at every instant. For friction an estimate is subtracted, for an axis no faster than twice the mean of
+    this hold or the previous one; `AxisMeter` adds the uncertainty at the motor for a hand of the largest speed.
 
     Args:
         declared: Declared properties of axis and hand.

@@ -98,7 +98,8 @@ class CanBringUp(BringUp):
         rpdo_type = rpdo_transmission_type(drive.bus, drive.axis)
         if drive.axis.hold_checked:
             with self.step("identity"):
-                drive.hold_is_checked = drive.axis.hold_checked == drive.signature()
+                if drive.axis.hold_checked == drive.signature():
+                    drive.hold = f"checked at {'this start' if drive.axis.check_hold else 'commissioning'}"
         with self.step("PDO map"):
             write_map(drive.sdo, drive.map, rpdo_type, partial(self.expect, "PDO map"), self._rpdo_deadline())
 

@@ -54,7 +54,6 @@ class ServoDrive(TorqueAxis):
     Attributes:
         map: PDOs of the drive.
         nmt_state: NMT state in its last heartbeat; None before the first.
-        hold_is_checked: Whether commissioning of this very drive determined the hold in which its torques act.
         window: Window of the present SYNC, shared by the drives of a bus; set by the exchange.
 
     Raises:
@@ -75,7 +74,6 @@ class ServoDrive(TorqueAxis):
         sdo = SdoChannel(link, axis.node_id, dictionary, axis.name, round(axis.sdo_timeout * 1e9))
         super().__init__(axis, dictionary, sdo, _rules(bus), self.map.read_back, dry_run)
         self.window = SyncWindow()
-        self.hold_is_checked = False
         self._statistics = link.statistics
         self._rpdo_cob_id = self.map.rpdo.cob_id
         pack = self._packer(self.map.rpdo, axis.target)

@@ -107,6 +107,7 @@ class TorqueAxis(ABC):
         answers: Whether the drive answered an SDO since the last start.
         left_out: Objects that the start skips, as the older master of a replayed run did.
         restores: Whether the stop restores what the start wrote; False for the older master of a replayed run.
+        hold: Whether a hands-off test found in which hold its torques act; empty where no account asks.
         unrestored: Objects that the stop did not restore, in words.
         outputs: Digital outputs of the drive (0x60FE:01) with the brake set.
         elsewhere: Writes to other nodes, whose objects are not restored.
@@ -157,6 +158,7 @@ class TorqueAxis(ABC):
         self.left_out: frozenset[int] = frozenset()
         self.restores = True
         self.unrestored: list[str] = []
+        self.hold = ""
         self.elsewhere: list[str] = []
         self.outputs = 0
         self.is_foreign = False

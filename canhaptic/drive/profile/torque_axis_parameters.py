@@ -77,7 +77,11 @@ class TorqueAxisParameters(Parameters):
     """Whether the TPDO of a SYNC carries the torque held before that SYNC or the one that begins with it."""
     hold_checked: PrintableText | None = None
     """Drive, firmware, process data and rate with which `canhaptic commission` found a torque to act in the declared
-    hold. None, or with another drive: the account says that its holds were not checked."""
+    hold. None, or with another drive: the account says that its holds were not checked, and no certificate of a real
+    drive gives a yes."""
+    check_hold: Literal["each_start"] | None = None
+    """When the hold is checked besides: `each_start` moves the handle, hands off, before each run, for some seconds and
+    by at most 20 mm or mrad. A drive that acts in another hold is refused. None: by `canhaptic commission` alone."""
     hold_dither: Annotated[float, quantity("N", "N*m", gt=0.0)] | None = None
     """Amplitude of a random sign sequence in the torques of `guarded`: a run then shows in which hold they act, and
     has no certificate where it is another one than declared. At least half a step of the torque. None: not added."""

@@ -1,0 +1,120 @@
+"""`check_hold: each_start`: a drive that acts in another hold is refused, a doubt forbids a yes."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from canhaptic.audit.inspection import inspect
+from canhaptic.audit.recompute import recompute_all, scene_of
+from canhaptic.audit.rederive import rederive
+from canhaptic.cli import run as run_command
+from canhaptic.cli.options import OPTIONS
+from canhaptic.commission import start_check
+from canhaptic.commission.start_check import checked_holds
+from canhaptic.cycle import run
+from canhaptic.drive.clock import WallClock
+from canhaptic.errors import SceneError, StartError
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.scene.build import build, experiment_account
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import Scene
+from tests.commission.test_commissioning import DEMO
+
+ASKED = "axes.0.check_hold=each_start"
+
+
+def checked(*overrides: str) -> tuple[Scene, list[str]]:
+    """The demo after its check, and what was said."""
+    said: list[str] = []
+    return checked_holds(load_scene(DEMO, [ASKED, *overrides]), said.append, lambda: False), said
+
+
+def test_a_hold_that_agrees_is_in_the_account_of_the_run() -> None:
+    scene, said = checked()
+    assert said[0].startswith("handle: hands off. check_hold: reversals of 0.97 N")
+    with build(scene) as experiment:
+        run(experiment.cycle, 2)
+        port = experiment_account(experiment, "completed", 1.0)["ports"]["handle"]
+    assert port["hold"] == "checked at this start"
+
+
+@pytest.mark.slow
+def test_logs_of_a_run_say_what_its_check_said(tmp_path: Path) -> None:
+    scene, _ = checked("duration=0.3")
+    energy, bus = tmp_path / "energy.h5", tmp_path / "bus.log"
+    with build(scene, "free", energy, bus) as experiment:
+        run(experiment.cycle, 300)
+    with EnergyLog.open(energy) as log:
+        assert inspect(log)["ports"]["handle"]["hold"] == "checked at this start"
+        again = scene_of(log)
+        assert again.config_hash() == scene.config_hash()
+        assert [each["mismatch"] for each in recompute_all(log)] == [None]
+        assert rederive(bus, again, log)["ports"]["handle"]["hold"] == "checked at this start"
+
+
+@pytest.mark.parametrize(
+    ("drive", "words"),
+    [
+        ("acts_at_once=true", "acts before its SYNC"),
+        ("syncs_late=1", "neighbour's torque"),
+        ("torque_read_back=after_update", "hold that the drive reports"),
+    ],
+    ids=["early", "late", "after"],
+)
+def test_a_drive_that_acts_in_another_hold_or_reports_it_is_refused(drive: str, words: str) -> None:
+    with pytest.raises(StartError, match=f"check_hold: .*{words}"):
+        checked(f"simulation.drive.{drive}")
+
+
+def test_a_hold_that_nothing_tells_leaves_no_yes_by_certificate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The check is broken off: what an earlier one said of the drive does not count either."""
+    monkeypatch.setattr(start_check, "time_the_torque", lambda *_: None)
+    known = "axes.0.hold_checked=0-192-10000-0-fada816f-1000Hz-synchronous-0"
+    wall = ("environment.position=-0.002", "environment.stiffness=1000", "axes.0.counts_per_unit=2e4")
+    scene, _ = checked(known, *wall, "simulation.user={push: -2, damping: 60}")  # comes in slowly, count by count
+    with build(scene) as experiment:
+        run(experiment.cycle, 1500)
+        port = experiment_account(experiment, "completed", 1.0)["ports"]["handle"]
+    assert port["hold"] == "not checked"
+    assert "hand_force" in port["certificates"]
+    assert (port["passive"], port["why"][:33]) == ("in doubt", "the hold of its torques was not c")
+
+
+def test_a_run_without_torque_or_without_the_key_checks_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(start_check, "checked_holds", lambda *_: pytest.fail("it moved the handle"))
+    for words in (["--set", ASKED, "--no-torque"], []):
+        parser = argparse.ArgumentParser()
+        OPTIONS["run"](parser)
+        arguments = parser.parse_args(
+            [str(DEMO), "--duration", "0.05", "--log", str(tmp_path / f"{len(words)}.h5"), *words]
+        )
+        assert run_command.execute(arguments) == 0
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (("passivity.moving_mass=null", "passivity.device_damping=0.1"), "without moving_mass"),
+        (("simulation=null", "axes.0.torque_verified=no"), "not verified"),
+    ],
+)
+def test_a_check_that_cannot_tell_a_hold_is_refused_by_the_scene(overrides: tuple[str, ...], words: str) -> None:
+    with pytest.raises(SceneError, match=f"check_hold: got a check at each start .*{words}"):
+        load_scene(DEMO, [ASKED, *overrides])
+
+
+def test_a_person_at_a_real_drive_has_three_seconds_in_which_to_stop_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    times = iter(range(0, 10**12, 10**9))
+    monkeypatch.setattr(WallClock, "now", lambda _: next(times))
+    monkeypatch.setattr(WallClock, "wait_until", lambda *_: None)
+    said: list[str] = []
+    looks = iter([False, True, True])
+    scene: Any = type("RealScene", (), {"simulated": False})
+    assert start_check._Announced(said.append, lambda: next(looks), scene).confirm("x: Reversals of 1 N, now?") is False
+    assert said == ["x: check_hold: reversals of 1 N in 3 s"]
+    assert start_check._Announced(said.append, lambda: False, scene).confirm("x: now?") is True
+    assert next(times) >= 3 * 10**9
