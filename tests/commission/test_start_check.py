@@ -10,7 +10,7 @@ from canhaptic.audit.inspection import inspect
 from canhaptic.audit.recompute import recompute_all, scene_of
 from canhaptic.audit.rederive import rederive
 from canhaptic.cli import run as run_command
-from canhaptic.cli.options import OPTIONS
+from canhaptic.cli.options import add_arguments
 from canhaptic.commission import start_check
 from canhaptic.commission.start_check import checked_holds
 from canhaptic.cycle import run
@@ -88,7 +88,7 @@ def test_a_run_without_torque_or_without_the_key_checks_nothing(
     monkeypatch.setattr(start_check, "checked_holds", lambda *_: pytest.fail("it moved the handle"))
     for words in (["--set", ASKED, "--no-torque"], []):
         parser = argparse.ArgumentParser()
-        OPTIONS["run"](parser)
+        add_arguments("run", parser)
         arguments = parser.parse_args(
             [str(DEMO), "--duration", "0.05", "--log", str(tmp_path / f"{len(words)}.h5"), *words]
         )
