@@ -238,10 +238,6 @@ def root(series: Matrix, row: int, constant: float, until: float, end: float) ->
     return at
 
 
-MOVED: Final = 0
-"""What `move_plant` returns of a hold that is over; else the run stops there and may go on from its `CycleState`."""
-
-
 @dataclass(frozen=True, slots=True)
 class Winding:
     """A winding with thermal protection; see `thermal_derating`."""
@@ -296,9 +292,9 @@ class LoopSettings:
 
 @dataclass(slots=True)
 class CycleState:
-    """State of an interrupted loop, apart from its plant."""
+    """State of a loop, apart from its plant."""
 
-    cycle: int = 0
+    cycle: int = 0  # last SYNC to which the plant was moved
     held: float = 0.0  # since the SYNC before [N or N*m]
     waiting: float = 0.0  # one sample late
     acting: float = 0.0  # what of `held` reaches the motor
@@ -432,7 +428,7 @@ def run_loop(
     reference: ReferenceState,
     reference_memory: ReferenceMemory,
     cycles: int,
-) -> int:
+) -> bool:
     """Run a loop until its last SYNC or until it diverges; a number that is not finite counts as divergence.
 
     Args:
@@ -441,21 +437,19 @@ def run_loop(
         loop: Properties of the loop between plant and controller.
         meter: Accumulates the figures.
         plant: Plant in the form of `move_plant`, at its start.
-        place: State of the run: at its beginning, or where it was interrupted.
+        place: State of the run, at its beginning.
         continuous: Environment that the loop is compared with, if there is one.
         reference: Continuous run, before it begins.
         reference_memory: Memory of the continuous run, at the start.
         cycles: SYNCs.
 
     Returns:
-        MOVED, or the result of `move_plant` for an incomplete hold.
+        False where `move_plant` cannot move the plant any further.
     """
-    for cycle in range(place.cycle, cycles):
+    for cycle in range(cycles):
         before = plant.state[0]
-        if cycle:
-            outcome = advance(loop, plant, place, cycle)
-            if outcome != MOVED:
-                return outcome
+        if cycle and not advance(loop, plant, place, cycle):
+            return False
         true_position = plant.state[0]
         if continuous.exists:
             mean = follow(continuous, reference, reference_memory, cycle)
@@ -473,19 +467,15 @@ def run_loop(
             diverge(meter)
             break
         hand_over(loop, place)
-    return MOVED
+    return True
 
 
-def advance(loop: LoopSettings, plant: LinearPlant, place: CycleState, cycle: int) -> int:
+def advance(loop: LoopSettings, plant: LinearPlant, place: CycleState, cycle: int) -> bool:
     """Move the plant to a SYNC; return the result of `move_plant`."""
-    if place.cycle != cycle:
-        place.acting = place.held
-        if loop.signals.on_torque:
-            place.acting, place.temperature = acting(loop.signals, place.temperature, place.held)
-    outcome = move_plant(plant, place.acting, cycle)
-    if outcome != MOVED:
-        place.cycle = cycle
-    return outcome
+    place.cycle, place.acting = cycle, place.held
+    if loop.signals.on_torque:
+        place.acting, place.temperature = acting(loop.signals, place.temperature, place.held)
+    return move_plant(plant, place.acting, cycle)
 
 
 def answer(
@@ -519,8 +509,8 @@ def hand_over(loop: LoopSettings, place: CycleState) -> None:
         place.held = command
 
 
-def move_plant(plant: LinearPlant, torque: float, cycle: int) -> int:
-    """Move a linear plant to a SYNC under a constant torque [N or N*m]; return MOVED."""
+def move_plant(plant: LinearPlant, torque: float, cycle: int) -> bool:
+    """Move a linear plant to a SYNC under a constant torque [N or N*m]; return True."""
     flow, state, moved = plant.flow, plant.state, plant.moved
     states = len(moved)
     state[states] = torque
@@ -531,7 +521,7 @@ def move_plant(plant: LinearPlant, torque: float, cycle: int) -> int:
         moved[row] = total
     for row in range(states):
         state[row] = moved[row]
-    return MOVED
+    return True
 
 
 def work_in(plant: LinearPlant, interaction: float, torque: float, travel: float) -> float:

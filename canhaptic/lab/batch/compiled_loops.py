@@ -39,7 +39,6 @@ from canhaptic.lab.batch.cases import (
     scene_rows,
 )
 from canhaptic.lab.batch.closed_loop import (
-    MOVED,
     TERMS,
     AxisRun,
     CycleState,
@@ -55,7 +54,7 @@ from canhaptic.lab.batch.closed_loop import (
 )
 from canhaptic.lab.batch.group_loop import GroupCase, GroupMeter, LinearMotors, run_group
 from canhaptic.lab.batch.group_loop import step as step_group
-from canhaptic.lab.batch.plants import CALLS, Interrupted, Plants, loop_replacements, run_event_plants, uninterrupted
+from canhaptic.lab.batch.plants import CALLS, Plants, Stopped, loop_replacements, never_stopped, run_event_plants
 from canhaptic.lab.figures.meter import Meter, MeterSettings, compare, diverge, miss, take
 from canhaptic.lab.loop.axis_loop import Array, DivergedError, LoopCase, LoopRun, Recorder
 from canhaptic.sim.plant import stepper
@@ -100,32 +99,24 @@ def run_loops(
     table: Array, settings: Records, loops: Records, rest: Records, states: Records, memory: object, zeros: Array,
     meters: Records, plants: LinearPlants, rest_place: Records, places: Records, continuous: Records,
     references: Records, mode_flows: Array, mode_rates: Array, mode_starts: Array, state: Buffer,
-    moved_state: Buffer, series: Matrix, outcomes: Numbers, cycles: int,
+    moved_state: Buffer, series: Matrix, first: int, cycles: int,
 ) -> int:  # fmt: skip
-    """Run one loop after the other, from the position in `outcomes`, see `run_loop`; return the number completed.
-
-    An interrupted loop continues at the next call: outcomes = [completed loops, reason of the return, 1 if the next
-    loop has begun].
-    """
-    for i in range(outcomes[0], len(table)):
+    """Run one loop after the other from the `first`, see `run_loop`; return the number of the one that stopped."""
+    for i in range(first, len(table)):
         environment = new_environment(*fixed_tuple(table[i], WIDTH))
-        if outcomes[2] == 0:
-            zeros[:] = 0.0
-            states[0], places[0] = rest[0], rest_place[0]
-            places[0].temperature = loops[i].signals.winding.ambient
-            begin_plant(plants, i)
-            for place in range(len(state)):
-                state[place] = moved_state[place] = mode_starts[i % len(mode_starts), place]
+        zeros[:] = 0.0
+        states[0], places[0] = rest[0], rest_place[0]
+        places[0].temperature = loops[i].signals.winding.ambient
+        begin_plant(plants, i)
+        for place in range(len(state)):
+            state[place] = moved_state[place] = mode_starts[i % len(mode_starts), place]
         modes = i % len(mode_flows)
-        outcome = run_loop(
+        if not run_loop(
             environment, Run(settings[i], states[0], memory), loops[i], meters[i], plant_at(plants, i), places[0],
             continuous[i], references[i],
             ReferenceMemory(mode_flows[modes], mode_rates[modes], state, moved_state, series), cycles,
-        )  # fmt: skip
-        if outcome != MOVED:
-            outcomes[0], outcomes[1], outcomes[2] = i, outcome, 1
+        ):  # fmt: skip
             return i
-        outcomes[2] = 0
     return len(table)
 
 
@@ -174,15 +165,15 @@ class CompiledLoops:
         size = modes.starts.shape[1]
         self._state, self._moved, self._series = np.empty(size), np.empty(size), np.zeros((TERMS, size))
 
-    def run(self, some: Sequence[int], plants: Plants, interrupted: Interrupted) -> None:
+    def run(self, some: Sequence[int], plants: Plants, stopped: Stopped) -> None:
         """Run some of the scenes; see `InterpretedLoops.run`."""
         for numbers in _alike(self._kernel, [self._rows[i] for i in some]):
-            self._run_alike(np.asarray(some)[numbers], numbers, plants, interrupted)
+            self._run_alike(np.asarray(some)[numbers], numbers, plants, stopped)
 
-    def _run_alike(self, some: Numbers, numbers: Numbers, plants: Plants, interrupted: Interrupted) -> None:
+    def _run_alike(self, some: Numbers, numbers: Numbers, plants: Plants, stopped: Stopped) -> None:
         memory, zeros = _memory(self._kernel, self._rows[some[0]].settings)
         meters, references, modes = self.meters[some], self.references[some], self._modes
-        states, places, outcomes = self._rest.copy(), self._place.copy(), np.zeros(3, dtype=np.int64)
+        states, places, first = self._rest.copy(), self._place.copy(), 0
         if isinstance(plants, LinearPlants):
             plants = plants._replace(flows=_of(plants.flows, numbers), starts=_of(plants.starts, numbers))
         fixed = (
@@ -190,23 +181,19 @@ class CompiledLoops:
         )  # fmt: skip
         compared = (
             self._continuous[some], references, *(_of(values, some) for values in modes[1:]), self._state, self._moved,
-            self._series, outcomes, self._cycles,
+            self._series,
         )  # fmt: skip
-        while True:
+        while first < len(some):
             try:
                 run = compiled_loops(self._kind, self._kernel, self._instead)
-                over = run(*fixed, plants, self._place, places, *compared)
+                first = run(*fixed, plants, self._place, places, *compared, first, self._cycles)
             except (InputError, NumbaError) as error:
                 raise NotBatchableError(
                     f"numba cannot compile {self._kind.__name__} under this algorithm: {str(error).splitlines()[-1]}"
                 ) from error
-            if over == len(some):
-                break
-            went_on = interrupted(plants, int(some[over]), places[0], int(outcomes[1]))
-            if went_on is None:
-                outcomes[0], outcomes[2] = over + 1, 0
-            else:
-                plants = went_on
+            if first < len(some):
+                stopped(plants, int(some[first]), int(places[0]["cycle"]))
+            first += 1
         self.meters[some], self.references[some] = meters, references
 
 
@@ -427,6 +414,6 @@ def _rows(case: LoopCase, cycles: int) -> Array:
         if stopped:
             raise stopped[0]
     else:
-        loops.run([0], linear_plants(batch, batch.numbers, 1, listed=False), uninterrupted)
+        loops.run([0], linear_plants(batch, batch.numbers, 1, listed=False), never_stopped)
     found: Array = loops.meters[0]
     return found[np.isfinite(found[:, 0])]

@@ -25,7 +25,7 @@ The one group of a scene in kernel form: environment, algorithm and motors.
 from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from math import inf, isfinite, prod, sqrt
+from math import inf, isfinite, sqrt
 from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
@@ -54,11 +54,10 @@ from canhaptic.errors import ControlError
 from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, new
 from canhaptic.kernels.records import arrays_of, records_of
 from canhaptic.lab.batch import plants as event_plant
-from canhaptic.lab.batch.closed_loop import MOVED, LoopSettings, acting, commanded, measured, read
+from canhaptic.lab.batch.closed_loop import LoopSettings, acting, commanded, measured, read
 from canhaptic.lab.batch.plants import (
     EventModes,
     EventPlant,
-    EventState,
     PlantValues,
     SignalEffects,
     book_motor,
@@ -68,6 +67,7 @@ from canhaptic.lab.batch.plants import (
     residual_of_plant,
     run_on,
     run_substeps,
+    why_not_events,
     why_not_in_loop,
     works_are_booked,
 )
@@ -90,7 +90,6 @@ from canhaptic.sim.plant.mechanism.five_bar_linkage import (
 from canhaptic.sim.plant.mechanism.xy_stage import XYMotion
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import TICKS, Array
-from canhaptic.sim.plant.stepper import MISSING, MODE, NONE
 
 _FREE, _EXIT = Branch.FREE.value, Branch.EXIT.value
 _SEEN: Final = 1e-9
@@ -336,10 +335,6 @@ def arrive(room: GroupRoom, i: int, at: float, cycle: int) -> float:
     return room.acting[i] * room.moved[i]
 
 
-_MOST_MODES: Final = 100
-"""Modes of one plant at most; more would take longer to compile than a run."""
-
-
 class EventMotors(NamedTuple):
     """Motors whose plants have events."""
 
@@ -367,10 +362,7 @@ class EventMotorsPlan(NamedTuple):
         plants = []
         for model, accuracy in zip(self.models, self.accuracy, strict=True):
             modes = EventModes(model(), accuracy, listed=listed, is_booked=self.is_booked)
-            modes.complete()
-            found = modes.plants([EventState()] if listed else records_of([EventState()]))
-            found.plant.counts[MODE], found.plant.counts[MISSING] = found.first, NONE
-            plants.append(found.plant)
+            plants.append(modes.plants().plant)
         whole: Callable[[Sequence[int]], Any] = list if listed else np.array
         return EventMotors(tuple(plants), *(whole(part) for part in (self.owners, self.forces, self.places)))
 
@@ -387,12 +379,6 @@ class EventMotorsPlan(NamedTuple):
         return found | {stepper.book: book_motor, work_over: booked_over} if self.is_booked else found
 
 
-def why_not_events(model: PlantModel) -> str:
-    """Return "" when a plant can move in the loop of a group, else the reason by name."""
-    modes = prod(len(part.modes) for part in model.parts)
-    return "" if modes <= _MOST_MODES else f"a plant of {modes} modes, expected {_MOST_MODES} at most"
-
-
 def run_with_efforts(plant: EventPlant, ticks: int, most: int) -> int:
     """Replace `event_plant.run_ticks` where some plants have forces over substeps."""
     return run_substeps(plant, ticks, most) if len(plant.efforts) else run_on(plant, ticks, most)
@@ -406,7 +392,7 @@ def work_over(plant: EventPlant, way: float) -> float:
 def booked_over(plant: EventPlant, way: float) -> float:
     """Replace `work_over` where the work is booked."""
     now = plant.now[0]
-    booked: float = plant.books[0].totals[0] + now.rippled - (now.began_work + now.began_ripple)
+    booked: float = plant.books[0].totals[0] + now.rippled - now.began_work
     return booked
 
 
@@ -417,7 +403,7 @@ def move_event_motors(motors: EventMotors, room: GroupRoom, cycle: int) -> float
         for i in range(count):
             motors.plants[motors.owners[i]].state[motors.forces[i]] = room.acting[i]
         for k in range(len(motors.plants)):
-            if move_held(motors.plants[k], cycle) != MOVED:
+            if not move_held(motors.plants[k], cycle):
                 return float("nan")
     for i in range(count):
         plant = motors.plants[motors.owners[i]]
@@ -487,10 +473,8 @@ def motors_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> LinearMotors | Ev
         return _side_by_side([build_plant(simulation, scene.bus.sample_time_ns) for simulation in simulations])
     values = [PlantValues(simulation, scene.bus.sample_time_ns) for simulation in simulations]
     forces = [len(one.scene().names) - 2 for one in values]
-    return next(filter(None, (why_not_events(one.scene()) for one in values)), "") or EventMotorsPlan(
-        [one.scene for one in values], [one.simulation.accuracy for one in values], list(range(len(axes))), forces,
-        [0] * len(axes),
-    )  # fmt: skip
+    accuracy, owners = [one.simulation.accuracy for one in values], list(range(len(axes)))
+    return EventMotorsPlan([one.scene for one in values], accuracy, owners, forces, [0] * len(axes))
 
 
 def _of_mechanism(

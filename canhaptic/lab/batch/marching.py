@@ -26,7 +26,6 @@ from canhaptic.lab.batch.cases import (
     why_not_continuous,
 )
 from canhaptic.lab.batch.closed_loop import (
-    MOVED,
     TERMS,
     CycleState,
     ReferenceMemory,
@@ -37,7 +36,7 @@ from canhaptic.lab.batch.closed_loop import (
     step,
 )
 from canhaptic.lab.batch.engine import WORTH_COMPILING, Engine, chosen_engine
-from canhaptic.lab.batch.plants import Interrupted, Plants, loop_replacements, run_event_plants, uninterrupted
+from canhaptic.lab.batch.plants import Plants, Stopped, loop_replacements, never_stopped, run_event_plants
 from canhaptic.lab.figures.figures import last_rows, metrics_of, sums_of
 from canhaptic.lab.figures.meter import BRIEF, Meter
 from canhaptic.lab.loop.axis_loop import Array
@@ -71,14 +70,13 @@ class InterpretedLoops:
         self.meters = [Meter() for _ in rows]
         self.references = [ReferenceState() for _ in rows]
 
-    def run(self, some: Sequence[int], plants: Plants, interrupted: Interrupted) -> None:
+    def run(self, some: Sequence[int], plants: Plants, stopped: Stopped) -> None:
         """Run some of the scenes.
 
         Args:
             some: Indices of the scenes.
             plants: Plants of the scenes.
-            interrupted: (plants, number of a scene, its state, reason) -> plants to continue with; None ends that
-                scene.
+            stopped: Called with the plants, the number of a scene, and the SYNC to which its plant cannot move.
         """
         for number, i in enumerate(some):
             row, kernel = self._rows[i], self._kernel
@@ -86,17 +84,11 @@ class InterpretedLoops:
             run = Run(row.settings, kernel.state(), kernel.memory(row.settings, list_of_zeros))
             reference = reference_memory_of(self._modes, i)
             self._begin(plants, number)
-            while True:
-                outcome = self._run(
-                    row.environment, run, row.loop, self.meters[i], self._at(plants, number), place,
-                    self._modes.settings[i], self.references[i], reference, self._cycles,
-                )  # fmt: skip
-                if outcome == MOVED:
-                    break
-                went_on = interrupted(plants, i, place, outcome)
-                if went_on is None:
-                    break
-                plants = went_on
+            if not self._run(
+                row.environment, run, row.loop, self.meters[i], self._at(plants, number), place,
+                self._modes.settings[i], self.references[i], reference, self._cycles,
+            ):  # fmt: skip
+                stopped(plants, i, place.cycle)
 
 
 @lru_cache(maxsize=64)
@@ -188,7 +180,7 @@ def _part(
     if case.plants:
         run_event_plants(loops, case.plants, np.broadcast_to(numbers["plant"], (count,)), stopped, listed=not compiles)
     else:
-        loops.run(range(count), linear_plants(case, numbers, count, listed=not compiles), uninterrupted)
+        loops.run(range(count), linear_plants(case, numbers, count, listed=not compiles), never_stopped)
     sums, runs = _columns(loops.meters), _columns(loops.references)
     return sums | _compared(sums, runs, modes)
 

@@ -8,17 +8,16 @@ its last place per hold. Plants with other linear effects are made one by one, e
 
 A plant with events in the loop of a batch: replacements of `closed_loop.move_plant`; kernels.
 
-The modes, the stepper and what is solved over substeps are those of `canhaptic.sim.plant`, on arrays of all modes. A
-mode that is not compiled yet interrupts the loop: the state goes back to the start of the hold, the caller compiles
-the mode, and the hold is taken again, with the same bits.
+The modes, the stepper and what is solved over substeps are those of `canhaptic.sim.plant`, on arrays of all modes,
+which are compiled before the loop begins.
 
 Forces that are not piecewise affine, in the loop of a batch: `canhaptic.sim.plant.splitting` on arrays; kernels.
 
 The force of a substep is found by the same secant, with `EventPlant` in the place of the plant.
 
-Plants with events for many loops: the modes of one plant as kernels take them, compiled when they are entered.
+Plants with events for many loops: the modes of one plant as kernels take them.
 
-Scenes with the same plant share its modes, which cost some milliseconds each.
+Scenes with the same plant share its modes, which cost a millisecond each.
 
 Loops with plants that have events, grouped by plant.
 
@@ -27,7 +26,7 @@ Effects of a plant that change a number and not the motion: the encoder reading,
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import expm1, inf, sqrt
+from math import expm1, inf, prod, sqrt
 from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
@@ -37,9 +36,9 @@ from canhaptic.control.certificates.certified_torque import free_of_late, larges
 from canhaptic.control.certificates.torque_bound import doubt_of_late, end_gap
 from canhaptic.errors import EventLimitError, ParameterError
 from canhaptic.kernels import Buffer, Indices
-from canhaptic.kernels.records import Records, number_in, records_of
+from canhaptic.kernels.records import Records, records_of
 from canhaptic.lab.batch import closed_loop
-from canhaptic.lab.batch.closed_loop import MOVED, CycleState, Signals, Winding
+from canhaptic.lab.batch.closed_loop import Signals, Winding
 from canhaptic.lab.batch.varied import simulation_with
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.scene.components import ComponentSpec
@@ -57,12 +56,8 @@ from canhaptic.sim.plant.splitting import fixed_point, mean_torque
 from canhaptic.sim.plant.stepper import COUNTS, EVENTS, LIMIT, MISSING, MODE, NONE, ModeTables, StepperSettings, run
 from canhaptic.sim.plant.user import UserParameters
 
-INCOMPLETE: Final = 1
-"""A mode has to be compiled: `EventState.mode` and what leads out of it say which."""
-STOPPED: Final = 2
-"""There were more events in the hold than are allowed."""
-
-
+_MOST_MODES: Final = 100
+"""Modes of one plant at most; more would take longer to compile than a run."""
 _TIDY: Final = 1024
 """Sample times between two tidyings of rounding, as in `Plant`."""
 
@@ -76,16 +71,7 @@ class EventState:
     slope: float = -1.0  # of their residual there
     rippled: float = 0.0  # work of a torque ripple [J]
     is_stopped: bool = False  # by too many events
-    mode: int = NONE  # in which a further mode is missing
-    guard: int = NONE  # that leads to it, or
-    change: int = NONE  # of the timetable that does
-    began_work: float = 0.0  # of the motor [J]
-    began_mode: int = 0  # at the start of the hold, with `EventPlant.began`
-    began_events: int = 0
-    began_changes: int = 0
-    began_force: float = 0.0
-    began_slope: float = 0.0
-    began_ripple: float = 0.0
+    began_work: float = 0.0  # of the motor at the start of the hold, a ripple's included [J]
     saved_work: float = 0.0  # at the start of the substep, with `EventPlant.saved`
     saved_mode: int = 0
     saved_events: int = 0
@@ -105,19 +91,16 @@ class EventPlant(NamedTuple):
     settings: StepperSettings
     state: Any  # z = [states..., torque, 1]
     spare: Any
-    began: Buffer  # z at the start of the hold
     books: tuple[Books]  # (Books,), the first work of which is that of the motor
     counts: Indices  # see `stepper`
     values: tuple[Buffer, Buffer]  # two buffers for the values of guards
     sines: Indices  # places of the hand's oscillators in the state: a cosine follows each sine
     change_ticks: Indices  # of the timetable, in order
-    change_targets: Sequence[
-        Indices
-    ]  # by change and mode: the mode that it leads to, or NONE when that is not compiled yet
+    change_targets: Sequence[Indices]  # by change and mode: the mode that it leads to
     now: Sequence[EventState] | Records  # (EventState,)
     saved: Buffer  # z at the start of the substep
     efforts: Sequence[Effort] | Records  # `Effort` of each force that is solved over substeps
-    bristles: Sequence[Bristle] | Records  # `Bristle` of each, and once more at the start of the hold
+    bristles: Sequence[Bristle] | Records  # `Bristle` of each
     substep_ticks: int
     torque_place: int  # in z: of the torque of the motor,
     travel_place: int  # of the way in the substep,
@@ -137,7 +120,7 @@ def begin_events(plants: EventPlants, row: int) -> None:
     plant, now = plants.plant, plants.plant.now[0]
     for place in range(len(plants.start)):
         plant.state[place] = plant.spare[place] = plants.start[place]
-    plant.counts[MODE], plant.counts[EVENTS], plant.counts[MISSING] = plants.first, 0, NONE
+    plant.counts[MODE], plant.counts[EVENTS] = plants.first, 0
     plant.books[0].totals[0] = 0.0
     now.changes, now.force, now.slope, now.rippled = 0, 0.0, -1.0, 0.0
     for i in range(len(plant.bristles)):
@@ -149,43 +132,37 @@ def events_at(plants: EventPlants, row: int) -> EventPlant:
     return plants.plant
 
 
-def move_events(plant: EventPlant, torque: float, cycle: int) -> int:
-    """Move a plant to a SYNC under a constant torque [N or N*m]; return MOVED, INCOMPLETE or STOPPED."""
+def move_events(plant: EventPlant, torque: float, cycle: int) -> bool:
+    """Move a plant to a SYNC under a constant torque [N or N*m]; return False at more events than allowed."""
     plant.state[len(plant.state) - 2] = torque
     return move_held(plant, cycle)
 
 
-def move_held(plant: EventPlant, cycle: int) -> int:
+def move_held(plant: EventPlant, cycle: int) -> bool:
     """Move a plant to a SYNC under the torque held in its state; see `move_events`."""
     counts, now = plant.counts, plant.now[0]
-    keep(plant)
+    now.is_stopped, now.began_work = False, plant.books[0].totals[0] + now.rippled
     end = cycle * TICKS
     tick, left = end - TICKS, 0
     most = counts[EVENTS] + plant.settings.max_events + 1
-    counts[MISSING] = NONE
     while now.changes < len(plant.change_ticks) and plant.change_ticks[now.changes] < end:
         at = plant.change_ticks[now.changes]
         if at > tick:
             left = run_ticks(plant, at - tick, most)
             tick = at
-        if left or counts[MISSING] != NONE:
+        if left:
             break
-        target = plant.change_targets[now.changes][counts[MODE]]
-        if target == NONE:
-            return interrupt(plant, NONE, now.changes)
-        counts[MODE] = target
+        counts[MODE] = plant.change_targets[now.changes][counts[MODE]]
         now.changes += 1
-    if not left and counts[MISSING] == NONE:
+    if not left:
         left = run_ticks(plant, end - tick, most)
-    if counts[MISSING] != NONE:
-        return interrupt(plant, counts[MISSING], NONE)
     if cycle % _TIDY == 0:
         tidy(plant)
-    return STOPPED if left else MOVED
+    return left == 0
 
 
 def run_ticks(plant: EventPlant, ticks: int, most: int) -> int:
-    """Move by some ticks; return the ticks left at the limit of events, or before a missing mode."""
+    """Move by some ticks; return the ticks left at the limit of events."""
     return run_on(plant, ticks, most)
 
 
@@ -207,35 +184,6 @@ def tidy(plant: EventPlant) -> None:
         sine, cosine = state[plant.sines[i]], state[plant.sines[i] + 1]
         norm = sqrt(sine * sine + cosine * cosine)
         state[plant.sines[i]], state[plant.sines[i] + 1] = sine / norm, cosine / norm
-
-
-def keep(plant: EventPlant) -> None:
-    """Save everything that a hold changes."""
-    state, now = plant.state, plant.now[0]
-    for row in range(len(state)):
-        plant.began[row] = state[row]
-    now.began_mode, now.began_events = plant.counts[MODE], plant.counts[EVENTS]
-    now.began_changes, now.began_force, now.began_slope = now.changes, now.force, now.slope
-    now.began_ripple, now.is_stopped = now.rippled, False
-    count = len(plant.efforts)
-    for i in range(count):
-        plant.bristles[count + i].deflection = plant.bristles[i].deflection
-    now.began_work = plant.books[0].totals[0]
-
-
-def interrupt(plant: EventPlant, guard: int, change: int) -> int:
-    """Return to the start of the hold, and record the missing mode."""
-    state, counts, now = plant.state, plant.counts, plant.now[0]
-    now.mode, now.guard, now.change = counts[MODE], guard, change
-    for row in range(len(state)):
-        state[row] = plant.began[row]
-    counts[MODE], counts[EVENTS], counts[MISSING] = now.began_mode, now.began_events, NONE
-    plant.books[0].totals[0], now.changes = now.began_work, now.began_changes
-    now.force, now.slope, now.rippled = now.began_force, now.began_slope, now.began_ripple
-    count = len(plant.efforts)
-    for i in range(count):
-        plant.bristles[i].deflection = plant.bristles[count + i].deflection
-    return INCOMPLETE
 
 
 def book_nothing(works: Any, state: Buffer, books: tuple[Books]) -> None:
@@ -266,7 +214,7 @@ def run_substeps(plant: EventPlant, ticks: int, most: int) -> int:
     counts, now = plant.counts, plant.now[0]
     while ticks:
         ticks -= substep(plant, min(ticks, plant.substep_ticks), most)
-        if counts[MISSING] != NONE or now.is_stopped or (ticks and counts[EVENTS] >= most):
+        if now.is_stopped or (ticks and counts[EVENTS] >= most):
             return max(ticks, 1)
     return 0
 
@@ -276,7 +224,7 @@ def substep(plant: EventPlant, ticks: int, most: int) -> int:
     state, now = plant.state, plant.now[0]
     now.start, now.held = state[0], state[plant.torque_place]
     force = solve(plant, ticks, most)
-    if plant.counts[MISSING] != NONE or now.is_stopped:
+    if now.is_stopped:
         return 0
     travel = state[plant.travel_place]
     for i in range(len(plant.efforts)):
@@ -307,7 +255,7 @@ def solve(plant: EventPlant, ticks: int, most: int) -> float:
 def residual_of_plant(plant: EventPlant, force: float) -> float:
     """Replace `splitting.residual`; 0 where the plant cannot be advanced, which ends the search."""
     state, counts, now = plant.state, plant.counts, plant.now[0]
-    if counts[MISSING] != NONE or now.is_stopped:
+    if now.is_stopped:
         return 0.0
     for row in range(len(state)):
         state[row] = plant.saved[row]
@@ -315,8 +263,6 @@ def residual_of_plant(plant: EventPlant, force: float) -> float:
     state[plant.force_place], state[plant.travel_place] = force, 0.0
     limit = now.limit if now.limit >= 0 else counts[EVENTS] + 1
     left = run_on(plant, now.ticks, limit)
-    if counts[MISSING] != NONE:
-        return 0.0
     if left and now.limit >= 0:
         now.is_stopped = True
         return 0.0
@@ -344,8 +290,8 @@ CALLS: Final = (
 
 Plants = closed_loop.LinearPlants | EventPlants
 """What a loop of a batch moves."""
-Interrupted = Callable[[Plants, int, closed_loop.CycleState, int], Plants | None]
-"""(plants, number of a scene, its place, why) -> plants to go on with; None ends that scene."""
+Stopped = Callable[[Plants, int, int], None]
+"""Takes plants, the number of a scene, and the SYNC to which its plant could not be moved."""
 
 
 class PlantValues(NamedTuple):
@@ -382,7 +328,7 @@ def distinct_plants(
 
 
 class EventModes:
-    """The modes of one plant, and its start.
+    """The modes of one plant, all that can be entered, and its start.
 
     Args:
         scene: Model of the plant.
@@ -394,97 +340,67 @@ class EventModes:
     def __init__(
         self, scene: PlantModel, accuracy: AccuracyParameters | None, *, listed: bool, is_booked: bool | None = None
     ) -> None:
-        accuracy = accuracy or AccuracyParameters()
-        self._machine = machine = HybridAutomaton(scene, accuracy.max_events, accuracy.event_bits)
-        self._settings = StepperSettings(
-            accuracy.max_events, accuracy.event_bits, machine.tick_time, PRODUCTS_EACH * accuracy.max_events
-        )
-        self._start, self._first = machine.state.copy(), machine.modes.index(machine.mode)
+        self._scene, self._accuracy, self._listed = scene, accuracy or AccuracyParameters(), listed
+        self._machine = HybridAutomaton(scene, self._accuracy.max_events, self._accuracy.event_bits)
         self._is_booked = works_are_booked(scene) if is_booked is None else is_booked
-        self._substeps = accuracy.substeps
-        self._listed = listed
-        names = [*scene.names]
-        extra = (names.index("travel"), names.index("effort")) if scene.efforts else (0, 0)
-        self._places = (names.index(scene.motor_torque), *extra)
-        changes = [(round(time / machine.tick_time), part, mode) for time, part, mode in scene.schedule]
-        self._changes = sorted(changes, key=lambda change: change[0])
-        self._change_targets: list[dict[int, int]] = [{} for _ in changes]
         self._form: Callable[[Any], Any] = (lambda array: array.tolist()) if listed else np.ascontiguousarray
 
-    def plants(self, now: Sequence[EventState] | Records) -> EventPlants:
-        """Return the plant at its start.
-
-        Args:
-            now: (`EventState`,), records where the loop is compiled.
-        """
-        form, names = self._form, self._machine.scene.names
-        room = 2 * len(names) if self._is_booked else 0
-        state, spare, began = (form(self._start.copy()) for _ in range(3))
+    def plants(self) -> EventPlants:
+        """Return the plant at its start."""
+        form, names, machine, accuracy = self._form, [*self._scene.names], self._machine, self._accuracy
+        start, first = machine.state.copy(), machine.modes.index(machine.mode)
+        ticks, targets = self._changes()
+        settings = StepperSettings(
+            accuracy.max_events, accuracy.event_bits, machine.tick_time, PRODUCTS_EACH * accuracy.max_events
+        )
+        counts = np.zeros(COUNTS, dtype=np.int64)
+        counts[MODE], counts[MISSING] = first, NONE
+        width = 2 * max(len(mode.exits) for mode in machine.modes) + len(names)
+        extra = (names.index("travel"), names.index("effort")) if self._scene.efforts else (0, 0)
         plant = EventPlant(
-            self._tables(), self._settings, state, spare, began,
-            (Books(form(np.zeros(len(self._machine.scene.works))), form(np.zeros(room))),),
-            form(np.zeros(COUNTS, dtype=np.int64)), self._values(),
+            self._tables(), settings, form(start.copy()), form(start.copy()),
+            (Books(form(np.zeros(len(self._scene.works))), form(np.zeros(2 * len(names) * self._is_booked))),),
+            form(counts), (form(np.zeros(width)), form(np.zeros(width))),
             form(np.array([place for place, name in enumerate(names) if name.endswith("_sine")], dtype=np.int64)),
-            form(np.array([tick for tick, _, _ in self._changes], dtype=np.int64)), self._targets(), now,
-            form(self._start.copy()), *self._efforts(), TICKS // self._substeps, *self._places,
+            form(ticks), form(targets), [EventState()] if self._listed else records_of([EventState()]),
+            form(start.copy()), *self._efforts(), TICKS // accuracy.substeps, names.index(self._scene.motor_torque),
+            *extra,
         )  # fmt: skip
-        return EventPlants(plant, form(self._start), self._first)
+        return EventPlants(plant, form(start), first)
 
-    def complete(self) -> None:
-        """Compile every mode that can be entered."""
-        machine, mode = self._machine, 0
+    def _changes(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Compile every mode that can be entered; return ticks and targets of the timetable."""
+        machine, targets, mode = self._machine, list[list[int]](), 0
+        timetable = ((round(time / machine.tick_time), part, into) for time, part, into in self._scene.schedule)
+        changes = sorted(timetable, key=lambda change: change[0])
         while mode < len(machine.modes):
             for guard, target in enumerate(list(machine.targets[mode])):
                 if target == NONE:
                     machine.connect(mode, guard)
-            for (_, part, part_mode), targets in zip(self._changes, self._change_targets, strict=True):
-                targets[mode] = machine.number_with(mode, part, part_mode)
+            targets.append([machine.number_with(mode, part, into) for _, part, into in changes])
             mode += 1
-
-    def completed(self, plants: EventPlants) -> EventPlants:
-        """Return the same plant with the mode compiled that interrupted its loop."""
-        mode, guard, change = (int(number_in(plants.plant.now[0], name)) for name in ("mode", "guard", "change"))
-        if guard != NONE:
-            self._machine.connect(mode, guard)
-        else:
-            _, part, part_mode = self._changes[change]
-            self._change_targets[change][mode] = self._machine.number_with(mode, part, part_mode)
-        plant = plants.plant._replace(tables=self._tables(), values=self._values(), change_targets=self._targets())
-        return plants._replace(plant=plant)
+        return np.array([tick for tick, _, _ in changes], dtype=np.int64), np.array(targets, dtype=np.int64).T.copy()
 
     def error(self, plants: EventPlants, cycle: int) -> EventLimitError:
         """Reason why a loop was stopped in the hold before a SYNC."""
-        machine, plant = self._machine, plants.plant
+        machine, plant, accuracy = self._machine, plants.plant, self._accuracy
         where = f"plant before {cycle * TICKS * machine.tick_time:.9g} s"
         described = machine.described(int(plant.counts[MODE]), [float(value) for value in plant.state])
         used_up = plant.counts[EVENTS] < plant.counts[LIMIT]
-        return EventLimitError(
-            self._settings.max_events, described, where, self._settings.max_products if used_up else 0
-        )
+        return EventLimitError(accuracy.max_events, described, where, plant.settings.max_products if used_up else 0)
 
     def _tables(self) -> ModeTables:
-        tables = mode_arrays.flat_tables(self._machine.modes, self._machine.targets, len(self._machine.scene.works))
-        size = len(self._machine.scene.names) if self._is_booked else 0
+        tables = mode_arrays.flat_tables(self._machine.modes, self._machine.targets, len(self._scene.works))
+        size = len(self._scene.names) if self._is_booked else 0
         return ModeTables(*map(self._form, tables._replace(works=tables.works[..., : 2 * size])))
 
     def _efforts(self) -> tuple[Any, Any]:
-        """Return the efforts, and their bristles twice."""
-        efforts = [getattr(effort, "effort", None) for effort in self._machine.scene.efforts]
-        bristles = [Bristle() for _ in range(2 * len(efforts))]
+        """Return the efforts, and their bristles."""
+        efforts = [getattr(effort, "effort", None) for effort in self._scene.efforts]
+        bristles = [Bristle() for _ in efforts]
         if self._listed:
             return efforts, bristles
-        return records_of(efforts or [Effort(0)])[: len(efforts)], records_of(bristles or [Bristle()])[: len(bristles)]
-
-    def _targets(self) -> Any:
-        targets = np.full((len(self._changes), len(self._machine.modes)), NONE)
-        for row, known in zip(targets, self._change_targets, strict=True):
-            for mode, target in known.items():
-                row[mode] = target
-        return self._form(targets)
-
-    def _values(self) -> Any:
-        width = 2 * max(len(mode.exits) for mode in self._machine.modes) + len(self._machine.scene.names)
-        return self._form(np.zeros(width)), self._form(np.zeros(width))
+        return records_of(efforts or [Effort(0)])[: len(efforts)], records_of(bristles or [Bristle()])[: len(efforts)]
 
 
 def by_its_way() -> dict[object, object]:
@@ -529,23 +445,14 @@ def run_event_plants(
     for number in np.unique(which).tolist():
         plant = plants[int(number)]
         modes = EventModes(plant.scene(), plant.simulation.accuracy, listed=listed)
-        some = np.flatnonzero(which == number).tolist()
-        loops.run(
-            some, modes.plants([EventState()] if listed else records_of([EventState()])), _going_on(modes, stopped)
-        )
+
+        def stop(plants: Any, loop: int, cycle: int, modes: EventModes = modes) -> None:
+            stopped[loop] = modes.error(plants, cycle)
+
+        loops.run(np.flatnonzero(which == number).tolist(), modes.plants(), stop)
 
 
-def _going_on(modes: EventModes, stopped: dict[int, EventLimitError]) -> Interrupted:
-    def interrupted(plants: Any, loop: int, place: CycleState, outcome: int) -> Plants | None:
-        if outcome == INCOMPLETE:
-            return modes.completed(plants)
-        stopped[loop] = modes.error(plants, int(number_in(place, "cycle")))
-        return None
-
-    return interrupted
-
-
-def uninterrupted(*_what: object) -> None:
+def never_stopped(*_what: object) -> None:
     """Placeholder, never called by a loop of a linear plant."""
 
 
@@ -623,7 +530,13 @@ def why_not_in_loop(simulation: AxisSimulation) -> str:
     except ParameterError as error:
         return f"effect {error.part} does not stand alone ({error})"
     own = any(not hasattr(effort, "effort") for effort in scene.efforts)
-    return "a force of the plant is own code" if own else ""
+    return "a force of the plant is own code" if own else why_not_events(scene)
+
+
+def why_not_events(model: PlantModel) -> str:
+    """Return "" when the modes of a plant are few enough to be compiled beforehand, else the reason by name."""
+    modes = prod(len(part.modes) for part in model.parts)
+    return "" if modes <= _MOST_MODES else f"a plant of {modes} modes, expected {_MOST_MODES} at most"
 
 
 def plant_numbers(simulation: AxisSimulation, sample_time_ns: Array | float, varied: Mapping[str, Array]) -> _Numbers:

@@ -77,9 +77,9 @@ class _Watched:
     def __init__(self, loops):
         self._loops, self.events = loops, []
 
-    def run(self, some, plants, interrupted):
+    def run(self, some, plants, stopped):
         for one in some:
-            self._loops.run([one], plants, interrupted)
+            self._loops.run([one], plants, stopped)
             self.events.append(plants.plant.counts[1])
 
     def __getattr__(self, name):
