@@ -1,15 +1,20 @@
 """The users, plants and walls of the acceptance figures A1-A12, so that benches and tests measure the same thing."""
 
 import random
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final, cast
 
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.lab.loop.axis_loop import LoopCase
+from canhaptic.lab.batch.cases import BatchCase, many_loops
+from canhaptic.lab.loop.axis_loop import Array, LoopCase
 from canhaptic.lab.reference import ContinuousReference, continuous_reference
 from canhaptic.registry import load
+from canhaptic.scene.models import AxisSimulation
+from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.effects.grasp_change import GraspChange
 from canhaptic.sim.plant.effects.tremor import Tremor
@@ -110,3 +115,15 @@ def standard_reference(
 ) -> ContinuousReference:
     """Returns the continuous run of `standard_case` with the standard plant."""
     return continuous_reference(environment, PLANT, user, effects, round(1e9 / rate), cycles)
+
+
+def loop_in_arrays(
+    case: LoopCase,
+    plant: PlantParameters,
+    user: UserParameters,
+    numbers: Mapping[str, Array],
+    varied: Mapping[str, Array] | None = None,
+) -> BatchCase:
+    """Returns many loops of a plant without a drive; see `many_loops`."""
+    simulation = AxisSimulation(SimulatedDriveParameters(counts_per_unit=1.0), plant, user, (), 0)
+    return many_loops(replace(case, simulation=simulation), numbers, varied or {})

@@ -16,7 +16,7 @@ import numpy as np
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.lab.batch import METRICS
-from canhaptic.lab.batch.cases import BatchCase, loop_in_arrays
+from canhaptic.lab.batch.cases import BatchCase
 from canhaptic.lab.batch.marching import march
 from canhaptic.lab.batch.radius import Loops, decay_per_hold
 from canhaptic.lab.batch.scalar import run_case
@@ -25,7 +25,7 @@ from canhaptic.sim.plant.user import UserParameters
 from tools.bench.plants.peers import mujoco_rollout
 from tools.bench.plants.scenes import easy
 from tools.bench.report import Row, publish
-from tools.bench.standard_cases import PLANT, USER_S, standard_case
+from tools.bench.standard_cases import PLANT, USER_S, loop_in_arrays, standard_case
 from tools.bench.sweep_events import FIVE, event_rows, jax_rows, start_rows
 
 SCENES, CYCLES, RATE, REPEATS = 10_000, 1000, 1000.0, 3

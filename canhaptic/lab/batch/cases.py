@@ -17,22 +17,22 @@ from typing import Any, Final, NamedTuple, cast
 import numpy as np
 
 from canhaptic.control.environments.damper_wall import DamperWall
-from canhaptic.control.environments.environment import Environment, plain, plain_with
+from canhaptic.control.environments.environment import plain, plain_with
 from canhaptic.control.environments.free_space import FreeSpace
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.control.passivity import ALGORITHMS
-from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.kernels import Kernel
 from canhaptic.lab.batch.closed_loop import LinearPlants, LoopSettings, Losses, ReferenceSettings
 from canhaptic.lab.batch.plants import (
+    LinearMotion,
     PlantValues,
     SignalEffects,
     distinct_plants,
     is_linear,
-    plant_numbers,
+    linear_motion,
     why_not_in_loop,
 )
 from canhaptic.lab.batch.varied import scene_with, split_key
@@ -43,51 +43,47 @@ from canhaptic.lab.reference import readings_per_hold
 from canhaptic.registry import load
 from canhaptic.scene.models import AxisSimulation, Scene
 from canhaptic.scene.torque_history import simulation_of
-from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.propagator import flow_changes
 from canhaptic.sim.plant.user import UserParameters
-from canhaptic.units import Parameters
 
 
 class NotBatchableError(InputError, NotImplementedError):
     """A scene cannot run in a batch; run it one by one."""
 
 
+Numbers = Mapping[str, Any]
+
+
 @dataclass(frozen=True, slots=True)
 class BatchCase:
     """The common part of many loops, and the numbers in which they differ.
 
-    A linear plant is among the numbers; plants with events are separate, each distinct one once.
-
-    `numbers` holds varied values by name: of the models `environment`, `passivity` and `loop` field by field; of the
-    drive `counts_per_unit`, `torque_quantum` and `torque_limit`; of the meter `last_from`, `damping_per_time` and
-    `friction`; `seed` of the encoder's noise; of plants with events `plant`, the place in `plants`; of a linear plant
-    `start.ROW`, `flow.ROW.COLUMN` and, where it is known in closed form, `rate.ROW.COLUMN`. A
+    `numbers` holds varied values by name, each of shape (n_scenes,) or one number: of the models `environment`,
+    `passivity` and `loop` field by field; of the drive `counts_per_unit`, `torque_quantum` and `torque_limit`; of the
+    meter `last_from`, `damping_per_time` and `is_brief`; `seed` of everything random; `plant`, the place in `plants`. A
     name that is absent has the value of its model.
     """
 
-    environment: Environment
-    algorithm: str
-    parameters: Parameters
-    loop: LoopProperties
-    delay: int
-    furthest: float
-    size: int  # of the plant's state vector [states..., torque, one]
-    numbers: Mapping[str, Array | float | None]  # each of shape (n_scenes,) or one number
+    common: LoopCase
+    numbers: Numbers
+    linear: LinearMotion | None  # of the plants; None: they have events
+    plants: Sequence[PlantValues] = ()  # with events, each distinct one once
     signals: SignalEffects = field(default_factory=SignalEffects)
-    plants: Sequence[PlantValues] = ()  # with events
     losses: Losses = field(default_factory=Losses)  # of frames
+    furthest: float = FURTHEST
 
+    def number(self, section: str, name: str, absent: float = 0.0) -> Array | float:
+        """Value of a field of a model, varied or not."""
+        model = getattr(self.common, section)
+        found: Array | float = self.numbers.get(f"{section}.{name}", getattr(model, name, absent))
+        return found
 
-def floats_of(section: str, model: Parameters) -> dict[str, float]:
-    """Return the numbers of a parameter model by the names of `BatchCase.numbers`."""
-    fields = {f"{section}.{name}": getattr(model, name) for name in type(model).model_fields}
-    return {name: value for name, value in fields.items() if isinstance(value, float)}
-
-
-Numbers = Mapping[str, Any]
-_OF_LOOP: Final = ("counts_per_unit", "torque_quantum", "torque_limit", "last_from", "damping_per_time", "friction")
+    def part(self, rows: slice) -> "BatchCase":
+        """Return some of the scenes."""
+        some: Any = (v if v is None or len(v) == 1 else v[rows] for v in self.linear or ())
+        linear = self.linear and LinearMotion(*some)
+        numbers = {name: v[rows] if isinstance(v, np.ndarray) else v for name, v in self.numbers.items()}
+        return replace(self, numbers=numbers, linear=linear)
 
 
 class SceneRow(NamedTuple):
@@ -104,26 +100,25 @@ def kernel_of(algorithm: str) -> Kernel | None:
     return kernel
 
 
-def scene_rows(case: BatchCase, kernel: Kernel, numbers: Numbers, count: int) -> Iterator[SceneRow]:
+def scene_rows(case: BatchCase, kernel: Kernel, count: int) -> Iterator[SceneRow]:
     """Yield every scene.
 
     Args:
-        case: Common part of the scenes.
+        case: The scenes.
         kernel: Kernel of the algorithm.
-        numbers: Varied numbers, each scalar or of shape (count,).
         count: Number of scenes.
     """
-    environment = _Varied("environment", case.environment, numbers)
-    parameters = _Varied("passivity", case.parameters, numbers)
-    properties = _Varied("loop", case.loop, numbers)
-    loop = _varied_loop(case, numbers)
+    common = case.common
+    environment = _Varied("environment", common.environment, case.numbers)
+    parameters = _Varied("passivity", common.parameters, case.numbers)
+    properties = _Varied("loop", common.loop, case.numbers)
     fixed = environment.fixed and parameters.fixed and properties.fixed
     known: tuple[Any, Any] | None = None
-    for row in range(count):
+    for row, loop in enumerate(loops_of(case, count)):
         if known is None or not fixed:
             world = environment.at(row)
             known = world, kernel.settings(world, parameters.at(row), properties.at(row))
-        yield SceneRow(*known, loop(row))
+        yield SceneRow(*known, loop)
 
 
 class _Varied:
@@ -145,56 +140,43 @@ class _Varied:
         return plain_with(type(self._model), {**self._fields, **values})
 
 
-def _varied_loop(case: BatchCase, numbers: Numbers) -> Any:
-    """Return the function from a row to the settings of its loop."""
+def loops_of(case: BatchCase, count: int) -> list[LoopSettings]:
+    """Return the loop between plant and controller of every scene."""
+    common, is_random = case.common, case.signals.effects or case.losses.exists
+    period = case.number("loop", "sample_time")
+    values = {
+        "counts_per_unit": common.counts_per_unit or 0.0,
+        "torque_quantum": common.torque_quantum or 0.0,
+        "torque_limit": common.torque_limit or inf,
+        "last_from": 0.0,
+        "damping_per_time": common.device_damping / period,
+        "is_brief": 0.0,
+        "seed": 0.0,
+    }
+    values |= {name: case.numbers[name] for name in values if name in case.numbers}
+    values = {"period": period, **values} if is_random else {"period": 0.0, **values, "seed": 0.0}
+    varies = any(isinstance(value, np.ndarray) for value in values.values())
+    columns = (np.broadcast_to(value, (count if varies else 1,)).tolist() for value in values.values())
+    rows = [
+        LoopSettings(
+            common.delay, counts, quantum, limit, case.furthest,
+            MeterSettings(last_from, damping, common.device_friction, brief == 1.0), case.signals.at(time, int(seed)),
+            replace(case.losses, seed=int(seed)),
+        )
+        for time, counts, quantum, limit, last_from, damping, brief, seed in zip(*columns, strict=True)
+    ]  # fmt: skip
+    return rows if varies else rows * count
 
-    def column(name: str, absent: float) -> Any:
-        value = numbers.get(name)
-        if isinstance(value, np.ndarray):
-            return value.tolist().__getitem__
-        return lambda _row: absent if value is None else float(value)
 
-    counts, quantum = column("counts_per_unit", 0.0), column("torque_quantum", 0.0)
-    limit, last_from = column("torque_limit", inf), column("last_from", 0.0)
-    damping, friction = column("damping_per_time", 0.0), column("friction", 0.0)
-    brief = numbers.get("is_brief", 0.0) == 1.0
-    period, seed = column("loop.sample_time", case.loop.sample_time), column("seed", 0.0)
-
-    def at(row: int) -> LoopSettings:
-        meter = MeterSettings(last_from(row), damping(row), friction(row), brief)
-        signals = case.signals.at(period(row), int(seed(row)))
-        losses = replace(case.losses, seed=int(seed(row)))
-        return LoopSettings(case.delay, counts(row), quantum(row), limit(row), case.furthest, meter, signals, losses)
-
-    is_random = case.signals.effects or case.losses.exists
-    of_loop = (*_OF_LOOP, *(("loop.sample_time", "seed") if is_random else ()))
-    if any(isinstance(numbers.get(name), np.ndarray) for name in of_loop):
-        return at
-    shared = at(0)
-    return lambda _row: shared
-
-
-def linear_plants(case: BatchCase, numbers: Numbers, count: int, *, listed: bool) -> LinearPlants:
-    """Return the plants of many scenes; one flow and start where all have the same.
+def linear_plants(motion: LinearMotion, *, listed: bool) -> LinearPlants:
+    """Return the plants of many scenes.
 
     Args:
-        case: Common part of the scenes.
-        numbers: Varied numbers.
-        count: Number of scenes.
+        motion: Their motion.
         listed: Whether Python runs the loops, on lists.
     """
-    states = case.size - 2
-    names = [name for name in numbers if name.startswith(("flow.", "start."))]
-    rows = count if any(isinstance(numbers[name], np.ndarray) for name in names) else 1
-    flows, starts = np.zeros((rows, states, case.size)), np.zeros((rows, case.size))
-    starts[:, -1] = 1.0
-    for name in names:
-        section, *places = name.split(".")
-        if section == "flow":
-            flows[:, int(places[0]), int(places[1])] = numbers[name]
-        else:
-            starts[:, int(places[0])] = numbers[name]
-    found = flows, starts, np.zeros(case.size), np.zeros(states)
+    size = motion.starts.shape[1]
+    found = np.ascontiguousarray(motion.flows[:, : size - 2]), motion.starts, np.zeros(size), np.zeros(size - 2)
     return LinearPlants(*(array.tolist() for array in found) if listed else found)
 
 
@@ -208,9 +190,10 @@ _MOST_STEPS: Final = 4096
 
 def why_not_continuous(case: BatchCase) -> str:
     """Reason why continuous runs cannot be followed along with their loops; empty where they can."""
-    if not isinstance(case.environment, CLOSED_FORM):
-        return f"{type(case.environment).__name__} has no flow in closed form"
-    return "" if f"rate.1.{case.size - 2}" in case.numbers else "the plant has effects that are not in arrays"
+    if not isinstance(case.common.environment, CLOSED_FORM):
+        return f"{type(case.common.environment).__name__} has no flow in closed form"
+    known = case.linear is not None and case.linear.rates is not None
+    return "" if known else "the plant has effects that are not in arrays"
 
 
 class _Linear(NamedTuple):
@@ -246,20 +229,19 @@ def no_modes(count: int) -> ContinuousModes:
 
 
 def continuous_modes(
-    case: BatchCase, numbers: Mapping[str, Any], count: int, cycles: int, *, with_force: bool, with_travel: bool
+    case: BatchCase, count: int, cycles: int, *, with_force: bool, with_travel: bool
 ) -> ContinuousModes:
     """Return the continuous environments of some scenes.
 
     Args:
-        case: Case with an environment of `CLOSED_FORM`.
-        numbers: Varied numbers of these scenes.
+        case: These scenes; `why_not_continuous` is "".
         count: Number of scenes.
         cycles: SYNCs of the whole run.
         with_force: Whether the force is needed: read as often as `reference.continuous_reference` reads it.
         with_travel: Whether the travel is needed.
     """
-    linear = _linear(case, numbers, count)
-    period = np.broadcast_to(np.asarray(numbers["loop.sample_time"], dtype=float), (count,))
+    linear = _linear(case, count)
+    period = np.broadcast_to(np.asarray(case.number("loop", "sample_time"), dtype=float), (count,))
     readings, last_from = np.ones(count, dtype=np.int64), np.empty(count, dtype=np.int64)
     for value in np.unique(period):
         last_from[period == value] = last_rows(cycles, float(value)).start
@@ -296,27 +278,25 @@ def _stacked(modes: Sequence[Array]) -> Array:
     return np.ascontiguousarray(np.stack([modes[min(mode, len(modes) - 1)] for mode in range(3)], axis=1))
 
 
-def _linear(case: BatchCase, numbers: Mapping[str, Any], count: int) -> _Linear:
-    def number(name: str, absent: float = 0.0) -> Array:
-        return np.array(np.broadcast_to(numbers.get(name, absent), (count,)), dtype=float)
+def _linear(case: BatchCase, count: int) -> _Linear:
+    def number(name: str) -> Array:
+        return np.array(np.broadcast_to(case.number("environment", name), (count,)), dtype=float)
 
-    states, environment = case.size - 2, case.environment
-    free, start = np.zeros((count, states + 1, states + 1)), np.ones((states + 1, count))
-    for row in range(states):
-        start[row] = number(f"start.{row}")
-        for column in range(states):
-            free[:, row, column] = number(f"rate.{row}.{column}")
-        free[:, row, states] = number(f"rate.{row}.{states + 1}")
-    share = number(f"rate.1.{states}")  # 1 / mass
-    stiffness, damping = number("environment.stiffness"), number("environment.damping")
+    motion, environment = cast(LinearMotion, case.linear), case.common.environment
+    states = motion.starts.shape[1] - 2
+    known, kept = cast(Array, motion.rates), [*range(states), states + 1]  # all but the held torque
+    free = np.broadcast_to(known[:, kept][:, :, kept], (count, states + 1, states + 1)).copy()
+    start = np.broadcast_to(motion.starts[:, kept], (count, states + 1)).T.copy()
+    share = np.broadcast_to(known[:, 1, states], (count,))  # 1 / mass
+    stiffness, damping = number("stiffness"), number("damping")
     lower, upper = np.full(count, -np.inf), np.full(count, np.inf)
     everywhere = isinstance(environment, ViscousMedium)
     if everywhere:
         free[:, 1, 1] -= share * damping
     elif isinstance(environment, TwoSidedWall):
-        lower, upper = number("environment.lower"), number("environment.upper")
+        lower, upper = number("lower"), number("upper")
     elif isinstance(environment, SpringDamperWall | DamperWall):
-        surface = number("environment.position")
+        surface = number("position")
         lower, upper = (surface, upper) if environment.side == "below" else (lower, surface)
     rates = [free]
     for surface in (lower, upper):
@@ -414,10 +394,7 @@ def batch_case(scene: Scene, varied: Mapping[str, Array]) -> BatchCase:
         varied: Key of `BATCH_KEYS` but `loop.delay` -> value of each scene.
     """
     axis = scene.axes[0]
-    simulation = simulation_of(axis)
-    case = loop_case(axis, scene)
-    numbers = _numbers(case, simulation, scene.bus.sample_time_ns, varied)
-    passivity = axis.passivity.parameters
+    passivity, numbers = axis.passivity.parameters, dict[str, Array | float]()
     for key, values in varied.items():
         section, name = split_key(key)
         if section == "passivity":
@@ -426,7 +403,7 @@ def batch_case(scene: Scene, varied: Mapping[str, Array]) -> BatchCase:
             numbers[key] = values
         elif section == "axes.0":
             numbers |= _of_axis(name, values)
-    return replace(_case(case, simulation, numbers, varied), losses=losses_of(scene))
+    return replace(many_loops(loop_case(axis, scene), numbers, varied), losses=losses_of(scene))
 
 
 def losses_of(scene: Scene) -> Losses:
@@ -450,53 +427,27 @@ def not_in_loop(scene: Scene, *, is_batched: bool) -> str:
     return f"not in this loop: simulation.bus {left_out}; canhaptic run has it" if left_out else ""
 
 
-def loop_in_arrays(
-    case: LoopCase,
-    plant: PlantParameters,
-    user: UserParameters,
-    numbers: Mapping[str, Array],
-    varied: Mapping[str, Array] | None = None,
-) -> BatchCase:
-    """Return a loop without a scene (an ideal encoder, an ideal torque), for many cases.
+def many_loops(case: LoopCase, numbers: Numbers, varied: Mapping[str, Array]) -> BatchCase:
+    """Return a loop with the numbers in which many scenes differ.
 
     Args:
-        case: Common part of the loops.
-        plant: Moving mass of the plant.
-        user: The hand.
+        case: Common part of the loops; `why_not_compiled` is "".
         numbers: Varied numbers by the names of `BatchCase.numbers`.
         varied: Keys of `BATCH_KEYS` under `simulation.` and `bus.rate` -> value of each scene.
     """
-    simulation = AxisSimulation(SimulatedDriveParameters(counts_per_unit=1.0), plant, user, (), 0)
-    found = {**_numbers(case, simulation, case.sample_time_ns, varied or {}), **numbers}
-    return _case(case, simulation, found, varied or {})
-
-
-def loop_alone(case: LoopCase) -> BatchCase:
-    """Return a single loop for which `why_not_compiled` is ""."""
-    simulation = cast(AxisSimulation, case.simulation)
-    return _case(case, simulation, _numbers(case, simulation, float(case.sample_time_ns), {}), {})
-
-
-def _numbers(
-    case: LoopCase, simulation: AxisSimulation, sample_time_ns: float, varied: Mapping[str, Array]
-) -> dict[str, Array | float | None]:
-    numbers: dict[str, Array | float | None] = {
-        **floats_of("environment", cast(Parameters, case.environment)),
-        **floats_of("passivity", cast(Parameters, case.parameters)),
-        **floats_of("loop", case.loop),
-        "counts_per_unit": case.counts_per_unit,
-        "torque_quantum": case.torque_quantum,
-        "torque_limit": case.torque_limit,
-        "last_from": 0.0,
-        "friction": case.device_friction,
-        "seed": float(simulation.seed),
-    }
-    period: Array | float = float(sample_time_ns)
+    simulation, period = cast(AxisSimulation, case.simulation), float(case.sample_time_ns)
+    found: dict[str, Array | float] = {"seed": float(simulation.seed)}
+    ticks: Array | float = np.rint(1e9 / varied[_RATE]) if _RATE in varied else period
     if _RATE in varied:
-        period = np.rint(1e9 / varied[_RATE])
-        numbers["loop.sample_time"] = period * 1e-9
-    numbers["damping_per_time"] = _device_damping(case, simulation, varied) / (period * 1e-9)
-    return numbers | (plant_numbers(simulation, period, varied) if is_linear(simulation) else {})
+        found["loop.sample_time"] = ticks * 1e-9
+    found["damping_per_time"] = _device_damping(case, simulation, varied) / (ticks * 1e-9)
+    linear, plants = None, list[PlantValues]()
+    if is_linear(simulation):
+        linear = linear_motion(simulation, ticks, varied)
+    else:
+        plants, which = distinct_plants(simulation, ticks, varied)
+        found["plant"] = which.astype(float)
+    return BatchCase(case, {**found, **numbers}, linear, plants, SignalEffects.of(simulation.effects))
 
 
 def _device_damping(case: LoopCase, simulation: AxisSimulation, varied: Mapping[str, Array]) -> Array | float:
@@ -506,20 +457,6 @@ def _device_damping(case: LoopCase, simulation: AxisSimulation, varied: Mapping[
     if _PLANT_DAMPING in varied and case.loop.device_damping is None:
         return varied[_PLANT_DAMPING] + (case.device_damping - simulation.plant.damping)
     return case.device_damping
-
-
-def _case(
-    case: LoopCase, simulation: AxisSimulation, numbers: dict[str, Any], varied: Mapping[str, Array]
-) -> BatchCase:
-    states = sum(name.startswith("start.") for name in numbers)
-    plants: list[PlantValues] = []
-    if not states:
-        period = np.rint(1e9 / varied[_RATE]) if _RATE in varied else float(case.sample_time_ns)
-        plants, numbers["plant"] = distinct_plants(simulation, period, varied)
-    return BatchCase(
-        case.environment, case.algorithm, cast(Parameters, case.parameters), case.loop, case.delay, FURTHEST,
-        states + 2, numbers, SignalEffects.of(simulation.effects), plants,
-    )  # fmt: skip
 
 
 def _of_axis(name: str, values: Array) -> dict[str, Array]:

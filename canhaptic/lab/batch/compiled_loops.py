@@ -34,7 +34,7 @@ from canhaptic.lab.batch.cases import (
     SceneRow,
     kernel_of,
     linear_plants,
-    loop_alone,
+    many_loops,
     no_modes,
     scene_rows,
 )
@@ -403,17 +403,17 @@ def render_compiled(
 
 def _rows(case: LoopCase, cycles: int) -> Array:
     """Rows of all SYNCs up to the end of the loop."""
-    batch, kernel = replace(loop_alone(case), furthest=inf), cast(Kernel, kernel_of(case.algorithm))
-    rows = [*scene_rows(batch, kernel, batch.numbers, 1)]
+    batch, kernel = replace(many_loops(case, {}, {}), furthest=inf), cast(Kernel, kernel_of(case.algorithm))
+    rows = [*scene_rows(batch, kernel, 1)]
     instead: dict[object, object] = {**_KEEPING, **loop_replacements(batch.plants)}
     loops = CompiledLoops(kernel, rows, no_modes(1), cycles, instead)
     loops.meters = np.full((1, cycles, _OWN + len(EnergyBalance._fields)), np.nan)
-    if batch.plants:
+    if batch.linear is None:
         stopped: dict[int, EventLimitError] = {}
         run_event_plants(loops, batch.plants, np.zeros(1), stopped, listed=False)
         if stopped:
             raise stopped[0]
     else:
-        loops.run([0], linear_plants(batch, batch.numbers, 1, listed=False), never_stopped)
+        loops.run([0], linear_plants(batch.linear, listed=False), never_stopped)
     found: Array = loops.meters[0]
     return found[np.isfinite(found[:, 0])]

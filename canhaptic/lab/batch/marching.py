@@ -141,9 +141,8 @@ def march(
     chosen = chosen_engine(engine, scenes * cycles >= WORTH_COMPILING)
     for first in range(0, scenes, _MOST):
         part = slice(first, min(first + _MOST, scenes))
-        numbers = {name: v[part] if isinstance(v, np.ndarray) else v for name, v in case.numbers.items()}
         ended: dict[int, EventLimitError] = {}
-        for name, values in _part(case, numbers, part.stop - first, cycles, chosen, found, ended).items():
+        for name, values in _part(case.part(part), part.stop - first, cycles, chosen, found, ended).items():
             if name in found:
                 found[name][part] = values
         for row, error in ended.items():
@@ -158,29 +157,30 @@ def march(
 
 def _last_from(case: BatchCase, cycles: int) -> Array | float:
     """SYNC with which the last part of each run begins."""
-    period = np.asarray(case.numbers["loop.sample_time"], dtype=float)
+    period = np.asarray(case.number("loop", "sample_time"), dtype=float)
     found = {value: float(last_rows(cycles, value).start) for value in np.unique(period).tolist()}
     return np.array([found[value] for value in period.tolist()]) if period.ndim else found[float(period)]
 
 
 def _part(
-    case: BatchCase, numbers: Mapping[str, Any], count: int, cycles: int, engine: str, asked: Mapping[str, Array],
+    case: BatchCase, count: int, cycles: int, engine: str, asked: Mapping[str, Array],
     stopped: dict[int, EventLimitError],
 ) -> dict[str, Array]:  # fmt: skip
-    kernel = kernel_of(case.algorithm)
+    kernel = kernel_of(case.common.algorithm)
     if kernel is None:
-        raise NotBatchableError(f"algorithm {case.algorithm} is not written as a kernel")
+        raise NotBatchableError(f"algorithm {case.common.algorithm} is not written as a kernel")
     modes = no_modes(count)
     if not {*asked}.isdisjoint(_COMPARED) and not why_not_continuous(case):
         forces, travels = (not {*asked}.isdisjoint(some) for some in (_FORCES, _TRAVELS))
-        modes = continuous_modes(case, numbers, count, cycles, with_force=forces, with_travel=travels)
-    rows = list(scene_rows(case, kernel, numbers, count))
-    compiles = engine == "numba"
-    loops = _loops(compiles)(kernel, rows, modes, cycles, loop_replacements(case.plants))
-    if case.plants:
-        run_event_plants(loops, case.plants, np.broadcast_to(numbers["plant"], (count,)), stopped, listed=not compiles)
+        modes = continuous_modes(case, count, cycles, with_force=forces, with_travel=travels)
+    listed = engine == "python"
+    rows = list(scene_rows(case, kernel, count))
+    loops = _loops(not listed)(kernel, rows, modes, cycles, loop_replacements(case.plants))
+    if case.linear is None:
+        which = np.broadcast_to(case.numbers["plant"], (count,))
+        run_event_plants(loops, case.plants, which, stopped, listed=listed)
     else:
-        loops.run(range(count), linear_plants(case, numbers, count, listed=not compiles), never_stopped)
+        loops.run(range(count), linear_plants(case.linear, listed=listed), never_stopped)
     sums, runs = _columns(loops.meters), _columns(loops.references)
     return sums | _compared(sums, runs, modes)
 

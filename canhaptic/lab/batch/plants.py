@@ -50,7 +50,6 @@ from canhaptic.sim.plant.assembly import PlantModel, collect
 from canhaptic.sim.plant.effort_forces import RIPPLE, Bristle, Effort, bend, mean_force
 from canhaptic.sim.plant.hybrid_automaton import PRODUCTS_EACH, HybridAutomaton
 from canhaptic.sim.plant.mode_arrays import Books, move
-from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import TICKS, flow_changes
 from canhaptic.sim.plant.splitting import fixed_point, mean_torque
 from canhaptic.sim.plant.stepper import COUNTS, EVENTS, LIMIT, MISSING, MODE, NONE, ModeTables, StepperSettings, run
@@ -509,7 +508,14 @@ _IN_ARRAYS: Final = ("viscous_friction", "tremor")
 """Effects whose place in the equation of motion is known here."""
 _ANY_NS: Final = 1_000_000
 """A sample time, where it does not matter [ns]."""
-_Numbers = dict[str, Array | float]
+
+
+class LinearMotion(NamedTuple):
+    """How many plants move, each by its own flow; n = 1 where all are the same. States: those of `Plant`."""
+
+    flows: Array  # state after a hold, shape (n, k, k)
+    starts: Array  # shape (n, k)
+    rates: Array | None  # rates of change where they are known in closed form, shape (n, k, k) [1/s]
 
 
 def is_linear(simulation: AxisSimulation) -> bool:
@@ -539,8 +545,10 @@ def why_not_events(model: PlantModel) -> str:
     return "" if modes <= _MOST_MODES else f"a plant of {modes} modes, expected {_MOST_MODES} at most"
 
 
-def plant_numbers(simulation: AxisSimulation, sample_time_ns: Array | float, varied: Mapping[str, Array]) -> _Numbers:
-    """Return start, flow and rates of many plants by the names of `BatchCase.numbers`; a coefficient of 0 is left out.
+def linear_motion(
+    simulation: AxisSimulation, sample_time_ns: Array | float, varied: Mapping[str, Array]
+) -> LinearMotion:
+    """Return how many plants move.
 
     Args:
         simulation: Common part of the scenes.
@@ -548,37 +556,15 @@ def plant_numbers(simulation: AxisSimulation, sample_time_ns: Array | float, var
         varied: Keys under `simulation.` -> value of each scene.
     """
     keys = {key: values for key, values in varied.items() if key.startswith("simulation.")}
-    known = all(effect.name in (*_IN_ARRAYS, *SIGNAL_EFFECTS) for effect in simulation.effects)
-    rates: Array | None = None
-    if known:
-        rates, start = _in_arrays(simulation, keys)
-    if not keys and isinstance(sample_time_ns, float):
-        plant = _plant(simulation, int(sample_time_ns))
-        flows, start = plant.whole_flow()[None], plant.initial_state()[None]
-    elif rates is None:
-        flows, start = _one_by_one(simulation, sample_time_ns, keys)
-    else:
-        flows = np.eye(rates.shape[-1]) + flow_changes(
-            rates * np.reshape(np.asarray(sample_time_ns) * 1e-9, (-1, 1, 1))
-        )
-    begin: _Numbers = {f"start.{row}": _shared(start[:, row]) for row in range(flows.shape[-1] - 2)}
-    return begin | _named("flow", flows) | ({} if rates is None else _named("rate", rates))
-
-
-def _named(name: str, matrices: Array) -> _Numbers:
-    """Return the entries of the rows of the states that are not 0 everywhere."""
-    size = matrices.shape[-1]
-    places = [(row, column) for row in range(size - 2) for column in range(size)]
-    return {f"{name}.{i}.{j}": _shared(matrices[:, i, j]) for i, j in places if matrices[:, i, j].any()}
-
-
-def _shared(values: Array) -> Array | float:
-    """One number where all scenes share it."""
-    return float(values[0]) if (values == values[0]).all() else np.ascontiguousarray(values)
-
-
-def _plant(simulation: AxisSimulation, sample_time_ns: int) -> Plant:
-    return build_plant(simulation, sample_time_ns)
+    is_known = all(effect.name in (*_IN_ARRAYS, *SIGNAL_EFFECTS) for effect in simulation.effects)
+    rates, starts = _in_arrays(simulation, keys) if is_known else (None, None)
+    if rates is not None and (keys or not isinstance(sample_time_ns, float)):
+        steps = rates * np.reshape(np.asarray(sample_time_ns) * 1e-9, (-1, 1, 1))
+        return LinearMotion(np.eye(rates.shape[-1]) + flow_changes(steps), cast(Array, starts), rates)
+    distinct, which = distinct_plants(simulation, sample_time_ns, keys)
+    plants = [build_plant(*values) for values in distinct]
+    flows, starts = np.array([p.whole_flow() for p in plants]), np.array([p.initial_state() for p in plants])
+    return LinearMotion(flows[which], starts[which], rates)
 
 
 def _in_arrays(simulation: AxisSimulation, keys: Mapping[str, Array]) -> tuple[Array, Array]:
@@ -620,12 +606,3 @@ def _in_arrays(simulation: AxisSimulation, keys: Mapping[str, Array]) -> tuple[A
         start[:, sine], start[:, cosine] = np.sin(phase), np.cos(phase)
     force /= np.reshape(plant["mass"], (-1, 1))
     return rates, start
-
-
-def _one_by_one(
-    simulation: AxisSimulation, sample_time_ns: Array | float, keys: Mapping[str, Array]
-) -> tuple[Any, Any]:
-    distinct, which = distinct_plants(simulation, sample_time_ns, keys)
-    plants = [_plant(*values) for values in distinct]
-    flows, start = np.array([p.whole_flow() for p in plants]), np.array([p.initial_state() for p in plants])
-    return flows[which], start[which]

@@ -6,7 +6,7 @@ import numpy as np
 
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.environments.environment import plain
-from canhaptic.lab.batch.cases import BatchCase, loop_in_arrays
+from canhaptic.lab.batch.cases import BatchCase
 from canhaptic.lab.batch.closed_loop import commanded, measured
 from canhaptic.lab.batch.scalar import loop_settings
 from canhaptic.lab.figures.figures import METRICS, metrics_of, sums_of
@@ -15,7 +15,7 @@ from canhaptic.lab.loop.axis_loop import LoopCase
 from canhaptic.registry import load
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
-from tools.bench.standard_cases import standard_case
+from tools.bench.standard_cases import loop_in_arrays, standard_case
 
 PLANT = PlantParameters(mass=0.25, damping=0.1, initial_position=0.002)
 USER = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=4.0))
@@ -57,9 +57,9 @@ def with_floats(case: LoopCase, batch: BatchCase, cycles: int, last: int = 0) ->
         cycles: SYNCs.
         last: Those of the whole run, where they are not all run.
     """
-    flow: Any = batch.numbers
-    states = batch.size - 2
-    state = [float(flow[f"start.{i}"]) for i in range(states)]
+    assert batch.linear is not None
+    flow, states = batch.linear.flows[0].tolist(), batch.linear.starts.shape[1] - 2
+    state = batch.linear.starts[0, :states].tolist()
     controller, loop, meter = case.controller(), loop_settings(case, last or cycles), Meter()
     held = waiting = interaction = before = 0.0
     for k in range(cycles):
@@ -69,7 +69,7 @@ def with_floats(case: LoopCase, batch: BatchCase, cycles: int, last: int = 0) ->
             for row in range(states):
                 total = 0.0
                 for column in range(states + 2):
-                    total += flow.get(f"flow.{row}.{column}", 0.0) * known[column]
+                    total += flow[row][column] * known[column]
                 state.append(total)
         interaction -= held * (state[0] - before)
         before = state[0]

@@ -7,7 +7,7 @@ import pytest
 
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.lab.batch import ALL, CONTINUOUS, METRICS, run_batch, run_scalar, scene_with
-from canhaptic.lab.batch.cases import continuous_modes, loop_in_arrays, why_not_continuous
+from canhaptic.lab.batch.cases import continuous_modes, why_not_continuous
 from canhaptic.lab.batch.closed_loop import ReferenceState, begin_reference, follow_hold
 from canhaptic.lab.batch.marching import march, reference_memory_of
 from canhaptic.lab.figures.figures import figures
@@ -19,7 +19,7 @@ from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tests.lab.batch.loops import PLANT, in_arrays, scalar_case
 from tests.lab.batch.test_scenes import demo, many
-from tools.bench.standard_cases import standard_case
+from tools.bench.standard_cases import loop_in_arrays, standard_case
 
 USER = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=1.0))
 BASES: dict[str, dict[str, Any]] = {
@@ -58,7 +58,7 @@ def drawn(world: str, scenes: int, seed: int) -> tuple[dict[str, Any], dict[str,
 
 def followed(batch, scenes: int, cycles: int) -> tuple[Any, Any, Any]:
     """Returns positions and mean torques at every SYNC but the first, (cycles - 1, scenes), and variations."""
-    modes = continuous_modes(batch, batch.numbers, scenes, cycles, with_force=True, with_travel=True)
+    modes = continuous_modes(batch, scenes, cycles, with_force=True, with_travel=True)
     position, torque, variation = np.empty((cycles - 1, scenes)), np.empty((cycles - 1, scenes)), np.empty(scenes)
     for i in range(scenes):
         reference, memory = ReferenceState(), reference_memory_of(modes, i)

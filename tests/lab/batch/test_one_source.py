@@ -116,8 +116,10 @@ def test_what_is_no_number_ends_a_compiled_loop_as_it_ends_an_interpreted_one():
     pytest.importorskip("numba")
     case, _ = many("unprotected", 4)
     for stiffness, start in itertools.product((1e300, 1e3), (np.nan, np.inf, -np.inf, -1e-310, 5e-324, -0.0, -1e200)):
-        numbers = {**case.numbers, "environment.stiffness": np.full(4, stiffness), "start.0": np.full(4, start)}
-        spoilt = replace(case, numbers=numbers)
+        starts = case.linear.starts.copy()
+        starts[:, 0] = start
+        numbers = {**case.numbers, "environment.stiffness": np.full(4, stiffness)}
+        spoilt = replace(case, numbers=numbers, linear=case.linear._replace(starts=starts))
         first, second = (march(spoilt, 4, 20, engine, list(METRICS)) for engine in ("python", "numba"))
         for name in METRICS:
             np.testing.assert_array_equal(first[name], second[name], err_msg=f"{stiffness} {start} {name}")

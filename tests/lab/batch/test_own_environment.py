@@ -5,12 +5,12 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 import pytest
 
-from canhaptic.lab.batch.cases import NotBatchableError, loop_in_arrays
+from canhaptic.lab.batch.cases import NotBatchableError
 from canhaptic.lab.batch.marching import march
 from canhaptic.lab.figures.figures import METRICS
 from canhaptic.units import Parameters, quantity
 from tests.lab.batch.loops import PLANT, USER
-from tools.bench.standard_cases import standard_case
+from tools.bench.standard_cases import loop_in_arrays, standard_case
 
 
 class CenteringSpring(Parameters):

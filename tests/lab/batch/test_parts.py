@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from canhaptic.lab.batch.plants import plant_numbers
+from canhaptic.lab.batch.plants import linear_motion
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisSimulation
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
@@ -38,7 +38,7 @@ def test_flows_in_arrays_are_those_of_plants_made_one_by_one(effects):
     }
     period = np.rint(1e9 / 10.0 ** rng.uniform(1.6, 4.0, n))
     base = simulation(effects, stiffness=1.0, motion=SinusoidMotion(amplitude=0.01, frequency=1.0))
-    numbers = plant_numbers(base, period, varied)
+    motion = linear_motion(base, period, varied)
     for i in range(n):
         of_plant, of_user, of_motion = {}, {}, {}
         for key, values in varied.items():
@@ -48,17 +48,14 @@ def test_flows_in_arrays_are_those_of_plants_made_one_by_one(effects):
         user = UserParameters(**of_user, motion=SinusoidMotion(**of_motion))
         plant = Plant(PlantParameters(**of_plant), user, [e.parameters for e in base.effects], int(period[i]))
         flow, start = plant.whole_flow(), plant.initial_state()
+        assert motion.starts[i] == pytest.approx(start, abs=1e-15)
         for row in range(len(flow) - 2):
-            assert np.broadcast_to(numbers[f"start.{row}"], (n,))[i] == pytest.approx(start[row], abs=1e-15)
-            for column in range(len(flow)):
-                got = np.broadcast_to(numbers.get(f"flow.{row}.{column}", 0.0), (n,))[i]
-                assert got == pytest.approx(flow[row, column], rel=1e-11, abs=1e-13 * np.abs(flow[row]).max())
+            assert motion.flows[i, row] == pytest.approx(flow[row], rel=1e-11, abs=1e-13 * np.abs(flow[row]).max())
 
 
 def test_a_flow_does_not_depend_on_the_flows_beside_it():
     mass = np.array([1e-3, 0.3, 5.0])
     user = {"stiffness": 5000.0, "damping": 1.0}
-    together = plant_numbers(simulation(**user), np.full(3, 1e6), {"simulation.plant.mass": mass})
-    alone = plant_numbers(simulation(**user), np.full(2, 1e6), {"simulation.plant.mass": mass[1:]})
-    for name, values in alone.items():
-        np.testing.assert_array_equal(np.broadcast_to(values, (2,)), np.broadcast_to(together[name], (3,))[1:], name)
+    together = linear_motion(simulation(**user), np.full(3, 1e6), {"simulation.plant.mass": mass})
+    alone = linear_motion(simulation(**user), np.full(2, 1e6), {"simulation.plant.mass": mass[1:]})
+    np.testing.assert_array_equal(alone.flows, together.flows[1:])
