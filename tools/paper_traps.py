@@ -23,7 +23,7 @@ from canhaptic.control.passivity.hold_account import Axis, AxisMemory, Hold, Hol
 from canhaptic.control.passivity.internal_dissipation import InternalDissipation, solve
 from canhaptic.control.passivity.stored_model import Storage, StoredModelSettings, solve_balance
 from canhaptic.kernels.records import bound
-from canhaptic.lab.loop.axis_loop import render
+from canhaptic.lab.batch.scalar import render
 from tools.bench.standard_cases import (
     FIGURES_7_9,
     LEANING,

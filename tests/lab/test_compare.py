@@ -9,7 +9,6 @@ import pytest
 from rich.console import Console
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.ledger import Ledger
 from canhaptic.control.passivity import ALGORITHMS, build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import InputError, ParameterError
@@ -115,7 +114,9 @@ def test_what_the_continuous_axis_still_moves_is_no_limit_cycle():
     nothing = np.zeros(5000)
     reference = ContinuousReference(still + ring, nothing, 1.0, time, nothing, "")  # type: ignore[arg-type]
     position = still + 3.0 * ring
-    run = LoopRun(position, position, nothing, nothing, nothing, nothing, nothing, Ledger().summary(), 0.0, "")
+    rows = np.zeros((5000, 19))
+    rows[:, 1] = rows[:, 2] = position
+    run = LoopRun(rows)
     found = figures(SpringDamperWall(stiffness=1e3), run, reference, 1e-3)
     assert found["limit_cycle"] == pytest.approx(2e-4, rel=1e-2)
 

@@ -8,6 +8,7 @@ import pytest
 
 from canhaptic.control.environments.free_space import FreeSpace
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.figures.field_figures import (
     FIELD_FIGURES,
     _moved_in_a_hold,
@@ -20,7 +21,6 @@ from canhaptic.lab.figures.field_figures import (
     rendered_impedance,
     stiffest_walls,
 )
-from canhaptic.lab.loop.axis_loop import render
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tools.bench.standard_cases import standard_case

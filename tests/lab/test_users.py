@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.lab.loop.axis_loop import Recorder, render
+from canhaptic.lab.batch.scalar import render
+from canhaptic.lab.loop.axis_loop import Reach
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import UserParameters
 from tools.bench.standard_cases import standard_case
@@ -47,7 +48,7 @@ def test_no_user_exceeds_the_declared_force(name):
 
 def least(algorithm, user, stiffness, rate=1000.0, **options):
     case = standard_case(SpringDamperWall(stiffness=stiffness, damping=5.0), algorithm, rate, user, **options)
-    run = render(case, 1200, Recorder(furthest=50.0))
+    run = render(case, 1200, Reach(-50.0, 50.0))
     return run.least_interaction, float(np.abs(run.torque).max())
 
 

@@ -30,7 +30,9 @@ from canhaptic.control.certificates.scalar_bounds import (
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
-from canhaptic.lab.figures.contact_quality import (
+from canhaptic.lab.batch.scalar import render
+from canhaptic.lab.loop.axis_loop import Array, LoopCase, LoopRun
+from canhaptic.lab.studies.design.contact_quality import (
     Bench,
     Leaning,
     SlowHand,
@@ -39,7 +41,6 @@ from canhaptic.lab.figures.contact_quality import (
     largest_held,
     settling_time,
 )
-from canhaptic.lab.loop.axis_loop import Array, LoopCase, LoopRun, render
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.plant import PlantParameters
 from tools.bench.feel_best import rows_of

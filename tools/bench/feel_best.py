@@ -33,8 +33,8 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.control.certificates.scalar_bounds import displacement_response, renderable_by_hand_force
-from canhaptic.lab.figures.contact_quality import Leaning
 from canhaptic.lab.loop.axis_loop import Array
+from canhaptic.lab.studies.design.contact_quality import Leaning
 from tools.bench.report import Row
 
 _STEPS: Final = 100_000

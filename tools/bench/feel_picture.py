@@ -6,8 +6,8 @@ import numpy as np
 
 from canhaptic.control.certificates.scalar_bounds import displacement_response, start_energy
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.lab.figures.contact_quality import SlowHand, certified_rest, enter
-from canhaptic.lab.loop.axis_loop import render
+from canhaptic.lab.batch.scalar import render
+from canhaptic.lab.studies.design.contact_quality import SlowHand, certified_rest, enter
 from tools.bench import feel
 from tools.bench.report import picture_place
 from tools.bench.standard_cases import USER_S, standard_case, standard_reference

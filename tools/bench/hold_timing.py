@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from canhaptic.control.certificates.scalar_bounds import displacement_response, hold_timing, renderable_by_hand_force
 from canhaptic.input_file import shipped
-from canhaptic.lab.figures.contact_quality import Bench, Leaning, largest_held, settling_time
+from canhaptic.lab.studies.design.contact_quality import Bench, Leaning, largest_held, settling_time
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.effects.current_loop import CurrentLoop
 from canhaptic.sim.plant.plant import PlantParameters

@@ -18,8 +18,9 @@ import numpy as np
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.stored_model import solve_balance
+from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.figures.figures import figures
-from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Recorder, microseconds_per_step, render
+from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Reach, microseconds_per_step
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters
 from tools.bench.report import Row, publish
@@ -83,7 +84,7 @@ def sweep(algorithm: str, delay: int, every: int = 1, **options: float) -> Itera
     chosen: dict[str, Any] = {"hand_force": HAND_FORCE, **options}
     for rate, wall, (user, seed) in list(itertools.product(RATES, walls, users))[::every]:
         case = standard_case(wall, algorithm, rate, user, delay=delay, seed=seed, **chosen)
-        yield render(case, cycles_at(rate), Recorder(furthest=50.0))
+        yield render(case, cycles_at(rate), Reach(-50.0, 50.0))
 
 
 def hand_force() -> Iterator[Row]:

@@ -13,9 +13,9 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.input_file import shipped
-from canhaptic.lab.batch.scalar import run_case
+from canhaptic.lab.batch.scalar import render, run_case
 from canhaptic.lab.figures.field_figures import m_width
-from canhaptic.lab.loop.axis_loop import LoopRun, environment_of, loop_case, render
+from canhaptic.lab.loop.axis_loop import LoopRun, environment_of, loop_case
 from canhaptic.lab.studies.arena import rounded, with_loop
 from canhaptic.lab.studies.map import colgate_stiffness
 from canhaptic.scene.load import load_scene

@@ -38,7 +38,7 @@ from canhaptic.lab.batch.plants import (
 from canhaptic.lab.batch.varied import scene_with, split_key
 from canhaptic.lab.figures.figures import CONTINUOUS, last_rows
 from canhaptic.lab.figures.meter import MeterSettings
-from canhaptic.lab.loop.axis_loop import FURTHEST, Array, LoopCase, loop_case
+from canhaptic.lab.loop.axis_loop import EVERYWHERE, Array, LoopCase, Reach, loop_case
 from canhaptic.lab.reference import readings_per_hold
 from canhaptic.registry import load
 from canhaptic.scene.models import AxisSimulation, Scene
@@ -70,7 +70,7 @@ class BatchCase:
     plants: Sequence[PlantValues] = ()  # with events, each distinct one once
     signals: SignalEffects = field(default_factory=SignalEffects)
     losses: Losses = field(default_factory=Losses)  # of frames
-    furthest: float = FURTHEST
+    reach: Reach = EVERYWHERE
 
     def number(self, section: str, name: str, absent: float = 0.0) -> Array | float:
         """Value of a field of a model, varied or not."""
@@ -159,7 +159,7 @@ def loops_of(case: BatchCase, count: int) -> list[LoopSettings]:
     columns = (np.broadcast_to(value, (count if varies else 1,)).tolist() for value in values.values())
     rows = [
         LoopSettings(
-            common.delay, counts, quantum, limit, case.furthest,
+            common.delay, counts, quantum, limit, *case.reach,
             MeterSettings(last_from, damping, common.device_friction, brief == 1.0), case.signals.at(time, int(seed)),
             replace(case.losses, seed=int(seed)),
         )

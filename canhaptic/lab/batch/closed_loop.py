@@ -1,8 +1,7 @@
 """One plant and one controller in one loop, from SYNC to SYNC: a kernel, and its parts shared with other loops.
 
-The order and the rounding are those of `direct_rig.DirectRig` and `canhaptic.lab.loop.axis_loop.render`. A linear
-plant moves by the exact flow of one hold, its rows summed term by term; for one with events `event_plant` takes its
-place.
+The order and the rounding are those of `direct_rig.DirectRig`. A linear plant moves by the exact flow of one hold, its
+rows summed term by term; for one with events `plants.EventPlant` takes its place, and for any other the plant itself.
 
 The continuous environment of one loop, from SYNC to SYNC: a kernel.
 
@@ -284,7 +283,8 @@ class LoopSettings:
     counts_per_unit: float = 0.0  # of the encoder; 0: ideal
     torque_quantum: float = 0.0  # step of the command; 0: ideal [N or N*m]
     torque_limit: float = inf  # of the drive [N or N*m]
-    furthest: float = inf  # distance from the origin that counts as divergence [m or rad]
+    lowest: float = -inf  # position from which on it counts as divergence [m or rad]
+    highest: float = inf
     meter: MeterSettings = field(default_factory=MeterSettings)
     signals: Signals = field(default_factory=Signals)
     losses: Losses = field(default_factory=Losses)
@@ -361,6 +361,11 @@ def read(signals: Signals, cycle: int, position: float) -> float:
     if signals.encoder_step > 0.0:
         position = round(position / signals.encoder_step) * signals.encoder_step
     return position
+
+
+def encoder(plant: LinearPlant, signals: Signals, cycle: int, position: float) -> float:
+    """Return what the encoder of a plant reads of its position [m or rad]."""
+    return read(signals, cycle, position)
 
 
 def commanded(loop: LoopSettings, torque: float) -> float:
@@ -460,10 +465,10 @@ def run_loop(
         if not place.is_heard:
             run.state.axis.missed += 1
             miss(environment, loop.meter, meter, cycle, true_position, place.held, place.interaction)
-        elif not answer(environment, run, loop, meter, place, true_position, cycle):
+        elif not answer(environment, run, loop, meter, plant, place, true_position, cycle):
             diverge(meter)
             break
-        if not -loop.furthest < true_position < loop.furthest:
+        if not loop.lowest < true_position < loop.highest:
             diverge(meter)
             break
         hand_over(loop, place)
@@ -479,12 +484,12 @@ def advance(loop: LoopSettings, plant: LinearPlant, place: CycleState, cycle: in
 
 
 def answer(
-    environment: Environment, run: AxisRun, loop: LoopSettings, meter: Meter, place: CycleState, true_position: float,
-    cycle: int,
+    environment: Environment, run: AxisRun, loop: LoopSettings, meter: Meter, plant: LinearPlant, place: CycleState,
+    true_position: float, cycle: int,
 ) -> bool:  # fmt: skip
     """Let the controller answer a SYNC; return False if its input or output is not finite."""
     held = place.held
-    position = read(loop.signals, cycle, true_position)
+    position = encoder(plant, loop.signals, cycle, true_position)
     position = measured(loop, position) if isfinite(position) else position
     if not isfinite(position - run.state.axis.position + held):
         return False

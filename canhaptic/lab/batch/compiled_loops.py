@@ -2,17 +2,13 @@
 
 The loop of a group compiled by numba, its motors and its controller in one; needs the extra `fast`.
 
-One loop compiled with its plant, with a record of every SYNC: for studies that need rows and not sums.
-
-Each SYNC is written into a row, and the rows are passed to the recorder of the loop that Python runs. A
-linear plant moves by sums in another order than in `Plant`, so that numbers differ from those of `loop.render` by
-rounding; where the last bit counts, take that.
+For studies that need rows and not sums, each SYNC is written into a row. A linear plant moves by sums in another order
+than in `Plant`, so that numbers differ from those of `scalar.render` by rounding; where the last bit counts, take that.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from math import inf
 from operator import attrgetter
 from typing import Any, Final, cast
 
@@ -22,10 +18,10 @@ from numpy.typing import NDArray
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.environment import Environment, tuple_type
-from canhaptic.control.multi_axis.group_kernel import GroupKernel
+from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel
 from canhaptic.control.multi_axis.group_motion import GroupModel, GroupMotion, why_not_world
 from canhaptic.errors import EventLimitError, InputError, ParameterError
-from canhaptic.kernels import Buffer, Kernel, Matrix, Run, new
+from canhaptic.kernels import Buffer, Kernel, Matrix, Run
 from canhaptic.kernels.compiler import compiled, fixed_tuple
 from canhaptic.kernels.records import Records, arrays_of, record_of, records_of
 from canhaptic.lab.batch.cases import (
@@ -52,11 +48,11 @@ from canhaptic.lab.batch.closed_loop import (
     run_loop,
     step,
 )
-from canhaptic.lab.batch.group_loop import GroupCase, GroupMeter, LinearMotors, run_group
+from canhaptic.lab.batch.group_loop import GroupCase, GroupMeter, GroupRig, GroupRoom, run_group, take_group
 from canhaptic.lab.batch.group_loop import step as step_group
 from canhaptic.lab.batch.plants import CALLS, Plants, Stopped, loop_replacements, never_stopped, run_event_plants
 from canhaptic.lab.figures.meter import Meter, MeterSettings, compare, diverge, miss, take
-from canhaptic.lab.loop.axis_loop import Array, DivergedError, LoopCase, LoopRun, Recorder
+from canhaptic.lab.loop.axis_loop import Array, LoopCase, Reach
 from canhaptic.sim.plant import stepper
 from canhaptic.sim.plant.effects.encoder_noise import gaussian, noise, uniform
 
@@ -273,10 +269,10 @@ def run_records(
     world: GroupModel, tables: Records, settings: Records, states: Records, memories: Records, rig: Records,
     motors: Any, room: Records, followed: Records, meters: Records, rows: Any, cycles: int,
 ) -> None:  # fmt: skip
-    """Call `run_group` with records of shape (1,)."""
+    """Call `run_group` with records, of shape (1,) but for the motors."""
     whole = GroupModel(world.mechanism, world.geometry, world.mover, tables[0], world.functions)
     run_group(
-        whole, settings[0], states[0], memories[0], rig[0], motors[0], room[0], followed[0], meters[0], rows, cycles
+        whole, settings[0], states[0], memories[0], rig[0], motors, room[0], followed[0], meters[0], rows, cycles
     )  # fmt: skip
 
 
@@ -285,13 +281,6 @@ def _compiled_loop(kernel: GroupKernel, parts: tuple[type, ...], replaced: tuple
     """Return `run_records` compiled once in a process for each size of group."""
     instead = {step_group: kernel.step, noise: compiled_noise, uniform: compiled_uniform, **dict(replaced)}
     return compiled(run_records, instead, keep=True, parts=parts, units=(kernel.step, stepper.run))
-
-
-def _motors(motors: Any) -> tuple[Any, dict[object, object]]:
-    """The motors at their start, and the functions that they replace in the loop."""
-    if isinstance(motors, LinearMotors):
-        return record_of(motors), {}
-    return (motors.made(listed=False),), motors.replacements()
 
 
 def run_compiled(case: GroupCase, cycles: int, rows: Array, instead: Mapping[object, object]) -> GroupMeter:
@@ -305,13 +294,12 @@ def run_compiled(case: GroupCase, cycles: int, rows: Array, instead: Mapping[obj
     """
     world = case.world
     bare, tables = compiled_world(world)
-    motors, replaced = _motors(case.motors)
     parts = type(world.mechanism), type(world.geometry), type(world.functions)
-    run = _compiled_loop(case.kernel, parts, (*replaced.items(), *instead.items()))
+    run = _compiled_loop(case.kernel, parts, (*case.motors.replacements().items(), *instead.items()))
     meters = records_of([GroupMeter()])
     run(
         bare, tables, record_of(case.settings), records_of([case.kernel.state()]),
-        record_of(case.kernel.memory(world, case.settings)), record_of(case.rig), motors,
+        record_of(case.kernel.memory(world, case.settings)), record_of(case.rig), case.motors.made(listed=False),
         record_of(case.room()), records_of([GroupMotion()]), meters, rows, cycles,
     )  # fmt: skip
     found = GroupMeter()
@@ -328,21 +316,33 @@ def _fill(into: object, record: Any) -> None:
             setattr(into, name, record[name].item())
 
 
-_OWN: Final = 4  # numbers of a row in front of those of the balance
-_BRANCH, _CERTIFICATE = (EnergyBalance._fields.index(name) for name in ("branch", "certificate"))
+def write(row: Buffer, at: int, balance: EnergyBalance) -> None:
+    """Write a balance into a row."""
+    row[at], row[at + 1], row[at + 2], row[at + 3] = balance.torque, balance.h_i, balance.h_pas, balance.h_m
+    row[at + 4], row[at + 5], row[at + 6], row[at + 7] = balance.h_r, balance.h_s, balance.h_dis, balance.gen
+    row[at + 8], row[at + 9], row[at + 10] = balance.deficit, balance.leak, balance.paid
+    row[at + 11], row[at + 12] = balance.branch, balance.damping_rendered
+    row[at + 13], row[at + 14] = balance.certificate, balance.state
 
 
 def keep(
     environment: Environment, settings: MeterSettings, rows: Matrix, cycle: int, position: float,
     true_position: float, torque: float, interaction: float, balance: EnergyBalance,
 ) -> None:  # fmt: skip
-    """Replace `meter.take`: write a row."""
+    """Replace `meter.take`: write a row in the order of `LoopRun.rows`."""
     row = rows[cycle]
-    row[0], row[1], row[2], row[3] = position, true_position, torque, interaction
-    row[4], row[5], row[6], row[7], row[8] = balance.torque, balance.h_i, balance.h_pas, balance.h_m, balance.h_r
-    row[9], row[10], row[11], row[12], row[13] = balance.h_s, balance.h_dis, balance.gen, balance.deficit, balance.leak
-    row[14], row[15], row[16], row[17] = balance.paid, balance.branch, balance.damping_rendered, balance.certificate
-    row[18] = balance.state
+    row[0], row[1], row[2], row[3] = interaction, position, true_position, torque
+    write(row, 4, balance)
+
+
+def keep_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, hold: GroupHold) -> None:
+    """Replace `take_group`: write a row."""
+    row, motors = rows[int(meter.figures.cycles)], len(room.held)
+    meter.figures.cycles += 1.0
+    row[0] = meter.supplied - meter.work
+    for i in range(motors):
+        row[1 + i], row[1 + motors + i], row[1 + 2 * motors + i] = room.seen[i], room.true[i], room.held[i]
+    write(row, 1 + 3 * motors, hold.account)
 
 
 def compare_nothing(
@@ -370,44 +370,29 @@ _KEEPING: Final[dict[object, object]] = {
 }
 
 
-def render_compiled(
-    case: LoopCase, cycles: int, recorder: Recorder, progress: Callable[[], None] | None = None
-) -> LoopRun:
-    """Run a case compiled; see `loop.render`.
+def compiled_group_rows(case: GroupCase, cycles: int) -> Array:
+    """Rows of all SYNCs of a group up to the end of its loop; see `LoopRun.rows`."""
+    rows = np.empty((cycles, 1 + 3 * len(case.rig.loops) + len(EnergyBalance._fields)))
+    return rows[: int(run_compiled(case, cycles, rows, {take_group: keep_group}).figures.cycles)]
+
+
+def compiled_rows(case: LoopCase, cycles: int, reach: Reach) -> Array:
+    """Rows of all SYNCs of one axis up to the end of its loop; see `LoopRun.rows`.
 
     Args:
         case: Case for which `cases.why_not_compiled` is "".
         cycles: SYNCs.
-        recorder: Defines divergence.
-        progress: Called once per cycle when the loop is over; may raise.
+        reach: Positions that do not count as divergence.
 
-    EventLimitError: The plant had more events in one sample time than allowed.
+    Raises:
         EventLimitError: The plant had more events in one sample time than are allowed.
         NotBatchableError: numba cannot compile the environment.
-        ParameterError: The algorithm needs a value that its loop does not give.
     """
-    case.controller()  # refuses what cannot be built
-    for position, true_position, torque, interaction, *booked in _rows(case, cycles).tolist():
-        booked[_BRANCH], booked[_CERTIFICATE] = int(booked[_BRANCH]), int(booked[_CERTIFICATE])
-        try:
-            recorder.take(position, true_position, torque, new(EnergyBalance, booked), 0.0 - interaction)
-        except DivergedError:
-            return recorder.run("diverged")._replace(engine="numba")
-        if progress is not None:
-            progress()
-    run = recorder.run()
-    if len(run.position) < cycles:
-        run = run._replace(ended="stopped", reason="a position or a torque is not finite")
-    return run._replace(engine="numba")
-
-
-def _rows(case: LoopCase, cycles: int) -> Array:
-    """Rows of all SYNCs up to the end of the loop."""
-    batch, kernel = replace(many_loops(case, {}, {}), furthest=inf), cast(Kernel, kernel_of(case.algorithm))
+    batch, kernel = replace(many_loops(case, {}, {}), reach=reach), cast(Kernel, kernel_of(case.algorithm))
     rows = [*scene_rows(batch, kernel, 1)]
     instead: dict[object, object] = {**_KEEPING, **loop_replacements(batch.plants)}
     loops = CompiledLoops(kernel, rows, no_modes(1), cycles, instead)
-    loops.meters = np.full((1, cycles, _OWN + len(EnergyBalance._fields)), np.nan)
+    loops.meters = np.full((1, cycles, 4 + len(EnergyBalance._fields)), np.nan)
     if batch.linear is None:
         stopped: dict[int, EventLimitError] = {}
         run_event_plants(loops, batch.plants, np.zeros(1), stopped, listed=False)

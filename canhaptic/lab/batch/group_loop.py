@@ -22,7 +22,6 @@ Models of the motors of a group for its loop: one flow, the stepper, or a five-b
 The one group of a scene in kernel form: environment, algorithm and motors.
 """
 
-from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, isfinite, sqrt
@@ -33,7 +32,7 @@ import numpy as np
 from canhaptic.control.balance import RANKS, Branch
 from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
-from canhaptic.control.multi_axis.group_controller import GroupBalance, GroupController, NetworkEnvironment
+from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
 from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel
 from canhaptic.control.multi_axis.group_motion import (
     GroupModel,
@@ -50,11 +49,10 @@ from canhaptic.control.multi_axis.group_motion import (
     world_of,
     write_efforts,
 )
-from canhaptic.errors import ControlError
 from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, new
-from canhaptic.kernels.records import arrays_of, records_of
+from canhaptic.kernels.records import arrays_of, record_of, records_of
 from canhaptic.lab.batch import plants as event_plant
-from canhaptic.lab.batch.closed_loop import LoopSettings, acting, commanded, measured, read
+from canhaptic.lab.batch.closed_loop import LoopSettings, Signals, acting, commanded, measured, read
 from canhaptic.lab.batch.plants import (
     EventModes,
     EventPlant,
@@ -72,10 +70,10 @@ from canhaptic.lab.batch.plants import (
     works_are_booked,
 )
 from canhaptic.lab.figures.meter import Meter, count_branch, take_energy
-from canhaptic.lab.loop.axis_loop import FURTHEST, DivergedError, LoopRun, Recorder, mechanism_of_group
+from canhaptic.lab.loop.axis_loop import FURTHEST, mechanism_of_group
 from canhaptic.registry import load
 from canhaptic.scene.models import AxisScene, MechanismScene, Scene
-from canhaptic.scene.parts import build_group, build_mechanism, build_plant, check_group, loop_as_known
+from canhaptic.scene.parts import build_mechanism, build_plant, check_group, loop_as_known
 from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant import splitting, stepper
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
@@ -114,6 +112,14 @@ class LinearMotors(NamedTuple):
     state: Buffer  # [states..., torques..., 1]
     moved: Buffer  # buffer for the states
     places: Indices  # of the positions of the motors in the state
+
+    def made(self, *, listed: bool) -> Any:
+        """The motors at their start; see `EventMotorsPlan.made`."""
+        return self._replace(state=list(self.state)) if listed else record_of(self)[0]
+
+    def replacements(self) -> dict[object, object]:
+        """Replacements in the loop of a group."""
+        return {}
 
 
 class GroupRoom(NamedTuple):
@@ -539,8 +545,9 @@ _PER_MILLE: Final = 1e-3
 
 
 class Motors(NamedTuple):
-    """The motors of a group."""
+    """The motors of a group, as plants of their own or a mechanism."""
 
+    sample_time_ns: int
     positions: Callable[[], Sequence[float]]  # true
     velocities: Callable[[], Sequence[float]]  # true
     encoders: Callable[[], Sequence[float]]  # the positions after the effects of encoders
@@ -549,50 +556,24 @@ class Motors(NamedTuple):
     user_work: Callable[[], float]  # of all hands since the start [J]
     evaluations: Callable[[], int]  # of the equations of motion since the start
 
+    def made(self, *, listed: bool) -> "Motors":
+        """The motors at their start."""
+        return self
 
-class GroupSync(NamedTuple):
-    """One SYNC of a group; positions and torques of every motor."""
-
-    seen: Sequence[float]  # positions as the controller saw them [m or rad]
-    true: Sequence[float]  # positions [m or rad]
-    held: tuple[float, ...]  # torques in the hold that ended [N or N*m]
-    balance: GroupBalance
-    interaction: float  # true energy that came in by motors and mover since the start [J]
+    def replacements(self) -> dict[object, object]:
+        """Replacements in the loop of a group."""
+        return {move_motors: move_objects}
 
 
-def _run_group_loop(
-    scene: Scene, cycles: int, take: Callable[[GroupSync], None], controller: GroupController | None = None
-) -> None:
-    """Run the one group of a scene.
-
-    Args:
-        scene: Scene with one group, alone.
-        cycles: SYNCs.
-        take: Called at every SYNC; may raise to end the run.
-        controller: Controller at rest; None: that of the scene.
-
-    Raises:
-        InputError: The motors of the group are not simulated, or move with others.
-        ParameterError: The group cannot be built.
-        ControlError: The controller saw or computed a number that is not finite.
-    """
-    (group,) = scene.groups
-    axes = [scene.axis(name) for name in group.axes]
-    controller = controller or build_group(scene, group)
-    motors, period = motors_of(scene, axes), scene.bus.sample_time_ns
-    loops = [loop_of(axis, scene.bus.delay) for axis in axes]
-    nothing = (0.0,) * len(axes)
-    held, waiting, supplied = nothing, nothing, 0.0
-    for cycle in range(cycles):
-        if cycle:
-            motors.advance_to(cycle * period, held)
-        true = motors.positions()
-        seen = [measured(loop, at) for loop, at in zip(loops, motors.encoders(), strict=True)]
-        balance = controller.step(seen, held)
-        supplied += balance.supplied
-        take(GroupSync(seen, true, held, balance, supplied - motors.work()))
-        sent = tuple([commanded(loop, torque) for loop, torque in zip(loops, balance.torques, strict=True)])
-        held, waiting = (waiting, sent) if scene.bus.delay else (sent, nothing)
+def move_objects(motors: Motors, room: GroupRoom, cycle: int) -> float:
+    """Replace `move_motors`."""
+    before = motors.work()
+    if cycle:
+        motors.advance_to(cycle * motors.sample_time_ns, tuple(room.held))
+    for i, at in enumerate(motors.positions()):
+        arrive(room, i, at, cycle)
+    room.read[:] = motors.encoders()
+    return motors.work() - before
 
 
 def loop_of(axis: AxisScene, delay: int) -> LoopSettings:
@@ -619,6 +600,7 @@ def motors_of(scene: Scene, axes: Sequence[AxisScene]) -> Motors:
         return [mechanism.positions[at] for at in place]
 
     return Motors(
+        scene.bus.sample_time_ns,
         positions,
         lambda: [mechanism.velocities[at] for at in place],
         positions,
@@ -639,6 +621,7 @@ def _own_plants(scene: Scene, axes: Sequence[AxisScene]) -> Motors:
     for plant in plants:
         plant.begin(0)
     return Motors(
+        scene.bus.sample_time_ns,
         lambda: [plant.position for plant in plants],
         lambda: [plant.velocity for plant in plants],
         lambda: [plant.encoder_position for plant in plants],
@@ -649,56 +632,6 @@ def _own_plants(scene: Scene, axes: Sequence[AxisScene]) -> Motors:
     )
 
 
-class GroupRecorder(Recorder):
-    """Records every SYNC of a group; positions and torques are of shape (n, axes).
-
-    Args:
-        axes: Number of motors.
-        furthest: Distance from the origin that counts as divergence [m or rad].
-        tick: Called at every SYNC.
-    """
-
-    def __init__(self, axes: int, furthest: float = FURTHEST, tick: Callable[[], None] = lambda: None) -> None:
-        super().__init__()
-        self._axes, self._furthest, self._tick = axes, furthest, tick
-        self._seen, self._true, self._held = array("d"), array("d"), array("d")
-
-    def take_group(self, hold: GroupSync) -> None:
-        """Take one SYNC.
-
-        Raises:
-            DivergedError: A position is not finite, or farther away than any user moved it.
-        """
-        self.take(0.0, 0.0, sqrt(sum(torque * torque for torque in hold.held)), hold.balance.account, -hold.interaction)
-        self._seen.extend(hold.seen)
-        self._true.extend(hold.true)
-        self._held.extend(hold.held)
-        self._tick()
-        if not all(abs(at) < self._furthest for at in hold.true):
-            raise DivergedError(f"the group is at {tuple(hold.true)}, expected within {self._furthest:g}")
-
-    def run(self, ended: str = "", reason: str = "") -> LoopRun:
-        """Return everything recorded so far; see `Recorder`."""
-        seen, true, held = (np.array(flat).reshape(-1, self._axes) for flat in (self._seen, self._true, self._held))
-        return super().run(ended, reason)._replace(position=seen, true_position=true, torque=held)
-
-
-def render_group(scene: Scene, cycles: int, recorder: GroupRecorder) -> LoopRun:
-    """Run the one group of a scene; a run that diverges or fails ends early and is marked so.
-
-    Raises:
-        InputError: The motors of the group are not simulated, or move with others.
-        ParameterError: The group cannot be built.
-    """
-    try:
-        _run_group_loop(scene, cycles, recorder.take_group)
-    except DivergedError:
-        return recorder.run("diverged")
-    except ControlError as error:
-        return recorder.run("stopped", str(error))
-    return recorder.run()
-
-
 class GroupCase(NamedTuple):
     """One group in kernel form."""
 
@@ -707,13 +640,18 @@ class GroupCase(NamedTuple):
     settings: Any
     rig: GroupRig
     motors: LinearMotors | EventMotorsPlan | FiveBarPlan | Motors
-    period: int  # [ns]
     why_not: str = ""  # reason by name why its loop cannot be compiled; "" where it can
 
     @property
     def is_compilable(self) -> bool:
         """Whether its loop can be compiled."""
         return not self.why_not
+
+    def with_objects(self, scene: Scene) -> "GroupCase":
+        """Return the same group with plants as objects, which have their effects themselves."""
+        axes = [scene.axis(name) for name in scene.groups[0].axes]
+        bare = [replace(loop, signals=Signals()) for loop in self.rig.loops]
+        return self._replace(motors=motors_of(scene, axes), rig=self.rig._replace(loops=bare))
 
     def room(self) -> GroupRoom:
         """Return buffers of zeros."""
@@ -748,10 +686,10 @@ def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
         scene.bus.delay, [_with_effects(loop_of(axis, scene.bus.delay), axis, time) for axis in axes],
         [(axis.loop.device_damping or 0.0) / time for axis in axes], FURTHEST, explains, motion_settings(world, exact),
     )  # fmt: skip
-    found, period = motors_in_loop(scene, axes), scene.bus.sample_time_ns
+    found = motors_in_loop(scene, axes)
     if isinstance(found, str):
-        return GroupCase(kernel, world, settings, rig, motors_of(scene, axes), period, found)
-    return GroupCase(kernel, world, settings, rig, found, period, why_not_world(world))
+        return GroupCase(kernel, world, settings, rig, cast(Motors, None), found).with_objects(scene)
+    return GroupCase(kernel, world, settings, rig, found, why_not_world(world))
 
 
 def _with_effects(loop: LoopSettings, axis: AxisScene, sample_time: float) -> LoopSettings:

@@ -12,75 +12,184 @@ NaN: a group has no position.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
-from math import inf, nan
-from typing import Any, Final
+from math import nan
+from typing import Any, Final, cast
 
 import numpy as np
 
 from canhaptic.control.balance import EnergyBalance
-from canhaptic.control.environments.environment import plain
-from canhaptic.control.multi_axis.group_controller import GroupBalance
+from canhaptic.control.environments.environment import Environment, plain
 from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel
 from canhaptic.control.multi_axis.group_motion import GroupMotion
+from canhaptic.control.passivity.hold_account import Axis
 from canhaptic.errors import CanHapticError, ControlError
-from canhaptic.kernels import Matrix, new, with_quick_fields
+from canhaptic.kernels import Run, with_quick_fields
 from canhaptic.kernels.records import bound
-from canhaptic.lab.batch.cases import NotBatchableError, why_not_compiled
-from canhaptic.lab.batch.closed_loop import LoopSettings, Signals
-from canhaptic.lab.batch.engine import ChosenEngine
-from canhaptic.lab.batch.group_loop import (
-    GroupCase,
-    GroupMeter,
-    GroupRecorder,
-    GroupRig,
-    GroupRoom,
-    GroupSync,
-    LinearMotors,
-    Motors,
-    arrive,
-    group_case,
-    move_motors,
-    render_group,
-    run_group,
+from canhaptic.lab.batch.cases import BatchCase, NotBatchableError, loops_of, why_not_compiled
+from canhaptic.lab.batch.closed_loop import (
+    AxisRun,
+    CycleState,
+    LoopSettings,
+    ReferenceMemory,
+    ReferenceSettings,
+    ReferenceState,
+    Signals,
+    encoder,
+    follow,
+    move_plant,
+    run_loop,
     step,
-    take_group,
+    work_in,
 )
+from canhaptic.lab.batch.engine import ChosenEngine
+from canhaptic.lab.batch.group_loop import GroupCase, GroupMeter, GroupRig, GroupRoom, group_case, run_group, take_group
+from canhaptic.lab.batch.group_loop import step as step_group
 from canhaptic.lab.batch.plants import PlantValues
 from canhaptic.lab.figures.figures import CONTINUOUS, METRICS, last_rows, metrics_of, sums_of, sums_of_continuous
-from canhaptic.lab.figures.meter import Meter, MeterSettings, compare, take
+from canhaptic.lab.figures.meter import Meter, MeterSettings, diverge, take
 from canhaptic.lab.loop.axis_loop import (
+    EVERYWHERE,
     FURTHEST,
-    Array,
-    DivergedError,
     LoopCase,
     LoopRun,
+    Reach,
     Recorder,
+    finished,
     loop_case,
     plant_parts,
-    render,
 )
 from canhaptic.lab.reference import ContinuousReference, continuous_reference
 from canhaptic.scene.models import Scene
-from canhaptic.sim.plant.direct_rig import DirectRig
+from canhaptic.sim.plant.plant import Plant
 
 _OF_A_SUBSTEP: Final = 4
 """Cost of a substep, whose force is found by a secant, over that of a cycle."""
 
 
+class ObjectPlant:
+    """A plant as an object, in the place of `LinearPlant`.
+
+    Args:
+        plant: Plant at its start.
+        sample_time_ns: Time between two SYNCs [ns].
+    """
+
+    def __init__(self, plant: Plant, sample_time_ns: int) -> None:
+        plant.begin(0)
+        self.of, self.period, self.state = plant, sample_time_ns, [plant.position]
+
+
+def move_object(plant: ObjectPlant, torque: float, cycle: int) -> bool:
+    """Replace `move_plant`."""
+    plant.of.advance_to(cycle * plant.period, torque)
+    plant.state[0] = plant.of.position
+    return True
+
+
+def object_work(plant: ObjectPlant, interaction: float, torque: float, travel: float) -> float:
+    """Replace `work_in`."""
+    return 0.0 - plant.of.energy().motor
+
+
+def object_encoder(plant: ObjectPlant, signals: Signals, cycle: int, position: float) -> float:
+    """Replace `encoder`."""
+    return plant.of.encoder_position
+
+
+def object_step(environment: Environment, run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
+    """Replace `step`: the memory is a controller."""
+    balance: EnergyBalance = run.memory.step(position, torque_applied)
+    return balance
+
+
+def known_reference(
+    settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory, cycle: int
+) -> float:
+    """Replace `follow`: the series are the positions and mean torques of a continuous run."""
+    positions, torques = memory.series
+    memory.state[0] = positions[cycle]
+    return torques[cycle]
+
+
+def record(
+    environment: Environment, settings: MeterSettings, recorder: Recorder, cycle: int, position: float,
+    true_position: float, torque: float, interaction: float, balance: EnergyBalance,
+) -> None:  # fmt: skip
+    """Replace `meter.take`: record a SYNC."""
+    recorder.take(interaction, (position,), (true_position,), (torque,), balance)
+
+
+def forget(recorder: Recorder) -> None:
+    """Replace `meter.diverge`: the rows end."""
+
+
+def _run(case: LoopCase, cycles: int, loop: LoopSettings, meter: Any, continuous: ContinuousReference | None) -> str:
+    """Run a loop with its plant and controller as they are; return why the controller stopped it."""
+    known = [] if continuous is None else [continuous.position.tolist(), continuous.torque.tolist()]
+    try:
+        _object_loop(isinstance(meter, Recorder))(
+            plain(case.environment), Run(None, _NoKernel(), case.controller()), loop, meter,
+            ObjectPlant(case.make_plant(), case.sample_time_ns), CycleState(), ReferenceSettings(exists=bool(known)),
+            ReferenceState(), ReferenceMemory((), (), [0.0], [], known), cycles,
+        )  # fmt: skip
+    except ControlError as error:
+        return str(error)
+    return ""
+
+
+@dataclass
+class _NoKernel:
+    """State of the axis of a controller that keeps its own."""
+
+    axis: Axis = field(default_factory=Axis)
+
+
+@lru_cache(maxsize=2)
+def _object_loop(is_recorded: bool) -> Callable[..., bool]:
+    """Return `run_loop` for objects, with a recorder or a meter."""
+    replaced: dict[object, object] = {
+        step: object_step, move_plant: move_object, work_in: object_work, encoder: object_encoder,
+        follow: known_reference,
+    }  # fmt: skip
+    if is_recorded:
+        replaced |= {take: record, diverge: forget}
+    return bound(run_loop, replaced)
+
+
+def render(
+    case: LoopCase, cycles: int, reach: Reach = EVERYWHERE, progress: Callable[[], None] | None = None
+) -> LoopRun:
+    """Run a case from the plant's initial state; a run that diverges or fails ends early and is marked so.
+
+    Args:
+        case: Case to run.
+        cycles: SYNCs.
+        reach: Positions that do not count as divergence.
+        progress: Called once per cycle; must be cheap.
+
+    Raises:
+        EventLimitError: The plant had more events in one sample time than allowed.
+        ParameterError: The algorithm needs a value that its loop does not give.
+    """
+    recorder, loop = Recorder(tick=progress), replace(loop_settings(case, cycles), lowest=reach[0], highest=reach[1])
+    reason = _run(case, cycles, loop, recorder, None)
+    return finished(recorder.run("stopped" if reason else "", reason), cycles, reach)
+
+
 def render_by(
-    engine: ChosenEngine, case: LoopCase, cycles: int, recorder: Recorder | None = None,
+    engine: ChosenEngine, case: LoopCase, cycles: int, reach: Reach = EVERYWHERE,
     progress: Callable[[], None] | None = None,
 ) -> LoopRun:  # fmt: skip
-    """Run a case as `loop.render` does; `LoopRun.engine` names the engine, and why it differs from the requested one.
+    """Run a case as `render` does; `LoopRun.engine` names the engine, and why it differs from the requested one.
 
     Args:
         engine: "python" gives the bits of the path over CAN; "numba" differs from it by rounding, and runs in Python
             what cannot be compiled.
         case: Case to run.
         cycles: SYNCs.
-        recorder: Defines divergence; 1 km by default.
+        reach: Positions that do not count as divergence.
         progress: Called once per cycle.
 
     Raises:
@@ -88,16 +197,21 @@ def render_by(
         ParameterError: The algorithm needs a value that its loop does not give.
     """
     if engine == "python":
-        return render(case, cycles, recorder, progress)
+        return render(case, cycles, reach, progress)
     reason = why_not_compiled(case)
     if not reason:
-        from canhaptic.lab.batch.compiled_loops import render_compiled
+        from canhaptic.lab.batch.compiled_loops import compiled_rows
 
+        case.controller()  # refuses what cannot be built
         try:
-            return render_compiled(case, cycles, recorder or Recorder(), progress)
+            run = LoopRun(compiled_rows(case, cycles, reach), engine="numba")
         except NotBatchableError as error:
             reason = str(error)
-    return render(case, cycles, recorder, progress)._replace(engine=f"python: {reason}")
+        else:
+            for _ in range(0 if progress is None else len(run.rows)):
+                cast(Callable[[], None], progress)()
+            return finished(run, cycles, reach)
+    return replace(render(case, cycles, reach, progress), engine=f"python: {reason}")
 
 
 def work_of(case: LoopCase, cycles: int) -> float:
@@ -111,58 +225,43 @@ def work_of(case: LoopCase, cycles: int) -> float:
     return float(cycles * _OF_A_SUBSTEP * (accuracy.substeps if accuracy else 1))
 
 
-_BOOKED: Final = len(EnergyBalance._fields)
-_BRANCH, _CERTIFICATE = (EnergyBalance._fields.index(name) for name in ("branch", "certificate"))
+def record_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, recorder: Recorder, hold: GroupHold) -> None:
+    """Replace `take_group`: record a SYNC."""
+    recorder.take(meter.supplied - meter.work, room.seen, room.true, room.held, hold.account)
 
 
-def keep_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, hold: GroupHold) -> None:
-    """Replace `take_group`: write a row, first the energy received, then each motor, then the account."""
-    row, account, motors = rows[int(meter.figures.cycles)], hold.account, len(room.held)
-    meter.figures.cycles += 1.0
-    row[0] = meter.supplied - meter.work
-    for i in range(motors):
-        row[1 + i], row[1 + motors + i], row[1 + 2 * motors + i] = room.seen[i], room.true[i], room.held[i]
-    at = 1 + 3 * motors
-    row[at], row[at + 1], row[at + 2], row[at + 3] = account.torque, account.h_i, account.h_pas, account.h_m
-    row[at + 4], row[at + 5], row[at + 6], row[at + 7] = account.h_r, account.h_s, account.h_dis, account.gen
-    row[at + 8], row[at + 9], row[at + 10] = account.deficit, account.leak, account.paid
-    row[at + 11], row[at + 12] = account.branch, account.damping_rendered
-    row[at + 13], row[at + 14] = account.certificate, account.state
+def render_group(
+    engine: ChosenEngine, scene: Scene, cycles: int, furthest: float = FURTHEST,
+    progress: Callable[[], None] | None = None,
+) -> LoopRun:  # fmt: skip
+    """Run the one group of a scene; see `render_by`. Python moves the plants themselves.
 
-
-def render_group_by(engine: ChosenEngine, scene: Scene, cycles: int, recorder: GroupRecorder) -> LoopRun:
-    """Run the one group of a scene; see `render_group` and `scalar.render_by`.
+    Args:
+        engine: As for `render_by`.
+        scene: Scene with one group, alone.
+        cycles: SYNCs.
+        furthest: Distance from the origin that counts as divergence [m or rad].
+        progress: Called once per cycle.
 
     Raises:
         InputError: The motors of the group are not simulated, or move with others.
         ParameterError: The group cannot be built.
     """
-    if engine == "python":
-        return render_group(scene, cycles, recorder)
-    case = group_case(scene)
-    if case.why_not:
-        return render_group(scene, cycles, recorder)._replace(engine=f"python: {case.why_not}")
-    from canhaptic.lab.batch.compiled_loops import run_compiled
+    case, reach, why_not = group_case(scene), Reach(-furthest, furthest), ""
+    case = case._replace(rig=case.rig._replace(furthest=furthest))
+    if engine == "numba" and case.is_compilable:
+        from canhaptic.lab.batch.compiled_loops import compiled_group_rows
 
-    motors = len(case.rig.loops)
-    rows = np.empty((cycles, 1 + 3 * motors + _BOOKED))
-    meter = run_compiled(case._replace(rig=case.rig._replace(furthest=inf)), cycles, rows, {take_group: keep_group})
-    return _recorded(rows[: int(meter.figures.cycles)], motors, recorder, is_whole=meter.figures.cycles == cycles)
-
-
-def _recorded(rows: Array, motors: int, recorder: GroupRecorder, *, is_whole: bool) -> LoopRun:
-    """Record made of rows."""
-    for interaction, *numbers in rows.tolist():
-        seen, true, held = (numbers[i * motors : (i + 1) * motors] for i in range(3))
-        booked = numbers[3 * motors :]
-        booked[_BRANCH], booked[_CERTIFICATE] = int(booked[_BRANCH]), int(booked[_CERTIFICATE])
-        balance = GroupBalance((), new(EnergyBalance, booked), ())
-        try:
-            recorder.take_group(GroupSync(seen, true, tuple(held), balance, interaction))
-        except DivergedError:
-            return recorder.run("diverged")._replace(engine="numba")
-    run = recorder.run() if is_whole else recorder.run("stopped", "a position or a torque is not finite")
-    return run._replace(engine="numba")
+        return finished(LoopRun(compiled_group_rows(case, cycles), len(case.rig.loops), engine="numba"), cycles, reach)
+    if engine == "numba":
+        why_not = f": {case.why_not}"
+    recorder, reason = Recorder(len(case.rig.loops), progress), ""
+    try:
+        _run_group(case.with_objects(scene), cycles, GroupMeter(), recorder, {take_group: record_group})
+    except ControlError as error:
+        reason = str(error)
+    run = recorder.run("stopped" if reason else "", reason)
+    return replace(finished(run, cycles, reach), engine=f"python{why_not}")
 
 
 _OF_A_POSITION: Final = ("travel", "stiffness_rendered.value", "stiffness_rendered.share", *CONTINUOUS)
@@ -180,50 +279,29 @@ def group_meter(case: GroupCase, cycles: int, engine: ChosenEngine = "python") -
         from canhaptic.lab.batch.compiled_loops import run_compiled
 
         return run_compiled(case, cycles, np.empty((0, 0)), {})
-    meter, memory = GroupMeter(), with_quick_fields(case.kernel.memory(case.world, case.settings))
-    motors, rig, replaced = _in_python(case)
-    run = _python_loop(case.kernel, tuple(replaced.items()))
-    fixed = (with_quick_fields(part) for part in (case.world, case.settings))
+    meter = GroupMeter()
     try:
-        run(*fixed, case.kernel.state(), memory, rig, motors, case.room(), GroupMotion(), meter, [], cycles)
+        _run_group(case, cycles, meter, None, {})
     except CanHapticError:  # of a mechanism that is pushed where it cannot move
         meter.figures.diverged = 1.0
     return meter
 
 
-def _in_python(case: GroupCase) -> tuple[Any, GroupRig, dict[object, object]]:
-    """The motors at their start, their loop to the controller, and the replacements in it."""
-    motors = case.motors
-    if isinstance(motors, LinearMotors):
-        return motors._replace(state=list(motors.state)), case.rig, {}
-    if not isinstance(motors, Motors):
-        return motors.made(listed=True), case.rig, motors.replacements()
-    bare = [replace(loop, signals=Signals()) for loop in case.rig.loops]  # the plants have them
-    return motors, case.rig._replace(loops=bare), {move_motors: _Moved(motors, case.period)}
+def _run_group(
+    case: GroupCase, cycles: int, meter: GroupMeter, rows: Recorder | None, replaced: dict[object, object]
+) -> None:
+    """Run a group in Python."""
+    memory = with_quick_fields(case.kernel.memory(case.world, case.settings))
+    run = _python_loop(case.kernel, (*case.motors.replacements().items(), *replaced.items()))
+    world, settings = (with_quick_fields(part) for part in (case.world, case.settings))
+    motors = case.motors.made(listed=True)
+    run(world, settings, case.kernel.state(), memory, case.rig, motors, case.room(), GroupMotion(), meter, rows, cycles)
 
 
 @lru_cache(maxsize=16)
 def _python_loop(kernel: GroupKernel, replaced: tuple[tuple[object, object], ...]) -> Callable[..., None]:
-    found: Callable[..., None] = bound(run_group, {step: kernel.step, **dict(replaced)})
+    found: Callable[..., None] = bound(run_group, {step_group: kernel.step, **dict(replaced)})
     return found
-
-
-class _Moved:
-    """Replaces `move_motors` for motors that do not move by one flow."""
-
-    def __init__(self, motors: Motors, period: int) -> None:
-        self._motors, self._period, self._done = motors, period, 0.0
-
-    def __call__(self, _motors: Motors, room: GroupRoom, cycle: int) -> float:
-        """Move them to a SYNC; return the work that they did in that hold [J]."""
-        motors = self._motors
-        if cycle:
-            motors.advance_to(cycle * self._period, tuple(room.held))
-        for i, at in enumerate(motors.positions()):
-            arrive(room, i, at, cycle)
-        room.read[:] = motors.encoders()
-        before, self._done = self._done, motors.work()
-        return self._done - before
 
 
 def group_figures(meter: GroupMeter, metrics: Sequence[str] | None = None) -> dict[str, float]:
@@ -261,8 +339,9 @@ def run_case(
     case: LoopCase, cycles: int, metrics: Sequence[str] | None = None, continuous: ContinuousReference | None = None
 ) -> dict[str, float]:
     """Return the figures of one loop by the names of `METRICS`; see `run_scalar`."""
-    meter = _metered(case, cycles, continuous)
-    names = list(METRICS if metrics is None else metrics)
+    meter, names = Meter(), list(METRICS if metrics is None else metrics)
+    if _run(case, cycles, loop_settings(case, cycles), meter, continuous):
+        diverge(meter)
     found = asdict(meter)
     if continuous is not None:
         found |= sums_of_continuous(continuous, len(continuous.position), case.sample_time_ns * 1e-9)
@@ -270,39 +349,8 @@ def run_case(
     return {name: float(values[0]) for name, values in metrics_of(names, sums).items()}
 
 
-def _metered(case: LoopCase, cycles: int, continuous: ContinuousReference | None = None) -> Meter:
-    """Return the meter of a loop after its cycles, or when it diverged."""
-    plant, controller, loop, meter = case.make_plant(), case.controller(), loop_settings(case, cycles), Meter()
-    environment = plain(case.environment)
-    expected = (
-        None if continuous is None else zip(continuous.position.tolist(), continuous.torque.tolist(), strict=True)
-    )
-
-    def step(position: float, held: float) -> EnergyBalance:
-        true_position = plant.position
-        if expected is not None:
-            compare(meter, true_position, held, *next(expected))
-        balance = controller.step(position, held)
-        cycle, interaction = int(meter.cycles), 0.0 - plant.energy().motor
-        take(environment, loop.meter, meter, cycle, position, true_position, held, interaction, balance)
-        if not -loop.furthest < true_position < loop.furthest:
-            raise DivergedError(f"the axis is at {true_position:g}")
-        return balance
-
-    rig = DirectRig(
-        plant, step, case.sample_time_ns, case.delay, case.counts_per_unit, case.torque_quantum, case.torque_limit
-    )
-    try:
-        rig.run(cycles)
-    except ControlError:
-        meter.diverged = 1.0
-    return meter
-
-
 def loop_settings(case: LoopCase, cycles: int) -> LoopSettings:
     """Loop between plant and controller in a run of some cycles."""
-    period = case.sample_time_ns * 1e-9
-    meter = MeterSettings(float(last_rows(cycles, period).start), case.device_damping / period, case.device_friction)
-    return LoopSettings(
-        case.delay, case.counts_per_unit or 0.0, case.torque_quantum or 0.0, case.torque_limit or inf, FURTHEST, meter
-    )
+    last_from = float(last_rows(cycles, case.sample_time_ns * 1e-9).start)
+    (found,) = loops_of(BatchCase(case, {"last_from": last_from}, None), 1)
+    return found

@@ -8,14 +8,14 @@ The figures of an admittance display in a sweep, by name; a name of impedance di
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from math import isnan, nan
+from math import nan
 from typing import Any, Final
 
 import numpy as np
 
 from canhaptic.control.balance import WEAKEST_LAST
 from canhaptic.control.environments.environment import Environment
-from canhaptic.lab.figures.meter import Meter, compare, take_contact, take_last_part
+from canhaptic.lab.figures.meter import Meter, MeterSettings, compare, diverge, take
 from canhaptic.lab.loop.admittance_loop import AdmittanceRun, felt, run_display
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
 from canhaptic.lab.reference import REST, ContinuousReference
@@ -153,30 +153,20 @@ class _RunMetrics:
 def _sums_of_run(
     environment: Environment, run: LoopRun, reference: ContinuousReference | None, sample_time: float
 ) -> dict[str, float]:
-    """Return the sums behind the figures of errors, stiffness, damping and rest, by the names in `ALL`.
-
-    Args:
-        environment: Rendered environment.
-        run: Run of one algorithm.
-        reference: The continuous run of the same user; None leaves out the comparison with it.
-        sample_time: Sample time [s].
-    """
-    meter = Meter(cycles=float(len(run.position)), diverged=float(bool(run.ended)), variation=run.variation)
-    last_from = last_rows(len(run.position), sample_time).start
-    columns = (run.position, run.true_position, run.torque, run.damping)
-    for row, (position, true_position, torque, damping) in enumerate(
-        zip(*map(np.ndarray.tolist, columns), strict=True)
-    ):
-        if not isnan(damping):
-            take_contact(environment, meter, position, torque, damping)
-        if row >= last_from:
-            take_last_part(environment, meter, true_position, torque)
+    """Return the sums behind the figures, by the names in `ALL`; without a reference none of the comparison with it."""
+    cycles = len(run.rows)
+    meter, settings = Meter(), MeterSettings(float(last_rows(cycles, sample_time).start))
+    holds = (run.position, run.true_position, run.torque, run.interaction)
+    for cycle, hold in enumerate(zip(*map(np.ndarray.tolist, holds), run.balances(), strict=True)):
+        take(environment, settings, meter, cycle, *hold)
+    if run.ended:
+        diverge(meter)
     if reference is None:
         return {name: value for name, value in asdict(meter).items() if name not in _ERRORS}
-    columns = (run.true_position, run.torque, reference.position, reference.torque)
-    for values in zip(*map(np.ndarray.tolist, columns), strict=False):  # a run that diverged is shorter
+    compared = (run.true_position, run.torque, reference.position, reference.torque)
+    for values in zip(*map(np.ndarray.tolist, compared), strict=False):  # a run that diverged is shorter
         compare(meter, *values)
-    return asdict(meter) | sums_of_continuous(reference, len(run.position), sample_time)
+    return asdict(meter) | sums_of_continuous(reference, cycles, sample_time)
 
 
 def sums_of_continuous(reference: ContinuousReference, cycles: int, sample_time: float) -> dict[str, float]:

@@ -10,15 +10,16 @@ Times apply to this machine at this moment: for comparing the columns of one tab
 """
 
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Final, NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
-from canhaptic.control.balance import Branch, EnergyBalance, RunningSum, add, residual
+from canhaptic.control.balance import Branch, EnergyBalance, residual
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.ledger import Ledger, LedgerSummary
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
@@ -26,14 +27,14 @@ from canhaptic.control.passivity import ALGORITHMS, build_controller
 from canhaptic.control.passivity.controller import Controller, LoopProperties
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.clock import WallClock
-from canhaptic.errors import ControlError, InputError, ParameterError
+from canhaptic.errors import InputError, ParameterError
+from canhaptic.kernels import new
 from canhaptic.registry import load
 from canhaptic.scene.admittance_checks import refuse_displays
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.scene.torque_history import simulation_of
-from canhaptic.sim.plant.direct_rig import DirectRig
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import UserParameters
@@ -47,7 +48,7 @@ _TRAVELS: Final = 10.0
 """The same in travels of an axis whose motion is known."""
 _LEAST_TRAVEL: Final = 5e-3  # [m or rad]
 _APART: Final = (Branch.FREE.value, Branch.EXIT.value)
-_COLUMNS: Final = ("position", "true_position", "torque", "interaction", "believed", "dissipated", "damping")
+_COUNTED: Final = [EnergyBalance._fields.index(name) for name in ("branch", "certificate")]
 
 
 class Case(Protocol):
@@ -91,21 +92,96 @@ class LoopCase:
         return build_controller(self.environment, self.algorithm, self.parameters, self.loop)
 
 
-class LoopRun(NamedTuple):
-    """Result of one run; row k belongs to SYNC k. Shapes (n,); energies are sums since the start [J]."""
+class Reach(NamedTuple):
+    """Positions that an axis may take; whatever goes farther has diverged."""
 
-    position: Array  # as the controller saw it [m or rad]
-    true_position: Array  # [m or rad]
-    torque: Array  # applied in the hold that ended at SYNC k [N or N*m]
-    interaction: Array  # TRUE sum of h_i, from the plant
-    believed: Array  # sum of h_i as booked
-    dissipated: Array  # sum of h_r as booked
-    damping: Array  # rendered, NaN out of contact [N*s/m or N*m*s/rad]
-    summary: LedgerSummary
-    residual: float  # largest residual of the identity over the largest term of its hold (A1)
-    ended: str  # "" when it ran to its end, else "diverged" or "stopped"
+    lowest: float = -FURTHEST  # [m or rad]
+    highest: float = FURTHEST
+
+    @classmethod
+    def around(cls, motion: Array) -> "Reach":
+        """Ten times the range of a known motion [m or rad], shape (n,)."""
+        lowest, highest = float(motion.min()), float(motion.max())
+        centre, furthest = 0.5 * (lowest + highest), _TRAVELS * max(highest - lowest, _LEAST_TRAVEL)
+        return cls(centre - furthest, centre + furthest)
+
+
+EVERYWHERE: Final = Reach()
+
+
+@dataclass(frozen=True)
+class LoopRun:
+    """Result of one run; row k belongs to SYNC k. Energies are sums since the start [J]."""
+
+    rows: Array  # true energy received, then seen and true positions and torques of each motor, then the balance
+    axes: int | None = None  # motors of a group, whose columns are of shape (n, axes); None: one axis, shape (n,)
+    ended: str = ""  # "" when it ran to its end, else "diverged" or "stopped"
     reason: str = ""  # why it was stopped, in words
     engine: str = "python"  # what computed it: python or numba
+
+    @property
+    def position(self) -> Array:
+        """Positions as the controller saw them [m or rad]."""
+        return self._of_motors(0)
+
+    @property
+    def true_position(self) -> Array:
+        """True positions [m or rad]."""
+        return self._of_motors(1)
+
+    @property
+    def torque(self) -> Array:
+        """Torques applied in the hold that ended at SYNC k [N or N*m]."""
+        return self._of_motors(2)
+
+    @property
+    def interaction(self) -> Array:
+        """TRUE sum of h_i, from the plant, shape (n,)."""
+        return self.rows[:, 0]
+
+    @cached_property
+    def booked(self) -> EnergyBalance:
+        """Balances of the controller; every field is a column of shape (n,)."""
+        return EnergyBalance(*self.rows[:, -len(EnergyBalance._fields) :].T)
+
+    def balances(self) -> Iterator[EnergyBalance]:
+        """Yield the balance of every SYNC."""
+        for row in self.rows[:, -len(EnergyBalance._fields) :].tolist():
+            for place in _COUNTED:
+                row[place] = int(row[place])
+            yield new(EnergyBalance, row)
+
+    @cached_property
+    def believed(self) -> Array:
+        """Sum of h_i as booked."""
+        return np.cumsum(self.booked.h_i)
+
+    @cached_property
+    def dissipated(self) -> Array:
+        """Sum of h_r as booked."""
+        return np.cumsum(self.booked.h_r)
+
+    @property
+    def damping(self) -> Array:
+        """Damping rendered, NaN out of contact [N*s/m or N*m*s/rad]."""
+        return np.where(np.isin(self.booked.branch, _APART), np.nan, self.booked.damping_rendered)
+
+    @cached_property
+    def summary(self) -> LedgerSummary:
+        """Account of the run."""
+        ledger = Ledger()
+        for cycle, balance in enumerate(self.balances()):
+            ledger.add(balance, cycle)
+        return ledger.summary()
+
+    @property
+    def residual(self) -> float:
+        """Largest residual of the identity over the largest term of its hold (A1)."""
+        booked = self.booked
+        before: Any = np.concatenate([[0.0], booked.h_s])[:-1]
+        terms = (before, booked.h_s, np.abs(booked.h_i), booked.h_r, booked.gen, booked.deficit, booked.leak)
+        largest, left = np.max(terms, axis=0), np.abs(residual(booked, before))
+        return float(np.divide(left, largest, out=np.zeros_like(left), where=largest > 0.0).max(initial=0.0))
 
     @property
     def least_interaction(self) -> float:
@@ -127,108 +203,52 @@ class LoopRun(NamedTuple):
         """Total variation of the torque, the first step from zero included [N or N*m]."""
         return float(np.abs(np.diff(self.torque, prepend=0.0)).sum())
 
-
-class DivergedError(ControlError):
-    """The axis went farther than the user could move it."""
+    def _of_motors(self, which: int) -> Array:
+        axes = self.axes or 1
+        found = self.rows[:, 1 + which * axes : 1 + (which + 1) * axes]
+        return found if self.axes else found[:, 0]
 
 
 class Recorder:
-    """Records every SYNC; used by the loop without a bus and by the one over it.
+    """Records every SYNC, of the loop without a bus and of the one over it.
 
     Args:
-        furthest: Distance from `centre` that counts as divergence [m or rad].
-        centre: Centre of the permitted range [m or rad].
+        axes: Motors of a group; None: one axis.
+        tick: Called at every SYNC.
     """
 
-    def __init__(self, furthest: float = FURTHEST, centre: float = 0.0) -> None:
-        self._columns = [array("d") for _ in _COLUMNS]
-        self._ledger = Ledger()
-        self._lowest, self._highest = centre - furthest, centre + furthest
-        self._believed, self._dissipated = RunningSum(), RunningSum()
-        self._h_s = self._residual = 0.0
+    def __init__(self, axes: int | None = None, tick: Callable[[], None] | None = None) -> None:
+        self._flat, self._axes, self._tick = array("d"), axes, tick
 
-    @classmethod
-    def around(cls, motion: Array) -> "Recorder":
-        """Recorder for which ten times the range of a known motion [m or rad], shape (n,), is divergence."""
-        lowest, highest = float(motion.min()), float(motion.max())
-        return cls(_TRAVELS * max(highest - lowest, _LEAST_TRAVEL), 0.5 * (lowest + highest))
-
-    def take(self, position: float, true_position: float, torque: float, balance: EnergyBalance, motor: float) -> None:
-        """Take one SYNC.
-
-        Args:
-            position: Position as the controller read it [m or rad].
-            true_position: True position [m or rad].
-            torque: Torque applied in the hold that ended [N or N*m].
-            balance: Balance booked by the controller.
-            motor: True work of the motor on the moving mass since the start [J].
-
-        Raises:
-            DivergedError: The position is not finite, or farther away than any user moved it.
-        """
-        self._ledger.add(balance, len(self._columns[0]))
-        believed, dissipated = add(self._believed, balance.h_i), add(self._dissipated, balance.h_r)
-        largest = max(self._h_s, balance.h_s, abs(balance.h_i), balance.h_r, balance.gen, balance.deficit, balance.leak)
-        if largest > 0.0:
-            self._residual = max(self._residual, abs(residual(balance, self._h_s)) / largest)
-        self._h_s = balance.h_s
-        damping = float("nan") if balance.branch in _APART else balance.damping_rendered
-        row = (position, true_position, torque, 0.0 - motor, believed, dissipated, damping)
-        for column, value in zip(self._columns, row, strict=True):
-            column.append(value)
-        if not self._lowest < true_position < self._highest:
-            raise DivergedError(f"the axis is at {true_position:g}, expected {self._lowest:g} to {self._highest:g}")
+    def take(
+        self, interaction: float, position: Sequence[float], true_position: Sequence[float], torque: Sequence[float],
+        balance: EnergyBalance,
+    ) -> None:  # fmt: skip
+        """Take one SYNC, in the order of `LoopRun.rows`."""
+        self._flat.extend((interaction, *position, *true_position, *torque, *balance))
+        if self._tick is not None:
+            self._tick()
 
     def run(self, ended: str = "", reason: str = "") -> LoopRun:
-        """Everything recorded so far.
-
-        Args:
-            ended: "" at the run's end, else "diverged" or "stopped".
-            reason: Reason of the stop, in words.
-        """
-        position, true, torque, interaction, believed, dissipated, damping = (np.array(c) for c in self._columns)
-        summary = self._ledger.summary()
-        return LoopRun(
-            position, true, torque, interaction, believed, dissipated, damping, summary, self._residual, ended, reason
-        )
+        """Return everything recorded so far; see `LoopRun`."""
+        width = 1 + 3 * (self._axes or 1) + len(EnergyBalance._fields)
+        return LoopRun(np.array(self._flat).reshape(-1, width), self._axes, ended, reason)
 
 
-def render(
-    case: LoopCase,
-    cycles: int,
-    recorder: Recorder | None = None,
-    progress: Callable[[], None] | None = None,
-) -> LoopRun:
-    """Run a case from the plant's initial state; a run that diverges or fails ends early and is marked so.
+def finished(run: LoopRun, cycles: int, reach: Reach) -> LoopRun:
+    """Return a run with its end: before its last SYNC it diverged, or it was stopped.
 
     Args:
-        case: Case to run.
-        cycles: SYNCs.
-        recorder: Defines divergence; 1 km by default.
-        progress: Called once per cycle; must be cheap.
-
-    Raises:
-        ParameterError: The algorithm needs a value that its loop does not give.
+        run: Run with its reason, if anything is known of it.
+        cycles: SYNCs that were asked for.
+        reach: Positions that do not count as divergence.
     """
-    controller, plant, taken = case.controller(), case.make_plant(), recorder or Recorder()
-
-    def step(position: float, held: float) -> EnergyBalance:
-        balance = controller.step(position, held)
-        taken.take(position, plant.position, held, balance, plant.energy().motor)
-        if progress is not None:
-            progress()
-        return balance
-
-    rig = DirectRig(
-        plant, step, case.sample_time_ns, case.delay, case.counts_per_unit, case.torque_quantum, case.torque_limit
-    )
-    try:
-        rig.run(cycles)
-    except DivergedError:
-        return taken.run("diverged")
-    except ControlError as error:
-        return taken.run("stopped", str(error))
-    return taken.run()
+    last = run.rows[-1:, 1 + (run.axes or 1) :][:, : run.axes or 1]
+    if not ((last > reach.lowest) & (last < reach.highest)).all():
+        return replace(run, ended="diverged", reason="")
+    if not run.reason and len(run.rows) < cycles:
+        return replace(run, ended="stopped", reason="a position or a torque is not finite")
+    return run
 
 
 _DEFAULT_DURATION: Final = 5.0

@@ -80,12 +80,11 @@ def render_over_can(scene: Scene, cycles: int, counter: Callable[[], None]) -> l
     Raises:
         InputError: The drives are not simulated in this process.
     """
-    recorders, reason = [Recorder() for _ in scene.axes], ""
+    recorders, reason = [Recorder(tick=counter) for _ in scene.axes], ""
 
     def take(axis: int, sample: Sample, balance: EnergyBalance, truth: Truth) -> None:
-        motor = truth.energy.motor
-        recorders[axis].take(sample.position, truth.position, sample.torque_applied, balance, motor)
-        counter()
+        received = 0.0 - truth.energy.motor
+        recorders[axis].take(received, (sample.position,), (truth.position,), (sample.torque_applied,), balance)
 
     try:
         walk_over_can(scene, cycles, take)

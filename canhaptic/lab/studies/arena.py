@@ -38,6 +38,7 @@ from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.input_file import read_regular, shipped
 from canhaptic.lab.batch import run_batch, run_scalar, scene_with, why_not_batchable
+from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.figures.field_figures import (
     asked_impedance,
     drag,
@@ -50,10 +51,11 @@ from canhaptic.lab.figures.field_figures import (
 )
 from canhaptic.lab.figures.figures import figures
 from canhaptic.lab.loop.axis_loop import (
+    EVERYWHERE,
     Array,
     LoopCase,
     LoopRun,
-    Recorder,
+    Reach,
     able_under,
     at_rate,
     chosen_algorithms,
@@ -62,7 +64,6 @@ from canhaptic.lab.loop.axis_loop import (
     loop_case,
     microseconds_per_step,
     plant_parts,
-    render,
     require_single_axes,
 )
 from canhaptic.lab.reference import ContinuousReference, continuous_reference
@@ -210,7 +211,7 @@ def _reference_of(scene: Scene, cycles: int) -> ContinuousReference | None:
 
 def _figures_of(scene: Scene, cycles: int, reference: ContinuousReference | None) -> Row:
     case = loop_case(scene.axes[0], scene)
-    run = render(case, cycles, None if reference is None else Recorder.around(reference.position))
+    run = render(case, cycles, EVERYWHERE if reference is None else Reach.around(reference.position))
     return {"status": run.ended or "completed", **_of_run(run, scene, reference)}
 
 

@@ -24,13 +24,13 @@ from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.verdict import PortResult, passive_verdict
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
-from canhaptic.lab.batch.group_loop import GroupRecorder
-from canhaptic.lab.batch.scalar import render_by, render_group_by, work_of
+from canhaptic.lab.batch.scalar import render_by, render_group, work_of
 from canhaptic.lab.figures.figures import figures
 from canhaptic.lab.loop.axis_loop import (
+    EVERYWHERE,
     LoopCase,
     LoopRun,
-    Recorder,
+    Reach,
     able_under,
     at_rate,
     chosen_algorithms,
@@ -179,10 +179,10 @@ def _direct(
                 remarks[-1][name] = f"refused: {error}"
                 continue
             remarks[-1][name] = chosen.remark
-            recorder = None if reference is None else Recorder.around(reference.position)
+            reach = EVERYWHERE if reference is None else Reach.around(reference.position)
             case = loop_case(chosen.axis, scene)
             computes = chosen_engine(engine, work_of(case, cycles) >= WORTH_COMPILING)
-            runs[-1][name] = render_by(computes, case, cycles, recorder, counter)
+            runs[-1][name] = render_by(computes, case, cycles, reach, counter)
     return runs, remarks
 
 
@@ -429,7 +429,7 @@ def _without_bus(scene: Scene, names: Sequence[str], cycles: int, progress: Prog
 def _compiled(scene: Scene, name: str, cycles: int) -> ComparedGroup:
     """Return the account of one group; whether it was passive is what the plant's own energies say."""
     try:
-        run = render_group_by("numba", _groups_under(scene, name), cycles, GroupRecorder(len(scene.axes)))
+        run = render_group("numba", _groups_under(scene, name), cycles)
     except ParameterError as error:
         return {"status": "refused", "remark": str(error), "engine": None}
     account = cast("ComparedGroup", run.summary.as_json(scene.bus.sample_time))  # it has the keys of both

@@ -17,7 +17,8 @@ from canhaptic.control.multi_axis.group_motion import (
     world_of,
     write_efforts,
 )
-from canhaptic.lab.batch.group_loop import GroupRecorder, motors_of, render_group
+from canhaptic.lab.batch.group_loop import motors_of
+from canhaptic.lab.batch.scalar import render_group
 from canhaptic.lab.judge.reference_group import mechanism_model
 from canhaptic.lab.judge.solvers import located_states
 from canhaptic.lab.loop.axis_loop import at_rate
@@ -149,7 +150,7 @@ def test_the_loop_of_a_box_comes_nearer_with_the_rate() -> None:
 
 def test_a_group_that_diverges_is_said_so() -> None:
     scene = scene_of("xy_box")
-    run = render_group(scene, 400, GroupRecorder(2, furthest=1e-3))
+    run = render_group("python", scene, 400, 1e-3)
     assert run.ended == "diverged"
     assert run.position.shape == (len(run.interaction), 2)
 

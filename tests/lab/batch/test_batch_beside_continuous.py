@@ -10,9 +10,10 @@ from canhaptic.lab.batch import ALL, CONTINUOUS, METRICS, run_batch, run_scalar,
 from canhaptic.lab.batch.cases import continuous_modes, why_not_continuous
 from canhaptic.lab.batch.closed_loop import ReferenceState, begin_reference, follow_hold
 from canhaptic.lab.batch.marching import march, reference_memory_of
+from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.figures.figures import figures
 from canhaptic.lab.judge.reference_model import Model
-from canhaptic.lab.loop.axis_loop import environment_of, loop_case, plant_parts, render
+from canhaptic.lab.loop.axis_loop import environment_of, loop_case, plant_parts
 from canhaptic.lab.reference import continuous_reference, continuous_run
 from canhaptic.registry import load
 from canhaptic.sim.plant.plant import PlantParameters

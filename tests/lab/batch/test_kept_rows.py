@@ -9,7 +9,7 @@ from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.lab.batch.scalar import render_by, work_of
 from canhaptic.lab.figures.meter import MeterSettings
-from canhaptic.lab.loop.axis_loop import Recorder, loop_case
+from canhaptic.lab.loop.axis_loop import Reach, Recorder, loop_case
 from canhaptic.lab.studies.accuracy.loop_sensitivity import engines_of, variants
 from canhaptic.lab.studies.compare import compare
 from canhaptic.scene.load import load_scene
@@ -25,10 +25,11 @@ def test_a_row_holds_what_a_recorder_takes():
     from canhaptic.lab.batch.compiled_loops import keep
 
     balance = EnergyBalance(*(float(i) for i in range(4, 19)))  # type: ignore[arg-type]
-    rows = [[0.0] * 19, [0.0] * 19]
-    keep(SpringDamperWall(stiffness=1.0), MeterSettings(), rows, 1, 0.0, 1.0, 2.0, 3.0, balance)
+    rows, recorder = [[0.0] * 19, [0.0] * 19], Recorder()
+    keep(SpringDamperWall(stiffness=1.0), MeterSettings(), rows, 1, 1.0, 2.0, 3.0, 0.0, balance)
     assert rows == [[0.0] * 19, [float(i) for i in range(19)]]
-    assert EnergyBalance._fields[-4:] == ("branch", "damping_rendered", "certificate", "state")
+    recorder.take(0.0, (1.0,), (2.0,), (3.0,), balance)
+    assert recorder.run().rows.tolist() == rows[1:]
 
 
 def test_what_cannot_be_compiled_runs_in_python_and_says_why():
@@ -55,7 +56,7 @@ def test_compiled_a_run_is_that_of_python_but_for_rounding(plant):
     pytest.importorskip("numba")
     scene = demo(PLANTS.get(plant, ""), algorithm="unprotected")
     case = case_of(scene)
-    slow, fast = (render_by(engine, case, 1500, Recorder(furthest=1.0)) for engine in ("python", "numba"))
+    slow, fast = (render_by(engine, case, 1500, Reach(-1.0, 1.0)) for engine in ("python", "numba"))
     assert (slow.engine, fast.engine) == ("python", "numba")
     for name in ("position", "true_position", "torque", "interaction", "believed", "dissipated", "damping"):
         np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), rtol=1e-6, atol=1e-9, err_msg=name)
@@ -71,7 +72,7 @@ def test_compiled_a_run_that_diverges_ends_where_that_of_python_does():
     unstable = demo("", "environment.damping=2000", "simulation.plant.mass=0.01", algorithm="unprotected")
     for furthest in (0.05, 1e300):
         slow, fast = (
-            render_by(engine, case_of(unstable), 1500, Recorder(furthest=furthest)) for engine in ("python", "numba")
+            render_by(engine, case_of(unstable), 1500, Reach(-furthest, furthest)) for engine in ("python", "numba")
         )
         assert (fast.ended, len(fast.position)) == (slow.ended, len(slow.position))
         assert slow.ended == "diverged" or furthest > 1.0

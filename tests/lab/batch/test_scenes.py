@@ -17,8 +17,9 @@ from canhaptic.lab.batch import (
     spectral_radius,
     why_not_batchable,
 )
+from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.figures.figures import figures
-from canhaptic.lab.loop.axis_loop import environment_of, loop_case, render, with_algorithm
+from canhaptic.lab.loop.axis_loop import environment_of, loop_case, with_algorithm
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene

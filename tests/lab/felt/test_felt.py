@@ -8,7 +8,7 @@ import pytest
 
 from canhaptic.control.certificates.scalar_bounds import displacement_response, energy_for_any_hand, start_energy
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.lab.figures.contact_quality import (
+from canhaptic.lab.studies.design.contact_quality import (
     Bench,
     GuidedHand,
     GuidedPlant,

@@ -14,7 +14,7 @@ from canhaptic.control.passivity import LITERATURE, build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import Hold
 from canhaptic.errors import ParameterError
-from canhaptic.lab.loop.axis_loop import render
+from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.rivals import (
     adaptive_reference,
     bounded_observer,

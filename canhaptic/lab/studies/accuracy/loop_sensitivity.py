@@ -21,12 +21,11 @@ from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import ParameterError
 from canhaptic.lab.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, ChosenEngine, Engine, chosen_engine
-from canhaptic.lab.batch.group_loop import GroupRecorder
-from canhaptic.lab.batch.scalar import render_by, render_group_by, work_of
+from canhaptic.lab.batch.scalar import render_by, render_group, work_of
 from canhaptic.lab.loop.axis_loop import (
     LoopCase,
     LoopRun,
-    Recorder,
+    Reach,
     able_under,
     at_rate,
     environment_of,
@@ -134,9 +133,9 @@ class Variant:
             engine: Engine of the loop.
         """
         if not self.scene.groups:
-            return render_by(engine, self.case, cycles, Recorder.around(motion), tick)
+            return render_by(engine, self.case, cycles, Reach.around(motion), tick)
         furthest = _TRAVELS * float(np.abs(motion).max()) + float(np.ptp(motion, axis=0).max())
-        return render_group_by(engine, self.scene, cycles, GroupRecorder(motion.shape[1], furthest, tick))
+        return render_group(engine, self.scene, cycles, furthest, tick)
 
     def work(self, cycles: int) -> tuple[str, float]:
         """Return what must be compiled for it, and its cost in cycles of a light plant."""

@@ -22,7 +22,8 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.lab.batch.group_loop import GroupRecorder, Motors, motors_of, render_group
+from canhaptic.lab.batch.group_loop import Motors, motors_of
+from canhaptic.lab.batch.scalar import render_group
 from canhaptic.lab.judge.reference_group import ReferenceGroup
 from canhaptic.lab.judge.reference_model import MotionError, difference
 from canhaptic.lab.judge.solvers import (
@@ -393,7 +394,7 @@ def group_side(scene: Scene, holds: int, stop: Callable[[], bool], *, with_compi
     Raises:
         InputError: The loop of the scene does not run to its end, or there are no equations to compare with.
     """
-    run = render_group(finely_solved(scene), holds + 1, GroupRecorder(len(scene.axes)))
+    run = render_group("python", finely_solved(scene), holds + 1)
     if run.ended:
         raise InputError(f"{scene.source}: the loop {run.ended} before its end ({run.reason}); nothing can be compared")
     torques = run.torque[1:]

@@ -54,8 +54,8 @@ from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.lab.batch.cases import why_not_beforehand
 from canhaptic.lab.batch.engine import ChosenEngine, Engine, chosen_engine
-from canhaptic.lab.batch.group_loop import GroupRecorder, group_case, render_group, shares
-from canhaptic.lab.batch.scalar import group_meter
+from canhaptic.lab.batch.group_loop import group_case, shares
+from canhaptic.lab.batch.scalar import group_meter, render_group
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.sweep.chunk import (
@@ -550,7 +550,7 @@ class GroupTrial:
     def _with_hands_at_rest(self) -> Scene:
         """Return the scene with its hands where the torques were largest while they moved."""
         period = self.scene.bus.sample_time
-        run = render_group(self.scene, round(self._stroke / period), GroupRecorder(len(self.scene.axes)))
+        run = render_group("python", self.scene, round(self._stroke / period))
         time = int(np.abs(run.torque).max(axis=1).argmax()) * period
         axes = tuple(_at_rest(axis, time) for axis in self.scene.axes)
         return replace(

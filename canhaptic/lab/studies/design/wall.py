@@ -29,10 +29,10 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.guarded_settings import GuardedParameters, hand_response, kept_for_contacts
 from canhaptic.errors import CheckFailedError
 from canhaptic.lab.batch.engine import Engine
-from canhaptic.lab.figures.contact_quality import Bench, Leaning, SlowHand, enter, largest_held, settling_time
 from canhaptic.lab.loop.axis_loop import Array, able_under, loop_case, plant_parts, require_design_room
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.compare import compare
+from canhaptic.lab.studies.design.contact_quality import Bench, Leaning, SlowHand, enter, largest_held, settling_time
 from canhaptic.lab.studies.design.trial import (
     ALGORITHM,
     DAMPING,

@@ -29,7 +29,8 @@ import numpy as np
 
 from canhaptic.control.certificates.scalar_bounds import DisplacementResponse, renderable_by_hand_force
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Recorder, render
+from canhaptic.lab.batch.scalar import render
+from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Reach
 from canhaptic.sim.plant.assembly import PlantModel, Rows
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
@@ -197,7 +198,7 @@ def held(bench: Bench, stiffness: float, leaning: Leaning, damping: float = 0.0)
     case = guided_case(replace(bench.case, environment=wall), plant, hand, course, bench.effects, bench.seed)
     period = case.sample_time_ns * 1e-9
     deepest = max(_FURTHEST * leaning.push / stiffness, _LEAST_FURTHEST)
-    run = render(case, round(leaning.duration / period), Recorder(furthest=deepest))
+    run = render(case, round(leaning.duration / period), Reach(-deepest, deepest))
     if run.ended:
         return Held(float("nan"), float("nan"), run.least_interaction, passed=False)
     last = slice(-max(2, round(leaning.rest / period)), None)
@@ -275,7 +276,7 @@ def enter(bench: Bench, wall: SpringDamperWall, hand: SlowHand) -> Entered:
     course = (Leg(0.0, speed=-speed), Leg(moving))
     guided = GuidedHand(stiffness=hand.stiffness, damping=hand.damping, place=hand.free)
     case = guided_case(replace(bench.case, environment=wall), plant, guided, course, bench.effects, bench.seed)
-    run = render(case, round((moving + hand.settling) / period), Recorder(furthest=1.0))
+    run = render(case, round((moving + hand.settling) / period), Reach(-1.0, 1.0))
     if run.ended:
         return Entered(float("nan"), float("nan"), run.least_interaction, run)
     inside = np.flatnonzero(run.true_position < 0.0)
