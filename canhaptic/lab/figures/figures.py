@@ -263,25 +263,26 @@ def display_figures(scene: Scene, cycles: int, metrics: Sequence[str] | None = N
 def figures_of(run: AdmittanceRun, scene: Scene) -> dict[str, float]:
     """Return every figure of a run of a scene."""
     mass, damping = felt(run, scene)
-    motion, asked = run.columns(), _mass_asked(scene)
+    motion, asked = run.motion, _mass_asked(scene)
+    cut, uncertified, certificate = run.shares()
     moved = len(motion) > 0
     return {
-        "diverged": float(bool(run.ended) or run.diverged),
-        "cycles": float(run.cycles),
-        "interaction": run.interaction,
+        "diverged": float(bool(run.ended)),
+        "cycles": float(len(run.rows)),
+        "interaction": float(run.interaction[-1]) if moved else 0.0,
         "least_interaction": run.least_interaction,
         "believed_error": run.believed_error,
         "energy_resolution": run.resolution,
-        "surplus_end": run.surplus,
+        "surplus_end": float(run.booked.h_dis[-1]) if moved else 0.0,
         "mass_felt": mass,
         "mass_felt.share": mass / asked if asked else nan,
         "damping_felt": damping,
-        "guard_acts": run.cut / run.moving if run.moving else 0.0,
-        "uncertified": run.uncertified / max(1, run.cycles),
+        "guard_acts": cut,
+        "uncertified": uncertified,
         "speed_peak": float(np.abs(motion[:, :, 1]).max()) if moved else nan,
         "force_peak": float(np.abs(motion[:, :, 2]).max()) if moved else nan,
         "travel": float(np.ptp(motion[:, :, 0], axis=0).max()) if moved else nan,
-        "certificate": float(run.certificate),
+        "certificate": float(certificate),
     }
 
 

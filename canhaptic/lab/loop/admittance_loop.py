@@ -5,17 +5,16 @@ same delay as on the bus of the scene; an error that would stop the rig ends the
 """
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.control.balance import RANKS, Certificate, EnergyBalance
+from canhaptic.control.balance import RANKS, Certificate
 from canhaptic.drive.profile.admittance_parameters import ForceChannel
 from canhaptic.errors import CanHapticError, InputError
-from canhaptic.lab.loop.axis_loop import FURTHEST, Array
+from canhaptic.lab.loop.axis_loop import EVERYWHERE, FURTHEST, Array, LoopRun, Recorder, finished
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controller, build_group, build_plant
 from canhaptic.scene.torque_history import simulation_of
@@ -27,7 +26,6 @@ _CUTS: Final = (
 )  # fmt: skip
 _NONE: Final = Certificate.NONE.value
 _STILL: Final = 1e-9  # command that counts as none [m/s or rad/s]
-_COLUMNS: Final = 3  # of one axis in `AdmittanceRun.motion`
 _FREE_MASS: Final = "virtual_mass"
 _FIRST: Final = 20  # SYNCs at the beginning that are left out of the mass felt
 _BRAKING: Final = 10e-3  # time that a drive takes to stop at a wall, at most [s]
@@ -39,31 +37,21 @@ def is_display(scene: Scene) -> bool:
     return all(axis.parameters.admittance is not None for axis in scene.axes)
 
 
-@dataclass
-class AdmittanceRun:
-    """Result of one run; energies in [J], of all axes together."""
+@dataclass(frozen=True)
+class AdmittanceRun(LoopRun):
+    """Result of one run; energies are of all axes together, and a torque is a velocity that acted [m/s or rad/s]."""
 
-    cycles: int = 0  # SYNCs done
-    ended: str = ""  # why it ended early; "" where it did not
-    diverged: bool = False
-    interaction: float = 0.0  # true, through all sensors
-    least_interaction: float = 0.0  # true, after any hold
-    believed: float = 0.0
-    believed_error: float = 0.0
+    motion: Array = field(default_factory=lambda: np.empty((0, 1, 3)))  # true positions, velocities and forces
     resolution: float = 0.0  # uncertainty of the energy [J]
-    surplus: float = 0.0  # at the end
-    moving: int = 0  # holds with a command, or with one that was cut to nothing
-    cut: int = 0  # holds that a certificate cut
-    uncertified: int = 0
-    certificate: int = Certificate.EXACT.value  # weakest, in the order of `WEAKEST_LAST`
-    motion: list[float] = field(default_factory=list)  # position, velocity, force of each axis, by SYNC
-    held: list[float] = field(default_factory=list)  # velocity that acted in the hold before each SYNC, of each axis
-    energies: list[float] = field(default_factory=list)  # true interaction at each SYNC [J]
-    axes: int = 1
 
-    def columns(self) -> Array:
-        """Return true positions [m or rad], velocities and forces of the hand, shape (cycles, axes, 3)."""
-        return np.array(self.motion).reshape(-1, self.axes, _COLUMNS)
+    def shares(self) -> tuple[float, float, int]:
+        """Return the shares of cut holds among those with a command, and of uncertified ones; weakest certificate."""
+        certificate = self.booked.certificate.astype(int)
+        cut = np.isin(certificate, _CUTS)
+        moving = np.count_nonzero(cut | (np.abs(self.booked.torque) > _STILL))
+        weakest = max(certificate.tolist(), key=RANKS.__getitem__, default=Certificate.EXACT.value)
+        cycles = max(1, len(certificate))
+        return cut.sum() / max(1, moving), np.count_nonzero(certificate == _NONE) / cycles, weakest
 
 
 class _Motor(NamedTuple):
@@ -100,15 +88,15 @@ def run_display(scene: Scene, cycles: int) -> AdmittanceRun:
         InputError: An axis is not simulated, or is no admittance display.
         ParameterError: The controller cannot be built.
     """
-    motors = [_motor(axis, scene) for axis in scene.axes]
-    found = AdmittanceRun(axes=len(motors))
-    controller, step = _stepped(scene)
+    motors, controller = [_motor(axis, scene) for axis in scene.axes], _controller(scene)
+    recorder, motion, reason = Recorder(len(motors)), list[list[float]](), ""
     try:
-        _walk(motors, step, scene, cycles, found)
+        reason = _walk(motors, controller, scene, cycles, recorder, motion)
     except CanHapticError as error:
-        found.ended = str(error).splitlines()[0]
-    found.resolution = float(controller.energy_resolution)
-    return found
+        reason = str(error).splitlines()[0]
+    run = finished(recorder.run("stopped" if reason else "", reason), cycles, EVERYWHERE)
+    moved = np.array(motion).reshape(-1, len(motors), 3)
+    return AdmittanceRun(run.rows, run.axes, run.ended, run.reason, run.engine, moved, controller.energy_resolution)
 
 
 def _motor(axis: AxisScene, scene: Scene) -> _Motor:
@@ -127,75 +115,46 @@ def _motor(axis: AxisScene, scene: Scene) -> _Motor:
     return _Motor(plant, given.counts_per_unit, channel, per_count, offset, fastest, given.name)
 
 
-_Step = Callable[[list[float], list[float]], tuple[list[float], EnergyBalance]]
-
-
-def _stepped(scene: Scene) -> tuple[Any, _Step]:
-    """The controller, and a function from (positions, forces shown) to (commands, account)."""
+def _controller(scene: Scene) -> Any:
     if scene.groups:
-        group: Any = build_group(scene, scene.groups[0])
-
-        def together(positions: list[float], forces: list[float]) -> tuple[list[float], EnergyBalance]:
-            balance = group.step(positions, [-force for force in forces])
-            return list(balance.torques), balance.account
-
-        return group, together
-    controller: Any = build_axis_controller(scene.axes[0])
-
-    def alone(positions: list[float], forces: list[float]) -> tuple[list[float], EnergyBalance]:
-        balance = controller.step(positions[0], -forces[0])
-        return [balance.torque], balance
-
-    return controller, alone
+        return build_group(scene, scene.groups[0])
+    return build_axis_controller(scene.axes[0])
 
 
-def _walk(motors: list[_Motor], step: _Step, scene: Scene, cycles: int, found: AdmittanceRun) -> None:
+def _walk(
+    motors: list[_Motor], controller: Any, scene: Scene, cycles: int, recorder: Recorder, motion: list[list[float]]
+) -> str:
+    """Record every SYNC; return why the rig was stopped."""
     period = scene.bus.sample_time_ns
     under_way = deque([[0.0] * len(motors) for _ in range(scene.bus.delay)])
-    held, before = [0.0] * len(motors), [0.0] * len(motors)
+    held, before, reason = [0.0] * len(motors), [0.0] * len(motors), ""
     for motor in motors:
         motor.plant.begin(0)
     for k in range(cycles):
-        if k:
-            for motor, command in zip(motors, held, strict=True):
-                motor.plant.advance_to(k * period, command)
-        positions = [motor.position() for motor in motors]
-        forces = [motor.force() for motor in motors]
+        for motor, command in zip(motors if k else (), held, strict=False):
+            motor.plant.advance_to(k * period, command)
+        positions, forces = [motor.position() for motor in motors], [motor.force() for motor in motors]
         for motor, now, last in zip(motors, positions, before, strict=True):
             if motor.channel.is_wrong:
-                found.ended = f"{motor.name}: the force sensor is beyond its range, or frozen"
+                reason = f"{motor.name}: the force sensor is beyond its range, or frozen"
             elif k and abs(now - last) > motor.fastest:
-                found.ended = f"{motor.name}: the position moved faster than the speed limit"
-            found.diverged |= not -FURTHEST < now < FURTHEST
-        commands, account = step(positions, forces)
-        found.held += held
-        _take(motors, commands, account, found)
-        if RANKS[account.certificate] > RANKS[found.certificate]:
-            found.certificate = account.certificate
-        if found.ended or found.diverged:
-            return
+                reason = f"{motor.name}: the position moved faster than the speed limit"
+        if scene.groups:
+            balance = controller.step(positions, [-force for force in forces])
+            commands, account = list(balance.torques), balance.account
+        else:
+            account = controller.step(positions[0], -forces[0])
+            commands = [account.torque]
+        plants = [motor.plant for motor in motors]
+        true, received = [plant.position for plant in plants], 0.0 - sum(plant.energy().motor for plant in plants)
+        recorder.take(received, positions, true, held, account)
+        motion.append([value for plant in plants for value in (plant.position, plant.velocity, plant.force)])
+        if reason or not all(-FURTHEST < now < FURTHEST for now in positions):
+            return reason
         before = positions
         under_way.append(commands)
         held = under_way.popleft()
-
-
-def _take(motors: list[_Motor], commands: list[float], account: EnergyBalance, found: AdmittanceRun) -> None:
-    true = 0.0
-    for motor in motors:
-        plant = motor.plant
-        true -= plant.energy().motor
-        found.motion.extend((plant.position, plant.velocity, plant.force))
-    found.cycles += 1
-    found.energies.append(true)
-    found.interaction, found.least_interaction = true, min(found.least_interaction, true)
-    found.believed += account.h_i
-    found.believed_error = max(found.believed_error, abs(found.believed - true))
-    found.surplus = account.h_dis
-    is_cut = account.certificate in _CUTS
-    if is_cut or any(abs(command) > _STILL for command in commands):
-        found.moving += 1
-        found.cut += is_cut
-    found.uncertified += account.certificate == _NONE
+    return ""
 
 
 def felt(run: AdmittanceRun, scene: Scene) -> tuple[float, float]:
@@ -206,17 +165,18 @@ def felt(run: AdmittanceRun, scene: Scene) -> tuple[float, float]:
     """
     if scene.groups and scene.groups[0].network.name != _FREE_MASS:
         return float("nan"), float("nan")
-    motion, time = run.columns()[_FIRST:], scene.bus.sample_time
+    motion, time = run.motion[_FIRST:], scene.bus.sample_time
     if len(motion) < _FEWEST or not np.isfinite(motion).all() or np.ptp(motion[:, :, 1]) < _STILL:
         return float("nan"), float("nan")
     environment = (scene.groups[0].network if scene.groups else scene.axes[0].environment).parameters
     rows, forces = [], []
-    for place in range(run.axes):
+    axes = motion.shape[1]
+    for place in range(axes):
         position, speed, force = motion[1:-1, place, :].T
         rise = (motion[2:, place, 1] - motion[:-2, place, 1]) / (2.0 * time)
         spring = getattr(environment, "stiffness", 0.0) * (position - getattr(environment, "rest", 0.0))
         is_free = _is_free(scene, place, position, float(np.abs(speed).max()) * (3.0 * time + _BRAKING))
-        rows.append(np.column_stack([rise, speed, np.tile(np.eye(run.axes)[place], (len(rise), 1))])[is_free])
+        rows.append(np.column_stack([rise, speed, np.tile(np.eye(axes)[place], (len(rise), 1))])[is_free])
         forces.append((force - spring)[is_free])
     every = np.concatenate(rows)
     if len(every) < _FEWEST:

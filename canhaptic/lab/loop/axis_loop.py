@@ -140,8 +140,8 @@ class LoopRun:
         return self.rows[:, 0]
 
     @cached_property
-    def booked(self) -> EnergyBalance:
-        """Balances of the controller; every field is a column of shape (n,)."""
+    def booked(self) -> Any:
+        """Balances of the controller, an `EnergyBalance` whose fields are columns of shape (n,)."""
         return EnergyBalance(*self.rows[:, -len(EnergyBalance._fields) :].T)
 
     def balances(self) -> Iterator[EnergyBalance]:
@@ -178,7 +178,7 @@ class LoopRun:
     def residual(self) -> float:
         """Largest residual of the identity over the largest term of its hold (A1)."""
         booked = self.booked
-        before: Any = np.concatenate([[0.0], booked.h_s])[:-1]
+        before = np.concatenate([[0.0], booked.h_s])[:-1]
         terms = (before, booked.h_s, np.abs(booked.h_i), booked.h_r, booked.gen, booked.deficit, booked.leak)
         largest, left = np.max(terms, axis=0), np.abs(residual(booked, before))
         return float(np.divide(left, largest, out=np.zeros_like(left), where=largest > 0.0).max(initial=0.0))

@@ -23,13 +23,13 @@ NODE = SCENES / "force_node.yaml"
 def test_the_plant_is_that_of_a_solver_which_shares_nothing_with_it(name: str) -> None:
     scene = load_scene(SCENES / f"{name}.yaml")
     run, simulation = run_display(scene, 60), simulation_of(scene.axes[0])
-    exact = integrate(simulation, run.held, scene.bus.sample_time)
-    assert np.abs(run.columns()[:, 0, 0] - exact[:, 0]).max() < 1e-12
-    assert np.abs(np.array(run.energies) - exact[:, 1]).max() < 1e-10
-    assert max(run.energies) > 1e-4
+    exact = integrate(simulation, run.torque[:, 0].tolist(), scene.bus.sample_time)
+    assert np.abs(run.motion[:, 0, 0] - exact[:, 0]).max() < 1e-12
+    assert np.abs(run.interaction - exact[:, 1]).max() < 1e-10
+    assert max(run.interaction) > 1e-4
     lighter = load_scene(SCENES / f"{name}.yaml", ["simulation.plant.mass=1.9 kg"])
-    wrong = integrate(simulation_of(lighter.axes[0]), run.held, scene.bus.sample_time)
-    assert np.abs(run.columns()[:, 0, 0] - wrong[:, 0]).max() > 1e-7
+    wrong = integrate(simulation_of(lighter.axes[0]), run.torque[:, 0].tolist(), scene.bus.sample_time)
+    assert np.abs(run.motion[:, 0, 0] - wrong[:, 0]).max() > 1e-7
 
 
 @pytest.mark.slow

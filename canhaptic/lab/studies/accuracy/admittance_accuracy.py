@@ -124,9 +124,9 @@ def study_display(scene: Scene, name: str | None, duration: float | None, stop: 
         "rate": 1.0 / scene.bus.sample_time,
         "holds": holds,
         "reference": {
-            "ended": ideal.ended,
+            "ended": ideal.reason or ideal.ended,
             "travel": float(np.ptp(_positions(ideal), axis=0).max()),
-            "energy": ideal.interaction,
+            "energy": float(ideal.interaction[-1]),
             "apart": _apart(nearly, ideal, 2)[0],
         },
         "plant": [],
@@ -152,15 +152,15 @@ def _steps(scene: Scene) -> int:
 
 
 def _positions(run: AdmittanceRun) -> Array:
-    return run.columns()[:, :, 0]
+    return run.motion[:, :, 0]
 
 
 def _apart(run: AdmittanceRun, ideal: AdmittanceRun, steps: int) -> tuple[float, float]:
     """Return the largest errors of position [m or rad] and energy [J] against the ideal display, at the same times."""
-    exact, energies = _positions(ideal)[::steps], np.array(ideal.energies[::steps])
-    common = min(len(exact), run.cycles)
+    exact, energies = _positions(ideal)[::steps], ideal.interaction[::steps]
+    common = min(len(exact), len(run.rows))
     position = np.abs(_positions(run)[:common] - exact[:common]).max(initial=0.0)
-    return float(position), float(np.abs(np.array(run.energies[:common]) - energies[:common]).max(initial=0.0))
+    return float(position), float(np.abs(run.interaction[:common] - energies[:common]).max(initial=0.0))
 
 
 def _row(variant: Variant, ideal: AdmittanceRun, steps: int, whole: int) -> Row:
@@ -176,14 +176,14 @@ def _row(variant: Variant, ideal: AdmittanceRun, steps: int, whole: int) -> Row:
     figures = figures_of(run, variant.scene)
     position, energy = _apart(run, ideal, steps)
     return row | {
-        "status": run.ended or "ok",
+        "status": run.reason or run.ended or "ok",
         "position_error": position,
         "energy_error": energy,
         "mass_felt": figures["mass_felt"],
         "given_out": -run.least_interaction,
         "guard_acts": figures["guard_acts"],
         "energy_unsure": run.resolution,
-        "us_per_cycle": spent * 1e-3 / max(1, run.cycles),
+        "us_per_cycle": spent * 1e-3 / max(1, len(run.rows)),
     }
 
 
@@ -195,11 +195,11 @@ def _plant_row(scene: Scene, axis: AxisScene, holds: int) -> Row:
         row["status"] = f"not compared: no equations for {reason}"
         return row
     run, place = run_display(scene, holds), scene.axes.index(axis)
-    held = run.held[place :: run.axes]
+    held = run.torque[:, place].tolist()
     exact = integrate(simulation, held, scene.bus.sample_time)
     row["status"], row["position_error"] = "ok", float(np.abs(_positions(run)[:, place] - exact[:, 0]).max())
     if run.axes == 1:
-        row["energy_error"] = float(np.abs(np.array(run.energies) - exact[:, 1]).max())
+        row["energy_error"] = float(np.abs(run.interaction - exact[:, 1]).max())
     return row
 
 
