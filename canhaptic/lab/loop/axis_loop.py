@@ -93,7 +93,7 @@ class LoopCase:
 
 
 class Reach(NamedTuple):
-    """Positions that an axis may take; whatever goes farther has diverged."""
+    """Positions that an axis may take; farther away it has diverged."""
 
     lowest: float = -FURTHEST  # [m or rad]
     highest: float = FURTHEST
@@ -178,7 +178,7 @@ class LoopRun:
     def residual(self) -> float:
         """Largest residual of the identity over the largest term of its hold (A1)."""
         booked = self.booked
-        before = np.concatenate([[0.0], booked.h_s])[:-1]
+        before: Any = np.concatenate([[0.0], booked.h_s])[:-1]
         terms = (before, booked.h_s, np.abs(booked.h_i), booked.h_r, booked.gen, booked.deficit, booked.leak)
         largest, left = np.max(terms, axis=0), np.abs(residual(booked, before))
         return float(np.divide(left, largest, out=np.zeros_like(left), where=largest > 0.0).max(initial=0.0))
