@@ -31,8 +31,11 @@ class Lagging(Still):
     motor_torque = 1.5
 
 
-def meter(motor: Any = None, **values: Any) -> TorqueMeter:
-    return TorqueMeter(motor or Still(), SimulatedDriveParameters(counts_per_unit=1.0, rated_torque=1.0, **values))
+STILL: Any = Still()
+
+
+def meter(motor: Any = STILL, **values: Any) -> TorqueMeter:
+    return TorqueMeter(motor, SimulatedDriveParameters(counts_per_unit=1.0, rated_torque=1.0, **values))
 
 
 @given(st.integers(-32768, 32767))

@@ -9,7 +9,7 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import model_validator
 
-from canhaptic.sim.plant.assembly import MOTOR, Guard, Rows
+from canhaptic.sim.plant.assembly import MOTOR, Guard, PlantModel, Rows
 from canhaptic.units import Parameters, quantity
 
 
@@ -27,9 +27,14 @@ class DryFriction(Parameters):
             raise ValueError(f"static {self.static} is below kinetic {self.kinetic}, expected static >= kinetic")
         return self
 
+    def add_stick_slip(self, scene: PlantModel, name: str, body: int = MOTOR) -> None:
+        """Add the part with its three modes, and its work."""
+        scene.works[name] = "dissipated"
+        scene.parts.append(StickSlip(name, self, scene.states[scene.bodies[body].velocity], body))
+
 
 class StickSlip:
-    """Dry friction on a body, the motor's by default, as a part with a sliding and a breakaway level.
+    """Dry friction on a body as a part with a sliding and a breakaway level.
 
     Args:
         name: Name of the part and of its work.
@@ -40,7 +45,7 @@ class StickSlip:
 
     has_guards = True
 
-    def __init__(self, name: str, friction: DryFriction, velocity: float, body: int = MOTOR) -> None:
+    def __init__(self, name: str, friction: DryFriction, velocity: float, body: int) -> None:
         self.name = name
         self._body = body
         self._kinetic, self._static = friction.kinetic, friction.static

@@ -9,7 +9,7 @@ from typing import Final
 
 from canhaptic.canopen import objects
 from canhaptic.canopen.objects import DataType, NmtCommand, SdoAbort
-from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
+from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore, refuse_unless
 from canhaptic.sim.drive.timers import Timers
 
 _ERROR_HISTORY: Final = 0x1003
@@ -45,7 +45,7 @@ class EmergencyProducer:
         while (field := store.find(_ERROR_HISTORY, len(self._history) + 1)) is not None:
             self._history.append(field)
         if self._count is not None:
-            self._count.check = _only_zero
+            self._count.check = refuse_unless(lambda value: value == 0)
             self._count.changed = self._clear_history
         self.reset()
 
@@ -104,10 +104,6 @@ class EmergencyProducer:
             field.value = None
         if self._count is not None:
             self._count.value = 0
-
-
-def _only_zero(value: int) -> SdoAbort | None:
-    return None if value == 0 else SdoAbort.VALUE_RANGE
 
 
 _NS_PER_MS: Final = 1_000_000

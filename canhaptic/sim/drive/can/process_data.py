@@ -15,7 +15,7 @@ from canhaptic.canopen import objects
 from canhaptic.canopen.objects import DataType, SdoAbort
 from canhaptic.sim.drive.can import nmt_slave as emcy
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
+from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore, refuse_unless
 from canhaptic.sim.drive.profile.servo import Servo
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from canhaptic.sim.drive.timers import Timers
@@ -71,9 +71,10 @@ class Pdo:
             slot.check = self._check_slot
             self._slots.append(slot)
         self._cob_id.check, self._count.check = self._check_cob_id, self._check_count
-        for entry, check in ((self._type, self._check_type), (self._inhibit, self._check_inhibit)):
-            if entry is not None:
-                entry.check = check
+        if self._type is not None:
+            self._type.check = refuse_unless(lambda value: value <= _LARGEST_SYNCHRONOUS or value in (254, 255))
+        if self._inhibit is not None:
+            self._inhibit.check = refuse_unless(lambda _value: not self._exists(), SdoAbort.DEVICE_STATE)
         for entry in (self._cob_id, self._type, self._inhibit, self._event_timer, self._count, *self._slots):
             if entry is not None:
                 entry.changed = on_change
@@ -165,12 +166,6 @@ class Pdo:
             return SdoAbort.DEVICE_STATE
         is_refused = value & _EXTENDED_FRAME or any(value & 0x7FF in identifiers for identifiers in _RESTRICTED)
         return SdoAbort.VALUE_RANGE if is_valid and is_refused else None
-
-    def _check_type(self, value: int) -> SdoAbort | None:
-        return None if value <= _LARGEST_SYNCHRONOUS or value in (254, 255) else SdoAbort.VALUE_RANGE
-
-    def _check_inhibit(self, _value: int) -> SdoAbort | None:
-        return SdoAbort.DEVICE_STATE if self._exists() else None
 
     def _check_slot(self, value: int) -> SdoAbort | None:
         if self._exists():
@@ -284,7 +279,7 @@ class ProcessData:
         self._pdo_timers |= {pdo: timers.add(partial(self._send_by_timer, pdo)) for pdo in self._tpdos}
         self._sync_timer = timers.add(self._lose_sync)
         self._sync_cob_id = store.optional(objects.SYNC_COB_ID, DataType.UNSIGNED32)
-        self._sync_cob_id.check = _check_sync_cob_id
+        self._sync_cob_id.check = refuse_unless(lambda value: value & 0x7FF and not value & _SYNC_GENERATOR)
         self._cycle_period = store.optional(objects.COMMUNICATION_CYCLE_PERIOD, DataType.UNSIGNED32)
         self._sync_cob_id.changed = self._cycle_period.changed = on_change
         counter = store.find(objects.SYNC_COUNTER_OVERFLOW)
@@ -426,7 +421,3 @@ class ProcessData:
 
     def _send_by_timer(self, pdo: Pdo, _due: int) -> None:
         self._send_event(pdo)
-
-
-def _check_sync_cob_id(value: int) -> SdoAbort | None:
-    return SdoAbort.VALUE_RANGE if value & _SYNC_GENERATOR or not value & 0x7FF else None

@@ -1,18 +1,17 @@
 """A simulated force sensor with a node of its own: it answers each SYNC with one frame, once it is operational."""
 
 from collections.abc import Callable
-from functools import partial
 
 from canopen import ObjectDictionary
 from canopen.objectdictionary import ODRecord, ODVariable
 
 from canhaptic.canopen import objects
 from canhaptic.canopen.force_node import ForceNode
-from canhaptic.canopen.objects import DataType, NmtCommand, NmtState, SdoAbort
+from canhaptic.canopen.objects import DataType, NmtCommand, NmtState
 from canhaptic.sim.drive.can.nmt_slave import command_for
 from canhaptic.sim.drive.can.process_data import Content
 from canhaptic.sim.drive.can.sdo_server import SdoServer
-from canhaptic.sim.drive.profile.object_store import ObjectStore
+from canhaptic.sim.drive.profile.object_store import ObjectStore, refuse_unless
 
 _DEVICE_TYPE = 404  # CiA profile of transducers
 _BY_ITSELF = 255  # its transmission type until a master writes another
@@ -53,7 +52,7 @@ class SensorNode:
             (objects.AUTOZERO, objects.ZERO_SIGNATURE),
         ):
             entry = store.entry(index, DataType.UNSIGNED32, 1)
-            entry.check, entry.changed = partial(_refuse_signature, signature), self._tare
+            entry.check, entry.changed = refuse_unless(signature.__eq__), self._tare
 
     @property
     def request_cob_id(self) -> int | None:
@@ -116,7 +115,3 @@ def _transducer() -> ObjectDictionary:
             record.add_member(member)
         dictionary.add_object(record)
     return dictionary
-
-
-def _refuse_signature(signature: int, value: int) -> SdoAbort | None:
-    return None if value == signature else SdoAbort.VALUE_RANGE

@@ -7,8 +7,8 @@ drive: proportional and integral, tuned for the mass of its motor.
 from typing import Any, Final
 
 from canhaptic.canopen import objects
-from canhaptic.canopen.objects import DataType, SdoAbort, StatusBit
-from canhaptic.sim.drive.profile.object_store import ObjectStore
+from canhaptic.canopen.objects import DataType, StatusBit
+from canhaptic.sim.drive.profile.object_store import ObjectStore, refuse_unless
 
 _START, _HALT = 1 << 4, 1 << 8  # of the controlword
 _REACHED, _ATTAINED = int(StatusBit.TARGET_REACHED), 1 << 12  # of the statusword; 12 means this in homing mode alone
@@ -33,7 +33,7 @@ class Homing:
 
     def __init__(self, store: ObjectStore, motor: object) -> None:
         self._method = store.entry(objects.HOMING_METHOD, DataType.INTEGER8)
-        self._method.check = _check_method
+        self._method.check = refuse_unless((0, *_DIRECTIONS, *_HERE).__contains__)
         self._speed = store.optional(objects.HOMING_SPEEDS, DataType.UNSIGNED32, 2)
         self._offset = store.optional(objects.HOME_OFFSET, DataType.INTEGER32)
         self._pitch = max(1, store.optional(objects.ENCODER_RESOLUTION, DataType.UNSIGNED32, 1).number or _COUNTS)
@@ -81,7 +81,3 @@ class Homing:
             self.zero = home - self._offset.number
             self.bits, self._is_active = _REACHED | _ATTAINED, False
         return 0
-
-
-def _check_method(method: int) -> SdoAbort | None:
-    return None if method in (0, *_DIRECTIONS, *_HERE) else SdoAbort.VALUE_RANGE

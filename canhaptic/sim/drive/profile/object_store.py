@@ -14,6 +14,8 @@ from canhaptic.canopen.objects import DataType, Dictionary, SdoAbort, Variable, 
 from canhaptic.errors import ParameterError
 
 _Value = int | float | bytes
+Check = Callable[[int], SdoAbort | None]
+"""Returns the abort code for a value that cannot be stored, or None."""
 
 _INTEGERS: Final[dict[int, tuple[int, bool]]] = {  # data type -> (bytes, signed); CiA 301, 7.4
     DataType.BOOLEAN: (1, False),
@@ -84,7 +86,7 @@ class Entry:
         self.transmittable = not is_dummy and is_mappable and access in ("ro", "rw", "rwr", "const")
         self.initial: _Value | None = None
         self.value: _Value | None = None
-        self.check: Callable[[int], SdoAbort | None] | None = None
+        self.check: Check | None = None
         self.changed: Callable[[], None] | None = None
         self.refresh: Callable[[], None] | None = None
         self.refused: int | None = None
@@ -116,6 +118,11 @@ class Entry:
         if self.size:
             return int.from_bytes(content, "little", signed=_INTEGERS[self.data_type][1])
         return content
+
+
+def refuse_unless(accepts: Callable[[int], object], abort: SdoAbort = SdoAbort.VALUE_RANGE) -> Check:
+    """Check that refuses a value with an abort code."""
+    return lambda value: None if accepts(value) else abort
 
 
 class ObjectStore:
@@ -229,7 +236,7 @@ class ObjectStore:
         """Restrict 0x1010 and 0x1011 to their signatures (CiA 301, 7.5.2.13-14); they keep their capability values."""
         for index, signature in _SIGNATURES.items():
             for entry in [e for (i, subindex), e in self._entries.items() if i == index and subindex]:
-                entry.check = partial(_check_signature, signature)
+                entry.check = refuse_unless(signature.__eq__, SdoAbort.NOT_TRANSFERABLE)
                 entry.changed = partial(_restore, entry)
 
     def _absent(self, index: int) -> SdoAbort:
@@ -256,10 +263,6 @@ class ObjectStore:
             entry.encode(_require(entry.initial))
         except (ValueError, TypeError) as error:
             raise ParameterError(f"{name}: got {value!r}, expected a value of type 0x{entry.data_type:04X}") from error
-
-
-def _check_signature(signature: int, value: int) -> SdoAbort | None:
-    return None if value == signature else SdoAbort.NOT_TRANSFERABLE
 
 
 def _restore(entry: Entry) -> None:

@@ -106,12 +106,29 @@ def _counts(parameters: SimulatedDriveParameters) -> int:
 _LARGEST: Final = 0x7FFF  # 0x6077 is INTEGER16
 
 
-class _TorqueSource(Protocol):
-    """A motor; an attribute `motor_torque` [N*m or N], if it has one, is the torque behind its current loop."""
+class Motor(Protocol):
+    """The plant that the drive moves: motor, load and user.
+
+    A motor's `encoder_position` and `motor_torque` are used where it has them; a motor without them, or with
+    `has_ideal_encoder`, has an ideal encoder or current loop.
+    """
 
     @property
     def position(self) -> float:
         """True position [rad or m]."""
+
+    @property
+    def velocity(self) -> float:
+        """True velocity [rad/s or m/s]."""
+
+    def begin(self, now: int) -> None:
+        """Start its clock at `now` [ns]; until then it is at rest."""
+
+    def advance_to(self, now: int, torque: float) -> None:
+        """Move to `now` [ns] under a torque [N*m or N] that was constant since the last call."""
+
+    def energy(self) -> PlantEnergy:
+        """True energies since the start."""
 
 
 class TorqueMeter:
@@ -128,7 +145,7 @@ class TorqueMeter:
         is_ideal: Whether the measurement equals the demand.
     """
 
-    def __init__(self, motor: _TorqueSource, parameters: SimulatedDriveParameters) -> None:
+    def __init__(self, motor: Motor, parameters: SimulatedDriveParameters) -> None:
         self._motor = motor
         self._has_own_torque = getattr(motor, "motor_torque", None) is not None
         self._lag = parameters.torque_lag
@@ -175,31 +192,6 @@ _LIMITING_WORD: Final = _FOLLOWING_WORD | int(StatusBit.INTERNAL_LIMIT)
 _POWERED: Final = frozenset(
     (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON, _ENABLED, DriveState.QUICK_STOP_ACTIVE)
 )
-
-
-class Motor(Protocol):
-    """The plant that the drive moves: motor, load and user.
-
-    A motor's `encoder_position` and `motor_torque` are used where it has them; a motor without them, or with
-    `has_ideal_encoder`, has an ideal encoder or current loop.
-    """
-
-    @property
-    def position(self) -> float:
-        """True position [rad or m]."""
-
-    @property
-    def velocity(self) -> float:
-        """True velocity [rad/s or m/s]."""
-
-    def begin(self, now: int) -> None:
-        """Start its clock at `now` [ns]; until then it is at rest."""
-
-    def advance_to(self, now: int, torque: float) -> None:
-        """Move to `now` [ns] under a torque [N*m or N] that was constant since the last call."""
-
-    def energy(self) -> PlantEnergy:
-        """True energies since the start."""
 
 
 def _brake_of(motor: Motor, parameters: SimulatedDriveParameters) -> "BrakedMotor | None":

@@ -6,23 +6,18 @@ dissipated, and so is the kinetic energy left when the body sticks. Typical: 0.0
 Source: Karnopp, ASME J. Dynamic Systems 107, 1985; see `canhaptic.sim.plant.dry_friction`.
 """
 
-from typing import ClassVar, Literal
+from typing import Literal
 
-from canhaptic.sim.plant.assembly import MOTOR, PlantModel
-from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
+from canhaptic.sim.plant.assembly import EffectParameters, PlantModel
+from canhaptic.sim.plant.dry_friction import DryFriction
 
 
-class CoulombFriction(DryFriction):
+class CoulombFriction(EffectParameters, DryFriction):
     """Dry friction with stiction."""
-
-    order: ClassVar[int | None] = None
-    rank: ClassVar[int] = 1
 
     type: Literal["coulomb_friction"] = "coulomb_friction"
 
     def add_to(self, scene: PlantModel) -> None:
         """Add the part with its three modes."""
         scene.claim("friction model", self.type)
-        scene.works[self.type] = "dissipated"
-        velocity = scene.states[scene.bodies[MOTOR].velocity]
-        scene.parts.append(StickSlip(self.type, self, velocity))
+        self.add_stick_slip(scene, self.type)

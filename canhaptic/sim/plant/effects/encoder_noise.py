@@ -25,18 +25,11 @@ class EncoderNoise(EffectParameters):
     def add_to(self, scene: PlantModel) -> None:
         """Add the error of the reading."""
         scene.claim("encoder noise", self.type)
-        scene.encoders.append(_Noise(self.deviation))
-
-
-class _Noise:
-    """Gaussian noise, by seed and tick."""
-
-    def __init__(self, deviation: float) -> None:
-        self._deviation = deviation
+        scene.encoders.append(self)
 
     def read(self, position: float, tick: int, seed: int) -> float:
         """Return the reading with its error [m or rad]."""
-        return position + noise(self._deviation, seed, tick)
+        return position + noise(self.deviation, seed, tick)
 
 
 def noise(deviation: float, seed: int, tick: int) -> float:

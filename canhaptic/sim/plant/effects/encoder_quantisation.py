@@ -21,15 +21,8 @@ class EncoderQuantisation(EffectParameters):
     def add_to(self, scene: PlantModel) -> None:
         """Add the rounding of the reading."""
         scene.claim("encoder quantisation", self.type)
-        scene.encoders.append(_Steps(self.count))
-
-
-class _Steps:
-    """The rounding of a reading."""
-
-    def __init__(self, count: float) -> None:
-        self._count = count
+        scene.encoders.append(self)
 
     def read(self, position: float, tick: int, seed: int) -> float:
         """The nearest count [m or rad]; a position that is not finite is returned as it is."""
-        return round(position / self._count) * self._count if math.isfinite(position) else position
+        return round(position / self.count) * self.count if math.isfinite(position) else position

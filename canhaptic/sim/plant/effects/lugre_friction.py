@@ -14,18 +14,16 @@ Source: Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE Trans. Automatic Contro
 import math
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import PlantModel
+from canhaptic.sim.plant.assembly import EffectParameters, PlantModel
 from canhaptic.sim.plant.dry_friction import DryFriction
 from canhaptic.sim.plant.effort_forces import BRISTLE, Effort, EffortForce
 from canhaptic.units import quantity
 
 
-class LuGreFriction(DryFriction):
+class LuGreFriction(EffectParameters, DryFriction):
     """Dry friction with pre-sliding displacement."""
 
     order: ClassVar[int | None] = 2
-    rank: ClassVar[int] = 1
-
     type: Literal["lugre_friction"] = "lugre_friction"
     stribeck_velocity: Annotated[float, quantity("m/s", "rad/s", gt=0.0, le=1e3)]
     """Velocity at which the friction has fallen by 63 % of the way from `static` to `kinetic`."""

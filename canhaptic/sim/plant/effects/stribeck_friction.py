@@ -9,18 +9,16 @@ Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994.
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import MOTOR, PlantModel
-from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
+from canhaptic.sim.plant.assembly import EffectParameters, PlantModel
+from canhaptic.sim.plant.dry_friction import DryFriction
 from canhaptic.sim.plant.effort_forces import FALLING, Effort, EffortForce
 from canhaptic.units import quantity
 
 
-class StribeckFriction(DryFriction):
+class StribeckFriction(EffectParameters, DryFriction):
     """Dry friction with a falling characteristic; the cause of stick-slip."""
 
     order: ClassVar[int | None] = 2
-    rank: ClassVar[int] = 1
-
     type: Literal["stribeck_friction"] = "stribeck_friction"
     stribeck_velocity: Annotated[float, quantity("m/s", "rad/s", gt=0.0, le=1e3)]
     """Velocity at which the friction has fallen by 63 % of the way from `static` to `kinetic`."""
@@ -28,9 +26,7 @@ class StribeckFriction(DryFriction):
     def add_to(self, scene: PlantModel) -> None:
         """Add the modes of dry friction and the effort of the falling part."""
         scene.claim("friction model", self.type)
-        scene.works[self.type] = "dissipated"
-        velocity = scene.states[scene.bodies[MOTOR].velocity]
-        scene.parts.append(StickSlip(self.type, self, velocity))
+        self.add_stick_slip(scene, self.type)
         levels = {"kinetic": self.kinetic, "static": self.static, "stribeck_velocity": self.stribeck_velocity}
         scene.efforts.append(EffortForce(Effort(FALLING, **levels), "dissipated"))
 

@@ -85,25 +85,6 @@ def solved(matrix: Inertia, left: float, right: float) -> Pair:
     return (matrix.c * left - matrix.b * right) / determinant, (matrix.a * right - matrix.b * left) / determinant
 
 
-def linkage_of(
-    base: float, proximal: float, distal: float, motor_inertia: float, distal_mass: float, handle_mass: float
-) -> Linkage:
-    """Return links of given lengths and masses.
-
-    Args:
-        base: Distance of the motors [m].
-        proximal: Length of the links on the motors [m].
-        distal: Length of the links that carry the handle [m].
-        motor_inertia: Rotor and proximal link about each motor [kg*m^2].
-        distal_mass: Mass of each distal link [kg].
-        handle_mass: Mass of the handle [kg].
-    """
-    return Linkage(
-        0.5 * base, proximal, distal, motor_inertia + distal_mass * proximal * proximal / 3.0, distal_mass / 6.0,
-        handle_mass + 2.0 * distal_mass / 3.0,
-    )  # fmt: skip
-
-
 def pose_at(links: Linkage, left: float, right: float) -> LinkagePose:
     """Return the pose at two motor angles [rad], which must be finite."""
     length, half = links.proximal, links.half_base
@@ -624,9 +605,9 @@ class FiveBarLinkage(Parameters):
 
     def linkage(self) -> Linkage:
         """Return geometry and inertia."""
-        return linkage_of(
-            self.base, self.proximal, self.distal, self.motor_inertia, self.distal_mass, self.handle_mass
-        )  # fmt: skip
+        inertia = self.motor_inertia + self.distal_mass * self.proximal * self.proximal / 3.0
+        handle = self.handle_mass + 2.0 * self.distal_mass / 3.0
+        return Linkage(0.5 * self.base, self.proximal, self.distal, inertia, self.distal_mass / 6.0, handle)
 
     def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> "FiveBarMotion":
         """Return the five-bar at rest at its initial angles.

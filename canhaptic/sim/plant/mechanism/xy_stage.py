@@ -13,7 +13,7 @@ from canhaptic.axis_units import Motion
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.accuracy_parameters import LEVELS
 from canhaptic.sim.plant.assembly import LEAST_MASS, Body, LinearPart, PlantModel, Rows
-from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
+from canhaptic.sim.plant.dry_friction import DryFriction
 from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton, matrix_of
 from canhaptic.sim.plant.mechanism.sample_clock import SampleClock
 from canhaptic.sim.plant.mechanism.task_hand import Length, PointerTaskHand, TaskHand
@@ -169,41 +169,31 @@ def _scene(stage: XYStage, hand: TaskHand | None, sample_time: float) -> PlantMo
         scene.add_state(f"{name}_velocity")
         scene.add_state(f"{name}_force")
         scene.bodies.append(Body(name, masses[body], f"{name}_velocity", ((f"{name}_position", 1.0),)))
-        _add_motor(scene, body, name)
-        if dampings[body]:
-            _add_guide(scene, body, name, dampings[body])
+        _add_axis(scene, body, name, dampings[body])
     for body, friction in enumerate((stage.friction_x, stage.friction_y)):
         if friction is not None:
-            _add_friction(scene, body, f"{_NAMES[body]}_friction", friction)
+            friction.add_stick_slip(scene, f"{_NAMES[body]}_friction", body)
     if hand is not None:
         _add_hand(scene, hand)
     return scene
 
 
-def _add_motor(scene: PlantModel, body: int, name: str) -> None:
+def _add_axis(scene: PlantModel, body: int, name: str, damping: float) -> None:
+    """Add the motor of a direction and the damping of its guide."""
+
     def write(rows: Rows) -> None:
         velocity, force = rows.velocity(body), rows.row(**{f"{name}_force": 1.0})
         rows.set_rate(f"{name}_position", velocity)
         rows.forces[body] += force
         rows.add_power(f"{name}_motor", force, velocity)
+        if damping:
+            rows.forces[body] -= damping * velocity
+            rows.add_power(f"{name}_guide", damping * velocity, velocity)
 
     scene.works[f"{name}_motor"] = "motor"
+    if damping:
+        scene.works[f"{name}_guide"] = "dissipated"
     scene.parts.append(LinearPart(f"{name}_motor", write))
-
-
-def _add_guide(scene: PlantModel, body: int, name: str, damping: float) -> None:
-    def write(rows: Rows) -> None:
-        velocity = rows.velocity(body)
-        rows.forces[body] -= damping * velocity
-        rows.add_power(f"{name}_guide", damping * velocity, velocity)
-
-    scene.works[f"{name}_guide"] = "dissipated"
-    scene.parts.append(LinearPart(f"{name}_guide", write))
-
-
-def _add_friction(scene: PlantModel, body: int, name: str, friction: DryFriction) -> None:
-    scene.works[name] = "dissipated"
-    scene.parts.append(StickSlip(name, friction, 0.0, body))
 
 
 def _add_hand(scene: PlantModel, hand: TaskHand) -> None:
