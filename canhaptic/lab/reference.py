@@ -55,7 +55,7 @@ from canhaptic.lab.loop.axis_loop import mechanism_of_group
 from canhaptic.scene.models import AxisSimulation, Scene
 from canhaptic.scene.parts import effect_of
 from canhaptic.scene.torque_history import simulation_of
-from canhaptic.sim.plant.assembly import MOTOR, Guard, LinearPart, Part, PlainPart, PlantModel, Rows
+from canhaptic.sim.plant.assembly import MOTOR, Guard, LinearPart, Part, PlantModel, Rows
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.mechanism import MechanismParameters
 from canhaptic.sim.plant.plant import Plant, PlantParameters
@@ -280,7 +280,7 @@ def _effect(parts: Sequence[Part], state: str | None = None) -> Effect:
     return _ContinuousEffect(tuple(parts), state)
 
 
-class _Wall(PlainPart):
+class _Wall(Part):
     """Spring and damper beyond a surface, exactly as in eq. 12: the damper resists until the surface is passed.
 
     Args:
@@ -316,7 +316,7 @@ class _Wall(PlainPart):
         return rows.position(MOTOR) - rows.row(one=self._surface)
 
 
-class _PrandtlElement(PlainPart):
+class _PrandtlElement(Part):
     """Prandtl's element: a spring between axis and ground that slides at its limit."""
 
     modes: tuple[str, ...] = ("elastic", "forward", "backward")

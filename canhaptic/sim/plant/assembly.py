@@ -69,46 +69,33 @@ class Guard(NamedTuple):
     resets: tuple[tuple[int, Array], ...] = ()  # (state, row): the state becomes row . z
 
 
-class Part(Protocol):
-    """Something with forces and, possibly, modes; piecewise affine."""
+class Part:
+    """Something with forces and, possibly, modes; piecewise affine.
 
-    @property
-    def name(self) -> str:
-        """Name, unique in a scene."""
+    Attributes:
+        name: Name, unique in a scene.
+        modes: Names of its modes; it starts in the first.
+        has_guards: Whether it has guards; False when it has one mode, or changes mode by the clock only.
+    """
 
-    @property
-    def modes(self) -> tuple[str, ...]:
-        """Names of its modes; it starts in the first."""
-
-    @property
-    def has_guards(self) -> bool:
-        """Whether it has guards; False when it has one mode, or changes mode by the clock only."""
+    name: str
+    modes: tuple[str, ...]
+    has_guards: bool = False
 
     def assemble(self, rows: "Rows", mode: str) -> None:
         """Add rates, forces, powers and stored energy of this mode."""
+        raise NotImplementedError
 
     def constrain(self, rows: "Rows", mode: str) -> None:
-        """Called when all forces are known: may stop a body."""
+        """Called when all forces are known: may stop a body; none by default."""
 
     def guards(self, rows: "Rows", mode: str) -> Sequence[Guard]:
-        """Return the guards of this mode; called last."""
-
-
-class PlainPart:
-    """Defaults of most parts: no constraint on a body, and mode changes by the clock only."""
-
-    has_guards: bool = False
-
-    def constrain(self, rows: "Rows", mode: str) -> None:
-        """No-op: no body is constrained."""
-
-    def guards(self, rows: "Rows", mode: str) -> Sequence[Guard]:
-        """Return no guards."""
+        """Return the guards of this mode, none by default; called last."""
         return ()
 
 
 @dataclass(frozen=True)
-class LinearPart(PlainPart):
+class LinearPart(Part):
     """A part with a single mode."""
 
     name: str

@@ -9,7 +9,7 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import model_validator
 
-from canhaptic.sim.plant.assembly import MOTOR, Guard, PlantModel, Rows
+from canhaptic.sim.plant.assembly import MOTOR, Guard, Part, PlantModel, Rows
 from canhaptic.units import Parameters, quantity
 
 
@@ -33,7 +33,7 @@ class DryFriction(Parameters):
         scene.parts.append(StickSlip(name, self, scene.states[scene.bodies[body].velocity], body))
 
 
-class StickSlip:
+class StickSlip(Part):
     """Dry friction on a body as a part with a sliding and a breakaway level.
 
     Args:

@@ -10,7 +10,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import model_validator
 
-from canhaptic.sim.plant.assembly import PlainPart, PlantModel, Rows
+from canhaptic.sim.plant.assembly import Part, PlantModel, Rows
 from canhaptic.units import Parameters, quantity
 
 _HAND: Final = "hand"
@@ -61,19 +61,14 @@ class UserParameters(Parameters):
             Hand(self).add_to(scene)
 
 
-class Hand(PlainPart):
+class Hand(Part):
     """The force of the hand on the handle, with one mode per grasp."""
 
     def __init__(self, user: UserParameters) -> None:
-        self.name = _HAND
+        self.name, self.modes = _HAND, ("grasp_0",)
         self._user = user
         self._grasps = [(user.stiffness, user.damping)]
         self._targets: list[tuple[str, float, float]] = []  # (name, amplitude, angular frequency)
-
-    @property
-    def modes(self) -> tuple[str, ...]:
-        """One mode per grasp, in the order of time."""
-        return tuple(f"grasp_{i}" for i in range(len(self._grasps)))
 
     @property
     def _rest(self) -> float:
@@ -101,6 +96,7 @@ class Hand(PlainPart):
 
     def add_grasp(self, stiffness: float, damping: float) -> str:
         """Return the mode of a further grasp."""
+        self.modes += (f"grasp_{len(self._grasps)}",)  # in the order of time
         self._grasps.append((stiffness, damping))
         return self.modes[-1]
 

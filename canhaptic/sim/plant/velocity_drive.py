@@ -22,7 +22,7 @@ from typing import Annotated, ClassVar, Final, Literal
 
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Guard, LinearPart, PlainPart, PlantModel, Rows
+from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Guard, LinearPart, Part, PlantModel, Rows
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.effects.shaft_compliance import ShaftCompliance
 from canhaptic.sim.plant.plant import Plant, PlantParameters
@@ -176,7 +176,7 @@ class _DrivenMass(PlantParameters):
             scene.parts.append(_Integral(self.loop))
 
 
-class _Loop(PlainPart):
+class _Loop(Part):
     """The loop as a part: following, limited on either side, or without power."""
 
     modes = ("follows", "upper", "lower", "off")
@@ -211,7 +211,7 @@ class _Loop(PlainPart):
         return (Guard((demand if mode == "upper" else -demand) - most, "follows"),)
 
 
-class _Integral(PlainPart):
+class _Integral(Part):
     """The integral of the loop as a part: free, or at the limit of the torque."""
 
     modes = ("free", "upper", "lower")
@@ -238,7 +238,7 @@ class _Integral(PlainPart):
         return (Guard(lag if mode == "upper" else -lag, "free"),)
 
 
-class _Sensor(PlainPart):
+class _Sensor(Part):
     """Force between mass and grip: its impulse, its filtered value, and the work through it."""
 
     order: ClassVar[int | None] = None

@@ -166,10 +166,9 @@ class AdmittanceServo(Servo):
         if self._setpoint is None or not self._period:
             self._setpoint = target
             return 0.0
-        return self.torque if self._has_taken else self._take_setpoint(target)
-
-    def _take_setpoint(self, target: int) -> float:
-        before, self._setpoint = self._setpoint or 0, target
+        if self._has_taken:
+            return self.torque
+        before, self._setpoint = self._setpoint, target
         self._has_taken = True
         step = (target - before + _WRAP // 2) % _WRAP - _WRAP // 2
         return step * self._per_position_count / self._period
@@ -182,21 +181,7 @@ class AdmittanceServo(Servo):
             if abs(self.motor.velocity) > _STANDSTILL and not is_late:
                 self.has_event = True  # the owner times the next look
                 return
-        before = self.machine.state
-        self.machine.settle(self._quick_stop_option.number)
-        self.update(before)
-
-    def fault(self) -> None:
-        """Begin the fault reaction: velocity 0."""
-        before = self.machine.state
-        self.machine.fault()
-        self.update(before)
-
-    def abort_connection(self, option: int) -> None:
-        """React to a lost connection as 0x6007 demands; the power stage follows the state."""
-        before = self.machine.state
-        super().abort_connection(option)
-        self.update(before)
+        super().settle()
 
     def sample(self) -> None:
         """Measure at a SYNC; in mode 8 the interpolation to the last target ends here."""

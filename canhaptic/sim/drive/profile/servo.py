@@ -375,25 +375,28 @@ class Servo:
 
     def settle(self) -> None:
         """Make the transitions that need no command."""
+        before = self.machine.state
         self.machine.settle(self._quick_stop_option.number)
-        self.update()
+        self.update(before)
 
     def fault(self) -> None:
-        """Begin the fault reaction: torque 0 at once."""
+        """Begin the fault reaction: torque or velocity 0 at once."""
+        before = self.machine.state
         self.machine.fault()
-        self.update()
+        self.update(before)
 
     def abort_connection(self, option: int) -> None:
         """React to a lost connection as 0x6007 demands: 0 nothing, 2 disable voltage, 3 quick stop, else fault."""
+        before = self.machine.state
         if option == 0 or not self.is_powered:
             return
         if option == 2:
             self.machine.disable_voltage()
-        elif option == 3 and self.machine.state is _ENABLED:
+        elif option == 3 and before is _ENABLED:
             self.machine.quick_stop(self._quick_stop_option.number)
         elif option != 3:
             self.machine.fault()
-        self.update()
+        self.update(before)
 
     # --- measurement ------------------------------------------------------------------------------------------------
 

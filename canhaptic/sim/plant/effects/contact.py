@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from canhaptic.sim.plant.assembly import Guard, PlainPart, PlantModel, Rows
+from canhaptic.sim.plant.assembly import Guard, Part, PlantModel, Rows
 from canhaptic.sim.plant.propagator import Array
 
 
-class Contact(PlainPart):
+class Contact(Part):
     """Contact where a distance, a sum of positions, exceeds a limit.
 
     Args:

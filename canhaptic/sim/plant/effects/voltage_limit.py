@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.plant.assembly import MOTOR, EffectParameters, Guard, PlainPart, PlantModel, Rows
+from canhaptic.sim.plant.assembly import MOTOR, EffectParameters, Guard, Part, PlantModel, Rows
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.units import quantity
 
@@ -58,7 +58,7 @@ class VoltageLimit(EffectParameters):
         return max(time_constant, steep / (self.back_emf * rest)) if rest > 0.0 else math.inf
 
 
-class _Winding(PlainPart):
+class _Winding(Part):
     """The winding: within the supply, at it, or at its negative."""
 
     name = "voltage_limit"
