@@ -5,7 +5,6 @@ Keys, units, ranges, defaults and words are those of the models, as `canhaptic s
 
 import json
 import re
-import sys
 from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
@@ -17,6 +16,7 @@ import yaml
 from canhaptic.cli.check_eds import survey_of
 from canhaptic.scene.json_schema import Schema, scene_schema
 from canhaptic.scene.starter import starter_scene
+from tools.page_part import write_page
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 PAGE: Final = ROOT / "docs" / "configuration.md"
@@ -230,11 +230,5 @@ def _plain(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
-def main() -> int:
-    """Writes the page; returns 0."""
-    PAGE.write_text(page(), encoding="utf-8")
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    write_page(PAGE, page)

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from canhaptic import build, load_scene
 from canhaptic.cycle import Cycle
-from tools.page_part import with_part
+from tools.page_part import with_part, write_page
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 PAGE: Final = ROOT / "docs" / "how_it_works.md"
@@ -85,5 +85,4 @@ def page() -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(), encoding="utf-8")
-    sys.stdout.write(f"{PAGE}\n")
+    write_page(PAGE, page)

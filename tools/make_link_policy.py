@@ -1,12 +1,11 @@
 """Writes the link policy into docs/troubleshooting.md, with the recorded faults: `python -m tools.make_link_policy`."""
 
 import json
-import sys
 from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.drive.profile.link_policy import READ_BACK_TABLE, STOP_TABLE, Action, StopReason
-from tools.page_part import with_part
+from tools.page_part import with_part, write_page
 
 PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "troubleshooting.md"
 RESULT: Final = PAGE.with_name("results") / "faults.json"
@@ -105,11 +104,5 @@ def _table(headings: list[str], rows: list[list[str]]) -> list[str]:
     return [f"| {' | '.join(cells)} |" for cells in (headings, ["---"] * len(headings), *rows)]
 
 
-def main() -> int:
-    """Writes the page; returns 0."""
-    PAGE.write_text(page(), encoding="utf-8")
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    write_page(PAGE, page)

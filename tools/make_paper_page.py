@@ -11,13 +11,13 @@ A PART is a key, or the name of one of the `rows` of a benchmark.
 
 import ast
 import re
-import sys
 from pathlib import Path
 from textwrap import fill
 from typing import Any, Final
 
 from canhaptic.errors import InputError
 from tools.fill_numbers import value_at, written
+from tools.page_part import write_page
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 SOURCE: Final = ROOT / "tools" / "paper_page.md"
@@ -89,11 +89,5 @@ def _refilled(paragraph: str) -> str:
     return fill(paragraph, _WIDTH, break_long_words=False, break_on_hyphens=False)
 
 
-def main() -> int:
-    """Writes the page; returns 0."""
-    PAGE.write_text(page(), encoding="utf-8")
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    write_page(PAGE, page)

@@ -6,7 +6,6 @@ tree, or one that is skipped or may fail is an error: what no test covers is no 
 
 import ast
 import re
-import sys
 from collections import Counter
 from functools import cache
 from pathlib import Path
@@ -16,7 +15,7 @@ import yaml
 
 from canhaptic.errors import InputError
 from tools import fill_numbers
-from tools.page_part import with_part
+from tools.page_part import with_part, write_page
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 PAGE: Final = ROOT / "docs" / "safety.md"
@@ -85,14 +84,5 @@ def _functions(file: str) -> dict[str, set[str]]:
     }
 
 
-def main() -> int:
-    """Writes the page; returns 0."""
-    PAGE.write_text(page(), encoding="utf-8")
-    return 0
-
-
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except InputError as problem:
-        sys.exit(str(problem))
+    write_page(PAGE, page)

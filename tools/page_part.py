@@ -1,5 +1,7 @@
-"""The part of a page that is made from code, between `<!-- NAME: begin -->` and `<!-- NAME: end -->`."""
+"""Pages that are made from code, whole or between `<!-- NAME: begin -->` and `<!-- NAME: end -->`."""
 
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from canhaptic.errors import InputError
@@ -22,3 +24,12 @@ def with_part(page: Path, name: str, part: str) -> str:
     if not found or not found_end:
         raise InputError(f"{page.name}: no part between {begin.strip()} and {end.strip()}; write both lines into it")
     return "".join([head, begin, part, end, tail])
+
+
+def write_page(place: Path, page: Callable[[], str]) -> None:
+    """Writes a page that is made from code; ends the process with the reason where it cannot be made."""
+    try:
+        place.write_text(page(), encoding="utf-8")
+    except InputError as problem:
+        sys.exit(str(problem))
+    print(place)

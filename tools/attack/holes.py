@@ -3,6 +3,7 @@
 Nine ways on which certified torques gave out energy before the hold was declared as it is.
 """
 
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from tools.attack.climb import Attack
 from tools.attack.plant import Hand, Rig
+from tools.chance import EXACT, Chance
 
 
 class Hole(NamedTuple):
@@ -76,12 +78,6 @@ HOLES: Final = (
 )  # fmt: skip
 
 
-def keys_missing(hole: Hole) -> list[str]:
-    """Returns what the mend of a hole needs and this version of the package cannot declare."""
-    known = LoopProperties.model_fields.keys() | GuardedParameters.model_fields.keys()
-    return [key for key in hole.mend if key not in known]
-
-
 def attack_on(hole: Hole, *, mended: bool) -> Attack:
     """Returns the attack on a loop that declares the mend of a hole, or does not."""
     rig, declared = hole.rig, {**(hole.mend if mended else hole.wrong)}
@@ -103,44 +99,28 @@ def attack_on(hole: Hole, *, mended: bool) -> Attack:
 
 def random_attack(seed: int) -> Attack:
     """Returns an attack on a loop of which everything is declared as it is."""
-    random = np.random.default_rng([seed, 9])
-
-    def decades(low: float, high: float) -> float:
-        return float(10.0 ** random.uniform(np.log10(low), np.log10(high)))
-
-    sample_time = float(random.choice([1e-3, 2e-3, 4e-3, 0.01, 0.025]))
-    known = LoopProperties.model_fields
-    jitter = float(random.choice([0.0, 0.02, 0.1])) if "sync_jitter" in known else 0.0
-    window = float(random.choice([0.0, 0.0, 0.1, 0.3])) * sample_time if "torque_window" in known else 0.0
-    lag = float(random.choice([0.0, 0.0, 0.05, 0.3])) * sample_time if "current_lag" in known else 0.0
-    friction = float(random.choice([0.0, 0.0, 0.5, 2.0])) if "device_friction_bound" in known else 0.0
-    mass, damping = decades(0.05, 2.0), decades(0.01, 3.0)
-    rig = Rig(
-        sample_time, mass, damping, friction, lag, window, jitter, delay=int(random.integers(2)),
-        limit=float(random.choice([1.0, 5.0, 1e6])),
-    )  # fmt: skip
-    hand = Hand(float(random.choice([0.0, 0.5, 2.0, 5.0, 20.0])), float(random.choice([5.0, 20.0, 60.0])), 1.0)
-    declared = {
-        "sync_jitter": jitter, "torque_window": window, "current_lag": lag, "device_friction_bound": friction,
-        "device_damping": damping * float(random.choice([0.0, 0.5, 1.0])) or None,
-        "device_friction": friction * float(random.choice([0.0, 0.5, 1.0])) or None,
-    }  # fmt: skip
+    chance = Chance(seed, 9)
+    one_of, decades = chance.one_of, partial(chance.decades, digits=EXACT)
+    time, jitter = one_of((1e-3, 2e-3, 4e-3, 0.01, 0.025)), one_of((0.0, 0.02, 0.1))
+    window, lag = one_of((0.0, 0.0, 0.1, 0.3)) * time, one_of((0.0, 0.0, 0.05, 0.3)) * time
+    friction, mass, damping = one_of((0.0, 0.0, 0.5, 2.0)), decades(0.05, 2.0), decades(0.01, 3.0)
+    delay, limit = int(chance.generator.integers(2)), one_of((1.0, 5.0, 1e6))
+    rig = Rig(time, mass, damping, friction, lag, window, jitter, delay=delay, limit=limit)
+    hand = Hand(one_of((0.0, 0.5, 2.0, 5.0, 20.0)), one_of((5.0, 20.0, 60.0)), 1.0)
+    device = damping * one_of((0.0, 0.5, 1.0)) or None, friction * one_of((0.0, 0.5, 1.0)) or None
     loop = LoopProperties(
-        sample_time=sample_time, delay=rig.delay, moving_mass=mass * float(random.choice([0.6, 1.0])),
-        device_damping_bound=damping * float(random.choice([1.0, 3.0])), torque_limit=rig.limit,
-        encoder_count=float(random.choice([0.0, 1e-6, 2e-5])),
-        **{key: value for key, value in declared.items() if key in known},
+        sync_jitter=jitter, torque_window=window, current_lag=lag, device_friction_bound=friction,
+        device_damping=device[0], device_friction=device[1], sample_time=time, delay=delay, torque_limit=limit,
+        moving_mass=mass * one_of((0.6, 1.0)), device_damping_bound=damping * one_of((1.0, 3.0)),
+        encoder_count=one_of((0.0, 1e-6, 2e-5)),
     )  # fmt: skip
-    more = {"hand_push": hand.push} if "hand_push" in GuardedParameters.model_fields and random.random() < 0.5 else {}
-    wall: Any = SpringDamperWall(
-        stiffness=decades(50.0, 5e4), damping=float(random.choice([0.0, 5.0, 20.0])) if _PUSH_MATTERS else 0.0,
-        position=0.0,
-    )  # fmt: skip
+    more = {"hand_push": hand.push} if chance.drawn(0.5) else {}
+    wall: Any = SpringDamperWall(stiffness=decades(50.0, 5e4), damping=one_of((0.0, 5.0, 20.0)), position=0.0)
     if (turning := _that_turns(seed, wall.damping)) is not None:
         wall, rig, more = turning, rig._replace(turns=True), {"hand_push": max(hand.push, hand.pull)}
-    if random.random() < 0.5:
-        more |= {"earned_energy": decades(1e-4, 0.1), "drag": float(random.choice([0.0, 0.1, 1.0]))}
-    if random.random() < 0.25 and (declared["device_damping"] or declared["device_friction"]):
+    if chance.drawn(0.5):
+        more |= {"earned_energy": decades(1e-4, 0.1), "drag": one_of((0.0, 0.1, 1.0))}
+    if chance.drawn(0.25) and any(device):
         return Attack(rig, wall, loop, GuardedParameters(**{**more, "hand_force": None}), hand._replace(pull=60.0))
     return Attack(rig, wall, loop, GuardedParameters(hand_force=hand.pull, **more), hand)
 
@@ -153,7 +133,3 @@ def _that_turns(seed: int, damping: float) -> Any:
         return Detents(peak=0.2 * stiffness * float(size), pitch=max(1e-3, float(size)), damping=damping)
     low = 0.004 * float(random.random())
     return TwoSidedWall(stiffness=stiffness, damping=damping, lower=low, upper=low + float(size)) if kind == 1 else None
-
-
-_PUSH_MATTERS: Final = "hand_push" in GuardedParameters.model_fields
-"""Whether a damped wall can be declared; before, a pushing hand was the way out K."""

@@ -10,6 +10,7 @@ rests, proves nothing and does not count.
 import argparse
 import math
 import os
+from functools import partial
 from multiprocessing import Pool
 from typing import Final, NamedTuple
 
@@ -18,6 +19,7 @@ from numba import njit
 
 from canhaptic.control.passivity.hold_dither import HoldWatch
 from tools.bench.report import Row, publish
+from tools.chance import EXACT, Chance
 
 _WANTED: Final = 5000
 _HOLDS: Final = 5000
@@ -47,10 +49,8 @@ class Loop(NamedTuple):
 
 def drawn(seed: int, amplitude: float | None = None) -> Loop:
     """Returns the loop of a seed."""
-    generator = np.random.default_rng([seed, 35])
-
-    def decades(low: float, high: float) -> float:
-        return float(10.0 ** generator.uniform(math.log10(low), math.log10(high)))
+    chance = Chance(seed, 35)
+    generator, decades = chance.generator, partial(chance.decades, digits=EXACT)
 
     def perhaps(value: float) -> float:
         return value if generator.random() < 0.5 else 0.0

@@ -8,19 +8,17 @@ where nothing is said. `--runs N` twins from `--seed` on; what has run is kept i
 
 import argparse
 import json
-import math
 import os
 from contextlib import suppress
 from multiprocessing import Pool
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-import numpy as np
-
 from canhaptic.commission.mass_and_friction import time_the_torque
 from canhaptic.commission.session import CommissioningLimits, Session, StepVerdict, Unattended
 from canhaptic.scene.load import scene_from_mapping
 from tools.bench.report import Row, kept_folder, publish
+from tools.chance import Chance
 
 _SOURCE: Final = str(Path(__file__).resolve().parents[2] / "configs" / "which_hold.yaml")
 _KEPT: Final = "which_hold_runs.jsonl"
@@ -39,39 +37,30 @@ class Twin(NamedTuple):
 
 def _drawn(seed: int) -> tuple[dict[str, Any], int, float, float]:
     """Returns a scene, the true hold, torque and mass."""
-    generator = np.random.default_rng([seed, 29])
-
-    def decades(low: float, high: float) -> float:
-        return float(f"{10.0 ** generator.uniform(math.log10(low), math.log10(high)):.4g}")
-
-    hold, rate = int(generator.choice([-1, 0, 1, 2])), int(generator.choice([500, 1000, 1000, 1000]))
+    chance = Chance(seed, 29)
+    decades, generator = chance.decades, chance.generator
+    hold, rate = chance.one_of((-1, 0, 1, 2)), chance.one_of((500, 1000, 1000, 1000))
     mass, torque = decades(0.05, 0.6), decades(0.5, 5.0)
     drive = {"acts_at_once": hold < 0, "syncs_late": max(0, hold), "objects": {"0x6502": 0x200}}
-    if generator.random() < 0.4:
+    if chance.drawn(0.4):
         drive["torque_read_back"] = "after_update"
     effects: list[dict[str, Any]] = []
-    if generator.random() < 0.8:
+    if chance.drawn(0.8):
         effects.append({"type": "current_loop", "time_constant": max(1e-5, float(generator.uniform(0.0, 1e-3)))})
-    friction, kinetic = generator.choice(["", "coulomb_friction", "stribeck_friction"]), decades(0.02, 0.3) * torque
+    friction, kinetic = chance.one_of(("", "coulomb_friction", "stribeck_friction")), decades(0.02, 0.3) * torque
     if friction:
-        effects.append({"type": str(friction), "kinetic": kinetic, "static": 1.3 * kinetic})
+        effects.append({"type": friction, "kinetic": kinetic, "static": 1.3 * kinetic})
         if friction == "stribeck_friction":
             effects[-1]["stribeck_velocity"] = decades(2e-2, 1e-1)
     load = 0.0
-    if generator.random() < 0.25:
+    if chance.drawn(0.25):
         load = decades(0.03, 0.3)
-        effects.append(
-            {
-                "type": "shaft_compliance",
-                "stiffness": decades(2e3, 1e5),
-                "damping": decades(0.5, 10.0),
-                "load_mass": load,
-            }
-        )
+        shaft = {"stiffness": decades(2e3, 1e5), "damping": decades(0.5, 10.0), "load_mass": load}
+        effects.append({"type": "shaft_compliance", **shaft})
     axis = {
         "name": "handle", "node_id": 1, "eds": "cia402_servo.eds", "unit": "m",
         "counts_per_unit": float(f"{1.0 / decades(3e-7, 1e-5):.4g}"), "rated_torque": 50.0, "torque_limit": 50.0,
-        "read_back": "none" if generator.random() < 0.2 else "auto",
+        "read_back": "none" if chance.drawn(0.2) else "auto",
     }  # fmt: skip
     scene = {
         "duration": 1.0, "bus": {"rate": rate}, "axes": [axis],

@@ -4,34 +4,16 @@ Drawn from a generator of its own, so that a seed keeps what `scenes` draws for 
 `device_friction`: its bristles give back what a small motion put into them, and no path dissipates for certain.
 """
 
-from collections.abc import Sequence
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
-import numpy as np
+from tools.chance import Chance
 
-_Drawn = TypeVar("_Drawn")
 _DRY: Final = ("coulomb_friction", "stribeck_friction")
 _ALGORITHMS: Final = (
     *("adaptive_reference", "bounded_observer", "energy_tank", "force_augmentation", "force_gradient"),
     *("ultimate_passivity", "windowed_observer"),
 )
 """Without a promise, as those that take their place."""
-
-
-class _Chance:
-    """Draws from the generator of one scene."""
-
-    def __init__(self, seed: int) -> None:
-        self._random = np.random.default_rng([seed, 23])
-
-    def drawn(self, probability: float) -> bool:
-        return bool(self._random.random() < probability)
-
-    def decades(self, low: float, high: float) -> float:
-        return float(f"{10.0 ** self._random.uniform(np.log10(low), np.log10(high)):.4g}")
-
-    def one_of(self, names: Sequence[_Drawn]) -> _Drawn:
-        return names[int(self._random.integers(len(names)))]
 
 
 def add_further(seed: int, values: dict[str, Any], tags: set[str], outward: tuple[int, ...]) -> tuple[int, ...]:
@@ -43,7 +25,7 @@ def add_further(seed: int, values: dict[str, Any], tags: set[str], outward: tupl
         tags: Changed.
         outward: Of the scene without it.
     """
-    chance = _Chance(seed)
+    chance = Chance(seed, 23)
     if "algorithm:guarded" in tags:
         section = values["groups"][0]["passivity"] if "groups" in values else values["passivity"]
         for key, found in _declared(chance, values, tags).items():
@@ -75,7 +57,7 @@ def add_further(seed: int, values: dict[str, Any], tags: set[str], outward: tupl
     return outward
 
 
-def _near_the_bounds(chance: _Chance, values: dict[str, Any], tags: set[str]) -> None:
+def _near_the_bounds(chance: Chance, values: dict[str, Any], tags: set[str]) -> None:
     """Takes encoders too coarse for the wall, against the friction declared, and an allowance by the law of `new`."""
     passivity, wall, axis = values["passivity"], values["environment"], values["axes"][0]
     coarse, allowed, count = chance.drawn(0.25), chance.drawn(0.15), chance.decades(3e-6, 1e-4)
@@ -92,7 +74,7 @@ def _near_the_bounds(chance: _Chance, values: dict[str, Any], tags: set[str]) ->
         tags.add("declares:allowance_by_law")
 
 
-def _act_in_another_hold(chance: _Chance, values: dict[str, Any], tags: set[str]) -> None:
+def _act_in_another_hold(chance: Chance, values: dict[str, Any], tags: set[str]) -> None:
     """Takes drives that act at once or a SYNC late: declared, or in a few scenes not."""
     is_declared = chance.drawn(0.8)
     if not chance.drawn(0.08):
@@ -115,7 +97,7 @@ def _name(tags: set[str], dimension: str, name: str, section: dict[str, Any] | N
         section[dimension] = name
 
 
-def _declared(chance: _Chance, values: dict[str, Any], tags: set[str]) -> dict[str, Any]:
+def _declared(chance: Chance, values: dict[str, Any], tags: set[str]) -> dict[str, Any]:
     """Returns what `guarded` declares in addition; what is said of hand and losses is raised to what they were."""
     found: dict[str, Any] = {}
     drawn, decades = chance.drawn, chance.decades
@@ -142,7 +124,7 @@ def _declared(chance: _Chance, values: dict[str, Any], tags: set[str]) -> dict[s
     return found
 
 
-def _other_network(chance: _Chance, group: dict[str, Any], tags: set[str]) -> None:
+def _other_network(chance: Chance, group: dict[str, Any], tags: set[str]) -> None:
     """Takes another network than the box of a stage."""
     common = {key: group["network"][key] for key in ("stiffness", "damping")}
     networks: dict[str, dict[str, Any]] = {

@@ -5,7 +5,6 @@ raises to what the hand really did. What a scene names is in its tags, `dimensio
 false claims go by them.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from tools.chance import Chance
 from tools.truth.changes import add_changes
 from tools.truth.five_bar import make_five_bar
 from tools.truth.further import add_further
@@ -60,29 +60,23 @@ class TruthScene:
         return section
 
 
-class _Chance:
+class _Chance(Chance):
     """Draws from one seed, and notes what was drawn."""
 
     def __init__(self, seed: int) -> None:
-        self.generator = np.random.default_rng([seed, 19])
+        super().__init__(seed, 19)
         self.tags: set[str] = set()
-
-    def decades(self, low: float, high: float) -> float:
-        return float(f"{10.0 ** self.generator.uniform(math.log10(low), math.log10(high)):.4g}")
 
     def between(self, low: float, high: float) -> float:
         return float(f"{self.generator.uniform(low, high):.4g}")
 
-    def drawn(self, probability: float) -> bool:
-        return bool(self.generator.random() < probability)
-
-    def one_of(self, weights: Mapping[Any, float]) -> Any:
+    def by_weight(self, weights: Mapping[Any, float]) -> Any:
         total = sum(weights.values())
         names = list(weights)
         return names[int(self.generator.choice(len(names), p=[weight / total for weight in weights.values()]))]
 
     def named(self, dimension: str, weights: Mapping[str, float]) -> str:
-        name: str = self.one_of(weights)
+        name: str = self.by_weight(weights)
         if name:
             self.tags.add(f"{dimension}:{name}")
         return name
@@ -98,7 +92,7 @@ def random_scene(seed: int, *, further: bool = True, changes: float | None = Non
     """
     chance = _Chance(seed)
     group = chance.named("group", {"": 0.8, "xy_box": 0.1, "coupled_handles": 0.1})
-    rate = chance.one_of(_RATES_OF_GROUPS if group else _RATES)
+    rate = chance.by_weight(_RATES_OF_GROUPS if group else _RATES)
     values: dict[str, Any] = {
         "bus": {"rate": rate, "rpdo": chance.named("rpdo", {"synchronous": 0.5, "event": 0.5})},
         "duration": chance.between(1.0, 1.8 if rate <= 100 else 1.1),
@@ -157,7 +151,7 @@ def _declare_falsely(chance: _Chance, values: dict[str, Any]) -> None:
         return
     group = values.get("groups")
     passivity = group[0]["passivity"] if group else values["passivity"]
-    kind = chance.one_of({"moving_mass": 0.4, "current_lag": 0.3, "counts_per_unit": 0.3})
+    kind = chance.by_weight({"moving_mass": 0.4, "current_lag": 0.3, "counts_per_unit": 0.3})
     if kind == "moving_mass":
         passivity["moving_mass"] *= 3.0
     elif kind == "counts_per_unit":
@@ -172,7 +166,7 @@ def _declare_falsely(chance: _Chance, values: dict[str, Any]) -> None:
 def _axis(chance: _Chance) -> dict[str, Any]:
     axis: dict[str, Any] = {
         "name": "handle", "node_id": 1, "eds": "cia402_servo.eds", "unit": "m",
-        "counts_per_unit": chance.one_of({1e6: 0.6, 1e5: 0.2, 1e7: 0.2}),
+        "counts_per_unit": chance.by_weight({1e6: 0.6, 1e5: 0.2, 1e7: 0.2}),
         "rated_torque": 20.0, "torque_limit": 30.0,
     }  # fmt: skip
     limit = chance.named("limit", {"": 0.7, "torque_limit": 0.1, "torque_rate_limit": 0.1, "power_limit": 0.05})
@@ -285,7 +279,7 @@ def _environment(chance: _Chance) -> tuple[dict[str, Any], int]:
 
 
 def _effects(chance: _Chance) -> list[dict[str, Any]]:
-    count = chance.one_of({0: 0.35, 1: 0.4, 2: 0.25})
+    count = chance.by_weight({0: 0.35, 1: 0.4, 2: 0.25})
     weights = {
         "current_loop": 0.2, "coulomb_friction": 0.12, "shaft_compliance": 0.08, "viscous_friction": 0.06,
         "tremor": 0.08, "grasp_change": 0.05, "cogging": 0.08, "torque_ripple": 0.06, "torque_quantisation": 0.06,
@@ -294,7 +288,7 @@ def _effects(chance: _Chance) -> list[dict[str, Any]]:
     }  # fmt: skip
     effects: list[dict[str, Any]] = []
     for _ in range(count):
-        kind = chance.one_of(weights)
+        kind = chance.by_weight(weights)
         exclusive = {"coulomb_friction", "stribeck_friction", "lugre_friction"}
         if any(e["type"] == kind or {e["type"], kind} <= exclusive for e in effects):
             continue

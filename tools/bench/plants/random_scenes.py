@@ -1,6 +1,5 @@
 """Random scenes whose plants switch: friction, stops, backlash, current loops, hands, over ten decades of stiffness."""
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +10,7 @@ from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+from tools.chance import EXACT, Chance
 
 
 @dataclass(frozen=True)
@@ -64,17 +64,11 @@ def apart(scene: RandomScene, finer: int = 32) -> str:
     return f"{worst:.1e} of the largest value off" if worst > 1e-4 else ""
 
 
-class _Chance:
+class _Chance(Chance):
     """Draws from one seed."""
 
-    def __init__(self, seed: int) -> None:
-        self.generator = np.random.default_rng([seed, 18])
-
-    def decades(self, low: float, high: float) -> float:
-        return float(10.0 ** self.generator.uniform(math.log10(low), math.log10(high)))
-
-    def drawn(self, probability: float) -> bool:
-        return bool(self.generator.random() < probability)
+    def decades(self, low: float, high: float, digits: int = EXACT) -> float:
+        return super().decades(low, high, digits)
 
 
 def random_scene(seed: int, friction: str = "coulomb_friction") -> RandomScene:
@@ -84,7 +78,7 @@ def random_scene(seed: int, friction: str = "coulomb_friction") -> RandomScene:
         seed: Of everything in it.
         friction: Type of its dry friction, where it has one.
     """
-    chance = _Chance(seed)
+    chance = _Chance(seed, 18)
     period_ns = int(chance.generator.choice([100_000, 1_000_000, 5_000_000, 10_000_000, 20_000_000])) // 32 * 32
     effects = _effects(chance, friction)
     if any(effect["type"] == "current_loop" for effect in effects):
