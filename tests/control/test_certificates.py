@@ -22,7 +22,7 @@ from canhaptic.control.certificates.scalar_bounds import (
     start_speed,
 )
 from canhaptic.control.certificates.torque_bound import Declared
-from tests.control.guarded_users import Mass
+from tests.adversary.users import Mass
 from tests.drawn import examples
 
 positive = st.floats(1e-6, 1e3)

@@ -17,7 +17,8 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import list_of_zeros
-from tests.control.guarded_users import HAND_FORCE, MASS, PUSH, USERS, Loss, guarded, run
+from tests.adversary.axis import MASS, PUSH, Loss, guarded, run
+from tests.adversary.users import HAND_FORCE, USERS
 
 WALLS = [
     (1e2, 0.0),

@@ -10,7 +10,8 @@ import pytest
 
 from canhaptic.control.certificates import certified_torque
 from canhaptic.control.passivity import guarded as account
-from tests.control.guarded_users import HAND_FORCE, PUSH, USERS, guarded, run
+from tests.adversary.axis import PUSH, guarded, run
+from tests.adversary.users import HAND_FORCE, USERS
 
 whole_step = certified_torque.next_displacement  # type: ignore[attr-defined]
 by_hand_force = certified_torque.by_hand_force

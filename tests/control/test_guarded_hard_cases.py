@@ -6,7 +6,7 @@ import statistics
 import pytest
 
 from canhaptic.control.balance import Certificate
-from tests.control.guarded_users import guarded, run
+from tests.adversary.axis import guarded, run
 from tests.control.reference_loop import USER_S, continuous, sampled
 
 

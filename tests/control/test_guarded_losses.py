@@ -11,7 +11,8 @@ from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
-from tests.control.guarded_users import PUSH, USERS, Loss, guarded, run
+from tests.adversary.axis import PUSH, Loss, guarded, run
+from tests.adversary.users import USERS
 
 T, DAMPING, CREDIT = 1e-3, 3.0, 1e-4
 

@@ -14,7 +14,7 @@ from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.errors import ParameterError
-from tests.control.late_plant import climb
+from tests.adversary.late_axis import climb
 
 ROUNDING = 1e-9  # [J]
 

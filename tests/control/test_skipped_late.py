@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from canhaptic.control.certificates import torque_bound
-from tests.control.late_plant import PARTS, Late
+from tests.adversary.late_axis import PARTS, Late
 from tests.control.test_late_torque import made
 
 HOLDS = 24

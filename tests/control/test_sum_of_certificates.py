@@ -32,7 +32,7 @@ from canhaptic.errors import ParameterError
 from canhaptic.kernels import list_of_zeros
 from canhaptic.lab.figures.figures import metrics_of
 from canhaptic.lab.figures.meter import Meter, MeterSettings, take
-from tests.control.guarded_users import MASS, guarded, run
+from tests.adversary.axis import MASS, guarded, run
 
 T = 1e-3
 ROUNDING = 1e-12

@@ -10,8 +10,9 @@ from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.loop.axis_loop import Reach
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import UserParameters
+from tests.adversary.users import USERS
 from tools.bench.standard_cases import standard_case
-from tools.bench.user_laws import USERS, HandPlant
+from tools.bench.user_laws import HandPlant
 
 MS = 1_000_000
 

@@ -9,7 +9,8 @@ import random
 import sys
 from concurrent.futures import ProcessPoolExecutor
 
-from tests.control import guarded_users as users
+from tests.adversary import axis as users
+from tests.adversary.users import HAND_FORCE, USERS
 from tools.bench.report import Row, publish
 
 WALLS = [(1e2, 0.0), (1e2, 50.0), (1e3, 0.0), (1e3, 20.0), (1e4, 0.0), (1e4, 50.0), (1e5, 0.0), (1e5, 50.0)]
@@ -29,11 +30,11 @@ def trial(case: Case) -> tuple[float, float]:
     controller = users.guarded(*wall, rate, delay, count=count, quantum=quantum, **known)
     truth = users.run(
         controller,
-        users.USERS[user](random.Random(seed)),
+        USERS[user](random.Random(seed)),
         rate,
         min(3 * rate, 4000),
         delay=delay,
-        push=users.HAND_FORCE if wall[1] else users.PUSH,
+        push=HAND_FORCE if wall[1] else users.PUSH,
         count=count,
         quantum=quantum,
         loss=users.Loss(share) if share else None,
@@ -60,7 +61,7 @@ def main() -> int:
     rows: list[Row] = []
     with ProcessPoolExecutor() as pool:
         for rate, delay in itertools.product(RATES, (0, 1)):
-            parts = itertools.product(WALLS, users.USERS, IDEAL_AND_COARSE, LOSSES)
+            parts = itertools.product(WALLS, USERS, IDEAL_AND_COARSE, LOSSES)
             cases: list[Case] = [(w, rate, delay, u, e, s, n) for n, (w, u, e, s) in enumerate(parts)]
             rows += rows_of(rate, delay, cases, list(pool.map(trial, cases, chunksize=8)))
             print(rows[-3].row, rows[-3].value, flush=True)

@@ -12,7 +12,7 @@ from canhaptic.control.admittance.group_environment import AdmittanceMass
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.errors import ControlError, ParameterError
-from tests.control.admittance import attacked_drive as attack
+from tests.adversary import display as attack
 
 _ACCELERATION = 150.0
 

@@ -17,7 +17,7 @@ from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, TaskHand
 from canhaptic.sim.plant.user import SinusoidMotion
 from canhaptic.units import Parameters
-from tests.control.network.attack import (
+from tests.adversary.group import (
     Attack,
     Losses,
     before_moving_wall,

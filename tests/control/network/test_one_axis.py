@@ -17,7 +17,7 @@ from canhaptic.control.passivity.internal_dissipation import InternalDissipation
 from canhaptic.control.port_hamiltonian.sampled_network import settle_network
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
 from canhaptic.lab.rivals.scaled_group import ScaledGroupParameters
-from tests.control.late_plant import climb
+from tests.adversary.late_axis import climb
 from tests.control.network.networks import group
 
 ENERGIES = ("h_i", "h_pas", "h_m", "h_r", "h_s", "h_dis", "gen", "deficit", "leak", "paid")

@@ -1,14 +1,11 @@
-"""Six kinds of user on a moving mass, exact for a hand force constant within a quarter of a hold. Judges by truth.
+"""Users on a moving mass, exact for a hand force constant within a quarter of a hold. Judges by truth.
 
-Independent of `canhaptic.sim`: closed form of m v' + b v = F for constant F. Every wall lies below 0, so outward is
-positive. The hand force is limited to the declared one along the torque, so that a certificate is on trial and not the
+The hand force is limited to the declared one along the torque, so that a certificate is on trial and not the
 user: outward always, inward too where a damper can make the torque negative. Energies are those of the plant, not the
 controller's belief.
 """
 
-import math
 import random
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from canhaptic.control.balance import EnergyBalance
@@ -16,103 +13,10 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from tests.adversary.users import HAND_FORCE, Force, Mass
 
-MASS, FRICTION, HAND_FORCE, PUSH = 0.25, 0.1, 20.0, 60.0
+MASS, FRICTION, PUSH = 0.25, 0.1, 60.0
 SUBSTEPS = 4
-Force = Callable[[float, float, float, float], float]
-"""(time, position, velocity, torque) -> force of the hand, in SI."""
-
-
-class Mass:
-    """m v' + b v = F."""
-
-    def __init__(self, mass: float, damping: float, step: float, position: float) -> None:
-        rate = damping / mass
-        self.position, self.velocity, self.step = position, 0.0, step
-        if rate * step < 1e-6:
-            self.keep, self.gain, self.drift, self.creep = (
-                1.0 - rate * step,
-                step / mass,
-                step,
-                0.5 * step * step / mass,
-            )
-        else:
-            self.keep, self.gain = math.exp(-rate * step), -math.expm1(-rate * step) / damping
-            self.drift = self.gain * mass
-            self.creep = (step - self.drift) / damping
-
-    def advance(self, force: float) -> None:
-        self.position += self.drift * self.velocity + self.creep * force
-        self.velocity = self.keep * self.velocity + self.gain * force
-
-
-def sinusoid(_rng: random.Random) -> Force:
-    w = 2.0 * math.pi
-    return lambda t, q, v, _f: 300.0 * (0.03 * math.cos(w * t) - q) - 3.0 * (0.03 * w * math.sin(w * t) + v)
-
-
-def tremor(_rng: random.Random) -> Force:
-    return lambda t, _q, v, _f: -4.0 + 3.0 * math.sin(16.0 * math.pi * t) - 2.0 * v
-
-
-def tapping(_rng: random.Random) -> Force:
-    return lambda t, q, v, _f: 600.0 * (0.01 * math.sin(6.0 * math.pi * t) - q) - 5.0 * v
-
-
-def sudden_pull(_rng: random.Random) -> Force:
-    return lambda t, q, v, _f: -8.0 - 5.0 * v if t % 1.0 < 0.6 and q > -0.5 else HAND_FORCE
-
-
-def adversary(rng: random.Random) -> Force:
-    """Lets the wall load, pushes in within a hold where that is cheap, and pulls along the torque where it is not."""
-    threshold, push, kind = rng.uniform(0.02, 3.0), rng.uniform(1.0, 15.0), rng.randrange(4)
-    memory: dict[str, Any] = {"peak": 0.0, "tick": 0, "period": 4, "part": 0.3}
-
-    def impulses() -> float:
-        memory["tick"] += 1
-        if memory["tick"] % memory["period"] == 0:
-            memory["period"], memory["part"] = rng.randrange(1, 13), 0.5 * rng.random()
-        return -4.0 * push if memory["tick"] % memory["period"] < memory["part"] * memory["period"] else HAND_FORCE
-
-    def force(_t: float, q: float, v: float, torque: float) -> float:
-        if q > 0.002:
-            return -0.3 * push - 3.0 * v
-        if q < -0.3:
-            return HAND_FORCE
-        if kind == 0:
-            return HAND_FORCE if torque > threshold else -push
-        if kind == 1:
-            return HAND_FORCE if torque > 0.0 and v > -0.01 else -push
-        if kind == 2:
-            memory["peak"] = max(0.999 * memory["peak"], torque)
-            return HAND_FORCE if torque >= 0.5 * memory["peak"] else -push
-        return impulses()
-
-    return force
-
-
-def telegraph(rng: random.Random) -> Force:
-    """Pulls and pushes at random, each for a while."""
-    state = [1.0]
-
-    def force(_t: float, q: float, v: float, _f: float) -> float:
-        if rng.random() < 0.03:
-            state[0] = rng.choice((-1.0, 1.0)) * rng.random()
-        if q > 0.005:
-            return -5.0 - 3.0 * v
-        return HAND_FORCE if q < -0.3 else state[0] * HAND_FORCE
-
-    return force
-
-
-USERS: dict[str, Callable[[random.Random], Force]] = {
-    "sinusoid": sinusoid,
-    "tremor": tremor,
-    "tapping": tapping,
-    "sudden_pull": sudden_pull,
-    "adversary": adversary,
-    "telegraph": telegraph,
-}
 
 
 def guarded(
