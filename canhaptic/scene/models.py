@@ -369,23 +369,32 @@ def _known_bus(bus: BusParameters, info: Info[SceneContext]) -> BusParameters:
     return bus
 
 
-_LATER_KEYS: Final[tuple[tuple[str, object], ...]] = (
-    ("energy_loss_limit", None),
-    ("start_timeout", 5.0),
-    ("brake", None),
-    ("drive_objects", {}),
-    ("restore_limits", False),
-    ("hold_checked", None),
-    ("check_hold", None),
-    ("hold_dither", None),
-    *((key, None) for key in _REQUIRED),
-)
-"""Keys of an axis that logs of the first release do not have, with their defaults."""
 LATER_LOOP_KEYS: Final = (
     *("device_friction", "device_friction_bound", "sync_jitter", "torque_window", "current_lag"),
     *("torque_rate_limit", "power_limit"),
 )
-"""The same for the loop."""
+"""Keys of the loop that logs of the first release do not have."""
+_OF_DISPLAYS: Final = ("admittance", "simulation.admittance", "simulation.drive.display")
+"""Keys of an axis without which the configuration is that of a release before admittance displays."""
+_LATER: Final[Mapping[str, tuple[object, ...]]] = {
+    "start_timeout": (5.0,),
+    "drive_objects": ({},),
+    "restore_limits": (False,),
+    **dict.fromkeys(("energy_loss_limit", "brake", "hold_checked", "check_hold", "hold_dither", *_REQUIRED), (None,)),
+    **{f"loop.{key}": (None, 0.0) for key in LATER_LOOP_KEYS},
+    "admittance.limit_in_drive": (False,),
+    "simulation.drive.acts_at_once": (False,),
+    "simulation.drive.syncs_late": (0,),
+    "simulation.drive.brake": (None,),
+    "admittance.force.node.real": (False,),
+    "admittance.force.node.device_type": (None,),
+    "simulation.drive.display.force_node.real": (False,),
+    "simulation.drive.display.force_node.device_type": (None,),
+    "passivity.hand_push": (None,),
+    "passivity.earned_energy": (None,),
+    "passivity.drag": (0.0,),
+}
+"""Key of an axis, or of a group, that came after the first release -> values with which it changes nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -487,22 +496,15 @@ class Scene:
             if key == "duration" or value not in (RunParameters.model_fields[key].default, "cycle")
         }
         for axis in self.axes:
-            resolved["axes"][axis.parameters.name]["eds"] = axis.dictionary_hash()
-            for key, default in _LATER_KEYS:
-                if getattr(axis.parameters, key) == default:
-                    del resolved["axes"][axis.parameters.name][key]
-            _drop_later(resolved["axes"][axis.parameters.name])
-            twin = (resolved["axes"][axis.parameters.name].get("simulation") or {}).get("drive") or {}
-            if twin.get("brake", 0) is None:
-                del twin["brake"]
+            plain = resolved["axes"][axis.parameters.name]
+            plain["eds"] = axis.dictionary_hash()
             if axis.simulation is not None and "substeps" not in self.accuracy.model_fields_set:
-                resolved["axes"][axis.parameters.name]["simulation"]["accuracy"]["substeps"] = (
-                    1  # follows from the rest
-                )
+                plain["simulation"]["accuracy"]["substeps"] = 1  # follows from the rest
             if self.auto_accuracy is not None and axis.simulation is not None:
-                del resolved["axes"][axis.parameters.name]["simulation"]["accuracy"]
-        for group in self.groups:
-            _drop_later_of_guarded(resolved["groups"][group.name]["passivity"])
+                del plain["simulation"]["accuracy"]
+        for owner in (*resolved["axes"].values(), *resolved.get("groups", {}).values()):
+            for path, unchanged in _LATER.items():
+                _drop(owner, path, unchanged)
         if self.auto_accuracy is not None:
             del resolved["accuracy"]["chosen"]
         if release is not None:
@@ -513,29 +515,14 @@ class Scene:
         return hashlib.sha256(canonical.encode()).hexdigest()
 
 
-def _drop_later(axis: dict[str, Any]) -> None:
-    """Drop keys of an axis that came after the first release, where they change nothing."""
-    for key in LATER_LOOP_KEYS:
-        if not axis["loop"][key]:
-            del axis["loop"][key]
-    if "admittance" in axis and not axis["admittance"]["limit_in_drive"]:
-        del axis["admittance"]["limit_in_drive"]
-    drive = (axis["simulation"] or {}).get("drive") or {}
-    for key in ("acts_at_once", "syncs_late"):
-        if not drive.get(key, True):
-            del drive[key]
-    drive = (axis["simulation"] or {}).get("drive") or {}
-    for node in (axis.get("admittance", {}).get("force", {}).get("node"), drive.get("display", {}).get("force_node")):
-        for key, default in (("real", False), ("device_type", None)) if node else ():
-            if node[key] == default:
-                del node[key]
-    _drop_later_of_guarded(axis["passivity"])
-
-
-def _drop_later_of_guarded(passivity: dict[str, Any]) -> None:
-    for key, default in (("hand_push", None), ("earned_energy", None), ("drag", 0.0)):
-        if key in passivity and passivity[key] == default:
-            del passivity[key]
+def _drop(plain: dict[str, Any], path: str, values: tuple[object, ...]) -> None:
+    """Drop a key, by its path in a section, where it has one of some values."""
+    *owners, key = path.split(".")
+    section: Any = plain
+    for name in owners:
+        section = (section or {}).get(name)
+    if section and key in section and section[key] in values:
+        del section[key]
 
 
 def _resolved_axis(axis: dict[str, Any]) -> dict[str, Any]:
@@ -543,14 +530,10 @@ def _resolved_axis(axis: dict[str, Any]) -> dict[str, Any]:
     parameters, bus, drive = axis.pop("parameters"), axis.pop("bus"), axis.pop("simulated_drive")
     del axis["group"], axis["guard"]
     simulation = axis["simulation"] if drive is None else {"drive": drive}
-    for section, key in (
-        (parameters, "admittance"),
-        (simulation, "admittance"),
-        (simulation and simulation["drive"], "display"),
-    ):
-        if section and section.get(key, 0) is None:
-            del section[key]  # keys of admittance displays: without them the configuration is unchanged
-    return {**parameters, **axis, "simulation": simulation, **({"bus": bus} if bus else {})}
+    plain = {**parameters, **axis, "simulation": simulation, **({"bus": bus} if bus else {})}
+    for path in _OF_DISPLAYS:
+        _drop(plain, path, (None,))
+    return plain
 
 
 @cache
