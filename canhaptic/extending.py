@@ -6,76 +6,17 @@ A part is a class with the methods of its protocol. Scenes can use it once a tab
 
     ENVIRONMENTS["centering_spring"] = "centering_spring:CenteringSpring"
 
-Examples: docs/extending.md. A name is imported when it is first used, so that a part loads what it needs itself.
+Examples: docs/extending.md. A name is imported when it is first used, so that a part loads what it needs itself;
+`extending.pyi` lists the names.
 """
 
 import importlib
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-if TYPE_CHECKING:
-    from canhaptic.control.balance import AT_REST
-    from canhaptic.control.environments import ENVIRONMENTS
-    from canhaptic.control.environments.environment import Environment
-    from canhaptic.control.environments.own_environment import OwnEnvironment
-    from canhaptic.control.mechanisms import KINEMATICS
-    from canhaptic.control.mechanisms.kinematics import Kinematics, Limit, Pose
-    from canhaptic.control.mechanisms.user_function import UserFunction
-    from canhaptic.control.multi_axis import NETWORKS
-    from canhaptic.control.multi_axis.group_controller import GroupBalance, GroupController, NetworkEnvironment
-    from canhaptic.control.passivity import ALGORITHMS
-    from canhaptic.control.passivity.controller import Controller
-    from canhaptic.control.passivity.stepped import SteppedController
-    from canhaptic.kernels import Kernel
-    from canhaptic.sim.plant.assembly import NonlinearForce, PlantModel
-    from canhaptic.sim.plant.effects import EFFECTS, Effect
-    from canhaptic.sim.plant.own_hand import OwnHand
-    from canhaptic.units import Parameters, quantity
+from canhaptic import listed
 
-_PLACES: Final = {
-    "canhaptic.control.balance": ("AT_REST",),
-    "canhaptic.control.environments": ("ENVIRONMENTS",),
-    "canhaptic.control.environments.environment": ("Environment",),
-    "canhaptic.control.environments.own_environment": ("OwnEnvironment",),
-    "canhaptic.control.mechanisms": ("KINEMATICS",),
-    "canhaptic.control.mechanisms.kinematics": ("Kinematics", "Limit", "Pose"),
-    "canhaptic.control.mechanisms.user_function": ("UserFunction",),
-    "canhaptic.control.multi_axis": ("NETWORKS",),
-    "canhaptic.control.multi_axis.group_controller": ("GroupBalance", "GroupController", "NetworkEnvironment"),
-    "canhaptic.control.passivity": ("ALGORITHMS",),
-    "canhaptic.control.passivity.controller": ("Controller",),
-    "canhaptic.control.passivity.stepped": ("SteppedController",),
-    "canhaptic.kernels": ("Kernel",),
-    "canhaptic.sim.plant.assembly": ("NonlinearForce", "PlantModel"),
-    "canhaptic.sim.plant.effects": ("EFFECTS", "Effect"),
-    "canhaptic.sim.plant.own_hand": ("OwnHand",),
-    "canhaptic.units": ("Parameters", "quantity"),
-}
-__all__ = [
-    "ALGORITHMS",
-    "AT_REST",
-    "EFFECTS",
-    "ENVIRONMENTS",
-    "KINEMATICS",
-    "NETWORKS",
-    "Controller",
-    "Effect",
-    "Environment",
-    "GroupBalance",
-    "GroupController",
-    "Kernel",
-    "Kinematics",
-    "Limit",
-    "NetworkEnvironment",
-    "NonlinearForce",
-    "OwnEnvironment",
-    "OwnHand",
-    "Parameters",
-    "PlantModel",
-    "Pose",
-    "SteppedController",
-    "UserFunction",
-    "quantity",
-]
+_PLACES: Final = listed(__file__)
+__all__ = list(_PLACES)
 
 
 def __dir__() -> list[str]:
@@ -85,7 +26,6 @@ def __dir__() -> list[str]:
 
 def __getattr__(name: str) -> Any:
     """Import a public name on its first use (PEP 562)."""
-    module = next((module for module, names in _PLACES.items() if name in names), None)
-    if module is None:
+    if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(module), name)
+    return getattr(importlib.import_module(_PLACES[name]), name)
