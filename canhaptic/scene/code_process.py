@@ -9,7 +9,6 @@ guard and account continue, however late the answers are, or if none comes any m
 import json
 import mmap
 import os
-import resource
 import select
 import struct
 import subprocess
@@ -320,6 +319,8 @@ class _Printed:
 
 def main() -> None:
     """Run the user code in this process until the process of the cycle ends."""
+    import resource  # not on Windows
+
     shared, wake, answers = map(int, sys.argv[1:])
     memory = mmap.mmap(shared, 3 * _SLOT)
     job = json.loads(sys.stdin.readline())
