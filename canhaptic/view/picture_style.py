@@ -95,11 +95,11 @@ def save_picture(figure: "Figure", path: str | Path) -> None:
 
 def _write_powers_plainly(figure: "Figure") -> None:
     """Write the powers of ten of logarithmic axes without mathematics, which no text of a picture is read as."""
-    from matplotlib.ticker import LogFormatter, LogFormatterMathtext
+    from matplotlib.ticker import FuncFormatter, LogFormatter, LogFormatterMathtext
 
     for axis in (axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)):
         if isinstance(axis.get_major_formatter(), LogFormatterMathtext):
-            axis.set_major_formatter(LogFormatter())
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         if isinstance(axis.get_minor_formatter(), LogFormatterMathtext):
             axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.0, 0.4)))
 

@@ -41,6 +41,7 @@ _OF_AXES: Final = (BLUE, VERMILION, GREEN, ORANGE)  # axes of a group in turn
 _BUCKETS: Final = 2000  # about 4000 points a line, more than the picture has columns
 _MAX_CONTACTS_SHADED: Final = 400  # more stripes than this are only grey
 _MAX_FAULTS_NAMED: Final = 4
+_ROUNDING: Final = 1e-6  # part of the energy that flowed, below which a surplus is no line to look at
 _LEGEND: Final[Any] = {
     "loc": "lower right",
     "bbox_to_anchor": (1.0, 0.985),
@@ -72,7 +73,8 @@ class PortPicture:
     def draws(self) -> list[str]:
         """Return the names of the panels that show something: position and torque always, others where not zero."""
         energy = self._column("h_i").any() or self._column("h_r").any()
-        surplus = self._column("h_dis").any() or self._column("deficit").any()
+        least = _ROUNDING * float(np.abs(self._column("h_i")).sum())
+        surplus = self._column("h_dis").max(initial=0.0) > least or self._column("deficit").sum() > least
         shown = {
             "path": self.plane is not None,
             "position": True,

@@ -280,6 +280,18 @@ def test_many_algorithms_are_drawn_in_bands_below_each_other(scene, monkeypatch)
     assert list(shown) == names  # 4 in the first band, then 3
     assert [panel.get_visible() for panel in figure.axes].count(True) == 7 * 3
     assert len({panel.get_ylim() for panel in shown.values()}) == 1  # one scale
+    assert {panel.texts[0].get_text() for panel in shown.values()} == {"passive"}
+
+
+def test_each_column_of_a_picture_says_whether_its_algorithm_gave_energy_out(monkeypatch):
+    scene, kept = load_scene(REPOSITORY / "configs" / "hard" / "stiff_wall.yaml"), []
+    comparison = compare(scene, ["unprotected", "guarded"], duration=0.6, repeats=0)
+    monkeypatch.setattr(compare_picture, "save_picture", lambda figure, _: kept.append(figure))
+    draw_comparison(comparison, "")
+    said = {panel.get_title(loc="left"): panel.texts[0].get_text() for panel in kept[0].axes if panel.texts}
+    assert said["guarded"] == "passive"
+    assert said["unprotected"].startswith("gave out ")
+    assert said["unprotected"].endswith(" mJ")
 
 
 @pytest.mark.slow

@@ -32,6 +32,7 @@ from canhaptic.sim.plant.velocity_drive import (
     SimulatedForceSensor,
     VelocityLoopParameters,
 )
+from canhaptic.view.picture_style import BLUE, GREEN, ORANGE, PURPLE, VERMILION, drawing, save_picture
 from tools.bench.report import Row, picture_place, publish
 from tools.displays import faults
 from tools.displays.declared_hands import SPRING_RIGS, MassRig, below, mass_energies, spring_energies
@@ -51,6 +52,7 @@ _RATES = (250, 500, 1000)
 _TWO_BUSES_AT = 500  # [Hz]
 _DEMO = faults.SCENE.parents[1] / "demo.yaml"
 _ASKED = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
+_NOTHING = 1e-6  # energy drawn for none [J]
 _HEAVY = 6.5  # above M + c tau at the lowest rate, where none of the others is [kg]
 
 
@@ -315,33 +317,38 @@ def bus_rows() -> list[Row]:
 
 def draw(found: list[dict[str, Any]], place: Any) -> None:
     """Draws mass felt and energy given out against the mass asked, one column for each rate."""
-    import matplotlib as mpl
+    with drawing() as figure_type:
+        figure = figure_type(figsize=(12, 7), dpi=110, layout="constrained")
+        axes = figure.subplots(2, len(_RATES), sharex=True, sharey="row")
+        for column, rate in enumerate(_RATES):
+            rows = [f for f in found if f["rate"] == rate and f["asked"] in _ASKED]
+            _draw_rate(axes[0][column], axes[1][column], rows, _MASS + _GAIN * 1.5 / rate)
+            axes[0][column].set_title(f"{rate} Hz", fontweight="bold")
+        axes[0][0].set_ylabel("mass felt, median of the hands [kg]")
+        axes[1][0].set_ylabel("energy given out, worst hand [J]")
+        handles, labels = axes[0][0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+        save_picture(figure, place)
 
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(2, len(_RATES), figsize=(12, 7), sharex=True, sharey="row", layout="constrained")
-    for column, rate in enumerate(_RATES):
-        felt, given = axes[0][column], axes[1][column]
-        felt.plot(_ASKED, _ASKED, color="0.8", linewidth=6, label="asked")
-        for name in DISPLAY_ALGORITHMS:
-            rows = [f for f in found if f["rate"] == rate and f["algorithm"] == name and f["asked"] in _ASKED]
-            style = {"marker": "o", "markersize": 3, "linewidth": 2.5 if name == "guarded" else 1.0}
-            felt.plot(
-                [f["asked"] for f in rows if f["felt"]], [f["felt"] for f in rows if f["felt"]], label=name, **style
-            )
-            given.plot([f["asked"] for f in rows], [max(1e-6, -f["least"]) for f in rows], label=name, **style)
-        never = _MASS + _GAIN * 1.5 / rate
-        for axis in (felt, given):
-            axis.axvline(never, color="0.6", linestyle=":")
-        felt.set_title(f"{rate} Hz (dotted: M + c tau = {never:.1f} kg)")
-        felt.set_ylim(0.0, 8.0)
-        given.set_yscale("log")
-        given.set_xlabel("mass asked [kg]")
-    axes[0][0].set_ylabel("mass felt, median of the hands [kg]")
-    axes[1][0].set_ylabel("energy given out, worst hand [J]")
-    axes[0][0].legend(fontsize=8)
-    figure.savefig(place, dpi=110)
+def _draw_rate(felt: Any, given: Any, rows: list[dict[str, Any]], never: float) -> None:
+    """Draws one rate; the picture says from which mass on no guard is needed."""
+    felt.plot(_ASKED, _ASKED, color="#D0D0D0", linewidth=7, label="asked")
+    others = [name for name in DISPLAY_ALGORITHMS if name != "guarded"]
+    colours = {"guarded": "black", **dict(zip(others, (BLUE, PURPLE, GREEN, ORANGE, VERMILION), strict=True))}
+    for name, colour in colours.items():
+        own = [f for f in rows if f["algorithm"] == name]
+        style: dict[str, Any] = {"color": colour, "label": name, "linewidth": 1.2, "marker": "o", "markersize": 3}
+        if name == "guarded":
+            style |= {"linewidth": 2.6, "zorder": 4}
+        felt.plot([f["asked"] for f in own if f["felt"]], [f["felt"] for f in own if f["felt"]], **style)
+        given.plot([f["asked"] for f in own], [max(_NOTHING, -f["least"]) for f in own], **style)
+    for panel in (felt, given):
+        panel.axvline(never, color="#606060", linestyle=":")
+    felt.text(never - 0.08, 0.3, f"passive without a guard\nfrom {never:.1f} kg", ha="right", fontsize=8.0)
+    given.set_yscale("log")
+    given.set_yticks([_NOTHING, 1e-4, 1e-2, 1.0, 100.0], ["nothing", "1e-4", "0.01", "1", "100"])
+    given.set_xlabel("mass asked [kg]")
 
 
 def main() -> None:

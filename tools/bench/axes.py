@@ -8,6 +8,7 @@ from functools import partial
 from time import perf_counter
 
 from canhaptic.scene.build import build
+from canhaptic.view.picture_style import BLUE, drawing, save_picture
 from tools.bench.demo import demo_of
 from tools.bench.report import Row, in_turn, picture_place, publish
 
@@ -35,17 +36,19 @@ def cost(axes: int) -> float:
 
 def draw(costs: dict[int, float]) -> None:
     """Draws the time of a cycle over the number of axes, and the line through the first two."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.0, 3.2), layout="constrained")
-    plot = figure.subplots()
-    axes = list(costs)
-    added = costs[2] - costs[1]
-    plot.plot(axes, [1e6 * value for value in costs.values()], "o-", label="measured")
-    plot.plot(axes, [1e6 * (costs[1] + (n - 1) * added) for n in axes], "--", label="as the second axis")
-    plot.set(xlabel="axes on one bus", ylabel="time of one cycle [us]", xlim=(0, max(axes) + 1), ylim=(0, None))
-    plot.legend()
-    figure.savefig(picture_place(PICTURE), dpi=120, metadata={"Software": None})
+    with drawing() as figure_type:
+        figure = figure_type(figsize=(6.0, 3.4), dpi=120, layout="constrained")
+        plot = figure.subplots()
+        axes = list(costs)
+        added = 1e6 * (costs[axes[-1]] - costs[1]) / (axes[-1] - 1)
+        plot.plot(axes, [1e6 * value for value in costs.values()], "o-", color=BLUE)
+        for count in axes:
+            words = f"{1e6 * costs[count]:.0f} us"
+            plot.annotate(words, (count, 1e6 * costs[count]), xytext=(4, -12), textcoords="offset points", fontsize=8.0)
+        plot.set_title(f"one cycle, flat out: {added:.0f} us more for each axis", fontweight="bold")
+        plot.set(xlabel="axes on one bus", ylabel="time of one cycle [us]", xlim=(0, max(axes) + 1), ylim=(0, None))
+        plot.set_xticks(axes)
+        save_picture(figure, picture_place(PICTURE))
 
 
 def main() -> None:

@@ -87,9 +87,11 @@ def draw_accuracy(result: Row, path: str | Path) -> None:
         panels = figure.subplots(1, len(widths), width_ratios=widths)
         time = _price_of(result)
         _draw_ladder(panels[0], result, time[0], "position_error")
+        panels[0].set_title("plant: error against time, by method", fontweight="bold")
         panels[0].set_xlabel(time[1])
         panels[0].set_ylabel(f"largest error of the position [{result['unit']}]")
         _draw_ladder(panels[1], result, "evaluations_per_period", "energy_error")
+        panels[1].set_title("energy: error against work", fontweight="bold")
         panels[1].set_xlabel("evaluations of the equations of motion per period")
         panels[1].set_ylabel("largest error of an energy [J]")
         if loop:
@@ -180,6 +182,7 @@ def _draw_loop(panel: "Axes", loop: Sequence[Row], result: Row) -> None:
     panel.set_xscale("log")
     panel.set_ylim(-0.8, len(loop) + 0.2)
     panel.grid(axis="y", visible=False)
+    panel.set_title("loop: one thing changed", fontweight="bold")
     panel.set_xlabel(f"from the continuous axis:  o position [{result['unit']}],  | energy [J]")
     across = panel.get_yaxis_transform()
     panel.text(1.02, len(loop) - 0.1, "control, bus load", transform=across, fontsize=8.0, va="center", color="#404040")
@@ -204,7 +207,8 @@ def _draw_effects(panel: "Axes", effects: Sequence[Row], result: Row) -> None:
     panel.set_ylim(len(effects) - 0.2, -0.8)
     panel.margins(x=0.15)
     panel.grid(axis="y", visible=False)
-    panel.set_xlabel(f"error of leaving an effect out [{result['unit']}]")
+    panel.set_title("an effect left out", fontweight="bold")
+    panel.set_xlabel(f"error of it [{result['unit']}]")
 
 
 _COLOURS: Final = {

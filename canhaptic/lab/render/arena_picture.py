@@ -23,7 +23,10 @@ _THEORY: Final = (
     ("largest certificate", ":", "#000000"),
 )
 _OUR: Final = "guarded"
-_WORDS: Final = {"passive": "passive, device included", "near": "and stiffness within 5 %"}
+_PLAIN: Final = "unprotected"
+_NAMED: Final = 3
+"""Lines in colour next to `guarded` and the plain wall; all others are grey, and one entry of the legend."""
+_WORDS: Final = {"passive": "stiffest wall that stays passive", "near": "and is rendered within 5 %"}
 _LEAST_DAMPING: Final = 0.05
 """Below it the axis of the damping is linear [N*s/m]."""
 _DPI: Final = 110
@@ -44,9 +47,10 @@ def _draw_borders(found: Found, path: Path) -> None:
     with drawing() as figure_type:
         figure = figure_type(figsize=(5.4 * len(_WORDS) + 2.6, 4.4 * len(delays)), dpi=_DPI, layout="constrained")
         panels = figure.subplots(len(delays), len(_WORDS), sharex=True, sharey=True, squeeze=False)
+        lines = _lines(found, "borders", lambda border: float(np.log(max(border["near"], 1.0))))
         for row, delay in zip(panels, delays, strict=True):
             for panel, (key, words) in zip(row, _WORDS.items(), strict=True):
-                _draw_border(panel, found, delay, key)
+                _draw_border(panel, found, delay, key, lines)
                 panel.set_title(f"{words}; {'one sample late' if delay else 'no delay'}", fontweight="bold")
             row[0].set_ylabel("stiffest wall [N/m]")
         for panel in panels[-1]:
@@ -61,18 +65,24 @@ def _save_with_legend(figure: "Figure", panel: "Axes", path: Path) -> None:
     save_picture(figure, path)
 
 
-def _draw_border(panel: "Axes", found: Found, delay: int, key: str) -> None:
-    for number, name in enumerate(found["algorithms"]):
+def _draw_border(panel: "Axes", found: Found, delay: int, key: str, lines: Mapping[str, Row]) -> None:
+    for name, line in lines.items():
         own = [b for b in found["borders"] if b["algorithm"] == name and b["delay"] == delay]
         values = [b[key] if b[key] > 0.0 else np.nan for b in own]
-        panel.plot([b["damping"] for b in own], values, label=name, **_line(name, number))
+        panel.plot([b["damping"] for b in own], values, **line)
     for name, points in found["theory"][str(delay)].items():
         _, style, colour = next(kind for kind in _THEORY if name.startswith(kind[0]))
         places = [p["damping"] for p in points], [p["stiffness"] for p in points]
         panel.plot(*places, linestyle=style, color=colour, linewidth=1.3, label=name)
     if key == "passive" and any(border["open"] and border["delay"] == delay for border in found["borders"]):
         most = max(border["passive"] for border in found["borders"])
-        panel.annotate("all that was tried", (0.0, most), xytext=(4, -12), textcoords="offset points", fontsize=7.0)
+        panel.annotate(
+            "passive up to the stiffest wall that was tried",
+            (0.0, most),
+            xytext=(4, -12),
+            textcoords="offset points",
+            fontsize=7.0,
+        )
     panel.set_yscale("log")
     panel.set_xscale("symlog", linthresh=_LEAST_DAMPING)
     panel.set_xlim(left=-0.004)
@@ -81,11 +91,37 @@ def _draw_border(panel: "Axes", found: Found, delay: int, key: str) -> None:
     panel.set_xticks([], minor=True)
 
 
-def _line(name: str, number: int) -> Row:
-    mark = {"marker": _MARKS[number % len(_MARKS)], "markersize": 4.5, "fillstyle": "none"}
-    if name == _OUR:
-        return {**mark, "color": "black", "linewidth": 2.6, "zorder": 5}
-    return {**mark, "color": _COLOURS[number % len(_COLOURS)], "linewidth": 1.0}
+def _lines(found: Found, part: str, figure: Callable[[Row], float]) -> dict[str, Row]:
+    """Return the look of each algorithm's line: the ones that differ most from the middle in colour, the rest grey.
+
+    Args:
+        found: Result of an arena.
+        part: Part of the result with a row for each point.
+        figure: Figure of a row by which lines differ.
+    """
+    names = found["algorithms"]
+    means = {name: float(np.mean([figure(row) for row in found[part] if row["algorithm"] == name])) for name in names}
+    middle = float(np.median(list(means.values())))
+    others = [name for name in names if name not in (_OUR, _PLAIN)]
+    named = sorted(others, key=lambda name: -abs(means[name] - middle))[:_NAMED]
+    rest = f"the other {len(others) - len(named)}"
+    looks: dict[str, Row] = {}
+    for name in sorted(names, key=lambda name: (name not in (*named, _PLAIN, _OUR), name != _OUR)):
+        number = len(looks)
+        if name == _OUR:
+            looks[name] = {"color": "black", "linewidth": 2.6, "zorder": 5, "label": name}
+        elif name in (*named, _PLAIN):
+            mark = {"marker": _MARKS[number % len(_MARKS)], "markersize": 4.5, "fillstyle": "none", "zorder": 4}
+            looks[name] = {**mark, "color": _COLOURS[number % len(_COLOURS)], "linewidth": 1.3, "label": name}
+        else:
+            looks[name] = {"color": "#B0B0B0", "linewidth": 0.9, "label": rest}
+            rest = "_"  # one entry of the legend for all
+    return looks
+
+
+def _size(row: Row) -> float:
+    """Return how far an impedance is from the one asked for, in octaves and radians together."""
+    return 0.0 if row["size"] is None else abs(float(np.log2(row["size"]))) + abs(row["angle"])
 
 
 def _draw_impedance(found: Found, path: Path) -> None:
@@ -98,9 +134,10 @@ def _draw_impedance(found: Found, path: Path) -> None:
     with drawing() as figure_type:
         figure = figure_type(figsize=(5.0 * len(delays) + 2.6, 6.0), dpi=_DPI, layout="constrained")
         panels = figure.subplots(2, len(delays), sharex=True, sharey="row", squeeze=False)
+        lines = _lines(found, "impedance", _size)
         for column, delay in enumerate(delays):
             for row, key in enumerate(("size", "angle")):
-                _draw_ratio(panels[row, column], found, delay, key)
+                _draw_ratio(panels[row, column], found, delay, key, lines)
             panels[0, column].set_title("one sample late" if delay else "no delay", fontweight="bold")
             panels[1, column].set_xlabel("frequency [Hz]")
         panels[0, 0].set_ylabel("impedance over the one asked")
@@ -108,11 +145,11 @@ def _draw_impedance(found: Found, path: Path) -> None:
         _save_with_legend(figure, panels[0, 0], path)
 
 
-def _draw_ratio(panel: "Axes", found: Found, delay: int, key: str) -> None:
-    for number, name in enumerate(found["algorithms"]):
+def _draw_ratio(panel: "Axes", found: Found, delay: int, key: str, lines: Mapping[str, Row]) -> None:
+    for name, line in lines.items():
         own = [one for one in found["impedance"] if one["algorithm"] == name and one["delay"] == delay]
         values = [np.nan if one[key] is None else one[key] for one in own]
-        panel.plot([one["frequency"] for one in own], values, label=name, **_line(name, number))
+        panel.plot([one["frequency"] for one in own], values, **line)
     panel.axhline(1.0 if key == "size" else 0.0, color="#808080", linewidth=0.8)
     panel.set_xscale("log")
     if key == "size":

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.axis_units import effort_unit
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
 from canhaptic.lab.reference import ContinuousReference
@@ -96,7 +97,8 @@ def _draw_axis(axis: AxisComparison, comparison: Comparison, panels: NDArray[Any
     accounts = comparison.result["axes"][axis.name]["algorithms"]
     for (position, force, energy), (name, run) in zip(places, runs.items(), strict=False):
         title = name if len(comparison.axes) == 1 else f"{axis.name}: {name}"
-        position.set_title(title, fontweight="bold", fontsize=10.0)
+        position.set_title(title, fontweight="bold", fontsize=10.0, pad=18.0)
+        _write_verdict(position, run)
         _draw_position(position, run, reference, period, scales[0])
         _draw_force(force, run, reference, period, scales[1])
         _draw_energy(energy, run, period, scales[2])
@@ -164,14 +166,27 @@ def _draw_force(
 def _draw_energy(panel: "Axes", run: LoopRun, period: float, scale: _Scale) -> None:
     time = _times(run.interaction, period)
     panel.axhline(0.0, color="black", linewidth=0.8)
-    _line(panel, time, run.interaction, scale, color=BLUE, linewidth=1.2, label="in, true")
+    _line(panel, time, run.interaction, scale, color=BLUE, linewidth=1.2, label="in")
     _line(panel, time, run.dissipated, scale, color=VERMILION, linewidth=1.1, linestyle="--", label="dissipated")
-    _line(panel, time, run.interaction - run.dissipated, scale, color=GREEN, linewidth=1.1, label="margin of (4)")
-    panel.set_title(
-        f"least in {si(run.least_interaction, 'J', 3)}, margin {si(run.least_margin, 'J', 3)}", fontsize=8.0, loc="left"
+    _line(
+        panel,
+        time,
+        run.interaction - run.dissipated,
+        scale,
+        color=GREEN,
+        linewidth=1.1,
+        label="margin: in less dissipated",
     )
+    panel.set_title(f"smallest margin {si(run.least_margin, 'J', 3)}", fontsize=8.0, loc="left")
     if (place := panel.get_subplotspec()) is not None and place.is_first_col() and place.rowspan.start == 2:
         panel.legend(loc="upper left", fontsize=7.5, ncols=1)
+
+
+def _write_verdict(panel: "Axes", run: LoopRun) -> None:
+    """Write below the title whether the handle gave out more than it took, by the simulated plant."""
+    given = -run.least_interaction
+    word, colour = ("passive", GREEN) if given <= PASSIVE_TOLERANCE else (f"gave out {si(given, 'J', 3)}", VERMILION)
+    panel.text(0.0, 1.02, word, transform=panel.transAxes, fontsize=9.5, fontweight="bold", color=colour)
 
 
 def _write_error(panel: "Axes", account: Row, unit: str) -> None:

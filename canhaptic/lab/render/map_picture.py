@@ -31,7 +31,7 @@ _LINES: Final[dict[str, Row]] = {
 }
 _MANY: Final = 5
 """Lines from which a legend is written smaller."""
-_WHITE: Final = "#fffffe"  # no grey, which a dark page would turn over
+_WHITE, _BLACK = "#fffffe", "#000001"  # on coloured cells; no grey, which a dark page would turn over
 _MARKS: Final = "osv^<>DPX*hpd"
 
 
@@ -44,10 +44,14 @@ def draw_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: str 
     rows = max(len(column) for column in columns)
     with drawing() as figure_type:
         figure = figure_type(figsize=(0.8 + 5.0 * len(columns), 0.6 + 3.6 * rows), dpi=110, layout="constrained")
-        axes = figure.subplots(rows, len(columns), squeeze=False)
+        grid = figure.add_gridspec(rows, len(columns))
         for row in range(rows):
-            panels = [column[row] if row < len(column) else None for column in columns]
-            _draw_row(figure, axes[row], panels)
+            panels = [panel for column in columns if (panel := column[row] if row < len(column) else None) is not None]
+            last = len(columns) - len(panels)  # a row with few panels is filled by its last one
+            axes = [
+                figure.add_subplot(grid[row, k : k + 1 + last * (k == len(panels) - 1)]) for k in range(len(panels))
+            ]
+            _draw_row(figure, axes, panels)
         lines = textwrap.wrap(caption, _LETTERS * len(columns), break_long_words=False)
         figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=9.5, color="#404040")
         save_picture(figure, path)
@@ -75,12 +79,9 @@ def _table(panel: Panel) -> Table:
     return Table(title, [panel.y_label, *(f"{x:.4g}" for x in panel.x)], cells, keys=0)
 
 
-def _draw_row(figure: "Figure", axes: "Sequence[Axes]", panels: Sequence[Panel | None]) -> None:
+def _draw_row(figure: "Figure", axes: "Sequence[Axes]", panels: Sequence[Panel]) -> None:
     limits = common_limits(panels)
     for place, panel in zip(axes, panels, strict=True):
-        if panel is None:
-            place.set_visible(False)
-            continue
         place.set_title(panel.title, loc="left", fontweight="bold", fontsize=9.0)
         place.set_xlabel(panel.x_label)
         place.set_ylabel(panel.y_label)
@@ -97,7 +98,7 @@ def _mark_values(place: "Axes", panel: Panel) -> None:
     """Put the marks of a logarithmic axis at the values themselves where those are few."""
     places = panel.marks()
     if places:
-        place.set_xticks(places, [f"{value:g}" for value in places])
+        place.set_xticks(places, [f"{float(f'{value:.3g}'):g}" for value in places])
         place.set_xticks([], minor=True)
 
 
@@ -138,7 +139,10 @@ def _draw_cells(figure: "Figure", place: "Axes", panel: Cells, limits: tuple[flo
 def _draw_contour(place: "Axes", panel: Cells) -> None:
     if panel.contour is None or min(panel.values.shape) < 2 or not np.isfinite(panel.values).any():
         return
-    if not np.nanmin(panel.values) < panel.contour < np.nanmax(panel.values):
+    least, most = np.nanmin(panel.values), np.nanmax(panel.values)
+    if not least < panel.contour < most:
+        text = f"{100.0 * least:.3g} % to {100.0 * most:.3g} % everywhere"
+        place.text(0.5, 0.5, text, transform=place.transAxes, ha="center", color=_BLACK)
         return
     drawn = place.contour(panel.x, panel.y, panel.values, levels=[panel.contour], colors=_WHITE, linewidths=1.2)
     place.clabel(drawn, fmt=f"{100.0 * panel.contour:g} %%", fontsize=8.0)
