@@ -25,7 +25,7 @@ from tests.view.chromium import Page, chromium
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 _SCENE: Final = ROOT / "configs" / "hard" / "stiff_wall.yaml"
-_WIDTH, _HEIGHT = 1240, 640  # of the window, in pixels
+_WIDTH, _HEIGHT = 1240, 618  # of the window, in pixels
 _SHOWN: Final = 800  # width of the picture, in pixels
 _SWING: Final = 3.0  # [s] from one contact to the next
 _SWINGS: Final = 2

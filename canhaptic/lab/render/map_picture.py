@@ -141,7 +141,8 @@ def _draw_contour(place: "Axes", panel: Cells) -> None:
         return
     least, most = np.nanmin(panel.values), np.nanmax(panel.values)
     if not least < panel.contour < most:
-        text = f"{100.0 * least:.3g} % to {100.0 * most:.3g} % everywhere"
+        ends = dict.fromkeys(f"{100.0 * end:.3g} %" for end in (least, most))
+        text = f"{' to '.join(ends)} everywhere"
         place.text(0.5, 0.5, text, transform=place.transAxes, ha="center", color=_BLACK)
         return
     drawn = place.contour(panel.x, panel.y, panel.values, levels=[panel.contour], colors=_WHITE, linewidths=1.2)
