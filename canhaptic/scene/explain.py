@@ -74,7 +74,7 @@ def _find(model: type, section: MarkedMapping, fault: ErrorDetails) -> _KeyLocat
     annotation, motion = None, section.motion
     found = _KeyLocation("", section, section.mark, section.mark, None, (), motion, 0)
     for depth, part in enumerate(fault["loc"]):
-        if isinstance(container, MarkedMapping) and part == container.get("type") and part not in container:
+        if isinstance(container, MarkedMapping) and part not in container and _named(annotation, part):
             owner = _named(annotation, part) or owner  # pydantic names the branch of a union that `type` chose
             continue
         fields = _fields(owner)

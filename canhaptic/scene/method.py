@@ -23,6 +23,7 @@ from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import observed
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import Array
+from canhaptic.sim.plant.user import RecordedMotion
 
 _PRODUCTS: Final = 6_000
 """Products of the plant that is timed: about 25 ms; the halved steps cost six times that."""
@@ -47,7 +48,7 @@ _PER_PRODUCT: Final = 5e-6  # [s], interpreted
 
 
 def dear_holds(scene: Scene) -> list[str]:
-    """Return one warning for each simulated plant whose fast oscillation may make it slow to simulate.
+    """Return one warning for each simulated plant that may be slow to simulate, and where a recorded hand ends.
 
     Events in a hold are searched at every oscillation of a fast mode, so the cost is known beforehand: the hint is the
     time that the plant may take per sample time while that mode oscillates. A mode at rest costs nothing.
@@ -56,6 +57,11 @@ def dear_holds(scene: Scene) -> list[str]:
     for axis in scene.axes:
         if axis.simulation is None or axis.simulated_drive is not None:
             continue
+        if isinstance(motion := getattr(axis.simulation.user, "motion", None), RecordedMotion):
+            lines.append(
+                f"{axis.parameters.name}: {motion.file.name} ends after {motion.end:.4g} s; the hand then stays at "
+                f"{motion.rows[-1][1]:.4g} {axis.parameters.unit}"
+            )
         phase, mode = build_plant(axis.simulation, scene.bus.sample_time_ns).fastest_swing()
         if phase > LONG_SWING:
             products = _PER_RADIAN * phase

@@ -75,5 +75,5 @@ def test_accuracy_and_design_take_a_name() -> None:
 
 
 def test_a_scene_that_does_not_exist_is_named() -> None:
-    with pytest.raises(SceneError, match=r"demmo.*did you mean demo"):
+    with pytest.raises(SceneError, match=r"demmo.*did you mean 'demo'"):
         canhaptic.sweep("demmo", {"environment.stiffness": [1.0]})

@@ -1,9 +1,14 @@
 """What changes in the run of a random scene: the grasp of its hand, a winding that gets hot, a wall that moves.
 
+And hands that are recorded, with strokes between uneven times.
+
 Drawn from a generator of its own, so that a seed keeps what the other modules draw for it.
 """
 
 import math
+import os
+import tempfile
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -73,6 +78,29 @@ def _move_the_wall(chance: np.random.Generator, group: dict[str, Any], tags: set
     }  # fmt: skip
     tags -= {tag for tag in tags if tag.startswith("group:")}
     tags |= {"group:stage_moving_wall", "changes:wall"}
+
+
+_RECORDED: Final = 0.08
+"""Share of the hands that move in a sinusoid which are recorded instead."""
+
+
+def record_the_hand(seed: int, values: dict[str, Any], tags: set[str]) -> None:
+    """Takes a recorded hand in place of one that moves in a sinusoid; changes values and tags."""
+    chance = np.random.default_rng([seed, 25])
+    user = {} if "groups" in values else values["simulation"]["user"]
+    if "motion" not in user or chance.random() >= _RECORDED:
+        return
+    count, reach = int(chance.integers(2, 400)), 1.5 * user["motion"]["amplitude"]
+    times = np.sort(chance.uniform(0.0, values["duration"], count))
+    places = chance.uniform(-reach, reach, count) if count < 40 else np.cumsum(chance.normal(0.0, 0.1 * reach, count))
+    path = Path(tempfile.gettempdir()) / f"canhaptic-hand-{seed}.csv"
+    rows = [f"{time!r},{place!r}" for time, place in zip(times.tolist(), places.tolist(), strict=True)]
+    draft = path.with_suffix(f".{os.getpid()}")
+    draft.write_text("\n".join(["time [s],position", *rows]), encoding="utf-8")
+    draft.replace(path)
+    user["motion"] = {"type": "recorded", "file": str(path)}
+    tags -= {tag for tag in tags if tag.startswith("hand:")}
+    tags.add("hand:recorded")
 
 
 def _decades(chance: np.random.Generator, low: float, high: float) -> float:

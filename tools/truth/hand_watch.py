@@ -13,7 +13,7 @@ from typing import Any, Final
 from canhaptic.scene.build import Experiment
 from canhaptic.scene.models import MechanismScene
 from canhaptic.sim.plant.plant import Plant
-from canhaptic.sim.plant.user import UserParameters
+from canhaptic.sim.plant.user import PLACE, UserParameters
 
 _MEMORY: Final = 4
 """SYNCs in which a hand force counts for a torque: from the hold before the first torque under way to its own."""
@@ -131,9 +131,10 @@ def _of_hand(plant: Plant, user: UserParameters | None) -> _Force:
             grasps.append((of.stiffness, of.damping))
         elif effect.type == "tremor":
             swings.append((of.amplitude, 2.0 * math.pi * of.frequency, places["tremor_sine"]))
-    if user.motion is not None:
-        swings.append((user.motion.amplitude, 2.0 * math.pi * user.motion.frequency, places["motion_sine"]))
-    rest = user.rest + (user.motion.offset if user.motion else 0.0)
+    if user.sinusoid is not None:
+        swings.append((user.sinusoid.amplitude, 2.0 * math.pi * user.sinusoid.frequency, places["motion_sine"]))
+    rest = user.rest + (user.sinusoid.offset if user.sinusoid else 0.0)
+    recorded = places.get(PLACE)
 
     def force() -> float:
         state = plant.state
@@ -141,6 +142,9 @@ def _of_hand(plant: Plant, user: UserParameters | None) -> _Force:
         for amplitude, omega, sine in swings:
             stretch += amplitude * state.item(sine)
             rate += amplitude * omega * state.item(sine + 1)
+        if recorded is not None:
+            stretch += state.item(recorded)
+            rate += state.item(recorded + 1)
         return user.push + max((stiffness * stretch + damping * rate for stiffness, damping in grasps), key=abs)
 
     return force

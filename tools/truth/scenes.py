@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from tools.chance import Chance
-from tools.truth.changes import add_changes
+from tools.truth.changes import add_changes, record_the_hand
 from tools.truth.five_bar import make_five_bar
 from tools.truth.further import add_further
 from tools.truth.programs import draw_program
@@ -114,6 +114,7 @@ def random_scene(seed: int, *, further: bool = True, changes: float | None = Non
     if further:
         outward = add_further(seed, values, chance.tags, outward)
         add_changes(seed, values, chance.tags, **({} if changes is None else {"share": changes}))
+        record_the_hand(seed, values, chance.tags)
     if outward == (0,) and "algorithm:guarded" in chance.tags:
         _declare_push(np.random.default_rng([seed, 16]), values, chance.tags)
         outward = draw_program(seed, values, chance.tags, outward)

@@ -44,7 +44,6 @@ from canhaptic.registry import load
 from canhaptic.scene.models import AxisSimulation, Scene
 from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.propagator import flow_changes
-from canhaptic.sim.plant.user import UserParameters
 
 
 class NotBatchableError(InputError, NotImplementedError):
@@ -381,8 +380,8 @@ def _why_not_moved(simulation: AxisSimulation, algorithm: str, own: type[Any] | 
         return "an admittance display runs one by one"
     if own is not None:
         return f"algorithm {algorithm} is own code"
-    if type(simulation.user) not in (UserParameters, type(None)):
-        return "the hand is own code"
+    if simulation.user is not None and not simulation.user.has_equations:
+        return "the hand is own code or a recording"
     return why_not_in_loop(simulation)
 
 

@@ -101,8 +101,8 @@ def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
         raise ParameterError(
             f"{scene.source}: spectral radius: {axis.environment.name} has no linear stiffness; run the scenes instead"
         )
-    if type(simulation.user) not in (UserParameters, type(None)):
-        raise ParameterError(f"{scene.source}: spectral radius: the hand is own code; run the scenes instead")
+    if simulation.user is not None and not simulation.user.has_equations:
+        raise ParameterError(f"{scene.source}: spectral radius: own code or a recording moves the hand; run the scenes")
     for effect in simulation.effects:
         if effect.name not in _IN_IT:
             raise ParameterError(f"{scene.source}: spectral radius: effect {effect.name} is not in it; leave it out")

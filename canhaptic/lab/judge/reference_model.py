@@ -463,19 +463,19 @@ class Model:
     def _add_hand(self, user: UserParameters | None) -> None:
         if isinstance(user, OwnHand):
             self._elements.append(ReferenceOwnHand(user.force))
-        elif user is not None and type(user) is not UserParameters:
-            raise ParameterError(f"user: {type(user).__name__} has no equations here; make it a subclass of OwnHand")
+        elif user is not None and not user.has_equations:
+            raise ParameterError("user: got own code or a recording, expected a sinusoid or an OwnHand: no equations")
         if user is None or not (user.stiffness or user.damping or user.push):
             return
         grasps = [(0.0, user.stiffness, user.damping)]
         changes = sorted(self._effects.get("grasp_change", []), key=lambda change: change.time)
         grasps += [(change.time, change.stiffness, change.damping) for change in changes]
         sines = []
-        if user.motion:
-            sines.append((user.motion.amplitude, 2.0 * math.pi * user.motion.frequency, user.motion.phase))
+        if user.sinusoid:
+            sines.append((user.sinusoid.amplitude, 2.0 * math.pi * user.sinusoid.frequency, user.sinusoid.phase))
         for tremor in self._effects.get("tremor", []):
             sines.append((tremor.amplitude, 2.0 * math.pi * tremor.frequency, tremor.phase))
-        rest = user.rest + (user.motion.offset if user.motion else 0.0)
+        rest = user.rest + (user.sinusoid.offset if user.sinusoid else 0.0)
         hand = ReferenceHand(self._places[-1], grasps, user.push, rest, sines)
         self.breaks = hand.changes
         self._elements.append(hand)

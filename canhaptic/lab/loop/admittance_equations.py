@@ -30,8 +30,8 @@ def why_no_equations(simulation: AxisSimulation) -> str:
         return "the torque limit of the loop"
     if simulation.effects:
         return f"effect {simulation.effects[0].name}"
-    if user is not None and type(user) is not UserParameters:
-        return "a hand of the user's own"
+    if user is not None and not user.has_equations:
+        return "a hand of the user's own, or a recorded one"
     return ""
 
 
@@ -69,7 +69,7 @@ def _rates(simulation: AxisSimulation) -> Any:
     if display is None:
         raise InputError("no equations here for an axis that is no admittance display")
     loop, grip = display.loop, display.grip
-    motion = user.motion or SinusoidMotion(amplitude=0.0, frequency=1.0)
+    motion = user.sinusoid or SinusoidMotion(amplitude=0.0, frequency=1.0)
     omega = 2.0 * pi * motion.frequency
 
     def rates(time: float, state: Array, command: float) -> list[float]:

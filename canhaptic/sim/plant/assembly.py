@@ -188,6 +188,7 @@ class PlantModel:
     encoders: list[_Encoder] = field(default_factory=list)
     efforts: list[NonlinearForce] = field(default_factory=list)
     schedule: list[tuple[float, str, str]] = field(default_factory=list)  # (time [s], part, mode)
+    settings: list[tuple[float, dict[str, float]]] = field(default_factory=list)  # (time [s], values of states)
     deflection: dict[str, float] = field(default_factory=dict)  # name -> factor: hand's deflection minus position
     slots: dict[str, str] = field(default_factory=dict)  # what may be there once -> the effect that is
     hand: _HandPart | None = None

@@ -176,14 +176,15 @@ class Plant:
         """Function that moves this model by a hold; specialised to the effects present."""
         scene, machine = self.scene, self._machine
         has_guards = any(part.has_guards for part in scene.parts)
-        if not (has_guards or scene.efforts or scene.schedule or scene.commands):
+        is_timed = bool(scene.schedule or scene.settings)
+        if not (has_guards or scene.efforts or is_timed or scene.commands):
             return self._linear_hold
-        if not (has_guards or scene.efforts or scene.schedule):
+        if not (has_guards or scene.efforts or is_timed):
             return self._commanded_hold
         run: Callable[[int], object] = (
             self._splitting.run if self._splitting else machine.run if has_guards else machine.run_free
         )
-        if scene.schedule:
+        if is_timed:
             from canhaptic.sim.plant.timetable import Timetable
 
             self._timetable = Timetable(machine, run)
@@ -245,7 +246,7 @@ class Plant:
 
     def move_hand(self, place: float) -> None:
         """Move a `PointerHand` to a position [m or rad] for the following holds; allowed between two holds only."""
-        from canhaptic.sim.plant.pointer_hand import PLACE
+        from canhaptic.sim.plant.user import PLACE
 
         self.set_states({PLACE: place})
 

@@ -4,14 +4,11 @@ The position is a state that no force moves, so that the plant stays as exact as
 `Plant.move_hand` sets it between two holds; until it is set again the hand stays where it is.
 """
 
-from typing import Annotated, Final
+from typing import Annotated
 
 from canhaptic.sim.plant.assembly import PlantModel, Rows
-from canhaptic.sim.plant.user import Hand, UserParameters
+from canhaptic.sim.plant.user import PLACE, Hand, UserParameters
 from canhaptic.units import quantity
-
-PLACE: Final = "hand_place"
-"""State that is the place of the hand [m or rad]."""
 
 
 class PointerHand(UserParameters):

@@ -1,13 +1,16 @@
 """Mode changes at fixed ticks, between two steps, and not by a guard."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 
 from canhaptic.sim.plant.hybrid_automaton import HOLDS, HybridAutomaton
 from canhaptic.sim.plant.propagator import TICKS
 
+_Entry = tuple[float, Callable[[], None]]
+
 
 class Timetable:
-    """The scheduled mode changes of a scene, around the solver that moves it.
+    """The scheduled changes of a scene, around the solver that moves it.
 
     Args:
         machine: Automaton whose parts change mode.
@@ -19,13 +22,20 @@ class Timetable:
 
     def __init__(self, machine: HybridAutomaton, run: Callable[[int], object]) -> None:
         self._machine, self._run = machine, run
-        entries = [(round(time / machine.tick_time), part, mode) for time, part, mode in machine.scene.schedule]
-        self._entries = sorted(entries, key=lambda entry: entry[0])
+        scene = machine.scene
+        entries: list[_Entry] = [(time, partial(machine.set_part_mode, *change)) for time, *change in scene.schedule]
+        entries += [(time, partial(self._set_states, values)) for time, values in scene.settings]
+        ticks = [(round(time / machine.tick_time), change) for time, change in entries]
+        self._entries = sorted(ticks, key=lambda entry: entry[0])
         self.reset()
 
     def reset(self) -> None:
         """Return to tick 0."""
         self.tick = self._done = 0
+
+    def _set_states(self, values: Mapping[str, float]) -> None:
+        for name, value in values.items():
+            self._machine.state[self._machine.scene.names.index(name)] = value
 
     def holds_from(self, tick: int) -> int:
         """Return the number of whole sample times after a tick without a change; at most `HOLDS`."""
@@ -34,14 +44,14 @@ class Timetable:
         return min(HOLDS, max(0, self._entries[self._done][0] - tick) // TICKS)
 
     def run(self, ticks: int) -> None:
-        """Move by `ticks`, changing modes on the way."""
+        """Move by `ticks`, with the changes on the way."""
         end = self.tick + ticks
         while self._done < len(self._entries) and self._entries[self._done][0] < end:
-            tick, part, mode = self._entries[self._done]
+            tick, change = self._entries[self._done]
             if tick > self.tick:
                 self._run(tick - self.tick)
                 self.tick = tick
-            self._machine.set_part_mode(part, mode)
+            change()
             self._done += 1
         self._run(end - self.tick)
         self.tick = end

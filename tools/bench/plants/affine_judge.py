@@ -60,7 +60,7 @@ class AffineJudge:
         self._scene = scene
         self._model = Model(scene.plant, scene.user, scene.effects)
         self._size = self._model.dynamic_size
-        motion = scene.user.motion if scene.user else None
+        motion = scene.user.sinusoid if scene.user else None
         self._omega = 2.0 * math.pi * motion.frequency if motion else 1.0
         self._phase = motion.phase if motion else 0.0
         self._modes: dict[Modes, _Mode] = {}
@@ -169,7 +169,7 @@ class AffineJudge:
                 loaded = "load_velocity" in names
                 velocity = states[:, names.index("load_velocity")] if loaded else states[:, 1]
                 place = states[:, 0] - (states[:, names.index("twist")] if loaded else 0.0)
-                swing, omega = (user.motion.amplitude if user.motion else 0.0), self._omega
+                swing, omega = (user.sinusoid.amplitude if user.sinusoid else 0.0), self._omega
                 force = user.stiffness * (user.rest + swing * states[:, -4] - place)
                 force += user.damping * (swing * omega * states[:, -3] - velocity)
                 powers[1] = force * velocity

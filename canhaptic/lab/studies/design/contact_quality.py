@@ -34,8 +34,8 @@ from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Reach
 from canhaptic.sim.plant.assembly import PlantModel, Rows
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from canhaptic.sim.plant.pointer_hand import PLACE, PointerHand
-from canhaptic.sim.plant.user import Hand
+from canhaptic.sim.plant.pointer_hand import PointerHand
+from canhaptic.sim.plant.user import PLACE, Hand
 
 SPEED: Final = "hand_speed"
 """State that is the speed of the place [m/s or rad/s]."""

@@ -74,7 +74,7 @@ from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import AxisScene, MechanismScene, Scene, task_unit
 from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion
-from canhaptic.sim.plant.user import SinusoidMotion
+from canhaptic.sim.plant.user import RecordedMotion, SinusoidMotion
 from canhaptic.units import Parameters
 
 _Matrix = Sequence[Sequence[float]]
@@ -571,7 +571,7 @@ def _tried(job: tuple[Scene, float, ChosenEngine]) -> _Tried:
     )  # fmt: skip
 
 
-def _motions(scene: Scene) -> list[SinusoidMotion]:
+def _motions(scene: Scene) -> list[SinusoidMotion | RecordedMotion]:
     users = [axis.simulation.user for axis in scene.axes if axis.simulation is not None]
     hands = [motion for of in scene.mechanisms if of.hand is not None for motion in of.hand.motions]
     found = [*(user.motion for user in users if user is not None), *hands]
