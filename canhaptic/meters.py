@@ -111,20 +111,21 @@ class _Asks(Protocol):
     def asked(self) -> float: ...
 
 
-class AxisPort:
-    """Figures of one axis.
+class PortFigures:
+    """Figures of a port in addition to its ledger, from its holds or from the columns of a log.
 
     Args:
-        meter: Meter of the axis.
-        drive: Torque record of the axis.
-        controller: Controller that renders it; None for an axis in a group.
+        limits: Thresholds below which it has certainly given out energy.
+        is_damped: Whether damping of the device is declared, of a group for every axis.
+        books_least: Whether the least energy that may have come in is booked, so that no resolution is subtracted.
+        damping_asked: Damping of the environment [N*s/m or N*m*s/rad]; None for a group.
 
     Attributes:
-        activity: First times at which it was active.
-        drives: Torque records of the port.
+        activity: First times at which it was active; of a group by the sum of its axes, never by one of them.
+        books_least: As given.
+        damping_asked: As given.
         least_at_handle: Least sum of interaction and certain dissipation of the device after any hold [J]; None where
             no damping of the device is declared.
-        books_least: Whether the least energy that may have come in is booked, so that no resolution is subtracted.
         least_certain: Least sum of interaction less its resolution after any hold [J].
         least_certain_at_handle: The same, including that dissipation.
         contacts: Holds in contact.
@@ -137,22 +138,67 @@ class AxisPort:
     """
 
     __slots__ = (
-        "_asks", "_controller", "_drive", "_floor", "_is_damped", "_lowest", "_meter", "activity", "asked",
-        "books_least", "contacts", "damping", "drives", "least_at_handle", "least_certain",
-        "least_certain_at_handle", "rendered", "silent", "sizes_asked", "sizes_sent",
+        "_lowest", "activity", "asked", "books_least", "contacts", "damping", "damping_asked", "least_at_handle",
+        "least_certain", "least_certain_at_handle", "rendered", "silent", "sizes_asked", "sizes_sent",
     )  # fmt: skip
 
+    def __init__(
+        self, limits: ActiveLimits, *, is_damped: bool, books_least: bool, damping_asked: float | None
+    ) -> None:
+        self.activity, self.books_least, self.damping_asked = Activity(limits), books_least, damping_asked
+        self.least_at_handle = 0.0 if is_damped else None
+        self._lowest = self.least_certain = self.least_certain_at_handle = 0.0
+        self.asked = self.rendered = self.damping = self.sizes_asked = self.sizes_sent = 0.0
+        self.contacts = self.silent = 0
+
+    def measured(self) -> Measured:
+        """Return the figures so far that the log holds."""
+        raise NotImplementedError
+
+    @property
+    def longest_gap(self) -> int:
+        """Largest number of sample times between two SYNCs."""
+        raise NotImplementedError
+
+    @property
+    def friction_excess(self) -> float | None:
+        """Force in excess of declared friction and hand [N or N*m]; None without that check."""
+        return None
+
+    def _take_sums(self, interaction: float, resolution: float, dissipated: float) -> None:
+        """Take the sum at the motor, its resolution and what the device dissipated for certain [J]."""
+        certain = interaction - resolution
+        if certain < self.least_certain:
+            self.least_certain = certain
+        if self.least_at_handle is not None:
+            if certain + dissipated < self.least_certain_at_handle:
+                self.least_certain_at_handle = certain + dissipated
+            if interaction < self._lowest:
+                self._lowest = interaction
+                if interaction + dissipated < self.least_at_handle:
+                    self.least_at_handle = interaction + dissipated
+
+
+class AxisPort(PortFigures):
+    """Figures of one axis.
+
+    Args:
+        meter: Meter of the axis.
+        drive: Torque record of the axis.
+        controller: Controller that renders it; None for an axis in a group.
+    """
+
+    __slots__ = ("_asks", "_controller", "_drive", "_floor", "_meter")
+
     def __init__(self, meter: AxisMeter, drive: HeldTorques, controller: object) -> None:
-        self._meter, self._drive, self.drives = meter, drive, (drive,)
+        limits = active_limits([meter.accuracy], promise_of(controller).energy_allowance)
+        super().__init__(
+            limits, is_damped=meter.is_damped, books_least=meter.books_least, damping_asked=meter.damping_asked
+        )
+        self._meter, self._drive = meter, drive
         self._controller = controller if isinstance(controller, _StatesResolution) else None
         self._asks = controller if isinstance(controller, _Asks) else None
-        self._lowest = self.asked = self.rendered = self.damping = self.sizes_asked = self.sizes_sent = 0.0
-        self.contacts = self.silent = 0
-        self.activity = Activity(active_limits([meter.accuracy], promise_of(controller).energy_allowance))
-        self._floor = -inf if controller is None else self.activity.limits.floor  # of a group only the sum counts
-        self.books_least = meter.books_least
-        self._is_damped, self.least_certain, self.least_certain_at_handle = meter.is_damped, 0.0, 0.0
-        self.least_at_handle = 0.0 if self._is_damped else None
+        self._floor = -inf if controller is None else limits.floor  # of a group only the sum counts
 
     def take(self, sample: Sample, balance: EnergyBalance, ledger: Ledger, sent: float) -> Measured:
         """Take a hold; return the figures so far.
@@ -186,22 +232,15 @@ class AxisPort:
             if not balance.torque:
                 self.silent += 1
         interaction, resolution = ledger.interaction, self._resolution()
-        if (certain := interaction - resolution) < self.least_certain:
-            self.least_certain = certain
-        if self._is_damped:
-            self._take_handle(interaction, certain)
+        self._take_sums(interaction, resolution, meter.dissipated)
         if interaction + resolution < self._floor:
             self.activity.take(interaction + resolution, int(sent))
         return self._measured(resolution)
 
-    def _take_handle(self, interaction: float, certain: float) -> None:
-        """Take the sum at the motor, and what of it is certain [J]."""
-        dissipated = self._meter.dissipated
-        if certain + dissipated < self.least_certain_at_handle:
-            self.least_certain_at_handle = certain + dissipated
-        if interaction < self._lowest:
-            self._lowest = interaction
-            self.least_at_handle = _least(self.least_at_handle, interaction + dissipated)
+    @property
+    def longest_gap(self) -> int:
+        """Largest number of sample times between two SYNCs."""
+        return self._drive.longest_gap
 
     @property
     def friction_excess(self) -> float | None:
@@ -209,7 +248,7 @@ class AxisPort:
         return None if self._meter.watch is None else self._meter.watch.excess
 
     def measured(self) -> Measured:
-        """Return the figures so far."""
+        """Return the figures so far that the log holds."""
         return self._measured(self._resolution())
 
     def _resolution(self) -> float:
@@ -222,38 +261,26 @@ class AxisPort:
         return _measured(Measured, known)
 
 
-class GroupPort:
+class GroupPort(PortFigures):
     """Figures of a group.
 
     Args:
         meters: Meters of its axes.
         drives: Torque records of its axes.
         group: Axes that render together.
-
-    Attributes:
-        activity: First times at which the group was active, by the sum of its axes, never by one of them.
-        drives: Torque records, as given.
-        least_at_handle: As for an axis, where damping is declared for every axis.
-        books_least: As for an axis.
-        least_certain: As for an axis.
-        least_certain_at_handle: As for an axis.
-        contacts: As for an axis.
-        silent: As for an axis.
     """
 
-    __slots__ = (
-        "_group", "_lowest", "_meters", "activity", "books_least", "contacts", "drives", "least_at_handle",
-        "least_certain", "least_certain_at_handle", "silent",
-    )  # fmt: skip
+    __slots__ = ("_drives", "_group", "_meters")
 
     def __init__(self, meters: Sequence[AxisMeter], drives: Sequence[HeldTorques], group: "AxisGroup") -> None:
-        self._meters, self.drives, self._group = tuple(meters), tuple(drives), group
         allowance = promise_of(group.controller).energy_allowance
-        self.activity = Activity(active_limits([meter.accuracy for meter in meters], allowance))
-        self._lowest, self.contacts, self.silent = 0.0, 0, 0
-        self.least_certain = self.least_certain_at_handle = 0.0
-        self.books_least = all(meter.books_least for meter in self._meters)
-        self.least_at_handle = 0.0 if all(meter.is_damped for meter in self._meters) else None
+        super().__init__(
+            active_limits([meter.accuracy for meter in meters], allowance),
+            is_damped=all(meter.is_damped for meter in meters),
+            books_least=all(meter.books_least for meter in meters),
+            damping_asked=None,
+        )
+        self._meters, self._drives, self._group = tuple(meters), tuple(drives), group
 
     def take(self, _sample: Sample, balance: EnergyBalance, ledger: Ledger, sent: float) -> Measured:
         """Take a hold, after the axes of the group; return the figures so far. See `AxisPort.take`."""
@@ -261,33 +288,30 @@ class GroupPort:
             self.contacts += 1
             if not balance.torque:
                 self.silent += 1
-        if self.least_at_handle is not None and ledger.interaction < self._lowest:
-            self._lowest = lowest = ledger.interaction
-            now = lowest + sum([meter.dissipated for meter in self._meters])
-            self.least_at_handle = _least(self.least_at_handle, now)
-        interaction, resolution = ledger.interaction, self._resolution()
-        self.least_certain = min(self.least_certain, interaction - resolution)
-        if self.least_at_handle is not None:
-            certain = interaction - resolution + sum([meter.dissipated for meter in self._meters])
-            self.least_certain_at_handle = min(self.least_certain_at_handle, certain)
+        measured = self.measured()
+        interaction, resolution = ledger.interaction, measured.energy_resolution
+        self._take_sums(interaction, resolution, measured.device_dissipated)
         if interaction + resolution < self.activity.limits.floor:
             self.activity.take(interaction + resolution, int(sent))
-        return self.measured()
+            return measured._replace(active=self.activity.active)
+        return measured
 
-    def _resolution(self) -> float:
-        controller = self._group.controller
-        left = controller.energy_resolution if isinstance(controller, _StatesResolution) else 0.0
-        left += self._group.uncertainty + sum([meter.resolution for meter in self._meters])
-        return left + sum([drive.read_back_bound for drive in self.drives])
+    @property
+    def longest_gap(self) -> int:
+        """Largest number of sample times between two SYNCs."""
+        return max(drive.longest_gap for drive in self._drives)
 
     def measured(self) -> Measured:
-        """Return the figures so far."""
+        """Return the figures so far that the log holds."""
+        controller = self._group.controller
+        resolution = controller.energy_resolution if isinstance(controller, _StatesResolution) else 0.0
+        resolution += self._group.uncertainty + sum([meter.resolution for meter in self._meters])
         return Measured(
-            self._resolution(),
+            resolution + sum([drive.read_back_bound for drive in self._drives]),
             sum([meter.dissipated for meter in self._meters]),
             0.0,
-            max([drive.longest_hold for drive in self.drives]),
-            sum([drive.uncommanded for drive in self.drives]),
+            max([drive.longest_hold for drive in self._drives]),
+            sum([drive.uncommanded for drive in self._drives]),
             self.activity.active,
         )
 
@@ -347,7 +371,3 @@ class RunMeters:
         for place in self._places:  # walked by number, see `Cycle`
             known.append(self.ports[place].take(samples[place], balances[place], ledgers[place], sent))
         return known
-
-
-def _least(known: float | None, now: float) -> float | None:
-    return now if known is not None and now < known else known

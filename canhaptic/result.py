@@ -17,19 +17,17 @@ from math import inf
 from typing import Final, NotRequired, TypedDict, cast
 
 from canhaptic.control.balance import Certificate
-from canhaptic.control.ledger import Ledger
 from canhaptic.control.verdict import (
     NOT_CHECKED,
     Headline,
     PortResult,
-    RenderedShares,
     Verdict,
     add_verdicts,
     claim_nothing,
     contradict,
 )
 from canhaptic.cycle import Cycle
-from canhaptic.meters import AxisPort, GroupPort, Promise, RunMeters, promise_of
+from canhaptic.meters import PortFigures, Promise, promise_of
 
 
 class TruthResult(TypedDict):
@@ -155,15 +153,15 @@ def _accounts(
         drive, promise = drives[axis], Promise() if axis in grouped else promise_of(next(alone))
         accounts[name] = {
             "unit": unit,
-            **port_account(known[axis], cycle.ledgers[axis], promise, sample_time),
-            "rendered": _rendered(cycle.meters, axis),
+            **port_account(known[axis], cycle.ledgers[axis].summary().as_json(sample_time), promise, sample_time),
             "read_back": drive.map.read_back,
             "read_back_bound": drive.read_back_bound,
         }
     for place, group in enumerate(cycle.groups, len(ports)):
+        sums = group.ledger.summary().as_json(sample_time)
         accounts[group.name] = {
             "unit": ports[group.axes[0]][1],
-            **port_account(known[place], group.ledger, promise_of(group.controller), sample_time),
+            **port_account(known[place], sums, promise_of(group.controller), sample_time),
             "supplied": group.supplied,
             "unsure": group.uncertainty,
             "limits": dict(group.limits),
@@ -179,18 +177,18 @@ def _accounts(
     return with_groups(accounts, groups, truth)
 
 
-def port_account(port: AxisPort | GroupPort, ledger: Ledger, promise: Promise, sample_time: float) -> PortResult:
+def port_account(port: PortFigures, sums: PortResult, promise: Promise, sample_time: float) -> PortResult:
     """Return the account of a port without its verdicts.
 
     Args:
         port: Figures of the port in addition to its ledger.
-        ledger: Sums of its ledger.
+        sums: Sums of its ledger, by the names of `run --json`.
         promise: Assumptions behind its certificates.
         sample_time: Sample time [s].
     """
-    measured, least, activity = port.measured(), port.least_at_handle, port.activity
+    measured, activity = port.measured(), port.activity
     account: PortResult = {
-        **ledger.summary().as_json(sample_time),
+        **sums,
         "energy_resolution": measured.energy_resolution,
         "least_certain": port.least_certain,
         "contact": {"holds": port.contacts, "without_torque": port.silent},
@@ -199,13 +197,18 @@ def port_account(port: AxisPort | GroupPort, ledger: Ledger, promise: Promise, s
         "max_consecutive_losses": promise.max_consecutive_losses,
         "energy_allowance": promise.energy_allowance,
     }
-    if least is not None:
-        account["least_at_handle"], account["device_dissipated"] = least, measured.device_dissipated
+    if port.least_at_handle is not None:
+        account["least_at_handle"], account["device_dissipated"] = port.least_at_handle, measured.device_dissipated
         account["least_certain_at_handle"] = port.least_certain_at_handle
-    if isinstance(port, AxisPort):
+    if port.damping_asked is not None:
         account["contact"] |= {"asked": port.sizes_asked, "sent": port.sizes_sent}
-        if (excess := port.friction_excess) is not None:
-            account["friction_excess"] = excess
+        damping = port.damping_asked * port.contacts
+        account["rendered"] = {
+            "stiffness": port.rendered / port.asked if port.asked else None,
+            "damping": port.damping / damping if damping else None,
+        }
+    if (excess := port.friction_excess) is not None:
+        account["friction_excess"] = excess
     if port.books_least:
         account["books_least"] = True
     if activity.limits.floor == -inf:
@@ -214,23 +217,8 @@ def port_account(port: AxisPort | GroupPort, ledger: Ledger, promise: Promise, s
         account["active_since"] = activity.since * sample_time
     if activity.at_handle_since is not None:
         account["active_at_handle_since"] = activity.at_handle_since * sample_time
-    withdraw_certificates(account, longest_gap=max(drive.longest_gap for drive in port.drives))
+    withdraw_certificates(account, longest_gap=port.longest_gap)
     return account
-
-
-def _rendered(meters: RunMeters, axis: int) -> RenderedShares:
-    """Rendered share of the request of an axis's environment."""
-    port = meters.of_axes[axis]
-    damping = meters.axes[axis].damping_asked * port.contacts
-    return rendered_shares(port.asked, port.rendered, damping, port.damping)
-
-
-def rendered_shares(asked: float, given: float, damping_asked: float, damping: float) -> RenderedShares:
-    """Rendered shares of effort and damping in contact, from sums over its holds; None if none was requested."""
-    return {
-        "stiffness": given / asked if asked else None,
-        "damping": damping / damping_asked if damping_asked else None,
-    }
 
 
 def withdraw_certificates(account: PortResult, *, longest_gap: int) -> None:

@@ -19,8 +19,9 @@ from canhaptic.errors import InputError, LogFormatError
 from canhaptic.logs.columns import ACTIVE_LIMITS, DIGEST, FRICTION_DECLARED
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
-from canhaptic.meters import ActiveLimits, Promise
-from canhaptic.result import rendered_shares, withdraw_certificates
+from canhaptic.meters import ActiveLimits, PortFigures, Promise
+from canhaptic.result import port_account
+from canhaptic.signals import Measured
 
 
 def rows_between(log: EnergyLog, start: float | None, stop: float | None) -> slice:
@@ -113,7 +114,7 @@ def impossible_values(log: EnergyLog) -> list[ImpossibleValue]:
     return found
 
 
-class PortRecord:
+class PortRecord(PortFigures):
     """Adds up the figures of `canhaptic.meters.RunMeters` from the columns of a log.
 
     Args:
@@ -123,28 +124,25 @@ class PortRecord:
     """
 
     def __init__(self, log: EnergyLog, name: str, start: int = 0) -> None:
-        self._name = name
+        port, before = log.ports[name], start - 1
+        super().__init__(
+            limits_of(log, name) or ActiveLimits(0.0, inf, log.sample_time),
+            is_damped=f"{name}.is_damped" in log.attributes,
+            books_least=port.unit("torque_command") != port.unit("torque_applied"),
+            damping_asked=None if name in log.groups else log.number(f"{name}.damping_asked"),
+        )
+        self._name, self._is_dry, self._sample_time = name, log.dry_run, log.sample_time
         losses = int(log.number(f"{name}.max_consecutive_losses"))
         self._promise = Promise(losses, log.number(f"{name}.energy_allowance"))
-        self._is_damped = f"{name}.is_damped" in log.attributes
         self._largest_torque = log.number(f"{name}.torque_limit", inf)
-        self._damping_asked = log.number(f"{name}.damping_asked")
-        self._is_group, self._is_dry = name in log.groups, log.dry_run
-        self._is_measured, self._knows_active = "energy_resolution" in log.ports[name], "active" in log.ports[name]
-        self._books_least = log.ports[name].unit("torque_command") != log.ports[name].unit("torque_applied")
-        self._sample_time, self._since = log.sample_time, dict[int, float]()
-        limits = limits_of(log, name)
-        self._is_estimate = limits is not None and limits.floor == -inf
-        before = start - 1
+        self._is_measured, self._knows_active = "energy_resolution" in port, "active" in port
         self._dissipated = self._at(log, "device_dissipated", before) if start else 0.0
         self._unknown = self._at(log, "energy_resolution", before) if start else 0.0
-        self._resolution, self._longest_hold, self._gap = self._unknown, 1, 1
         self._before = int(self._at(log, "active", before)) if start and self._knows_active else 0
-        self._certificates = self._contacts = self._silent = self._uncommanded = 0
-        self._interaction, self._least, self._at_handle = np.longdouble(0.0), 0.0, 0.0
-        self._certain = self._certain_at_handle = 0.0
-        self._device = self._asked = self._given = self._damping = self._sizes_asked = self._sizes_sent = 0.0
-        self._is_open, self._in = False, 0.0
+        self.least_certain = self.least_certain_at_handle = -self._unknown
+        self._measured, self._gap = Measured(2.0 * self._unknown, 0.0, 0.0, 1, 0, 0), 1
+        self._certificates, self._is_open, self._in = 0, False, 0.0
+        self._interaction, self._least = np.longdouble(0.0), 0.0
         self._watch = _watch(log, f"{name}.{FRICTION_DECLARED}")
         self._hold = ""
 
@@ -165,9 +163,9 @@ class PortRecord:
         for number in np.unique(port.read("certificate", start, stop)[torque != 0.0]):
             self._certificates |= 1 << int(number)
         touching = ~np.isin(branch, OUT_OF_CONTACT)
-        self._contacts += int(touching.sum())
-        self._silent += int((touching & (torque == 0.0)).sum())
-        self._damping += float(port.read("damping_rendered", start, stop)[touching].sum())
+        self.contacts += int(touching.sum())
+        self.silent += int((touching & (torque == 0.0)).sum())
+        self.damping += float(port.read("damping_rendered", start, stop)[touching].sum())
         self._is_open = bool(branch[-1] == Branch.HELD)
         if not self._hold:
             axes = log.groups.get(self._name, (self._name,))
@@ -181,20 +179,21 @@ class PortRecord:
     ) -> None:
         port = log.ports[self._name]
         dissipated = port.read("device_dissipated", start, stop) - self._dissipated
-        self._device = float(dissipated[-1])
-        self._at_handle = min(self._at_handle, float((running + dissipated).min()))
         resolution = port.read("energy_resolution", start, stop)
-        self._resolution = float(resolution[-1])
-        self._certain = min(self._certain, float((running - resolution).min()))
-        self._certain_at_handle = min(self._certain_at_handle, float((running + dissipated - resolution).min()))
-        self._longest_hold = int(port.read("longest_hold", stop - 1, stop)[0])
-        self._uncommanded = int(port.read("uncommanded", stop - 1, stop)[0])
+        if self.least_at_handle is not None:
+            self.least_at_handle = min(self.least_at_handle, float((running + dissipated).min()))
+        certain, at_handle = (running - resolution).min(), (running + dissipated - resolution).min()
+        self.least_certain = min(self.least_certain, float(certain) - self._unknown)
+        self.least_certain_at_handle = min(self.least_certain_at_handle, float(at_handle) - self._unknown)
+        longest, uncommanded = (int(port.read(key, stop - 1, stop)[0]) for key in ("longest_hold", "uncommanded"))
+        known = float(resolution[-1]) + self._unknown, float(dissipated[-1])
+        self._measured = Measured(*known, 0.0, longest, uncommanded, 0)
         asked = port.read("effort_asked", start, stop)
         booked = (asked != 0.0) & (branch != Branch.HELD)
-        self._asked += float(asked[booked].sum())
-        self._given -= float(torque[booked].sum())
-        self._sizes_asked += float(np.minimum(np.abs(asked[booked]), self._largest_torque).sum())
-        self._sizes_sent += float(np.abs(torque[booked]).sum())
+        self.asked += float(asked[booked].sum())
+        self.rendered -= float(torque[booked].sum())
+        self.sizes_asked += float(np.minimum(np.abs(asked[booked]), self._largest_torque).sum())
+        self.sizes_sent += float(np.abs(torque[booked]).sum())
         if self._knows_active:
             self._take_active(log, start, port.read("active", start, stop))
         if self._watch is not None:
@@ -204,10 +203,10 @@ class PortRecord:
             self._gap = max(self._gap, int(np.diff(deadlines).max()))
 
     def _take_active(self, log: EnergyLog, start: int, active: Array) -> None:
-        for bit in (ACTIVE_AT_MOTOR, ACTIVE_AT_HANDLE):
-            if bit not in self._since and not self._before & bit and active[-1] & bit:
+        for bit, key in ((ACTIVE_AT_MOTOR, "since"), (ACTIVE_AT_HANDLE, "at_handle_since")):
+            if getattr(self.activity, key) is None and not self._before & bit and active[-1] & bit:
                 row = start + int(np.argmax(active & bit > 0))
-                self._since[bit] = float(log.deadlines(row, row + 1)[0]) * self._sample_time
+                setattr(self.activity, key, int(log.deadlines(row, row + 1)[0]))
 
     def _take_motion(self, watch: FrictionWatch, log: EnergyLog, start: int, stop: int, branch: Array) -> None:
         port, booked = log.ports[self._name], branch != Branch.HELD
@@ -222,6 +221,20 @@ class PortRecord:
         """Least sum of interaction so far [J]."""
         return self._least
 
+    @property
+    def longest_gap(self) -> int:
+        """Largest number of sample times between two SYNCs."""
+        return self._gap
+
+    @property
+    def friction_excess(self) -> float | None:
+        """Force in excess of declared friction and hand [N or N*m]; None without that check."""
+        return None if self._watch is None else self._watch.excess
+
+    def measured(self) -> Measured:
+        """Return the figures so far that the log holds."""
+        return self._measured
+
     def account(self) -> PortResult:
         """Figures so far, by the names of `run --json`, without verdicts."""
         certificates = [certificate.name.lower() for certificate in certificates_of(self._certificates)]
@@ -230,44 +243,19 @@ class PortRecord:
             "least_interaction": self._least,
             "certificate": certificates[-1] if certificates else "exact",
             "certificates": certificates,
-            "contact": {"holds": self._contacts, "without_torque": self._silent},
+            "contact": {"holds": self.contacts, "without_torque": self.silent},
             "open_hold": self._is_open,
             "max_consecutive_losses": self._promise.max_consecutive_losses,
             "energy_allowance": self._promise.energy_allowance,
+            **({"hold": self._hold} if self._hold else {}),
         }
-        if self._hold:
-            account["hold"] = self._hold
         if self._is_measured:
-            account["energy_resolution"] = self._resolution + self._unknown
-            account["least_certain"] = self._certain - self._unknown
-            account["longest_hold"], account["uncommanded_cycles"] = self._longest_hold, self._uncommanded
-            self._add_activity(account)
-            if not self._is_group:
-                account["contact"] |= {"asked": self._sizes_asked, "sent": self._sizes_sent}
-            if self._is_damped:
-                account["least_at_handle"], account["device_dissipated"] = self._at_handle, self._device
-                account["least_certain_at_handle"] = self._certain_at_handle - self._unknown
-            if self._watch is not None:
-                account["friction_excess"] = self._watch.excess
-            if not self._is_group:
-                asked = self._damping_asked * self._contacts
-                account["rendered"] = rendered_shares(self._asked, self._given, asked, self._damping)
-            withdraw_certificates(account, longest_gap=self._gap)
+            account = port_account(self, account, self._promise, self._sample_time)
+            if self._before & ACTIVE_AT_MOTOR:
+                account["active_before"] = True
         if self._is_dry:
             claim_nothing(account)
         return account
-
-    def _add_activity(self, account: PortResult) -> None:
-        if self._books_least:
-            account["books_least"] = True
-        if self._is_estimate:
-            account["resolution_is_estimated"] = True
-        if self._before & ACTIVE_AT_MOTOR:
-            account["active_before"] = True
-        if ACTIVE_AT_MOTOR in self._since:
-            account["active_since"] = self._since[ACTIVE_AT_MOTOR]
-        if ACTIVE_AT_HANDLE in self._since:
-            account["active_at_handle_since"] = self._since[ACTIVE_AT_HANDLE]
 
 
 def limits_of(log: EnergyLog, name: str) -> ActiveLimits | None:

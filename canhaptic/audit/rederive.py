@@ -230,11 +230,11 @@ class _Derivation:
         Args:
             holds: Whether the hold of an axis was checked, where its account asks.
         """
-        scene = self._scene
+        scene, time = self._scene, self._scene.bus.sample_time
         rendered = [*(axis.passivity for axis in scene.axes), *(group.passivity for group in scene.groups)]
         known = zip(self.units.items(), self._meters.ports, self._ledgers, rendered, strict=True)
         ports: dict[str, PortResult] = {
-            name: {"unit": unit, **port_account(port, ledger, promise_of(of.parameters), scene.bus.sample_time)}
+            name: {"unit": unit, **port_account(port, ledger.summary().as_json(time), promise_of(of.parameters), time)}
             for (name, unit), port, ledger, of in known
         }
         for name, hold in holds.items():
