@@ -40,31 +40,27 @@ _MEASURED: Final = """
 ## From a fault to zero torque
 
 The demo at 1 kHz, in contact, in lock-step with the simulated drive (`make bench Q=faults`): sample times from the
-beginning of the fault until the motor has no torque, and how many the settings allow. Where the drive ends in FAULT,
-its own watchdog has acted. "Goes on": the fault did not end the run.
+beginning of the fault until the motor has no torque, of those that the settings allow. With (drive) its own watchdog
+acted.
 """
 
 
-def _measured() -> list[list[str]]:
-    """Returns one row per recorded fault."""
+def _measured() -> list[str]:
+    """Returns a table of the recorded faults that ended a run, and a sentence on the others."""
     rows = json.loads(RESULT.read_text(encoding="utf-8"))["rows"]
+    ended = [row for row in rows if row["ended"] != StopReason.OPERATOR.name]
+    endured = "; ".join(row["row"] for row in rows if row not in ended)
     return [
-        [
-            row["row"],
-            _ended(row["ended"]),
-            row["drive"],
-            *(_of_a_stop(row, key) for key in ("cycles_to_zero", "allowed")),
-        ]
-        for row in rows
+        *_table(["fault", "ended by", "sample times"], [_of_a_stop(row) for row in ended]),
+        "",
+        f"Endured: {endured}.",
     ]
 
 
-def _ended(reason: str) -> str:
-    return "goes on" if reason == StopReason.OPERATOR.name else reason
-
-
-def _of_a_stop(row: dict[str, Any], key: str) -> str:
-    return "-" if row["cycles_to_zero"] is None else str(row[key])
+def _of_a_stop(row: dict[str, Any]) -> list[str]:
+    by = " (drive)" if row["drive"] == "FAULT" else ""
+    times = "-" if row["cycles_to_zero"] is None else f"{row['cycles_to_zero']} of {row['allowed']}"
+    return [row["row"], f"{row['ended']}{by}", times]
 
 
 def page() -> str:
@@ -94,7 +90,7 @@ def page() -> str:
         "",
         f"The numbers {words} mean a running rig and a requested stop; nothing is raised.",
         _MEASURED,
-        *_table(["fault", "ended by", "drive", "sample times", "allowed"], _measured()),
+        *_measured(),
         "",
     ]
     return with_part(PAGE, "link policy", "\n".join(lines))

@@ -22,7 +22,7 @@ from tools.page_part import write_page
 ROOT: Final = Path(__file__).resolve().parents[1]
 SOURCE: Final = ROOT / "tools" / "paper_page.md"
 PAGE: Final = ROOT / "docs" / "paper.md"
-_MARK: Final = re.compile(r"\[\[(.+?)\]\]")
+_MARK: Final = re.compile(r"\[\[(.+?)\]\]", re.DOTALL)  # a line may end inside
 _WIDTH: Final = 120
 _AS_WRITTEN: Final = ("|", "#", "!", "```")
 """How blocks begin that are not a paragraph."""
@@ -75,8 +75,9 @@ def _name_of(entry: ast.stmt) -> str | None:
 
 
 def _fill(mark: re.Match[str]) -> str:
-    kind, _, rest = mark[1].partition(":")
-    return _named(kind, rest) if kind in ("code", "test") else _shown(mark[1])
+    inside = " ".join(mark[1].split())
+    kind, _, rest = inside.partition(":")
+    return _named(kind, rest) if kind in ("code", "test") else _shown(inside)
 
 
 def page() -> str:
