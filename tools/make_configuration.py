@@ -98,17 +98,17 @@ class _Page:
     def _keys(self, path: str, schema: Schema, keys: Sequence[str], title: str) -> Iterator[str]:
         """Yields the table of some keys, the names of those that an earlier table has, and what is below them."""
         shown = {key: schema["properties"][key] for key in keys if key not in ("type", "algorithm")}
-        rows, again = [], dict[str, list[str]]()
+        found, again = dict[tuple[str, ...], str](), dict[str, list[str]]()
         for key, of in shown.items():
             whole = f"{path}.{key}".replace("[]", "")
-            row = _row(key, of, key in schema.get("required", ()), whole in self._first)
-            self._first.discard(whole)
+            row = _row(key, of, key in schema.get("required", ()), is_of_first_rig=False)
             if row in self._where:
                 again.setdefault(self._where[row], []).append(f"`{key}`")
             else:
-                rows.append(row)
-        self._where |= dict.fromkeys(rows, title)
-        yield from _table(rows)
+                found[row] = f"**{row[0]}**" if whole in self._first else row[0]
+                self._first.discard(whole)
+        self._where |= dict.fromkeys(found, title)
+        yield from _table([(key, *row[1:]) for row, key in found.items()])
         yield from (f"As in {where}: {', '.join(names)}.\n" for where, names in again.items())
         inner = {key: self._mappings(of) for key, of in shown.items() if f"{path}.{key}" not in _ELSEWHERE}
         for key, mappings in inner.items():
