@@ -10,7 +10,8 @@ pytest.importorskip("numba")
 from tools.attack.climb import Attack
 from tools.attack.holes import HOLES, attack_on, random_attack
 from tools.attack.plant import TAKEN_IN, Rig, V, X, energy_of, hold
-from tools.bench.attack import attack_all
+from tools.bench.attack import attacked
+from tools.kept_runs import run_kept
 
 OPEN: frozenset[str] = frozenset()
 """Ways out that no declaration closes yet; each is needed here."""
@@ -58,4 +59,4 @@ def test_the_plant_of_the_attack_conserves_energy():
 def test_an_attack_goes_on_where_it_was_stopped(tmp_path):
     kept = tmp_path / "attack_runs.jsonl"
     kept.write_text("[0, -1e-13]\n[1, 0.0]\n[7, -1.0]\n", encoding="utf-8")
-    assert attack_all(2, kept, jobs=1, minutes=0.0) == {0: -1e-13, 1: 0.0}
+    assert run_kept(attacked, range(2), kept, 1, minutes=0.0) == {0: -1e-13, 1: 0.0}

@@ -245,7 +245,7 @@ def test_the_table_of_false_declarations_counts_what_a_run_notices():
 
 def test_a_campaign_goes_on_where_it_was_stopped(tmp_path):
     first, second = replace(outcome_of(0), seed=1), replace(outcome_of(0), seed=2)
-    lines = [json.dumps(one.as_json()) for one in (first, second)]
+    lines = [json.dumps((one.seed, one.as_json())) for one in (first, second)]
     kept = tmp_path / "truth_runs.jsonl"
     kept.write_text(f"{lines[0]}\n{lines[1][:50]}{lines[1]}\n{lines[1]}\n", encoding="utf-8")
     assert run_all([1, 2], kept, 1) == [first, second]

@@ -361,8 +361,8 @@ def main() -> None:
     fault_part, table = fault_rows()
     found = masses(arguments.hands, 1.5)
     rows = [
-        *random_rows(arguments.runs, 400),
-        *group_rows(arguments.groups, 250),
+        *random_rows(arguments.runs),
+        *group_rows(arguments.groups),
         *mass_rows(found),
         *declared_rows(120),
         *border_rows(),

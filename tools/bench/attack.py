@@ -6,12 +6,8 @@ was attacked is kept in `attack_runs.jsonl`, so that the same command goes on wh
 """
 
 import argparse
-import json
 import os
 from collections.abc import Iterator, Mapping
-from multiprocessing import Pool
-from pathlib import Path
-from time import perf_counter
 from typing import Any, Final
 
 from rich.console import Console
@@ -20,6 +16,7 @@ from rich.table import Table
 from tools.attack.climb import EVALUATIONS
 from tools.attack.holes import HOLES, attack_on, random_attack
 from tools.bench.report import Row, kept_folder, out_folder, publish, write_result
+from tools.kept_runs import run_kept
 
 _PACKAGES: Final = ("canhaptic", "numpy", "numba")
 _LEAST: Final = -1e-9
@@ -51,31 +48,10 @@ def table_of_holes(hands: int) -> list[dict[str, Any]]:
     return rows
 
 
-def attacked(seed: int) -> tuple[int, float]:
-    """Returns a seed and the least sum of energy [J] that the hands of its loop reached."""
+def attacked(seed: int) -> float:
+    """Returns the least sum of energy [J] that the hands of a seed's loop reached."""
     attack = random_attack(seed)
-    return seed, min(attack.run(_HANDS_OF_A_LOOP * seed + hand) for hand in range(_HANDS_OF_A_LOOP))
-
-
-def attack_all(loops: int, kept: Path, jobs: int, minutes: float) -> dict[int, float]:
-    """Attacks the loops that are not among those kept, until the time is over.
-
-    Returns:
-        The least sum of energy [J] of every loop that is done.
-    """
-    lines = kept.read_text(encoding="utf-8").splitlines() if kept.exists() else []
-    found: dict[int, float] = dict(json.loads(line) for line in lines)
-    end = perf_counter() + 60.0 * minutes
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    with Pool(jobs) as pool, kept.open("a", encoding="utf-8") as file:
-        for seed, least in pool.imap_unordered(attacked, [seed for seed in range(loops) if seed not in found]):
-            found[seed] = least
-            file.write(json.dumps((seed, least)) + "\n")
-            file.flush()
-            if perf_counter() > end:
-                pool.terminate()
-                break
-    return {seed: least for seed, least in found.items() if seed < loops}
+    return min(attack.run(_HANDS_OF_A_LOOP * seed + hand) for hand in range(_HANDS_OF_A_LOOP))
 
 
 def show(holes: list[dict[str, Any]]) -> None:
@@ -129,7 +105,9 @@ def main() -> None:
         kept.unlink(missing_ok=True)
     holes = table_of_holes(arguments.hands)
     show(holes)
-    found = attack_all(arguments.runs // _HANDS_OF_A_LOOP, kept, arguments.jobs, arguments.minutes)
+    found = run_kept(
+        attacked, range(arguments.runs // _HANDS_OF_A_LOOP), kept, arguments.jobs, minutes=arguments.minutes
+    )
     publish("attack", figures(holes, found), _PACKAGES)
     write_result(out_folder() / "attack_table.json", _PACKAGES, {"holes": holes})
 

@@ -27,12 +27,10 @@ torque has none: the first share counts it as no yes, the second leaves it out. 
 """
 
 import argparse
-import json
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable
-from contextlib import suppress
-from multiprocessing import Pool
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any, Final
@@ -41,6 +39,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tools.bench.report import Row, kept_folder, out_folder, publish, write_result
+from tools.kept_runs import run_kept
 from tools.truth.faults import with_fault
 from tools.truth.judge import ROUNDING, TOUCH, Outcome, judged
 from tools.truth.scenes import random_scene
@@ -67,29 +66,12 @@ def outcome_with_fault(seed: int) -> Outcome:
 
 def run_all(seeds: Iterable[int], kept: Path, jobs: int, run: Callable[[int], Outcome] = outcome_of) -> list[Outcome]:
     """Runs the seeds that are not among those kept; returns all of them."""
-    wanted, done = list(seeds), {outcome.seed: outcome for outcome in _read(kept)}
-    missing = [seed for seed in wanted if seed not in done]
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    with Pool(jobs) as pool, kept.open("a", encoding="utf-8") as file:
-        for number, outcome in enumerate(pool.imap_unordered(run, missing, chunksize=8), 1):
-            done[outcome.seed] = outcome
-            file.write(json.dumps(outcome.as_json()) + "\n")
-            file.flush()
-            if number % 500 == 0:
-                print(f"{number} of {len(missing)}", flush=True)
-    return [done[seed] for seed in wanted]
+    found = run_kept(partial(_as_json, run), seeds, kept, jobs)
+    return [Outcome.from_json(one) for one in found.values()]
 
 
-def _read(kept: Path) -> list[Outcome]:
-    """Returns the outcomes of earlier calls; JSON knows no tuples. A line that a stop cut off is left out."""
-    lines = kept.read_text(encoding="utf-8").splitlines() if kept.exists() else []
-    found: list[Any] = []
-    for line in lines:
-        with suppress(json.JSONDecodeError):
-            found.append(json.loads(line))
-    for one in found:
-        one.update({name: tuple(value) for name, value in one.items() if isinstance(value, list)})
-    return [Outcome(**one) for one in found]
+def _as_json(run: Callable[[int], Outcome], seed: int) -> dict[str, Any]:
+    return run(seed).as_json()
 
 
 def is_false(outcome: Outcome) -> bool:

@@ -7,10 +7,7 @@ where nothing is said. `--runs N` twins from `--seed` on; what has run is kept i
 """
 
 import argparse
-import json
 import os
-from contextlib import suppress
-from multiprocessing import Pool
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -19,6 +16,7 @@ from canhaptic.commission.session import CommissioningLimits, Session, StepVerdi
 from canhaptic.scene.load import scene_from_mapping
 from tools.bench.report import Row, kept_folder, publish
 from tools.chance import Chance
+from tools.kept_runs import run_kept
 
 _SOURCE: Final = str(Path(__file__).resolve().parents[2] / "configs" / "which_hold.yaml")
 _KEPT: Final = "which_hold_runs.jsonl"
@@ -94,23 +92,6 @@ def _hold_in(found: str | None) -> int | None:
     return None if found is None else int(found.partition(" ")[0]) - 1
 
 
-def run_all(first: int, runs: int, kept: Path, jobs: int) -> list[Twin]:
-    """Runs the seeds that are not among those kept; returns all of them."""
-    done: dict[int, Twin] = {}
-    for line in kept.read_text(encoding="utf-8").splitlines() if kept.exists() else ():
-        with suppress(json.JSONDecodeError):  # one that a stop cut off
-            twin = Twin(*json.loads(line))
-            done[twin.seed] = twin
-    missing = [seed for seed in range(first, first + runs) if seed not in done]
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    with Pool(jobs) as pool, kept.open("a", encoding="utf-8") as file:
-        for twin in pool.imap_unordered(outcome_of, missing):
-            done[twin.seed] = twin
-            file.write(json.dumps(twin) + "\n")
-            file.flush()
-    return [done[seed] for seed in range(first, first + runs)]
-
-
 def main() -> None:
     """Runs, prints, publishes."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -118,7 +99,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="the first one")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     arguments = parser.parse_args()
-    twins = run_all(arguments.seed, arguments.runs, kept_folder() / _KEPT, arguments.jobs)
+    seeds = range(arguments.seed, arguments.seed + arguments.runs)
+    twins = [Twin(*found) for found in run_kept(outcome_of, seeds, kept_folder() / _KEPT, arguments.jobs).values()]
     wrong = [twin for twin in twins if twin.hold not in (None, twin.true_hold) or twin.wrong_read_back]
     unclear = sum(twin.hold is None for twin in twins) / len(twins)
     for twin in wrong:

@@ -14,7 +14,7 @@ from canhaptic.control.mechanisms.kinematics import Kinematics, Limit
 from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.sim.plant.velocity_drive import AdmittancePlant
 from tools.displays.direct import Display, Outcome, watch
-from tools.displays.judge import ROUNDING
+from tools.displays.judge import claims_of
 from tools.displays.random_display import random_display
 
 _PARTS = 4
@@ -197,12 +197,4 @@ def with_true_group_bounds(group: AdmittanceGroup, cycles: int) -> tuple[Admitta
 
 def false_group_claims(group: AdmittanceGroup, found: GroupOutcome) -> list[str]:
     """Returns what the account of a group says and the plants deny; the declarations being true."""
-    claims = []
-    if found.overclaimed > ROUNDING:
-        claims.append(f"the account is {found.overclaimed:.3g} J above the energy that came in")
-    if found.underclaimed > ROUNDING:
-        claims.append(f"account and resolution are {found.underclaimed:.3g} J below the energy that came in")
-    allowance = group.parameters.energy_allowance
-    if not found.uncertified and found.least < -allowance - ROUNDING:
-        claims.append(f"certified to {-allowance:.3g} J, {found.least:.3g} J by the plants")
-    return claims
+    return claims_of(found, group.parameters.energy_allowance, promises=True)

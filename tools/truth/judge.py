@@ -107,6 +107,12 @@ class Outcome:
         """Returns all fields as plain values."""
         return asdict(self)
 
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> "Outcome":
+        """Returns what `as_json` wrote; JSON knows no tuples."""
+        plain: dict[str, Any] = {k: tuple(value) if isinstance(value, list) else value for k, value in values.items()}
+        return cls(**plain)
+
 
 def judged(scene: TruthScene) -> tuple[TruthScene, Outcome]:
     """Returns the scene with its declarations raised to what hand and bus did, and the outcome of its run.
