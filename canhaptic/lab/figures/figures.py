@@ -9,7 +9,7 @@ The figures of an admittance display in a sweep, by name; a name of impedance di
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from math import nan
-from typing import Any, Final
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -28,71 +28,98 @@ _LEAST_EFFORT: Final = 1e-9
 """Effort below which there is nothing to be rendered [N or N*m]."""
 _LAST: Final = ("diverged", "continuous_travel", "continuous_rest")
 _ERRORS: Final = ("position_squares", "position_worst", "force_squares", "force_worst")
-_NO_REFERENCE: Final = "NaN in a batch without a continuous run in closed form"
 
-METRICS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
-    "diverged": ("1 where the axis left every place the user could have taken it, else 0", ("diverged",)),
-    "cycles": ("SYNCs that the figures are of: all, or those until it diverged", ("cycles",)),
-    "interaction": ("true sum(h_i) at the end [J]", ("interaction",)),
-    "least_interaction": ("least true sum(h_i) after any hold, eq. 3 [J]", ("least_interaction",)),
-    "least_covered": (
+
+class Figure(NamedTuple):
+    """A figure of a run."""
+
+    meaning: str
+    unit: str  # "" a number, "1" a share; "m", "N", "N/m", "N*s/m" of a linear axis
+    sums: tuple[str, ...]  # that it is made of, see `meter.Meter`
+    label: str = ""  # its row in the table of `compare`; "": none
+    better: Literal["", "less", "near one", "not negative"] = ""
+    source: str = "own definition"
+
+
+_PAPER: Final = "the paper, eqs. 3 and 4"
+_CALM: Final = "the paper, section V: oscillations of the force"
+
+METRICS: Final[dict[str, Figure]] = {
+    "diverged": Figure("1 where the axis left every place the user could have taken it, else 0", "", ("diverged",)),
+    "cycles": Figure("SYNCs that the figures are of: all, or those until it diverged", "", ("cycles",)),
+    "interaction": Figure("true sum(h_i) at the end", "J", ("interaction",)),
+    "least_interaction": Figure(
+        "least true sum(h_i) after any hold", "J", ("least_interaction",), "least true sum(h_i)", "not negative", _PAPER
+    ),
+    "least_covered": Figure(
         "least true sum(h_i) + (b / T) sum(dq^2) + f_c sum|dq| after any hold: with what damping b and Coulomb "
-        "friction f_c of the device dissipate at least; b as declared, else of the simulated plant [J]",
-        ("least_covered",),
+        "friction f_c of the device dissipate at least; b as declared, else of the simulated plant",
+        "J", ("least_covered",),
     ),
-    "margin": ("least true sum(h_i) less booked sum(h_r) after any hold, eq. 4 [J]", ("margin",)),
-    "believed_margin": ("the same as booked [J]", ("believed_margin",)),
-    "believed_error": ("largest |accounted - true| sum(h_i) after any hold [J]", ("believed_error",)),
-    "surplus_end": ("h_dis at the end [J]", ("surplus",)),
-    "torque_peak": ("largest |torque| held [N or N*m]", ("torque_peak",)),
-    "force_variation": ("total variation of the torque held, the first step included [N or N*m]", ("variation",)),
-    "contact": ("share of the holds that ended in contact", ("contacts", "cycles")),
-    "damping_rendered.mean": ("in contact, NaN without [N*s/m or N*m*s/rad]", ("damping", "contacts")),
-    "damping_rendered.least": ("in contact, NaN without", ("damping_least", "contacts")),
-    "damping_rendered.most": ("in contact, NaN without", ("damping_most", "contacts")),
-    "stiffness_rendered.value": (
+    "margin": Figure(
+        "least true sum(h_i) less booked sum(h_r) after any hold", "J", ("margin",), "least margin of (4)",
+        "not negative", _PAPER,
+    ),
+    "believed_margin": Figure("the same as booked", "J", ("believed_margin",), source=_PAPER),
+    "believed_error": Figure(
+        "largest |accounted - true| sum(h_i) after any hold", "J", ("believed_error",), "believed - true", "less"
+    ),
+    "surplus_end": Figure("h_dis at the end", "J", ("surplus",), source=_PAPER),
+    "torque_peak": Figure("largest |torque| held", "N", ("torque_peak",)),
+    "force_variation": Figure("total variation of the torque held, the first step included", "N", ("variation",)),
+    "contact": Figure("share of the holds that ended in contact", "1", ("contacts", "cycles")),
+    "damping_rendered.mean": Figure("in contact, NaN without", "N*s/m", ("damping", "contacts")),
+    "damping_rendered.least": Figure("in contact, NaN without", "N*s/m", ("damping_least", "contacts")),
+    "damping_rendered.most": Figure("in contact, NaN without", "N*s/m", ("damping_most", "contacts")),
+    "stiffness_rendered.value": Figure(
         "mean force over mean state in contact: over whole contacts the damper averages out; NaN without contact and "
-        "where the state relaxes [N/m or N*m/rad]",
-        ("force", "state"),
+        "where the state relaxes", "N/m", ("force", "state"),
     ),
-    "stiffness_rendered.share": ("mean force in contact over the mean effort asked for there", ("force", "asked")),
-    "travel": ("largest less least true position [m or rad]", ("highest", "lowest")),
-    "certificate": ("weakest promise of any hold: 0 exact, 1 device damping, 7 device friction, 2 hand force, "
-                    "3 hand speed, 4 none", ("certificate",)),
-    "branches.free": ("holds without contact", ("free",)),
-    "branches.start": ("holds that began a contact", ("start",)),
-    "branches.exact": ("holds with the balance solved", ("exact",)),
-    "branches.sticky": ("holds that moved out while energy came in", ("sticky",)),
-    "branches.fallback": ("holds without an exact solution", ("fallback",)),
-    "branches.depleted": ("holds that took more than was stored", ("depleted",)),
-    "branches.exit": ("holds that ended a contact", ("exit",)),
+    "stiffness_rendered.share": Figure(
+        "mean force in contact over the mean effort asked for there", "1", ("force", "asked"), "stiffness rendered",
+        "near one",
+    ),
+    "travel": Figure("largest less least true position", "m", ("highest", "lowest")),
+    "certificate": Figure(
+        "weakest promise of any hold: 0 exact, 1 device damping, 7 device friction, 2 hand force, 3 hand speed, 4 none",
+        "", ("certificate",),
+    ),
+    "branches.free": Figure("holds without contact", "", ("free",)),
+    "branches.start": Figure("holds that began a contact", "", ("start",)),
+    "branches.exact": Figure("holds with the balance solved", "", ("exact",)),
+    "branches.sticky": Figure("holds that moved out while energy came in", "", ("sticky",)),
+    "branches.fallback": Figure("holds without an exact solution", "", ("fallback",)),
+    "branches.depleted": Figure("holds that took more than was stored", "", ("depleted",)),
+    "branches.exit": Figure("holds that ended a contact", "", ("exit",)),
 }  # fmt: skip
-"""Name -> (meaning, the sums that it is made of, see `meter.Meter`)."""
+"""Figures of a loop alone. One with a label is a row of `compare`, and needs no other file."""
 
-CONTINUOUS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
-    "position_error.rms": (f"against the continuous environment, {_NO_REFERENCE} [m or rad]",
-                           ("position_squares", "cycles")),
-    "position_error.max": (f"the largest, {_NO_REFERENCE} [m or rad]", ("position_worst",)),
-    "force_error.rms": (f"torque held less mean of the continuous one, {_NO_REFERENCE} [N or N*m]",
-                        ("force_squares", "cycles")),
-    "force_error.max": (f"the largest, {_NO_REFERENCE} [N or N*m]", ("force_worst",)),
-    "force_variation.ratio": (f"force_variation over that of the continuous force: 1 is as calm; {_NO_REFERENCE}",
-                              ("variation", "diverged", "continuous")),
-    "limit_cycle": (f"how far it goes to and fro in the last part, where the continuous axis rests; {_NO_REFERENCE} "
-                    "[m or rad]", ("last_highest", "last_lowest", *_LAST)),
-    "stiffness_at_rest.value": (f"mean force over mean state in the last part, where the continuous axis rests; "
-                                f"{_NO_REFERENCE} [N/m or N*m/rad]",
-                                ("last_force", "last_state", "last_asked", "last", *_LAST)),
-    "stiffness_at_rest.share": (f"that over the mean effort asked for there; {_NO_REFERENCE}",
-                                ("last_force", "last_state", "last_asked", "last", *_LAST)),
+_RMS: Final = ("position_squares", "cycles")
+_AT_REST: Final = ("last_force", "last_state", "last_asked", "last", *_LAST)
+CONTINUOUS: Final[dict[str, Figure]] = {
+    "position_error.rms": Figure("against the continuous run", "m", _RMS, "position error, rms", "less"),
+    "position_error.max": Figure("the largest", "m", ("position_worst",), "position error, most", "less"),
+    "force_error.rms": Figure("torque held less mean of the continuous one", "N", ("force_squares", "cycles"),
+                              "force error, rms", "less"),
+    "force_error.max": Figure("the largest", "N", ("force_worst",), "force error, most", "less"),
+    "force_variation.ratio": Figure("force_variation over that of the continuous force", "",
+                                    ("variation", "diverged", "continuous"), "force variation, ratio", "near one",
+                                    _CALM),
+    "limit_cycle": Figure("how far it goes to and fro in the last part, where the continuous axis rests", "m",
+                          ("last_highest", "last_lowest", *_LAST), "limit cycle", "less"),
+    "stiffness_at_rest.value": Figure("mean force over mean state in the last part, where the continuous axis rests",
+                                      "N/m", _AT_REST),
+    "stiffness_at_rest.share": Figure("that over the mean effort asked for there", "1", _AT_REST, "stiffness at rest",
+                                      "near one"),
 }  # fmt: skip
-"""The same, of what needs a continuous run of the same user; a batch has one for walls with spring and damper on one or
-two sides, dampers and free space, and plants with nothing but viscous friction and tremor added."""
+"""The same, of what needs a continuous run of the same user, NaN without one; a batch has one for walls with spring and
+damper on one or two sides, dampers and free space, and plants with nothing but viscous friction and tremor added."""
 
 _WEAKEST_LAST: Final[Array] = np.array(WEAKEST_LAST, dtype=float)
 
 ALL: Final = {**METRICS, **CONTINUOUS}
 """Every metric."""
+_OF_DAMPING: Final = ("mean", "least", "most")
 
 
 def figures(
@@ -106,48 +133,31 @@ def figures(
         reference: The continuous run of the same user; None where there is none.
         sample_time: Sample time [s].
     """
-    margin = run.interaction - run.dissipated
-    found = _RunMetrics(_sums_of_run(environment, run, reference, sample_time))
-    return {
-        "diverged": len(run.position) * sample_time if run.ended == "diverged" else None,
-        "position_error": found.group("position_error", "rms", "max"),
-        "force_error": found.group("force_error", "rms", "max"),
-        "force_variation": {"value": run.variation, "ratio": found["force_variation.ratio"]},
-        "stiffness_rendered": found.group("stiffness_rendered", "value", "share"),
-        "stiffness_at_rest": found.group("stiffness_at_rest", "value", "share"),
-        "limit_cycle": found["limit_cycle"],
-        "damping_rendered": {
-            "asked": environment.damping,
-            **{part: found[f"damping_rendered.{part}"] for part in ("mean", "least", "most")},
-        },
-        "least_interaction": run.least_interaction,
-        "interaction": float(run.interaction[-1]),
+    margin, sums = run.interaction - run.dissipated, _sums_of_run(environment, run, reference, sample_time)
+    found: dict[str, Any] = {}
+    for name, value in ((name, _measured(name, sums)) for name in ALL):
+        whole, _, part = name.partition(".")
+        before = found.get(whole, {})
+        found[whole] = {**(before if isinstance(before, dict) else {"value": before}), part: value} if part else value
+    for name, value in found.items():
+        if isinstance(value, dict) and set(value.values()) == {None}:
+            found[name] = None
+    return found | {
+        "diverged": len(run.rows) * sample_time if run.ended == "diverged" else None,
+        "damping_rendered": {"asked": environment.damping, **(found["damping_rendered"] or dict.fromkeys(_OF_DAMPING))},
         "margin": {"value": run.least_margin, "time": int(margin.argmin()) * sample_time},
-        "believed_margin": run.summary.margin_value,
-        "believed_error": run.believed_error,
         "residual": run.residual,
         "certificate": run.summary.certificate.name.lower(),
-        "surplus_end": run.summary.surplus_end,
         "branches": dict(run.summary.branches),
     }
 
 
-class _RunMetrics:
-    """Metrics of one run by name; None where a sum is missing or there is nothing to measure."""
-
-    def __init__(self, sums: Mapping[str, float]) -> None:
-        self._sums = {name: np.array([value]) for name, value in sums.items()}
-
-    def __getitem__(self, metric: str) -> float | None:
-        if not set(sums_of([metric])) <= set(self._sums):
-            return None
-        value = float(metrics_of([metric], self._sums)[metric][0])
-        return value if np.isfinite(value) else None
-
-    def group(self, name: str, *parts: str) -> dict[str, float | None] | None:
-        """Return several figures of one kind; None where none of them can be measured."""
-        found = {part: self[f"{name}.{part}"] for part in parts}
-        return None if None in found.values() else found
+def _measured(metric: str, sums: Mapping[str, float]) -> float | None:
+    """Return a metric of one run; None where a sum is missing or there is nothing to measure."""
+    if not set(ALL[metric].sums) <= set(sums):
+        return None
+    value = float(metrics_of([metric], {name: np.array([sums[name]]) for name in ALL[metric].sums})[metric][0])
+    return value if np.isfinite(value) else None
 
 
 def _sums_of_run(
@@ -186,7 +196,7 @@ def last_rows(cycles: int, sample_time: float) -> slice:
 
 def sums_of(metrics: Sequence[str]) -> tuple[str, ...]:
     """Return the sums needed by some metrics, each once."""
-    return tuple(dict.fromkeys(name for metric in metrics for name in ALL[metric][1]))
+    return tuple(dict.fromkeys(name for metric in metrics for name in ALL[metric].sums))
 
 
 def metrics_of(metrics: Sequence[str], sums: Mapping[str, Array]) -> dict[str, Array]:
@@ -196,7 +206,7 @@ def metrics_of(metrics: Sequence[str], sums: Mapping[str, Array]) -> dict[str, A
 
 
 def _metric(metric: str, sums: Mapping[str, Array]) -> Array:
-    names = ALL[metric][1]
+    names = ALL[metric].sums
     first, second = sums[names[0]], sums[names[-1]]
     if metric in ("damping_rendered.least", "damping_rendered.most"):
         return np.where(second > 0.0, first, np.nan)

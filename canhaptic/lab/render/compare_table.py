@@ -11,6 +11,7 @@ from rich.text import Text
 
 from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
+from canhaptic.lab.figures.figures import CONTINUOUS, METRICS, Figure
 from canhaptic.view.si import si
 from canhaptic.view.table import Cell, Styled, Table
 
@@ -141,20 +142,23 @@ def _from_one(value: float) -> float:
     return abs(value - 1.0)
 
 
+def _row_of(name: str, figure: Figure) -> _Row:
+    """Return the row of a figure that has a label."""
+    whole, _, part = name.partition(".")
+
+    def read(account: _Account, _axis: _Account) -> Any:
+        value = account[whole]
+        return value[part or "value"] if isinstance(value, Mapping) else value
+
+    better = {"less": abs, "near one": _from_one}.get(figure.better)
+    return _Row(figure.label, read, _SHOWN[figure.unit], better, figure.better == "not negative")
+
+
+_SHOWN: Final = {"m": _length, "N": _force, "J": _joule, "1": _share, "": _plain}
 _ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
-    _Row("position error, rms", lambda a, _: a["position_error"]["rms"], _length, abs),
-    _Row("position error, most", lambda a, _: a["position_error"]["max"], _length, abs),
-    _Row("force error, rms", lambda a, _: a["force_error"]["rms"], _force, abs),
-    _Row("force error, most", lambda a, _: a["force_error"]["max"], _force, abs),
-    _Row("force variation, ratio", lambda a, _: a["force_variation"]["ratio"], _plain, _from_one),
-    _Row("stiffness rendered", lambda a, _: a["stiffness_rendered"]["share"], _share, _from_one),
-    _Row("stiffness at rest", lambda a, _: a["stiffness_at_rest"]["share"], _share, _from_one),
+    *(_row_of(name, figure) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.label),
     _Row("damping rendered", _asked_damping, _share, _from_one),
-    _Row("limit cycle", lambda a, _: a["limit_cycle"], _length, abs),
-    _Row("least true sum(h_i)", lambda a, _: a["least_interaction"], _joule, is_bounded=True),
-    _Row("least margin of (4)", lambda a, _: a["margin"]["value"], _joule, is_bounded=True),
-    _Row("believed - true", lambda a, _: a["believed_error"], _joule),
     _Row("residual of account", lambda a, _: a["residual"], _plain),
     _Row("weakest certificate", lambda a, _: a["certificate"].replace("_", " ").removeprefix("device ")),
     _Row("time of a step", lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us"),
