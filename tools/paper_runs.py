@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from canhaptic import load_scene
 from canhaptic.control.balance import Branch, EnergyBalance
 from canhaptic.control.ledger import LedgerSummary
+from canhaptic.lab.batch.continuous import continuous_reference
 from canhaptic.lab.loop.axis_loop import environment_of, plant_parts
 from canhaptic.lab.loop.over_can import walk_over_can
-from canhaptic.lab.reference import ContinuousReference, continuous_reference
+from canhaptic.lab.reference import ContinuousReference
 from canhaptic.scene.models import Scene
 from canhaptic.signals import Sample, Truth
 
@@ -91,8 +92,8 @@ def _surface(scene: Scene) -> float:
 def _continuous(config: str, sample_time_ns: int, cycles: int) -> ContinuousReference:
     """Returns the run of the continuous wall, which knows neither algorithm nor delay."""
     [axis] = load_scene(ROOT / "configs" / config).axes
-    plant, user, effects, seed = plant_parts(axis)
-    return continuous_reference(environment_of(axis), plant, user, effects, sample_time_ns, cycles, seed)
+    plant, user, effects, _ = plant_parts(axis)
+    return continuous_reference(environment_of(axis), plant, user, effects, sample_time_ns, cycles)
 
 
 def figures_of(taken: Record) -> dict[str, Any]:

@@ -1,16 +1,8 @@
 """The continuous environment rendered to the same user and plant: the ideal for comparison.
 
-The continuous environment on the reference plant, by event-located DOP853; needs extra `study`.
-
-Independent of the sampled loop and of the plant's own stepper. It takes every effect and environment for which there
-equations, and refuses any other.
-
-The continuous environment rendered to the same user and plant: the reference for every sampled algorithm.
-
-No sampling, no encoder, no torque limit. Environments that are piecewise affine become a part of the exact machine of
-`canhaptic.sim` (crossings bracketed to a tick); the others are integrated by DOP853 (`reference`).
-
-The continuous environment at every SYNC and in between: position, force, and variation of the force.
+It is rendered to the same user and plant without sampling, encoder or torque limit, on the textbook plant by
+event-located DOP853 (extra `study`), which shares no code with the plant that it judges. Every effect and environment
+with equations here is taken, and any other refused. A wall on a linear plant needs no solver: `batch.continuous`.
 
 A network on the motors of a group in continuous time, by DOP853: what the hands would feel without sampling.
 
@@ -24,9 +16,8 @@ shows how far the result can be trusted.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar, Final, NamedTuple, cast
+from typing import Final, NamedTuple, cast
 
 import numpy as np
 
@@ -55,12 +46,8 @@ from canhaptic.lab.loop.axis_loop import mechanism_of_group
 from canhaptic.scene.models import AxisSimulation, Scene
 from canhaptic.scene.parts import effect_of
 from canhaptic.scene.torque_history import simulation_of
-from canhaptic.sim.plant.assembly import MOTOR, Guard, LinearPart, Part, PlantModel, Rows
-from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.mechanism import MechanismParameters
-from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.propagator import Array
-from canhaptic.sim.plant.user import UserParameters
 
 _ROUNDING: Final = 1e-12  # [m or rad]
 _BETWEEN_EVENTS: Final = 2.5e-4
@@ -231,148 +218,6 @@ def _distance(surface: float, sign: float) -> Callable[[float, State, float], fl
     return distance
 
 
-def continuous_effect(environment: Environment) -> Effect | None:
-    """Return the environment as an exact effect of a plant; None when it is not piecewise affine.
-
-    Raises:
-        InputError: There are no equations for an environment of this class; a subclass may differ in anything.
-    """
-    surfaces(environment)
-    if isinstance(environment, HardeningWall) and environment.linear_stiffness is not None:
-        environment = SpringDamperWall(**environment.model_dump(exclude={"hardening"}))
-    if isinstance(environment, SpringDamperWall | DamperWall):
-        below, stiffness = environment.side == "below", environment.linear_stiffness
-        return _effect([_Wall("wall", environment.position, below, stiffness, environment.damping)])
-    if isinstance(environment, TwoSidedWall):
-        k, d = environment.stiffness, environment.damping
-        lower, upper = environment.lower, environment.upper
-        return _effect([_Wall("lower_wall", lower, True, k, d), _Wall("upper_wall", upper, False, k, d)])
-    if isinstance(environment, ViscousMedium):
-        return _effect([_medium(environment.damping)])
-    if isinstance(environment, ViscoelasticMedium):
-        return _effect([_maxwell(environment)], "strain")
-    if isinstance(environment, CoulombSurface):
-        return _effect([_PrandtlElement(environment)], "strain")
-    return _effect([]) if isinstance(environment, FreeSpace) else None
-
-
-@dataclass(frozen=True, slots=True)
-class _ContinuousEffect:
-    """Parts that are added to a plant like those of an effect named in a scene."""
-
-    order: ClassVar[int | None] = None
-    rank: ClassVar[int] = 1
-    type: ClassVar[str] = "continuous_environment"
-
-    parts: tuple[Part, ...]
-    state: str | None
-
-    def add_to(self, scene: PlantModel) -> None:
-        """Add the parts, the state they share, and the work they dissipate."""
-        if self.state is not None:
-            scene.add_state(self.state)
-        for part in self.parts:
-            scene.works[part.name] = "dissipated"
-            scene.parts.append(part)
-
-
-def _effect(parts: Sequence[Part], state: str | None = None) -> Effect:
-    return _ContinuousEffect(tuple(parts), state)
-
-
-class _Wall(Part):
-    """Spring and damper beyond a surface, exactly as in eq. 12: the damper resists until the surface is passed.
-
-    Args:
-        name: Name of the part and of its work.
-        surface: Position of the surface [m or rad].
-        below: Whether it is solid below the surface.
-        stiffness: Stiffness of the spring [N/m or N*m/rad].
-        damping: Damping of the damper [N*s/m or N*m*s/rad].
-    """
-
-    modes: tuple[str, ...] = ("outside", "inside")
-    has_guards = True
-
-    def __init__(self, name: str, surface: float, below: bool, stiffness: float, damping: float) -> None:
-        self.name = name
-        self._surface, self._sign = surface, -1.0 if below else 1.0
-        self._stiffness, self._damping = stiffness, damping
-
-    def assemble(self, rows: Rows, mode: str) -> None:
-        """Add force, stored energy and losses of contact."""
-        if mode == "inside":
-            depth, velocity = self._depth(rows), rows.velocity(MOTOR)
-            rows.forces[MOTOR] -= self._stiffness * depth + self._damping * velocity
-            rows.add_storage(self._stiffness, depth)
-            rows.add_power(self.name, self._damping * velocity, velocity)
-
-    def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
-        """Guard: crossing of the surface."""
-        beyond = self._sign * self._depth(rows)
-        return (Guard(-beyond, "inside") if mode == "outside" else Guard(beyond, "outside"),)
-
-    def _depth(self, rows: Rows) -> Array:
-        return rows.position(MOTOR) - rows.row(one=self._surface)
-
-
-class _PrandtlElement(Part):
-    """Prandtl's element: a spring between axis and ground that slides at its limit."""
-
-    modes: tuple[str, ...] = ("elastic", "forward", "backward")
-    has_guards = True
-
-    def __init__(self, surface: CoulombSurface) -> None:
-        self.name = "bristle"
-        self._surface = surface
-
-    def assemble(self, rows: Rows, mode: str) -> None:
-        """Add force, strain and losses; a sliding bristle keeps its strain."""
-        surface, velocity, strain = self._surface, rows.velocity(MOTOR), rows.row(strain=1.0)
-        effort = surface.stiffness * strain
-        rows.forces[MOTOR] -= effort + surface.damping * velocity
-        rows.add_storage(surface.stiffness, strain)
-        rows.add_power(self.name, surface.damping * velocity, velocity)
-        if mode == "elastic":
-            rows.set_rate("strain", velocity)
-        else:
-            rows.add_power(self.name, effort, velocity)
-
-    def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
-        """Guards: yielding when elastic, the reversal when sliding."""
-        if mode == "elastic":
-            limit = rows.row(one=self._surface.friction / self._surface.stiffness)
-            strain, place = rows.row(strain=1.0), rows.index["strain"]
-            return (
-                Guard(limit - strain, "forward", ((place, limit),)),
-                Guard(limit + strain, "backward", ((place, -limit),)),
-            )
-        velocity = rows.velocity(MOTOR)
-        return (Guard(velocity if mode == "forward" else -velocity, "elastic"),)
-
-
-def _medium(damping: float) -> Part:
-    def write(rows: Rows) -> None:
-        velocity = rows.velocity(MOTOR)
-        rows.forces[MOTOR] -= damping * velocity
-        rows.add_power("medium", damping * velocity, velocity)
-
-    return LinearPart("medium", write)
-
-
-def _maxwell(medium: ViscoelasticMedium) -> Part:
-    def write(rows: Rows) -> None:
-        velocity, strain = rows.velocity(MOTOR), rows.row(strain=1.0)
-        slip = strain / medium.relaxation_time
-        rows.forces[MOTOR] -= medium.stiffness * strain + medium.damping * velocity
-        rows.set_rate("strain", velocity - slip)
-        rows.add_storage(medium.stiffness, strain)
-        rows.add_power("medium", medium.damping * velocity, velocity)
-        rows.add_power("medium", medium.stiffness * strain, slip)
-
-    return LinearPart("medium", write)
-
-
 _FINEST: Final = 200_000
 """Longest time between two readings of the reference [ns]; at least two readings a hold."""
 _MOST_READINGS: Final = 400_000
@@ -398,50 +243,7 @@ class ContinuousReference(NamedTuple):
         return float(np.ptp(self.position))
 
 
-def continuous_reference(
-    environment: Environment,
-    plant: PlantParameters,
-    user: UserParameters | None,
-    effects: Sequence[Effect],
-    sample_time_ns: int,
-    cycles: int,
-    seed: int = 0,
-) -> ContinuousReference:
-    """Motion and force that the user would feel from the continuous environment.
-
-    Args:
-        environment: Environment to render without sampling.
-        plant: Moving mass.
-        user: The hand.
-        effects: Effects of the plant; those of encoder and command are left out.
-        sample_time_ns: T [ns], the grid of the result.
-        cycles: SYNCs.
-        seed: Seed of random effects.
-
-    Raises:
-        InputError: There are no equations for the environment or an effect, or they are not piecewise affine and scipy
-            is missing.
-    """
-    readings = readings_per_hold(sample_time_ns, cycles)
-    times = [(k * sample_time_ns) // readings for k in range((cycles - 1) * readings + 1)]
-    effect = continuous_effect(environment)
-    if effect is None:
-        run = continuous_run(environment, Model(plant, user, effects), [time * 1e-9 for time in times], _TOLERANCE)
-        position, velocity = run.position, run.velocity
-        method = "DOP853 with event location, relative tolerance 1e-10"
-    else:
-        step = sample_time_ns // readings if sample_time_ns % readings == 0 else sample_time_ns
-        whole = Plant(plant, user, [*effects, effect], step, seed)
-        position, velocity = _march(whole, times)
-        method = "exact between events" if whole.is_exact else "exact but for the effects that declare an order"
-    torque = _environment_torque(environment, position, velocity, times[1] * 1e-9 if len(times) > 1 else 1.0)
-    ends = 0.5 * (torque[1:] + torque[:-1])
-    mean = np.concatenate([[0.0], ends.reshape(-1, readings).mean(axis=1)]) if cycles > 1 else torque[:1]
-    variation = float(np.abs(np.diff(torque, prepend=0.0)).sum())
-    return ContinuousReference(position[::readings], mean, variation, np.array(times) * 1e-9, torque, method)
-
-
-def _environment_torque(environment: Environment, position: Array, velocity: Array, step: float) -> Array:
+def environment_torque(environment: Environment, position: Array, velocity: Array, step: float) -> Array:
     """Return the torque of the continuous environment along a motion [N or N*m], shape (n,).
 
     Strains that relax are followed over half a step before and half a step after the motion: second order in the step.
@@ -483,15 +285,6 @@ def readings_per_hold(sample_time_ns: int, cycles: int) -> int:
     least = max(2, -(-sample_time_ns // _FINEST))
     least = min(least, max(2, _MOST_READINGS // max(1, cycles)))
     return next((n for n in range(least, 2 * least + 8) if sample_time_ns % n == 0), least)
-
-
-def _march(plant: Plant, times: Sequence[int]) -> tuple[Array, Array]:
-    position, velocity = np.empty(len(times)), np.empty(len(times))
-    plant.begin(0)
-    for i, now in enumerate(times):
-        plant.advance_to(now, 0.0)
-        position[i], velocity[i] = plant.position, plant.velocity
-    return position, velocity
 
 
 _TOLERANCES: Final = (1e-9, 1e-7)

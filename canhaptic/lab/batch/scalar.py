@@ -43,6 +43,7 @@ from canhaptic.lab.batch.closed_loop import (
     step,
     work_in,
 )
+from canhaptic.lab.batch.continuous import continuous_reference
 from canhaptic.lab.batch.engine import ChosenEngine
 from canhaptic.lab.batch.group_loop import GroupCase, GroupMeter, GroupRig, GroupRoom, group_case, run_group, take_group
 from canhaptic.lab.batch.group_loop import step as step_group
@@ -60,7 +61,7 @@ from canhaptic.lab.loop.axis_loop import (
     loop_case,
     plant_parts,
 )
-from canhaptic.lab.reference import ContinuousReference, continuous_reference
+from canhaptic.lab.reference import ContinuousReference
 from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.plant import Plant
 
@@ -329,9 +330,8 @@ def run_scalar(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) 
     axis = scene.axes[0]
     case, names, continuous = loop_case(axis, scene), list(METRICS if metrics is None else metrics), None
     if any(name in CONTINUOUS for name in names):
-        plant, user, effects, seed = plant_parts(axis)
-        step = scene.bus.sample_time_ns
-        continuous = continuous_reference(case.environment, plant, user, effects, step, cycles, seed)
+        parts = plant_parts(axis)[:3]
+        continuous = continuous_reference(case.environment, *parts, scene.bus.sample_time_ns, cycles)
     return run_case(case, cycles, names, continuous)
 
 

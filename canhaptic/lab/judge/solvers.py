@@ -10,6 +10,7 @@ So each has its own order while no mode switches, and order 1 where one does.
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
@@ -146,15 +147,12 @@ def states_at(
     longest = longest if model.switches else math.inf
     solve = partial(_solve_ivp(), method="DOP853", rtol=rtol, atol=1e-3 * rtol, max_step=longest, dense_output=True)
     state, modes, found = list(model.start), model.first, [list(model.start)]
-    wanted = iter(times[1:])
-    due = next(wanted, math.inf)
 
     def read(result: Any) -> None:
-        nonlocal due
         _require_running(stop)
-        while due <= result.t[-1]:
-            found.append(result.sol(due).tolist())
-            due = next(wanted, math.inf)
+        due = times[len(found) : bisect_right(times, result.t[-1])]
+        if len(due):
+            found.extend(result.sol(due).T.tolist())
 
     cuts = [*np.arange(0.0, times[-1], _STRETCH), *(t for t in model.breaks if t < times[-1]), times[-1]]
     for start, finish in pairwise(sorted(cuts)):

@@ -150,10 +150,10 @@ def _row_of(name: str, figure: Figure) -> _Row:
         value = account[whole]
         return value[part or "value"] if isinstance(value, Mapping) else value
 
-    better = {"less": abs, "near one": _from_one}.get(figure.better)
-    return _Row(figure.label, read, _SHOWN[figure.unit], better, figure.better == "not negative")
+    return _Row(figure.label, read, _SHOWN[figure.unit], _BETTER.get(figure.better), figure.better == "not negative")
 
 
+_BETTER: Final[dict[str, Callable[[float], float]]] = {"less": abs, "near one": _from_one}
 _SHOWN: Final = {"m": _length, "N": _force, "J": _joule, "1": _share, "": _plain}
 _ROWS: Final = (
     _Row("", lambda a, _: a["status"]),

@@ -38,6 +38,7 @@ from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.input_file import read_regular, shipped
 from canhaptic.lab.batch import run_batch, run_scalar, scene_with, why_not_batchable
+from canhaptic.lab.batch.continuous import continuous_reference
 from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.figures.field_figures import (
     asked_impedance,
@@ -66,7 +67,7 @@ from canhaptic.lab.loop.axis_loop import (
     plant_parts,
     require_single_axes,
 )
-from canhaptic.lab.reference import ContinuousReference, continuous_reference
+from canhaptic.lab.reference import ContinuousReference
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.map import theory_of
 from canhaptic.lab.studies.sweep.run_sweep import Progress, SerialExecutor
@@ -202,9 +203,9 @@ def group_figures(group: CaseGroup, known: Iterable[tuple[int, str]] = ()) -> li
 def _reference_of(scene: Scene, cycles: int) -> ContinuousReference | None:
     """Return the continuous run of a scene; None where there is none."""
     [axis] = scene.axes
-    plant, user, effects, seed = plant_parts(axis)
+    plant, user, effects, _ = plant_parts(axis)
     try:
-        return continuous_reference(environment_of(axis), plant, user, effects, scene.bus.sample_time_ns, cycles, seed)
+        return continuous_reference(environment_of(axis), plant, user, effects, scene.bus.sample_time_ns, cycles)
     except InputError:
         return None
 

@@ -23,6 +23,7 @@ from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGOR
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.verdict import PortResult, passive_verdict
 from canhaptic.errors import InputError, ParameterError
+from canhaptic.lab.batch.continuous import continuous_reference
 from canhaptic.lab.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
 from canhaptic.lab.batch.scalar import render_by, render_group, work_of
 from canhaptic.lab.figures.figures import figures
@@ -54,7 +55,7 @@ from canhaptic.lab.loop.over_can import (
     known_algorithms,
     render_over_can,
 )
-from canhaptic.lab.reference import ContinuousReference, continuous_reference
+from canhaptic.lab.reference import ContinuousReference
 from canhaptic.lab.studies import Row
 from canhaptic.result import TruthResult
 from canhaptic.scene.models import AxisScene, Scene
@@ -156,9 +157,9 @@ _Reference = tuple[ContinuousReference | None, str]
 
 
 def _reference(axis: AxisScene, sample_time_ns: int, cycles: int) -> _Reference:
-    plant, user, effects, seed = plant_parts(axis)
+    plant, user, effects, _ = plant_parts(axis)
     try:
-        found = continuous_reference(environment_of(axis), plant, user, effects, sample_time_ns, cycles, seed)
+        found = continuous_reference(environment_of(axis), plant, user, effects, sample_time_ns, cycles)
     except InputError as error:
         return None, f"none: {error}"
     return found, found.method

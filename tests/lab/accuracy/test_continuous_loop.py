@@ -1,10 +1,10 @@
-"""The continuous axis by DOP853 on textbook equations, next to the exact machine with the environment in it."""
+"""The continuous axis by DOP853 on textbook equations, next to the reference of `compare`."""
 
 import numpy as np
 import pytest
 
+from canhaptic.lab.batch.continuous import continuous_reference
 from canhaptic.lab.loop.axis_loop import environment_of, plant_parts
-from canhaptic.lab.reference import continuous_reference
 from canhaptic.lab.studies.accuracy.loop_sensitivity import continuous_loop
 from canhaptic.scene.load import load_scene
 from tests.lab.accuracy.accuracy_scenes import FOLDER
@@ -23,14 +23,14 @@ ENVIRONMENTS = {
 
 @pytest.mark.slow_for("detents")
 @pytest.mark.parametrize("name", sorted(ENVIRONMENTS))
-def test_the_continuous_axis_agrees_with_the_exact_machine(name):
+def test_the_continuous_axis_agrees_with_the_reference_of_compare(name):
     motion = "simulation.user.motion={amplitude: 0.15, frequency: 2}"
     changes = [f"environment={ENVIRONMENTS[name]}", "passivity={algorithm: unprotected}", motion]
     scene = load_scene(FOLDER / "paper_wall.yaml", changes)
     axis, steps, step_ns = scene.axes[0], 400, 1_000_000
     found = continuous_loop(axis, step_ns, steps)
-    plant, user, effects, seed = plant_parts(axis)
-    other = continuous_reference(environment_of(axis), plant, user, effects, step_ns, steps + 1, seed)
+    plant, user, effects, _ = plant_parts(axis)
+    other = continuous_reference(environment_of(axis), plant, user, effects, step_ns, steps + 1)
     travel = float(np.ptp(other.position))
     assert np.abs(found.position - other.position).max() < 1e-8 * travel
     mean = np.diff(found.impulse) / (step_ns * 1e-9)

@@ -9,12 +9,13 @@ from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.lab.batch import ALL, CONTINUOUS, METRICS, run_batch, run_scalar, scene_with
 from canhaptic.lab.batch.cases import continuous_modes, why_not_continuous
 from canhaptic.lab.batch.closed_loop import ReferenceState, begin_reference, follow_hold
+from canhaptic.lab.batch.continuous import continuous_reference
 from canhaptic.lab.batch.marching import march, reference_memory_of
 from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.figures.figures import figures
 from canhaptic.lab.judge.reference_model import Model
 from canhaptic.lab.loop.axis_loop import environment_of, loop_case, plant_parts
-from canhaptic.lab.reference import continuous_reference, continuous_run
+from canhaptic.lab.reference import continuous_run
 from canhaptic.registry import load
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
@@ -146,9 +147,9 @@ def test_figures_beside_the_reference_are_those_of_the_comparison(algorithm):
     """A hand that leans on the wall: the axis comes to rest, so that stiffness and limit cycle are measured too."""
     scene = demo(algorithm, "simulation.user={stiffness: 0, damping: 30, push: -5}", "environment.stiffness=500")
     axis, cycles = scene.axes[0], 2000
-    plant, user, effects, seed = plant_parts(axis)
+    plant, user, effects, _ = plant_parts(axis)
     environment = environment_of(axis)
-    reference = continuous_reference(environment, plant, user, effects, scene.bus.sample_time_ns, cycles, seed)
+    reference = continuous_reference(environment, plant, user, effects, scene.bus.sample_time_ns, cycles)
     expected = figures(environment, render(loop_case(axis, scene), cycles), reference, scene.bus.sample_time)
     found = {name: float(v[0]) for name, v in run_batch(scene, {}, cycles, "python", list(ALL)).items()}
     for kind in ("position_error", "force_error"):
