@@ -19,8 +19,8 @@ from canhaptic.lab.judge.reference_model import Model
 from canhaptic.lab.reference import continuous_run
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.effects.viscous_friction import ViscousFriction
-from canhaptic.sim.plant.plant import PlantParameters
-from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.plant import Plant, PlantParameters
+from canhaptic.sim.plant.user import RecordedMotion, SinusoidMotion, UserParameters
 from tests.control.reference_loop import USER_S, continuous
 
 PLANT = PlantParameters(mass=0.25, damping=0.1)
@@ -93,6 +93,15 @@ def test_a_bristle_slides_at_its_limit_and_lets_go_at_the_reversal():
     found = reference(surface, 350)
     assert np.abs(found.position - solved.y[0]).max() < 1e-5  # the judge sees its events at the ends of steps
     assert np.abs(found.fine_torque).max() < 1.5 + 0.5 * 0.3
+
+
+def test_a_recorded_hand_moves_the_judge_as_it_moves_the_plant():
+    motion = RecordedMotion.model_construct(type="recorded")
+    motion._rows = ((0.0, 0.0), (0.05, 0.01), (0.12, -0.004), (0.2, 0.002))
+    hand = UserParameters.model_construct(stiffness=200.0, damping=4.0, motion=motion)
+    found = continuous_reference(FreeSpace(), PLANT, hand, [], MS, 300)
+    moved = Plant(PLANT, hand, [], MS).run(np.zeros(299))
+    assert np.abs(found.position[1:] - moved).max() < 1e-8 < found.travel  # the plant's times are ticks of T / 2^24
 
 
 @pytest.mark.slow

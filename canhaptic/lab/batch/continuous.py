@@ -78,7 +78,7 @@ def _in_closed_form(
     environment: Environment, simulation: AxisSimulation, step: float, count: int
 ) -> tuple[Array, Array] | None:
     """Positions and velocities at every `step` [s]; None where the flow is not known in closed form."""
-    if type(simulation.user) not in (UserParameters, type(None)) or not is_linear(simulation):
+    if (simulation.user is not None and not simulation.user.has_equations) or not is_linear(simulation):
         return None
     step_ns = round(step * 1e9)
     case = many_loops(

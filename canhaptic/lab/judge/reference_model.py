@@ -12,7 +12,9 @@ Motion of the states found by a reference method, and the difference of two moti
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
+from operator import itemgetter
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
@@ -23,7 +25,7 @@ from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.own_hand import OwnHand
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.propagator import Array
-from canhaptic.sim.plant.user import UserParameters
+from canhaptic.sim.plant.user import RecordedMotion, UserParameters
 
 Floats = list[float]
 
@@ -131,6 +133,7 @@ class ReferenceHand(_Smooth):
         push: Constant force.
         rest: Rest position of the spring.
         sines: (amplitude, angular frequency, phase) of the voluntary motion.
+        rows: (time, place) of a recorded voluntary motion, joined by straight lines; empty: none.
     """
 
     def __init__(
@@ -140,14 +143,15 @@ class ReferenceHand(_Smooth):
         push: float,
         rest: float,
         sines: Sequence[tuple[float, float, float]],
+        rows: Sequence[tuple[float, float]] = (),
     ) -> None:
         self._place, self._grasps = place, tuple(grasps)
-        self._push, self._rest, self._sines = push, rest, tuple(sines)
+        self._push, self._rest, self._sines, self._rows = push, rest, tuple(sines), tuple(rows)
 
     @property
     def changes(self) -> list[float]:
-        """Times at which the grasp changes [s]."""
-        return [time for time, _, _ in self._grasps[1:]]
+        """Times at which the grasp changes, or the recorded motion turns [s]."""
+        return [time for time, *_ in (*self._grasps[1:], *self._rows[1:])]
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
         """Add the force of the hand and its power."""
@@ -157,6 +161,11 @@ class ReferenceHand(_Smooth):
             angle = omega * time + phase
             place += amplitude * math.sin(angle)
             speed += amplitude * omega * math.cos(angle)
+        if self._rows:
+            after = bisect_right(self._rows, time, key=itemgetter(0))
+            (begin, here), (end, there) = self._rows[after - 1], (*self._rows, (math.inf, 0.0))[after]
+            pace = (there - here) / (end - begin)
+            place, speed = place + here + pace * (time - begin), speed + pace
         velocity = state[self._place.velocity]
         force = stiffness * (place - self._place.position(state)) + damping * (speed - velocity) + self._push
         forces[-1] += force
@@ -463,8 +472,8 @@ class Model:
     def _add_hand(self, user: UserParameters | None) -> None:
         if isinstance(user, OwnHand):
             self._elements.append(ReferenceOwnHand(user.force))
-        elif user is not None and not user.has_equations:
-            raise ParameterError("user: got own code or a recording, expected a sinusoid or an OwnHand: no equations")
+        elif user is not None and type(user) is not UserParameters:
+            raise ParameterError("user: got own code, expected a sinusoid, a recording or an OwnHand: no equations")
         if user is None or not (user.stiffness or user.damping or user.push):
             return
         grasps = [(0.0, user.stiffness, user.damping)]
@@ -476,7 +485,8 @@ class Model:
         for tremor in self._effects.get("tremor", []):
             sines.append((tremor.amplitude, 2.0 * math.pi * tremor.frequency, tremor.phase))
         rest = user.rest + (user.sinusoid.offset if user.sinusoid else 0.0)
-        hand = ReferenceHand(self._places[-1], grasps, user.push, rest, sines)
+        rows = user.motion.rows if isinstance(user.motion, RecordedMotion) else ()
+        hand = ReferenceHand(self._places[-1], grasps, user.push, rest, sines, rows)
         self.breaks = hand.changes
         self._elements.append(hand)
 
