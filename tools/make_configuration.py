@@ -43,7 +43,7 @@ With real drives nothing is dropped: it is an error.
 
 `canhaptic schema` prints the same as JSON Schema, for editors.
 """
-_HEAD: Final = "| key | value | |\n|---|---|---|"
+_HEAD: Final = "| key | value; default | |\n|---|---|---|"
 _LAST: Final = ("groups", "simulation")
 """Sections behind those that they refer to."""
 _LIMITS: Final = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
