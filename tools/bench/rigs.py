@@ -17,12 +17,13 @@ import random
 from collections.abc import Callable, Iterator
 from functools import partial
 from multiprocessing import Pool
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import Controller, LoopProperties
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.view.picture_style import BLUE, ORANGE, VERMILION, drawing, save_picture
 from tools.attack.plant import BEFORE, DISSIPATED, MOTOR, TAKEN_IN, Rig, V, X, energy_of, move_one
 from tools.bench.report import Row, picture_place, publish
 
@@ -234,6 +235,10 @@ def cell(place: tuple[str, str, str]) -> tuple[tuple[str, str, str], tuple[float
     return place, (felt(RIGS[rig], law, hand), 0.0)
 
 
+_MARKS = ((VERMILION, "X"), (ORANGE, "s"), *((colour, mark) for mark in "o|^" for colour in ("black", BLUE)))
+"""Colour and mark of each law: black and blue are `guarded` for a pull of 5 and of 20 N."""
+
+
 def rows_of(found: dict[tuple[str, str, str], tuple[float, float]]) -> Iterator[Row]:
     """Returns one row for each cell."""
     for (rig, law, hand), (value, promised) in found.items():
@@ -249,31 +254,28 @@ def rows_of(found: dict[tuple[str, str, str], tuple[float, float]]) -> Iterator[
 
 
 def draw(found: dict[tuple[str, str, str], tuple[float, float]], rigs: list[str]) -> None:
-    """Draws what is felt by hand and law, and what is taken out."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13.0, 9.0), layout="constrained")
-    plots = figure.subplots(2, 2, sharey=True)
-    laws = [law for law in LAWS if (rigs[0], law, "fast") in found]
-    colours = {law: f"C{number}" for number, law in enumerate(laws)}
-    height = 0.8 / len(laws)
-    for plot, hand in zip(plots.flat, [*HANDS, "attack"], strict=True):
-        for number, law in enumerate(laws):
-            places = [row + height * (number + 0.5) - 0.4 for row in range(len(rigs))]
-            values = [found.get((rig, law, hand), (0.0, 0.0))[0] for rig in rigs]
-            if hand == "attack":
-                values = [max(1e-3, 1e3 * value) for value in values]
-            plot.barh(places, values, height, color=colours[law], label=law)
-        plot.set_xscale("log")
-        plot.set_xlim((1e-3, 3e3) if hand == "attack" else (80.0, 2e5))
-        speed, most = HANDS.get(hand, (0.0, 0.0))
-        told = f"felt by a hand at {speed:g} m/s up to {most:g} N [N/m]"
-        plot.set_title("taken out by a hand: pull 20 N, push 60 N [mJ]" if hand == "attack" else told, fontsize=10)
-        plot.grid(axis="x", alpha=0.3)
-        plot.invert_yaxis() if not plot.yaxis_inverted() else None
-    plots[0][0].set_yticks(range(len(rigs)), rigs)
-    figure.legend(*plots[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9)
-    figure.savefig(picture_place("rigs.png"), dpi=110, metadata={"Software": None})
+    """Draws what is felt by hand and law, and what is taken out: a row for each rig, a mark for each law."""
+    with drawing() as figure_type:
+        figure = figure_type(figsize=(13.0, 9.0), dpi=110, layout="constrained")
+        plots = figure.subplots(2, 2, sharey=True)
+        laws = [law for law in LAWS if (rigs[0], law, "fast") in found]
+        for plot, hand in zip(plots.flat, [*HANDS, "attack"], strict=True):
+            scale, least = (1e3, 1e-3) if hand == "attack" else (1.0, 0.0)
+            for law, (colour, mark) in zip(laws, _MARKS, strict=False):
+                values = [max(least, scale * found.get((rig, law, hand), (0.0, 0.0))[0]) for rig in rigs]
+                look: Any = {"linestyle": "none", "marker": mark, "markersize": 7.0, "color": colour}
+                plot.plot(values, range(len(rigs)), label=law, **look)
+            plot.set_xscale("log")
+            plot.set_xlim((5e-4, 5e3) if hand == "attack" else (80.0, 2e5))
+            speed, most = HANDS.get(hand, (0.0, 0.0))
+            felt = f"largest wall felt by a hand at {speed:g} m/s up to {most:g} N [N/m]"
+            plot.set_title("energy taken out by a hand that pulls 20 N, pushes 60 N [mJ]" if hand == "attack" else felt)
+        plots[1][1].set_xticks([1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1000.0])
+        plots[1][1].set_xticklabels(["none", "0.01", "0.1", "1", "10", "100", "1000"])
+        plots[0][0].set_yticks(range(len(rigs)), rigs)
+        plots[0][0].invert_yaxis()
+        figure.legend(*plots[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+        save_picture(figure, picture_place("rigs.png"))
 
 
 def main() -> None:
