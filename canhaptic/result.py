@@ -39,18 +39,23 @@ class TruthResult(TypedDict):
     believed_error: float
 
 
-class RunResult(TypedDict):
+class Verdicts(TypedDict):
+    """The worst verdicts of all accounts; a verdict that no account has is left out."""
+
+    verdict: Headline
+    passive: Verdict
+    passive_at_handle: NotRequired[Verdict]
+    plant_passive: NotRequired[Verdict]
+    dry_run: NotRequired[bool]  # no torque was sent
+
+
+class RunResult(Verdicts):
     """The account of a run, as `run --json` prints it; see the module."""
 
     status: str
     config_hash: str
     cycles: int
     duration: float  # [s]
-    verdict: Headline
-    passive: Verdict
-    dry_run: NotRequired[bool]  # no torque was sent
-    passive_at_handle: NotRequired[Verdict]
-    plant_passive: NotRequired[Verdict]
     ports: dict[str, PortResult]
     truth: dict[str, TruthResult]
     timing: Mapping[str, Mapping[str, float] | float | str]
@@ -83,16 +88,6 @@ _HEADLINES: Final[tuple[Headline, ...]] = ("no contact", "dry run", "yes", "in d
 """The displayed words, worst last; one handle without a contact does not make a run of several doubtful."""
 
 
-class Verdicts(TypedDict):
-    """The worst verdicts of all accounts; a verdict that no account has is left out."""
-
-    verdict: Headline
-    passive: Verdict
-    passive_at_handle: NotRequired[Verdict]
-    plant_passive: NotRequired[Verdict]
-    dry_run: NotRequired[bool]  # no torque was sent
-
-
 def overall(ports: Mapping[str, PortResult]) -> Verdicts:
     """Return the worst verdict over all accounts; "in doubt" where there are no accounts."""
     accounts = [account for account in ports.values() if "passive" in account]
@@ -123,23 +118,24 @@ def run_result(
     """
     truth = _truth(cycle, [*(name for name, _ in ports), *(group.name for group in cycle.groups)])
     accounts = _accounts(cycle, ports, sample_time, truth)
-    verdicts = overall(accounts)
-    result: RunResult = {
-        "status": status,
-        "config_hash": config_hash,
-        "cycles": cycle.cycles,
-        "duration": (cycle.cycles + cycle.rig.skipped_syncs) * sample_time,
-        "verdict": verdicts["verdict"],
-        "passive": verdicts["passive"],
-        "ports": accounts,
-        "truth": truth,
-        "timing": {name: histogram.summary() for name, histogram in cycle.timing.items()},
-        "link": cycle.rig.link_statistics(),
-        "method": method,
-    }
+    result = cast(
+        "RunResult",
+        {
+            "status": status,
+            "config_hash": config_hash,
+            "cycles": cycle.cycles,
+            "duration": (cycle.cycles + cycle.rig.skipped_syncs) * sample_time,
+            **overall(accounts),
+            "ports": accounts,
+            "truth": truth,
+            "timing": {name: histogram.summary() for name, histogram in cycle.timing.items()},
+            "link": cycle.rig.link_statistics(),
+            "method": method,
+        },
+    )
     if unrestored := {drive.axis.name: drive.unrestored for drive in cycle.rig.drives if drive.unrestored}:
         result["unrestored"] = unrestored
-    return cast("RunResult", {**result, **verdicts})
+    return result
 
 
 def _accounts(

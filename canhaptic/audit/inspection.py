@@ -15,12 +15,12 @@ from canhaptic.audit.user_checks import Outcome
 from canhaptic.canopen.objects import StatusBit
 from canhaptic.control.balance import Branch, Certificate, certificates_of
 from canhaptic.control.ledger import LedgerSummary
-from canhaptic.control.verdict import PASSIVE_TOLERANCE, Headline, PortResult, Verdict
+from canhaptic.control.verdict import PASSIVE_TOLERANCE, PortResult
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.columns import Event
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.logs.hdf5 import Array
-from canhaptic.result import TruthResult, overall, with_groups
+from canhaptic.result import TruthResult, Verdicts, overall, with_groups
 from canhaptic.signals import CycleTiming
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ class ContactStretch(TypedDict):
 _Inspected = TypedDict("_Inspected", {"from": float, "to": float})  # [s]
 
 
-class Inspection(_Inspected):
+class Inspection(_Inspected, Verdicts):
     """Summary of a log, or of a part of it."""
 
     file: str
@@ -134,11 +134,6 @@ class Inspection(_Inspected):
     cycles: int
     rate: float  # [Hz]
     findings: list[ImpossibleValue]
-    verdict: Headline
-    passive: Verdict
-    dry_run: NotRequired[bool]
-    passive_at_handle: NotRequired[Verdict]
-    plant_passive: NotRequired[Verdict]
     ports: dict[str, PortResult]
     truth: dict[str, TruthResult]
     timing: dict[str, int | dict[str, float]]
@@ -166,30 +161,30 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
     sync_index, time = log.timing["sync_index"][rows], log.deadlines(rows.start, rows.stop) * log.sample_time
     truth = {name: _truth(log, name, rows) for name in log.truth}
     ports = _ports(log, rows, truth)
-    verdicts = overall(ports)
     stretches = {n: _contacts(log, port, rows) for n, port in log.ports.items() if n not in log.group_of}
     for name, among in stretches.items():
         if (first := ports[name].get("first_active")) is not None:
             ports[name]["first_active_contact"] = sum(contact["start"] <= first for contact in among)
-    found: Inspection = {
-        "file": str(log.path),
-        "status": log.status,
-        "config_hash": str(log.attributes.get("config_hash", "")),
-        "cycles": int(rows.stop - rows.start),
-        "rate": 1.0 / log.sample_time,
-        "from": float(time[0]) if len(time) else 0.0,
-        "to": float(time[-1]) if len(time) else 0.0,
-        "findings": impossible_values(log),
-        "verdict": verdicts["verdict"],
-        "passive": verdicts["passive"],
-        "ports": ports,
-        "truth": truth,
-        "timing": _timing(log, rows),
-        "link": _link(log, rows, sync_index),
-        "contacts": stretches,
-        "events": [_logged(event, log) for event in log.events],
-    }
-    return cast("Inspection", {**found, **verdicts})
+    return cast(
+        "Inspection",
+        {
+            "file": str(log.path),
+            "status": log.status,
+            "config_hash": str(log.attributes.get("config_hash", "")),
+            "cycles": int(rows.stop - rows.start),
+            "rate": 1.0 / log.sample_time,
+            "from": float(time[0]) if len(time) else 0.0,
+            "to": float(time[-1]) if len(time) else 0.0,
+            "findings": impossible_values(log),
+            **overall(ports),
+            "ports": ports,
+            "truth": truth,
+            "timing": _timing(log, rows),
+            "link": _link(log, rows, sync_index),
+            "contacts": stretches,
+            "events": [_logged(event, log) for event in log.events],
+        },
+    )
 
 
 def _logged(event: Event, log: EnergyLog) -> LoggedEvent:

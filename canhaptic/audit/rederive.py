@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from math import inf
 from pathlib import Path
-from typing import Any, Final, NotRequired, TypedDict
+from typing import Any, Final, NotRequired, TypedDict, cast
 
 from canhaptic.audit.listened_axis import OF_A_NODE, DeclaredDrive, DeclaredForce, ListenedAxis
 from canhaptic.audit.recompute import efforts_asked, logged_rows
@@ -17,12 +17,12 @@ from canhaptic.canopen import objects as od
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.multi_axis.group_controller import GroupedControllers
-from canhaptic.control.verdict import NOT_CHECKED, Headline, PortResult, Verdict, claim_nothing
+from canhaptic.control.verdict import NOT_CHECKED, PortResult, claim_nothing
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.meters import RunMeters, promise_of
-from canhaptic.result import overall, port_account, with_groups
+from canhaptic.result import Verdicts, overall, port_account, with_groups
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controllers, build_axis_groups, build_axis_meters, group_places
 from canhaptic.scene.recorded_names import Channels
@@ -114,13 +114,11 @@ class Departure(TypedDict):
     rederived: float
 
 
-class Rederived(TypedDict):
+class Rederived(Verdicts):
     """The account of a run from its frames, by the names of `run --json`."""
 
     status: NotRequired[str]
     cycles: int
-    verdict: Headline
-    passive: Verdict
     ports: dict[str, PortResult]
     differences: NotRequired[list[Departure]]  # with a log: the first of each port
     checks: NotRequired[list[Outcome]]
@@ -152,8 +150,7 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     if not cycles:
         raise InputError(f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}")
     ports = derived.accounts(_holds(scene, log))
-    verdict = overall(ports)
-    result: Rederived = {"cycles": cycles, "verdict": verdict["verdict"], "passive": verdict["passive"], "ports": ports}
+    result = cast("Rederived", {"cycles": cycles, **overall(ports), "ports": ports})
     if log is not None:
         result["differences"] = [judge.difference for judge in judges if judge.difference is not None]
         if cycles < log.rows:  # the frames end early: of the rows behind nothing was derived

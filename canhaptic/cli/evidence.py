@@ -28,24 +28,6 @@ _TENTH: Final = 0.1
 _PACKAGES: Final = ("canhaptic", "python-can", "canopen", "numpy", "pydantic", "h5py")
 _NAMES: Final = re.compile(r"(?im)^(FileName|CreatedBy|ModifiedBy|LastEDS|NodeName|NetworkName|Description)=.*$")
 _SERIAL: Final = re.compile(r"(?ims)^(\[1018sub4\].*?^(?:ParameterValue|DefaultValue)=)[^\r\n]*")
-_PAGE: Final = """# Evidence
-
-Drive: ____________________  Firmware: ____________  Motor: ____________________  Date: ____________
-
-This folder was written by `canhaptic evidence`. `{status}`
-
-| file | SHA-256 |
-|---|---|
-{rows}
-
-Check list:
-
-{check_list}
-
-I watched these runs at the rig, and the values of `rig.yaml` are those of the rig.
-
-Name and signature (a pseudonym will do): ______________________________
-"""
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -82,7 +64,8 @@ def execute(arguments: argparse.Namespace) -> int:
     )
     listed = "\n".join(f"- [{text[0]}] {text[2:]}" for text in check_list(own.run.confirmed))
     status = "simulated drive: evidence of the software alone" if own.simulated else "real drive"
-    write_file(out / "sign.md", _PAGE.format(rows=rows, check_list=listed, status=status))
+    page = Path(__file__).with_suffix(".md").read_text(encoding="utf-8")
+    write_file(out / "sign.md", page.format(rows=rows, check_list=listed, status=status))
     note_file("evidence", out)
     return stop.exit_status or 0
 
