@@ -44,3 +44,17 @@ def test_the_runs_of_the_passivity_sweep_are_those_of_its_rows() -> None:
     runs = sum(int(re.findall(r"(\d+) runs", row["row"])[0]) for row in least)
     assert f"`guarded`, {runs} runs of walls" in page("figures.md")
     assert {row["value"] for row in least} == {0.0}  # "the same at every rate"
+
+
+def test_the_attack_gets_nothing_where_all_is_declared() -> None:
+    rows = json.loads((ROOT / "docs" / "results" / "attack.json").read_text(encoding="utf-8"))["rows"]
+    declared = [row for row in rows if row["row"].endswith(": declared")]
+    assert len(declared) > 8
+    assert {row["value"] for row in declared} == {0.0}
+
+
+def test_one_claim_of_all_is_not_seen() -> None:
+    rows = json.loads((ROOT / "docs" / "results" / "claims.json").read_text(encoding="utf-8"))["rows"]
+    assert [row["row"] for row in rows if not row["met"]] == [
+        "passivity_observer: wins back what it observes, energy short at the end"
+    ]

@@ -324,11 +324,12 @@ HABITS = [
 
 
 def table() -> str:
-    """The tables of docs/drives.md, one for each outcome; what is endured has no message."""
-    whose = {"torque": "", "display": "drive of a display: ", "sensor": "force sensor: "}
-    lines: list[str] = []
-    for outcome, title in (("refused", "Refused, before any torque"), ("ended", "Ended: torque zero, drive disabled")):
-        rows = [f"| {whose[h.rig]}{h.what} | {h.words} |" for h in HABITS if h.outcome == outcome]
-        lines += [f"{title}:", "", "| habit | words of the message |", "| --- | --- |", *rows, ""]
-    endured = "; ".join(f"{whose[h.rig]}{h.what}" for h in HABITS if h.outcome == "runs")
-    return "\n".join([*lines, f"Endured, and counted where it can be: {endured}."]) + "\n"
+    """The lists of docs/drives.md, one for each outcome."""
+    whose = {"torque": "", "display": "drive of a display ", "sensor": "force sensor "}
+    titles = {
+        "refused": "Refused, before any torque",
+        "ended": "Ended, with zero torque and the drive disabled",
+        "runs": "Endured, and counted where it can be",
+    }
+    lists = {key: "; ".join(f"{whose[h.rig]}{h.what}" for h in HABITS if h.outcome == key) for key in titles}
+    return "\n".join(f"- **{title}**: {lists[key]}." for key, title in titles.items()) + "\n"
