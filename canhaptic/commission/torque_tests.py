@@ -90,7 +90,7 @@ def pulse(session: Session, axis: int) -> Pulse | None:
     is_unclear = not seen or (law.has_gap and moved > 0.0)
     if law.tripped and is_unclear:  # a pulse that was cut short asks for no larger torque, and gives no mass
         text = f"{law.tripped}; see to it, then commission again"
-        session.found(axis, "torque sign", "+", "broken off", StepVerdict.UNKNOWN, text)
+        session.found(axis, "torque sign", "+", "stopped", StepVerdict.UNKNOWN, text)
         return None
     if not seen:
         text = "more friction than torque, a brake, or no current; raise --torque with care"
@@ -169,7 +169,7 @@ def _swept(
 
     law = session.play_within(axis, "moving mass", torques_of, amplitude)
     if law.tripped or session.stop_requested():
-        found = "broken off" if law.tripped else "not tried"
+        found = "stopped" if law.tripped else "not tried"
         session.found(axis, "moving mass", "", found, StepVerdict.UNKNOWN, law.tripped)
         return None
     positions = np.array(law.positions) / session.encoder_ratios[axis]  # a wrong encoder is not a wrong mass

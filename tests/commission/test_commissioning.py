@@ -331,7 +331,7 @@ def test_a_stop_before_the_first_cycle_ends_the_standstill_without_a_finding() -
     assert row(session.report, STANDSTILL).found == "not tried"
 
 
-@pytest.mark.parametrize(("is_stopped", "found"), [(False, "broken off"), (True, "not tried")])
+@pytest.mark.parametrize(("is_stopped", "found"), [(False, "stopped"), (True, "not tried")])
 def test_a_pulse_that_was_cut_short_says_nothing_of_friction_and_asks_for_no_larger_torque(
     is_stopped: bool, found: str
 ) -> None:
