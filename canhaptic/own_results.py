@@ -39,21 +39,19 @@ def _watched(method: Callable[..., Any], largest: float) -> Callable[..., Any]:
         except CanHapticError:
             raise
         except Exception as error:  # own code may raise anything
-            raise OwnCodeError(
-                _program_of(self), f"{method.__name__} raised {type(error).__name__}: {error}"
-            ) from error
+            raise OwnCodeError(program_of(self), f"{method.__name__} raised {type(error).__name__}: {error}") from error
         number = getattr(value, "torque", value)
         if not (isinstance(number, Real) and -largest <= float(number) <= largest):  # NaN as well
             shown = repr(number)[:100]
             raise OwnCodeError(
-                _program_of(self), f"{method.__name__} returned {shown}, expected a number within +-{largest:g}"
+                program_of(self), f"{method.__name__} returned {shown}, expected a number within +-{largest:g}"
             )
         return value
 
     return watched
 
 
-def _program_of(owner: object) -> str:
+def program_of(owner: object) -> str:
     """Return `file.py:Class`."""
     kind = type(owner)
     file = getattr(sys.modules.get(kind.__module__), "__file__", None) or kind.__module__

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from canhaptic.control.environments.hardening_wall import HardeningWall
 from canhaptic.control.environments.own_environment import OwnEnvironment, integral, state_of
+from canhaptic.errors import OwnCodeError, ParameterError
 from canhaptic.units import quantity
 
 STATES = st.floats(-0.1, 0.1)
@@ -84,3 +85,86 @@ def test_it_is_felt_where_its_side_says(side: Literal["both", "below", "above"],
     assert tuple(wall.contact(q) for q in (0.01, 0.02, 0.03)) == felt
     assert wall.true_state(0.05, 0.0, 0.0) == pytest.approx(0.03)
     assert wall.admissible(-0.01, 0.01) == (-0.01 if side == "both" else 0.0)
+
+
+class Kinked(OwnEnvironment):
+    """A spring that gives way at `most`."""
+
+    most: float = 3.0
+
+    def effort(self, state: float) -> float:
+        return max(-self.most, min(self.most, 300.0 * state))
+
+
+@given(st.lists(STATES, min_size=1, max_size=6))
+def test_the_energy_at_a_state_does_not_depend_on_the_states_asked_before(states: list[float]) -> None:
+    wall = Kinked()
+    found = [wall.stored_energy(state) for state in states]
+    for state, energy in zip(states, found, strict=True):
+        assert energy == Kinked(most=3.0).stored_energy(state)
+        assert energy == pytest.approx(
+            150.0 * min(abs(state), 0.01) ** 2 + 3.0 * max(0.0, abs(state) - 0.01), rel=5e-12, abs=1e-300
+        )
+
+
+def test_a_kink_costs_no_more_calls_than_a_smooth_force_once_it_was_found() -> None:
+    calls = {"n": 0}
+
+    class Counted(Kinked):
+        def effort(self, state: float) -> float:
+            calls["n"] += 1
+            return super().effort(state)
+
+    wall = Counted()
+    wall.stored_energy(0.05)
+    calls["n"] = 0
+    for k in range(100):
+        wall.stored_energy(0.05 - 1e-4 * k)
+    assert calls["n"] <= 100 * 30
+
+
+class Notches(OwnEnvironment):
+    """24 notches in a revolution, as one contact."""
+
+    def effort(self, state: float) -> float:
+        return 2.0 * math.sin(24.0 * state)
+
+
+class NotchesByEnergy(OwnEnvironment):
+    def potential(self, state: float) -> float:
+        return 2.0 / 24.0 * (1.0 - math.cos(24.0 * state))
+
+
+@pytest.mark.parametrize("kind", [Notches, NotchesByEnergy])
+def test_a_force_that_points_away_is_refused_with_its_place_and_the_remedy(kind: type[OwnEnvironment]) -> None:
+    with pytest.raises(ParameterError, match=r"effort\(0\.1\d+\) is -.*points back to state 0.*take `detents`"):
+        kind()
+
+
+def test_a_force_that_turns_between_the_places_looked_at_ends_the_run_there() -> None:
+    class Narrow(OwnEnvironment):
+        def effort(self, state: float) -> float:
+            return -5.0 if 0.0209 < state < 0.0213 else 100.0 * state
+
+    wall = Narrow()
+    assert wall.stored_energy(0.01) == pytest.approx(0.005)
+    with pytest.raises(OwnCodeError, match="points back to state 0"):
+        wall.stored_energy(0.021)
+
+
+def test_an_environment_with_zones_of_its_own_may_turn() -> None:
+    class Zones(Notches):
+        def contact(self, position: float) -> int:
+            return 1 + math.floor(position * 24.0 / math.tau)
+
+    assert Zones().effort(0.2) < 0.0
+
+
+def test_only_the_solid_side_of_a_wall_is_looked_at() -> None:
+    class OneSided(OwnEnvironment):
+        side: Literal["both", "below", "above"] = "below"
+
+        def effort(self, state: float) -> float:
+            return -100.0 if state > 0.0 else 100.0 * state
+
+    assert OneSided().effort(-0.1) == -10.0

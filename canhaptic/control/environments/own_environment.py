@@ -6,16 +6,23 @@
         def effort(self, state: float) -> float:
             return self.stiffness * state
 
-The energy is the integral of the force (adaptive Gauss-Kronrod quadrature, to 1e-12 of its size), and the state of an
-energy is found by Newton's method inside a bracket. Each takes some tens of calls of the force: where the closed forms
-are known, override `stored_energy` and `state_of_energy` as well.
+The energy is the integral of the force (adaptive Gauss-Kronrod quadrature, to 1e-12 of its size), kept at every place
+where the quadrature had to halve, so that a force with a kink costs no more than a smooth one. The state of an energy
+is found by Newton's method inside a bracket. Each takes some tens of calls of the force: where the closed forms are
+known, override `stored_energy` and `state_of_energy` as well.
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, ClassVar, Final, Literal, Self
+from weakref import WeakKeyDictionary
+
+from pydantic import model_validator
 
 from canhaptic.control.environments.environment import is_beyond, kept_on_side
+from canhaptic.errors import OwnCodeError
+from canhaptic.own_results import program_of
 from canhaptic.units import Parameters, quantity
 
 _TOLERANCE: Final = 1e-12  # of an integral, relative
@@ -23,6 +30,11 @@ _MOST_HALVINGS: Final = 40
 _MOST_STEPS: Final = 100  # of the root finder; bisection alone ends within 64
 _SMALLEST: Final = 1e-9  # [m or rad] first state that is tried
 _DOUBLINGS: Final = 60
+_NO_FORCE: Final = 1e-9
+"""Force that may be rounding, as that of a sine at pi [N or N*m]."""
+_SLOPE_ROUNDING: Final = 1e-14
+_TRIED: Final = tuple(10.0 ** (power / 16) for power in range(-80, 1))
+"""Sizes of states at which the direction of a force is looked at when a scene is loaded: 10 um to 1 m or rad."""
 _DERIVATIVE_STEP: Final = 6e-6  # cube root of the rounding error: least error of a central difference
 # Kronrod's 15 points on [-1, 1] with their weights, and the weights of Gauss's 7 points among them
 # (Piessens and others, QUADPACK, 1983).
@@ -41,7 +53,9 @@ _MIDDLE: Final = (0.209482141084727828012999174891714, 0.41795918367346938775510
 class OwnEnvironment(Parameters):
     """A storage with a damper, given by `effort` or by `potential`; felt on both sides of `position`, or on one.
 
-    `effort` must point back to state 0, where nothing is stored: effort(x) x >= 0.
+    `effort` must point back to state 0, where nothing is stored: effort(x) x >= 0. A scene whose force does not, up to
+    1 m or rad, is refused, and a run that meets such a force ends. A force that turns on the way, as between notches,
+    needs a zone of contact for each resting position, as `detents` have.
     """
 
     position: Annotated[float, quantity("m", "rad")] = 0.0
@@ -54,14 +68,37 @@ class OwnEnvironment(Parameters):
     linear_stiffness: ClassVar[None] = None
     relaxes: ClassVar[bool] = False
 
+    @model_validator(mode="after")
+    def _points_back(self) -> Self:
+        kind = type(self)
+        if (kind.contact, kind.state_of_energy) != (OwnEnvironment.contact, OwnEnvironment.state_of_energy):
+            return self  # it has zones of its own
+        for size in _TRIED:
+            for state in (size, -size) if self.side == "both" else (-size if self.side == "below" else size,):
+                try:
+                    force = self.effort(state)
+                except _TurnedError as error:
+                    raise ValueError(error.what) from error
+                except Exception:  # own code may raise anything, at a place that no run may reach
+                    return self
+                if force * state < 0.0:
+                    raise ValueError(_words_of(state, force))
+        return self
+
     def potential(self, state: float) -> float:
         """Return the energy [J] stored at a state [m or rad], >= 0 and 0 at state 0; by default from `effort`."""
-        return integral(self.effort, state)
+        if self not in _WORKS:
+            _WORKS[self] = _Work(self.effort), _Work(self.effort)
+        return _WORKS[self][state < 0.0].until(state)
 
     def effort(self, state: float) -> float:
         """Return the force [N or N*m] at a state [m or rad]; by default the slope of `potential`."""
         step = _DERIVATIVE_STEP * max(abs(state), 1e-3)
-        return (self.potential(state + step) - self.potential(state - step)) / (2.0 * step)
+        low, high = self.potential(state - step), self.potential(state + step)
+        slope = (high - low) / (2.0 * step)
+        if slope * state < 0.0 and abs(slope) > _SLOPE_ROUNDING * max(abs(low), abs(high)) / step:
+            raise _turned(self.potential, state, slope)
+        return slope
 
     def surfaces(self) -> Sequence[float]:
         """Return the positions where contact begins or ends [m or rad], for the continuous environment.
@@ -101,24 +138,82 @@ class OwnEnvironment(Parameters):
         return state
 
 
-def integral(function: Callable[[float], float], end: float) -> float:
-    """Return the integral of a function from 0 to `end`, to 1e-12 of the integral of its size.
+def _words_of(state: float, force: float) -> str:
+    return (
+        f"effort({state:.4g}) is {force:.4g}, expected one that points back to state 0 (effort(x) x >= 0); a force "
+        "that turns between resting positions needs a zone of contact for each: take `detents`, or write `contact` too"
+    )
+
+
+class _TurnedError(OwnCodeError):
+    """A force that does not point back to state 0."""
+
+
+def _turned(method: Callable[[float], float], state: float, force: float) -> OwnCodeError:
+    return _TurnedError(program_of(getattr(method, "__self__", method)), _words_of(state, force))
+
+
+class _Work:
+    """Work of a force from 0 to any state on one side, kept at the ends of the panels of its quadrature.
+
+    Octave by octave from `_SMALLEST` on, so that the panels do not depend on the states that were asked for.
+    """
+
+    def __init__(self, force: Callable[[float], float]) -> None:
+        self._force = force
+        self._ends, self._works = [0.0], [0.0]  # sizes of states, and the work up to them [J]
+
+    def until(self, state: float) -> float:
+        """Return the work from 0 to a state [J]."""
+        size = abs(state)
+        while self._ends[-1] < size:
+            self._extend(math.copysign(1.0, state))
+        place = bisect_right(self._ends, size) - 1
+        start = math.copysign(self._ends[place], state)
+        return self._works[place] + (integral(self._inward, state, start) if start != state else 0.0)
+
+    def _extend(self, sign: float) -> None:
+        last = self._ends[-1]
+        panels: list[tuple[float, float]] = []
+        integral(self._inward, sign * (2.0 * last or _SMALLEST), sign * last, panels)
+        for end, work in sorted((abs(end), work) for end, work in panels):
+            self._ends.append(end)
+            self._works.append(self._works[-1] + work)
+
+    def _inward(self, state: float) -> float:
+        force = self._force(state)
+        if force * state < 0.0 and abs(force) > _NO_FORCE:
+            raise _turned(self._force, state, force)
+        return force
+
+
+_WORKS: Final[WeakKeyDictionary[OwnEnvironment, tuple[_Work, _Work]]] = WeakKeyDictionary()
+
+
+def integral(
+    function: Callable[[float], float], end: float, start: float = 0.0, panels: list[tuple[float, float]] | None = None
+) -> float:
+    """Return the integral of a function from `start` to `end`, to 1e-12 of the integral of its size.
+
+    `panels` receives the end of each panel that was not halved, and its integral.
 
     Intervals are halved where Kronrod's 15 points and Gauss's 7 disagree, and where a jump may lie between an end and
     the outermost point, which neither rule can see; a jump is enclosed to 2^-40 of the way.
     """
-    whole, error, size = _panel(function, 0.0, end)
+    whole, error, size = _panel(function, start, end)
     allowed = _TOLERANCE * size
-    total, waiting = 0.0, [(0.0, end, whole, error, 0)]
+    total, waiting = 0.0, [(start, end, whole, error, 0)]
     while waiting:
         left, right, found, error, halvings = waiting.pop()
         if not error > allowed or halvings == _MOST_HALVINGS:  # NaN ends it: halved, it would never
             total += found
+            if panels is not None:
+                panels.append((right, found))
             continue
         middle = 0.5 * (left + right)
-        for start, stop in ((left, middle), (middle, right)):
-            part, part_error, _ = _panel(function, start, stop)
-            waiting.append((start, stop, part, part_error, halvings + 1))
+        for begin, stop in ((left, middle), (middle, right)):
+            part, part_error, _ = _panel(function, begin, stop)
+            waiting.append((begin, stop, part, part_error, halvings + 1))
     return total
 
 

@@ -372,6 +372,8 @@ def why_not_beforehand(scene: Scene) -> str:
     simulation = scene.axes[0].simulation
     if simulation is None:
         return "axis is not simulated"
+    if scene.axes[0].environment.own is not None:
+        return f"environment {scene.axes[0].environment.name} is own code"
     return _why_not_moved(simulation, scene.axes[0].passivity.name, scene.axes[0].passivity.own)
 
 
