@@ -126,8 +126,8 @@ GALLERY: Final[tuple[Entry, ...]] = (
         "and damping. No bus could carry the highest rates.",
         (
             "canhaptic sweep configs/demo.yaml --vary environment.stiffness=100:1e5:log:16 "
-            "--vary bus.rate=100:3200:log:6 --controllers unprotected,guarded --duration 4 --beyond-bus --out map.h5",
-            "canhaptic map map.h5 --png map.png",
+            "--vary bus.rate=100:3200:log:6 --controllers unprotected,guarded --duration 4 --beyond-bus --out walls",
+            "canhaptic map walls --png map.png",
         ),
         ("--duration 0.1", ""),
     ),
@@ -139,8 +139,8 @@ GALLERY: Final[tuple[Entry, ...]] = (
             "canhaptic sweep configs/demo.yaml "
             "--set simulation.effects='[{type: coulomb_friction, kinetic: 0.3 N, static: 0.5 N}]' "
             "--vary environment.stiffness=100:1e5:log:16 --vary bus.rate=100:3200:log:6 "
-            "--controllers unprotected,guarded --duration 4 --beyond-bus --out map_stiction.h5",
-            "canhaptic map map_stiction.h5 --png map_stiction.png",
+            "--controllers unprotected,guarded --duration 4 --beyond-bus --out walls_stiction",
+            "canhaptic map walls_stiction --png map_stiction.png",
         ),
         ("--duration 0.1", ""),
     ),

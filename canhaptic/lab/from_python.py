@@ -11,8 +11,8 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from canhaptic.lab.batch.engine import Engine
-from canhaptic.lab.studies.compare import Comparison, compare_displays, compare_groups
-from canhaptic.lab.studies.compare import compare as compare_axes
+from canhaptic.lab.studies.compare import Comparison
+from canhaptic.lab.studies.compare import compare as compare_algorithms
 from canhaptic.scene.models import Scene
 from canhaptic.simulation import load_any
 
@@ -58,18 +58,10 @@ def compare(
     Examples:
         >>> canhaptic.compare("demo", ["unprotected", "guarded"]).result["axes"]["handle"]  # doctest: +SKIP
     """
-    loaded = load_any(scene, changes or {}, allow_code)
-    if all(axis.parameters.admittance is not None for axis in loaded.axes):
-        found: Mapping[str, object] = compare_displays(loaded, algorithms, duration=duration, progress=progress)
-    elif loaded.groups:
-        computes: Engine = "python" if over_can else engine
-        found = compare_groups(loaded, algorithms, duration=duration, progress=progress, engine=computes)
-    else:
-        return compare_axes(
-            loaded, algorithms, duration=duration, rate=rate, over_can=over_can, engine=engine, repeats=repeats,
-            progress=progress,
-        )  # fmt: skip
-    return Comparison(dict(found), (), loaded.bus.sample_time)
+    return compare_algorithms(
+        load_any(scene, changes or {}, allow_code), algorithms, duration=duration, rate=rate, over_can=over_can,
+        engine=engine, repeats=repeats, progress=progress,
+    )  # fmt: skip
 
 
 def sweep(
@@ -89,13 +81,13 @@ def sweep(
     Args:
         scene: A scene file, a mapping with its keys, or a loaded scene; with simulated drives.
         vary: Values of each key by its path, in SI or as texts; or texts as for `canhaptic sweep --vary`.
-        out: File (HDF5) that keeps the sweep, for `canhaptic map` or for `resume=True`; None: it is not kept.
+        out: Folder that keeps the sweep, for `canhaptic map` or for `resume=True`; None: it is not kept.
         changes: Values of the scene to replace, as for `simulate`.
         allow_code: Whether program files that the scene names may run.
         options: As for the command: controllers, samples, seed, duration, cycles, metrics, engine, resume, force.
 
     Raises:
-        InputError: Bad input, or a file that exists already.
+        InputError: Bad input, or a folder with a sweep.
 
     Examples:
         >>> canhaptic.sweep("demo", {"environment.damping": [0, 5, 10]}, duration=2.0)  # doctest: +SKIP
@@ -107,10 +99,10 @@ def sweep(
     loaded = load_any(scene, changes or {}, allow_code)
     varied = [listed(key, values) for key, values in vary.items()] if isinstance(vary, Mapping) else list(vary)
     with TemporaryDirectory(prefix="canhaptic-sweep-") as folder:
-        path = Path(folder) / "sweep.h5" if out is None else Path(out)
+        path = Path(folder) / "sweep" if out is None else Path(out)
         run_sweep(loaded, varied, path, allow_code=allow_code, **options)
         with SweepTable(path) as table:
-            found = table.columns(0, len(table))
+            found = table.points.columns(0, len(table))
             for axis in table.axes:
                 found |= {f"{axis}.{metric}": table.figure(axis, metric) for metric in table.metrics}
     return found

@@ -62,10 +62,10 @@ def test_a_sweep_returns_one_value_per_scene_and_keeps_a_file_only_where_asked(t
     found = canhaptic.sweep("demo", vary, duration=0.05, engine="python")
     assert list(found["environment.stiffness"]) == [100.0, 1000.0]
     assert len(found["handle.least_interaction"]) == 2
-    kept = canhaptic.sweep("demo", vary, tmp_path / "kept.h5", duration=0.05, engine="python")
+    kept = canhaptic.sweep("demo", vary, tmp_path / "kept", duration=0.05, engine="python")
     assert list(kept["handle.travel"]) == list(found["handle.travel"])
-    with pytest.raises(InputError, match=r"kept\.h5"):
-        canhaptic.sweep("demo", vary, tmp_path / "kept.h5", duration=0.05, engine="python")
+    with pytest.raises(InputError, match="kept already exists"):
+        canhaptic.sweep("demo", vary, tmp_path / "kept", duration=0.05, engine="python")
 
 
 @pytest.mark.slow

@@ -78,11 +78,24 @@ def test_figures_of_a_plant_that_is_not_exact_come_with_its_error(tmp_path: Path
     words = [str(path), "--set", f"simulation.effects=[{LUGRE}]", "--duration", "0.05"]
     assert main(["compare", *words, "--algorithms", "unprotected"]) == 0
     assert "plant of handle: not exact, estimated error" in capfd.readouterr().err
-    table = str(tmp_path / "sweep.h5")
-    assert main(["sweep", *words, "--vary", "environment.stiffness=100,200", "--out", table, "--json"]) == 0
+    table = str(tmp_path / "sweep")
+    assert main(["sweep", *words, "--vary", "environment.stiffness=100,150,200", "--out", table, "--json"]) == 0
     captured = capfd.readouterr()
     json.loads(captured.out)
-    assert "plant of handle: not exact" in captured.err
-    assert "of the scenes that vary ERROR NOT KNOWN" in captured.err
+    for stiffness in ("100", "200"):
+        assert f"with environment.stiffness={stiffness}: plant of handle: not exact, estimated error" in captured.err
+    assert "environment.stiffness=150" not in captured.err
+    assert "of 1 other scenes ERROR NOT KNOWN" in captured.err
     assert main(["map", table, "--json"]) in (0, 2)
-    assert "of the scenes that vary ERROR NOT KNOWN" in capfd.readouterr().err
+    assert "with environment.stiffness=200: plant of handle: not exact, estimated error" in capfd.readouterr().err
+
+
+def test_a_sweep_over_plants_tells_the_error_of_each_that_is_not_exact(
+    tmp_path: Path, capfd: pytest.CaptureFixture
+) -> None:
+    words = ["sweep", str(scene_file(tmp_path)), "--duration", "0.05", "--json"]
+    vary = ["--vary", f"simulation.effects=[],[{LUGRE}],[]", "--vary", "environment.stiffness=100:200:3"]
+    assert main([*words, *vary]) == 0
+    told = [line for line in capfd.readouterr().err.splitlines() if "plant of handle" in line]
+    assert len(told) == 2
+    assert all("lugre" in line and "estimated error" in line for line in told)

@@ -4,15 +4,41 @@ Only the time of a step depends on the speed of the machine. Finished cases are 
 """
 
 import os
-from typing import Final
+from collections.abc import Mapping
+from typing import Any, Final
 
 from canhaptic.lab.render.arena_picture import pictures_of
-from canhaptic.lab.studies.arena import ArenaPlan, ArenaStore, result_rows, run_arena, scenes_named
-from canhaptic.lab.studies.sweep.run_sweep import Pool
+from canhaptic.lab.studies.arena import COLUMNS, ArenaPlan, ArenaStore, run_arena, scenes_named
+from canhaptic.lab.studies.runner import Pool
 from tools.bench.report import DEFAULT_OUT, Row, picture_place, publish, write_result
 
 _PACKAGES: Final = ("canhaptic", "numpy", "numba")
 _RECORDED: Final = ("scenes", "rates", "delays", "given_out", "borders", "theory", "impedance", "m_width")
+
+
+AT_DAMPING: Final = 10.0
+"""Whose borders are rows of the result [N*s/m]."""
+
+
+def result_rows(found: Mapping[str, Any]) -> list[tuple[str, float, str]]:
+    """Returns an arena as (name, value, unit), for a file of results."""
+    rows = [
+        (f"{row['algorithm']}: {column.what}", row[key], column.unit)
+        for key, column in COLUMNS.items()
+        for row in found["standings"]
+        if row[key] is not None
+    ]
+    for name, places in found["ranks"].items():
+        rows += [(f"rank of {name}: {COLUMNS[key].what}", float(rank), "1") for key, rank in places.items()]
+    for border in (border for border in found.get("borders", ()) if border["damping"] == AT_DAMPING):
+        late = ", one sample late" if border["delay"] else ""
+        where = f"wall of {border['damping']:g} N*s/m{late}"
+        rows += [
+            (f"{border['algorithm']}: stiffest {word} {where}", border[key], "N/m")
+            for key, word in (("passive", "passive"), ("near", "passive and near"))
+        ]
+    rows += [(f"{name}: time of a step", time, "us") for name, time in found.get("time_of_step", {}).items()]
+    return rows
 
 
 def main() -> None:
@@ -20,7 +46,7 @@ def main() -> None:
     pool = Pool(os.cpu_count() or 1)
     try:
         plan = ArenaPlan(tuple(scenes_named(None)))
-        found = run_arena(plan, ArenaStore(DEFAULT_OUT / "arena" / "cases.jsonl"), pool.executor)
+        found = run_arena(plan, ArenaStore(DEFAULT_OUT / "arena" / "cases"), pool)
     finally:
         pool.close()
     assert found is not None  # nothing asks it to stop

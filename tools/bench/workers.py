@@ -12,8 +12,8 @@ from pathlib import Path
 from time import perf_counter
 
 from canhaptic.drive.clock import WallClock
+from canhaptic.lab.studies.runner import Pool
 from canhaptic.lab.studies.sweep import sweep
-from canhaptic.lab.studies.sweep.run_sweep import Pool
 from canhaptic.scene.load import load_scene
 from tools.bench.demo import CONFIG
 from tools.bench.report import Row, publish
@@ -55,7 +55,7 @@ def main() -> None:
     load = load_at_rest()
     pools = {1: Pool(1), 2: Pool(2)}
     with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "sweep.h5"
+        out = Path(folder) / "sweep"
         for pool in pools.values():
             seconds(pool, out)
         times = {workers: float("inf") for workers in pools}
@@ -80,7 +80,7 @@ def main() -> None:
         Row("one worker", cycles / times[1] * 1e-6, "M cycles/s"),
         Row("two workers", cycles / times[2] * 1e-6, "M cycles/s"),
     ]
-    publish("workers", rows, ["numpy", "h5py"])
+    publish("workers", rows, ["numpy"])
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 import argparse
 import json
 import os
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,12 +13,12 @@ from canhaptic.lab.commands.scene_progress import scene_progress
 from canhaptic.lab.render.arena_page import write_arena_page
 from canhaptic.lab.render.arena_picture import pictures_of
 from canhaptic.lab.studies.arena import ArenaPlan, ArenaStore, run_arena, scenes_named
-from canhaptic.lab.studies.sweep.run_sweep import Pool
+from canhaptic.lab.studies.runner import pool_of
 from canhaptic.view.picture_style import require_matplotlib
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.table import Table
 
-STORE: Final = "cases.jsonl"
+STORE: Final = "cases"
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -32,16 +31,9 @@ def execute(arguments: argparse.Namespace) -> int:
     plan, out = _plan(arguments), arguments.out
     plan.check()
     store = ArenaStore(out / STORE, force=arguments.force)
-    with ExitStack() as stack:
-        stop = stack.enter_context(StopSignal())
-        executor = None
-        workers = arguments.workers or os.cpu_count() or 1
-        if workers > 1:
-            pool = Pool(workers)
-            stack.callback(pool.close)
-            executor = pool.executor
-        progress = stack.enter_context(scene_progress("cases"))
-        found = run_arena(plan, store, executor, progress, stop.requested)
+    workers = arguments.workers or os.cpu_count() or 1
+    with store, StopSignal() as stop, pool_of(workers) as pool, scene_progress("cases") as progress:
+        found = run_arena(plan, store, pool, progress, stop.requested)
     if found is None or stop.requested():
         write_note(f"  stopped     finished work is kept in {out / STORE}; the same command continues")
         return stop.exit_status

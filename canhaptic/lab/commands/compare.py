@@ -1,14 +1,12 @@
 """`canhaptic compare CONFIG`: every passivity algorithm on one scene, compared with the continuous environment."""
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 
 from canhaptic.cli.options import check_picture, scene_of
 from canhaptic.cli.output import note_file, write_json, write_note
 from canhaptic.errors import InputError
-from canhaptic.lab.loop.axis_loop import chosen_algorithms, cycles_of, own_algorithms
-from canhaptic.lab.studies.compare import compare
+from canhaptic.lab.loop.axis_loop import cycles_of
+from canhaptic.lab.studies.compare import are_displays, compare, compared_algorithms
 from canhaptic.scene.method import plant_errors
 from canhaptic.scene.models import Scene
 from canhaptic.view.run_lines import make_console
@@ -24,27 +22,24 @@ def execute(arguments: argparse.Namespace) -> int:
     scene = scene_of(arguments)
     for line in plant_errors(scene):
         write_note(f"  {line}")
-    if all(axis.parameters.admittance is not None for axis in scene.axes):
-        return _compare_displays(scene, arguments)
-    if scene.groups:
-        return _compare_groups(scene, arguments)
-    algorithms = chosen_algorithms(arguments.algorithms, own_algorithms(scene))
     if arguments.png is not None:
+        _require_picture(scene)
         check_picture(arguments.png)
-    total = cycles_of(scene, arguments.duration) * len(algorithms) * len(scene.axes)
-    if arguments.rate is not None:
-        total = round(total * arguments.rate * scene.bus.sample_time)
+    algorithms = compared_algorithms(scene, arguments.algorithms)
+    total = cycles_of(scene, arguments.duration) * len(algorithms)
+    if not scene.groups and not are_displays(scene):
+        total = round(total * len(scene.axes) * (arguments.rate or scene.bus.rate) * scene.bus.sample_time)
     with run_progress(total, scene.bus.sample_time, "free") as progress:
         comparison = compare(
-            scene,
-            algorithms,
-            duration=arguments.duration,
-            rate=arguments.rate,
-            over_can=arguments.can,
-            engine=arguments.engine,
-            progress=progress,
-        )
-    _print(comparison.result, arguments)
+            scene, algorithms, duration=arguments.duration, rate=arguments.rate, over_can=arguments.can,
+            engine=arguments.engine, progress=progress,
+        )  # fmt: skip
+    if arguments.json:
+        write_json(comparison.result)
+    else:
+        from canhaptic.lab.render.compare_table import comparison_report
+
+        make_console().print(comparison_report(comparison.result))
     if arguments.png is not None:
         from canhaptic.lab.render.compare_picture import draw_comparison
 
@@ -53,47 +48,13 @@ def execute(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _compare_displays(scene: Scene, arguments: argparse.Namespace) -> int:
-    from canhaptic.lab.studies.compare import compare_displays, display_algorithms
+def _require_picture(scene: Scene) -> None:
+    """Refuse a picture of what has no continuous run.
 
-    if arguments.rate is not None or arguments.png is not None:
-        raise InputError("--rate, --png: for impedance displays; for admittance displays use --set bus.rate=...")
-    return _over_can(scene, arguments, display_algorithms, compare_displays)
-
-
-def _compare_groups(scene: Scene, arguments: argparse.Namespace) -> int:
-    from canhaptic.lab.studies.compare import compare_groups, group_algorithms
-
-    if not all(axis.group for axis in scene.axes):
-        alone = ", ".join(axis.parameters.name for axis in scene.axes if not axis.group)
-        raise InputError(
-            f"{scene.source}: has groups and axes that render by themselves ({alone}); make a scene of each"
-        )
-    if arguments.rate is not None:
-        raise InputError("--rate: changes the loop of one axis without a bus; for groups use --set bus.rate=...")
-    if arguments.png is not None:
+    Raises:
+        InputError: The scene has admittance displays or groups.
+    """
+    if are_displays(scene):
+        raise InputError("--png: for impedance displays; draw an admittance display with canhaptic run --png")
+    if scene.groups:
         raise InputError("--png: draws axes with their continuous run; draw a group with canhaptic run --png")
-    compared = partial(compare_groups, engine="python" if arguments.can else arguments.engine)
-    return _over_can(scene, arguments, group_algorithms, compared)
-
-
-def _over_can(
-    scene: Scene,
-    arguments: argparse.Namespace,
-    names_of: Callable[[Sequence[str] | None], list[str]],
-    compared: Callable[..., Mapping[str, object]],
-) -> int:
-    total = cycles_of(scene, arguments.duration) * len(names_of(arguments.algorithms))
-    with run_progress(total, scene.bus.sample_time, "free") as progress:
-        result = compared(scene, arguments.algorithms, duration=arguments.duration, progress=progress)
-    _print(result, arguments)
-    return 0
-
-
-def _print(result: Mapping[str, object], arguments: argparse.Namespace) -> None:
-    if arguments.json:
-        write_json(result)
-        return
-    from canhaptic.lab.render.compare_table import comparison_report
-
-    make_console().print(comparison_report(result))

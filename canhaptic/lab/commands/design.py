@@ -7,7 +7,7 @@ from canhaptic.cli.output import write_json, write_note
 from canhaptic.lab.commands.scene_progress import scene_progress
 from canhaptic.lab.render.design_report import design_report, snippet
 from canhaptic.lab.studies.design.wall import design_wall
-from canhaptic.lab.studies.sweep.run_sweep import Progress
+from canhaptic.lab.studies.runner import Progress
 from canhaptic.scene.method import plant_errors
 from canhaptic.scene.models import Scene
 from canhaptic.view.run_lines import make_console

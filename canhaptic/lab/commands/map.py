@@ -1,4 +1,4 @@
-"""`canhaptic map FILE.h5`: largest wall stiffness, its rendered part, and the borders of theory."""
+"""`canhaptic map FOLDER`: largest wall stiffness, its rendered part, and the borders of theory."""
 
 import argparse
 
@@ -6,7 +6,6 @@ from canhaptic.cli.options import check_page, check_picture
 from canhaptic.cli.output import note_file, write_json, write_line, write_note
 from canhaptic.lab.studies.map import Chosen, Lines, Panel, fields_of, panels_of, passing_share, usual_judgement
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
-from canhaptic.logs.repair import require_readable
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -19,14 +18,13 @@ def execute(arguments: argparse.Namespace) -> int:
         check_picture(arguments.png)
     if arguments.html is not None:
         check_page(arguments.html)
-    require_readable(arguments.file)
     with SweepTable(arguments.file) as table:
         fields = fields_of(table, arguments.axis, allow_code=arguments.allow_code)
         chosen = Chosen(arguments.x, arguments.y, arguments.metric, arguments.by)
         columns = panels_of(fields, chosen)
         caption = f"{table.note('source')}   {'  '.join(entry['given'] for entry in table.identity['varied'])}"
         for line in table.note("plant_errors").splitlines():
-            write_note(f"  {line}; of the scenes that vary ERROR NOT KNOWN")
+            write_note(f"  {line}")
         shares = {one.algorithm: passing_share(one, arguments.by or usual_judgement(one)) for one in fields}
     if arguments.json:
         write_json({"file": str(arguments.file), "passing": shares, "lines": _lines(columns)})

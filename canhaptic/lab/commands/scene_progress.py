@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from canhaptic.drive.clock import WallClock
-from canhaptic.lab.studies.sweep.run_sweep import Progress as Scenes
+from canhaptic.lab.studies.runner import Progress as Scenes
 
 _NOTE: Final = "compiling the loop, once for this kind of scene, about 15 s"
 

@@ -411,7 +411,7 @@ PLANT_OF: Final = {"moving_mass": "mass", "device_damping": "damping", "device_d
 """Property of the loop -> parameter of the simulated plant that is its true value."""
 
 
-class _AbleAxis(NamedTuple):
+class AbleAxis(NamedTuple):
     """An axis completed with the properties that its algorithm needs."""
 
     axis: AxisScene
@@ -494,21 +494,21 @@ def _with_defaults(name: str, model: type[Parameters], remedy: str) -> Component
         raise ParameterError(f"{name}: needs parameters that the scene does not give; {remedy}") from error
 
 
-def _with_known_plant(axis: AxisScene) -> _AbleAxis:
+def _with_known_plant(axis: AxisScene) -> AbleAxis:
     """An axis with undeclared properties of its algorithm taken from the simulated plant."""
     plant = simulation_of(axis).plant
     from_plant = tuple(key for key in PLANT_OF if getattr(axis.loop, key) is None)
     values = {key: getattr(plant, PLANT_OF[key]) for key in from_plant}
-    return _AbleAxis(replace(axis, loop=axis.loop.model_copy(update=values)), from_plant)
+    return AbleAxis(replace(axis, loop=axis.loop.model_copy(update=values)), from_plant)
 
 
-def able_under(axis: AxisScene, name: str, scene: Scene) -> _AbleAxis:
+def able_under(axis: AxisScene, name: str, scene: Scene) -> AbleAxis:
     """An axis under an algorithm; where properties that it needs are undeclared, they are taken from the plant.
 
     Raises:
         ParameterError: It cannot be built even so.
     """
-    chosen = _AbleAxis(with_algorithm(axis, name))
+    chosen = AbleAxis(with_algorithm(axis, name))
     try:
         loop_case(chosen.axis, scene).controller()
     except ParameterError:

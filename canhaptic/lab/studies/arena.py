@@ -10,20 +10,17 @@ one hand moves in and out of the wall. So an algorithm may pass above Colgate's 
 
 One row per algorithm: its figures over all cases, its rank in each, and where it gives out energy.
 
-Finished cases of an arena on disk, one per line: an arena that was stopped continues where it was.
-
-The store of a sweep does not fit: its columns are the figures of one scene, fixed before it begins. A case is
+Finished cases of an arena on disk, a chunk each: an arena that was stopped continues where it was. A case is
 identified by its scene, rate, delay, algorithm and duration, and by the code that made it: all of the package that
-computes, and the file of a user-defined algorithm. A line cut off by a kill is ignored.
+computes, and the file of a user-defined algorithm.
 
 The whole arena: cases to workers, finished ones to the store as they arrive, then the rig, then the ranking.
 """
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib.metadata import version
@@ -38,7 +35,6 @@ from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.input_file import read_regular, shipped
 from canhaptic.lab.batch import run_batch, run_scalar, scene_with, why_not_batchable
-from canhaptic.lab.batch.continuous import continuous_reference
 from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.figures.field_figures import (
     asked_impedance,
@@ -64,13 +60,14 @@ from canhaptic.lab.loop.axis_loop import (
     environment_of,
     loop_case,
     microseconds_per_step,
-    plant_parts,
     require_single_axes,
 )
 from canhaptic.lab.reference import ContinuousReference
 from canhaptic.lab.studies import Row
+from canhaptic.lab.studies.compare import reference_of
 from canhaptic.lab.studies.map import theory_of
-from canhaptic.lab.studies.sweep.run_sweep import Progress, SerialExecutor
+from canhaptic.lab.studies.runner import Count, Job, Pool, Progress, run_jobs
+from canhaptic.lab.studies.store import Store, create_store
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import MAX_BYTES, load_scene, scene_from_text
 from canhaptic.scene.models import Scene
@@ -187,7 +184,7 @@ def group_figures(group: CaseGroup, known: Iterable[tuple[int, str]] = ()) -> li
         return []
     plain = load_scene(group.path, allow_code=group.allow_code)
     cycles = cycles_of(at_rate(plain, group.rate), min(group.longest, plain.run.duration or group.longest))
-    reference = _reference_of(at_rate(plain, group.rate), cycles)
+    reference, _ = reference_of(plain.axes[0], at_rate(plain, group.rate), cycles)
     found = []
     for delay, name in asked:
         case = {"scene": group.path.stem, "rate": group.rate, "delay": delay, "algorithm": label_of(name)}
@@ -198,16 +195,6 @@ def group_figures(group: CaseGroup, known: Iterable[tuple[int, str]] = ()) -> li
         except ParameterError as error:
             found.append(case | {"status": "refused", "remark": str(error).splitlines()[0]})
     return found
-
-
-def _reference_of(scene: Scene, cycles: int) -> ContinuousReference | None:
-    """Return the continuous run of a scene; None where there is none."""
-    [axis] = scene.axes
-    plant, user, effects, _ = plant_parts(axis)
-    try:
-        return continuous_reference(environment_of(axis), plant, user, effects, scene.bus.sample_time_ns, cycles)
-    except InputError:
-        return None
 
 
 def _figures_of(scene: Scene, cycles: int, reference: ContinuousReference | None) -> Row:
@@ -390,10 +377,6 @@ def mass_widths(rig: Path) -> Rows:
     return found
 
 
-AT_DAMPING: Final = 10.0
-"""Whose borders are rows of a result [N*s/m]."""
-
-
 class Column(NamedTuple):
     """One figure of the table."""
 
@@ -480,97 +463,57 @@ def given_out(algorithms: Sequence[str], cases: Sequence[Row]) -> dict[str, dict
     return found
 
 
-def result_rows(found: Mapping[str, Any]) -> list[tuple[str, float, str]]:
-    """Return an arena as (name, value, unit), for a file of results."""
-    rows = [
-        (f"{row['algorithm']}: {column.what}", row[key], column.unit)
-        for key, column in COLUMNS.items()
-        for row in found["standings"]
-        if row[key] is not None
-    ]
-    for name, places in found["ranks"].items():
-        rows += [(f"rank of {name}: {COLUMNS[key].what}", float(rank), "1") for key, rank in places.items()]
-    for border in (border for border in found.get("borders", ()) if border["damping"] == AT_DAMPING):
-        late = ", one sample late" if border["delay"] else ""
-        where = f"wall of {border['damping']:g} N*s/m{late}"
-        rows += [
-            (f"{border['algorithm']}: stiffest {word} {where}", border[key], "N/m")
-            for key, word in (("passive", "passive"), ("near", "passive and near"))
-        ]
-    rows += [(f"{name}: time of a step", time, "us") for name, time in found.get("time_of_step", {}).items()]
-    return rows
-
-
-_LARGEST: Final = 100_000_000  # [B], of the store, and of the files that a case is made of
-_COMPUTES: Final = ("control", "kernels", "scene", "sim", "study")
+_KIND: Final = "arena"
+_LARGEST: Final = 100_000_000  # [B], of the files that a case is made of
+_COMPUTES: Final = ("control", "kernels", "scene", "sim", "lab")
 """Folders of the package whose code decides what a case gives."""
 
 
-class ArenaStore:
-    """The file of finished cases.
+class ArenaStore(Store):
+    """The finished cases of an arena.
 
     Args:
-        path: Path of the file; created with its folder if need be.
+        folder: Folder of the store; created if need be.
         force: Whether to start afresh.
 
     Raises:
-        InputError: It cannot be read or made.
+        CanHapticError: It cannot be read or made.
     """
 
-    def __init__(self, path: Path, *, force: bool = False) -> None:
-        self._path = path
-        self._known: dict[str, Row] = {}
+    def __init__(self, folder: Path, *, force: bool = False) -> None:
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            if force:
-                path.unlink(missing_ok=True)
-            text = read_regular(path, _LARGEST).decode("utf-8") if path.exists() else ""
-            if text and not text.endswith("\n"):
-                self._write("\n")  # what follows is not to be added to a line that a kill cut off
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"{path}: cannot be used as the store of an arena ({error}); name another") from error
-        for line in text.splitlines():
-            self._take(line)
-
-    def _take(self, line: str) -> None:
-        try:
-            kept = json.loads(line)
-            self._known[kept["key"]] = kept["case"]
-        except (ValueError, KeyError, TypeError):
-            return  # cut off by a kill: the case runs again
+            folder.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{folder.parent}: cannot be made ({error.strerror}); name another --out") from error
+        if force or not folder.exists():
+            create_store(folder, _KIND, {}, replace=force)
+        super().__init__(folder, _KIND, writable=True)
 
     def finished(self, group: CaseGroup) -> list[Row]:
         """Return the stored cases of a group."""
-        keys = (_key(group, delay, name) for delay in group.delays for name in group.algorithms)
-        return [self._known[key] for key in keys if key in self._known]
+        names = (_key(group, delay, name) for delay in group.delays for name in group.algorithms)
+        return [self._read(name) for name in names if name in self.chunks]
+
+    def _read(self, name: str) -> Row:
+        case: Row = json.loads((self.folder / name).read_text(encoding="utf-8"))
+        return case
 
     def add(self, group: CaseGroup, found: Iterable[Row]) -> None:
         """Store the figures of cases of a group; all of them are on disk on return.
 
         Raises:
-            InputError: The file cannot be written.
+            LogWriteError: The folder cannot be written.
         """
-        lines, references = "", {label_of(name): name for name in group.algorithms}
+        references = {label_of(name): name for name in group.algorithms}
         for case in found:
-            key = _key(group, case["delay"], references[case["algorithm"]])
-            self._known[key] = case
-            lines += json.dumps({"key": key, "case": case}) + "\n"
-        try:
-            self._write(lines)
-        except OSError as error:
-            raise InputError(f"{self._path}: cannot be written ({error}); make room, or name another --out") from error
-
-    def _write(self, lines: str) -> None:
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(lines)
-            file.flush()
-            os.fsync(file.fileno())
+            name = _key(group, case["delay"], references[case["algorithm"]])
+            self.write(name, json.dumps(case).encode())
 
 
 def _key(group: CaseGroup, delay: int, algorithm: str) -> str:
     own = _hash_of(Path(algorithm.rpartition(":")[0])) if is_own(algorithm) else ""
     parts: list[Any] = [_hash_of(group.path), group.rate, delay, algorithm, own, group.longest, code_hash()]
-    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32] + ".json"
 
 
 def _hash_of(path: Path) -> str:
@@ -591,9 +534,6 @@ DELAYS: Final = (0, 1)
 LONGEST: Final = 2.0  # [s] of one run
 PER_DECADE: Final = 12
 """Stiffnesses in a decade of the K-B plot."""
-_FEW: Final = 4
-"""Groups under way at once."""
-_LOOK: Final = 0.2  # [s] between two looks at a request to stop
 
 
 @dataclass(frozen=True, slots=True)
@@ -655,7 +595,7 @@ class ArenaPlan:
 def run_arena(
     plan: ArenaPlan,
     store: ArenaStore,
-    executor: Executor | None = None,
+    executor: Executor | Pool | None = None,
     progress: Callable[[Progress], None] = lambda _: None,
     stop_requested: Callable[[], bool] = lambda: False,
 ) -> Row | None:
@@ -673,7 +613,11 @@ def run_arena(
     """
     plan.check()
     groups = plan.groups()
-    if not _run_cases(groups, store, executor, progress, stop_requested):
+    known = {group: store.finished(group) for group in groups}
+    total = sum(len(group.delays) * len(group.algorithms) for group in groups)
+    count = Count(total, sum(map(len, known.values())), progress)
+    run_jobs([_job(group, of, store, count) for group, of in known.items()], executor, stop_requested, store.folder)
+    if count.state.done < total:
         return None
     cases = [case for group in groups for case in store.finished(group)]
     found: Row = {
@@ -692,34 +636,16 @@ def run_arena(
     return found | (_of_rig(plan, stop_requested) if plan.per_decade else {})
 
 
-def _run_cases(
-    groups: Sequence[CaseGroup],
-    store: ArenaStore,
-    executor: Executor | None,
-    progress: Callable[[Progress], None],
-    stop_requested: Callable[[], bool],
-) -> bool:
-    """Run what is not in the store; return whether all is."""
-    total = sum(len(group.delays) * len(group.algorithms) for group in groups)
-    done = begun = sum(len(store.finished(group)) for group in groups)
-    progress(Progress(done, total, begun))
-    under_way: dict[Future[list[Row]], CaseGroup] = {}
-    waiting, at_once = list(groups), 1 if executor is None else _FEW
-    executor = executor or SerialExecutor()
-    while (waiting or under_way) and not stop_requested():
-        while waiting and len(under_way) < at_once:
-            group = waiting.pop(0)
-            known = [(case["delay"], case["algorithm"]) for case in store.finished(group)]
-            under_way[executor.submit(group_figures, group, known)] = group
-        ready, _ = wait(under_way, timeout=_LOOK, return_when=FIRST_COMPLETED)
-        for future in ready:
-            found = future.result()
-            store.add(under_way.pop(future), found)
-            done += len(found)
-            progress(Progress(done, total, begun))
-    for future in under_way:
-        future.cancel()
-    return not (waiting or under_way)
+def _job(group: CaseGroup, finished: Sequence[Row], store: ArenaStore, count: Count) -> Job:
+    """Return the job that runs what of a group is not in the store."""
+
+    def take(found: Sequence[Row]) -> None:
+        store.add(group, found)
+        count.add(len(found))
+
+    known = [(case["delay"], case["algorithm"]) for case in finished]
+    what = f"{group.path.stem} at {group.rate:g} Hz"
+    return Job(what, group_figures, lambda: (group, known), take)
 
 
 def _of_rig(plan: ArenaPlan, stop_requested: Callable[[], bool]) -> Row:

@@ -1,27 +1,20 @@
-"""Every algorithm on one scene: axes, displays and groups.
+"""Every algorithm on one scene: its axes, admittance displays or groups, judged by the plant's own energies.
 
-Every algorithm on one scene, next to the continuous environment, judged by the plant's own energies.
-
-    user + plant -> continuous environment        the reference: no sampling, no encoder, no limit of the torque
+    user + plant -> continuous environment        the reference of an axis: no sampling, encoder or limit
     user + plant -> encoder -> algorithm -> delay -> torque quantum and limit -> plant        once per algorithm
 
-Without a bus by default (`DirectRig`: the same floats, a tenth of the time), compiled, or over the whole CAN path.
-
-Every algorithm on the admittance displays of one scene, over its simulated drives: accounts and true energies.
-
-Every group algorithm on one scene: the accounts of its groups, and the true energies.
-
-Over its simulated drives, or compiled without a bus. There is no continuous reference: the effect of a group on its
-network is judged by the plant's own energies alone.
+Axes run without a bus by default (`DirectRig`: the same floats, a tenth of the time), compiled, or over the whole CAN
+path. Displays run over their simulated drives, groups too, or compiled without a bus; neither has a continuous
+reference.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, TypedDict, cast
+from typing import Final
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
-from canhaptic.control.verdict import PortResult, passive_verdict
+from canhaptic.control.verdict import passive_verdict
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch.continuous import continuous_reference
 from canhaptic.lab.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
@@ -29,7 +22,7 @@ from canhaptic.lab.batch.scalar import render_by, render_group, work_of
 from canhaptic.lab.figures.figures import figures
 from canhaptic.lab.loop.axis_loop import (
     EVERYWHERE,
-    LoopCase,
+    AbleAxis,
     LoopRun,
     Reach,
     able_under,
@@ -47,17 +40,9 @@ from canhaptic.lab.loop.axis_loop import (
     plant_parts,
     require_single_axes,
 )
-from canhaptic.lab.loop.over_can import (
-    Heading,
-    Progress,
-    accounts_over_can,
-    heading_of,
-    known_algorithms,
-    render_over_can,
-)
+from canhaptic.lab.loop.over_can import Progress, accounts_over_can, heading_of, known_algorithms, render_over_can
 from canhaptic.lab.reference import ContinuousReference
 from canhaptic.lab.studies import Row
-from canhaptic.result import TruthResult
 from canhaptic.scene.models import AxisScene, Scene
 
 _BATCH: Final = 64  # cycles between two reports of progress
@@ -75,11 +60,30 @@ class AxisComparison:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Result of a comparison: plain values, and the runs behind them for the picture."""
+    """Result of a comparison: plain values, and the runs of single axes behind them for the picture."""
 
     result: Row
     axes: tuple[AxisComparison, ...]
     sample_time: float
+
+
+def are_displays(scene: Scene) -> bool:
+    """Whether every axis is an admittance display."""
+    return all(axis.parameters.admittance is not None for axis in scene.axes)
+
+
+def compared_algorithms(scene: Scene, algorithms: Sequence[str] | None) -> list[str]:
+    """Return the requested names, each known; for None all algorithms of the scene's axes, displays or groups.
+
+    Raises:
+        ParameterError: One is unknown.
+    """
+    if are_displays(scene):
+        every = DISPLAY_GROUP_ALGORITHMS if all(axis.group for axis in scene.axes) else DISPLAY_ALGORITHMS
+        return known_algorithms(DISPLAY_ALGORITHMS, "admittance algorithm", algorithms or list(every))
+    if scene.groups:
+        return known_algorithms(GROUP_ALGORITHMS, "group algorithm", algorithms)
+    return chosen_algorithms(algorithms, own_algorithms(scene))
 
 
 def compare(
@@ -91,60 +95,55 @@ def compare(
     over_can: bool = False,
     engine: Engine = "python",
     repeats: int = 5,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Comparison:
-    """Return the results of every algorithm on every axis of a scene.
+    """Return the results of every algorithm on every axis, admittance display or group of a scene.
 
     Args:
         scene: Scene with simulated drives.
-        algorithms: Names of `ALGORITHMS`; all of them by default.
+        algorithms: Names of `compared_algorithms`; all of them by default.
         duration: Duration [s]; by default the scene's.
-        rate: Rate that replaces the scene's [Hz], possibly beyond its bus; not over CAN.
+        rate: Rate that replaces the scene's [Hz], possibly beyond its bus; for single axes, not over CAN.
         over_can: Whether the whole CAN path is used instead of `DirectRig`.
         engine: Engine without a bus: "python" gives the bits of the path over CAN, "numba" differs by rounding and
             saves time on stiff plants and long runs, "auto" takes it where it is worthwhile.
-        repeats: Interleaved timings of a step, of which the minimum counts; 0 for none.
+        repeats: Interleaved timings of a step of a single axis, of which the minimum counts; 0 for none.
         progress: Called with the number of cycles done so far, of all runs together.
 
     Raises:
-        InputError: Nothing is simulated, an unknown algorithm, or a rate over CAN.
+        InputError: Nothing is simulated, an unknown algorithm, axes of several kinds, or a rate over CAN.
     """
-    names = chosen_algorithms(algorithms, own_algorithms(scene))
-    _require_comparable(scene)
+    names, displays = compared_algorithms(scene, algorithms), are_displays(scene)
     if rate is not None:
-        if over_can:
-            raise InputError("--rate: changes the loop without a bus; with --can, use --set bus.rate=...")
+        _require_rate(scene, displays=displays, over_can=over_can)
         scene = at_rate(scene, rate)
     cycles = cycles_of(scene, duration)
-    counter = _Counter(progress)
-    references = [_reference(axis, scene.bus.sample_time_ns, cycles) for axis in scene.axes]
+    if displays:
+        return Comparison(_of_displays(scene, names, cycles, progress), (), scene.bus.sample_time)
+    if scene.groups:
+        computes: Engine = "python" if over_can else engine
+        return Comparison(_of_groups(scene, names, cycles, computes, progress), (), scene.bus.sample_time)
+    return _of_axes(scene, names, cycles, _Counter(progress), None if over_can else engine, repeats)
+
+
+def _require_rate(scene: Scene, *, displays: bool, over_can: bool) -> None:
+    """Refuse another rate than that of the scene.
+
+    Raises:
+        InputError: The drives of the runs have that of the scene.
+    """
+    if displays:
+        raise InputError("--rate: for impedance displays; for admittance displays use --set bus.rate=...")
+    if scene.groups:
+        raise InputError("--rate: changes the loop of one axis without a bus; for groups use --set bus.rate=...")
     if over_can:
-        runs, remarks = _over_can(scene, names, cycles, counter)
-    else:
-        runs, remarks = _direct(scene, names, cycles, references, counter, engine)
-    cost = _cost(scene, runs, repeats)
-    axes = tuple(
-        AxisComparison(axis.parameters.name, axis.parameters.unit, reference, run)
-        for axis, (reference, _), run in zip(scene.axes, references, runs, strict=True)
-    )
-    result: Row = {**heading_of(scene, cycles, "can" if over_can else "direct")}
-    result["axes"] = {
-        axis.name: _account(scene, axis, index, references[index][1], names, remarks[index], cost[index])
-        for index, axis in enumerate(axes)
-    }
-    return Comparison(result, axes, scene.bus.sample_time)
-
-
-def _require_comparable(scene: Scene) -> None:
-    require_single_axes(scene, "compare")
-    if not all(axis.simulation is not None for axis in scene.axes):
-        raise InputError(f"{scene.source}: has no `simulation`, expected a plant and a user to compare on; add one")
+        raise InputError("--rate: changes the loop without a bus; with --can, use --set bus.rate=...")
 
 
 class _Counter:
     """Cycles done, reported now and then."""
 
-    def __init__(self, progress: Callable[[int], None] | None) -> None:
+    def __init__(self, progress: Progress | None) -> None:
         self._progress, self._done = progress, 0
 
     def __call__(self) -> None:
@@ -153,97 +152,96 @@ class _Counter:
             self._progress(self._done)
 
 
-_Reference = tuple[ContinuousReference | None, str]
-
-
-def _reference(axis: AxisScene, sample_time_ns: int, cycles: int) -> _Reference:
-    plant, user, effects, _ = plant_parts(axis)
+def reference_of(axis: AxisScene, scene: Scene, cycles: int) -> tuple[ContinuousReference | None, str]:
+    """Return the continuous run of an axis, and how it was found; None and the reason where there is none."""
+    (plant, user, effects, _), period = plant_parts(axis), scene.bus.sample_time_ns
     try:
-        found = continuous_reference(environment_of(axis), plant, user, effects, sample_time_ns, cycles)
+        found = continuous_reference(environment_of(axis), plant, user, effects, period, cycles)
     except InputError as error:
         return None, f"none: {error}"
     return found, found.method
 
 
+_Able = AbleAxis | str
+"""An axis under an algorithm, or why that refuses it."""
+_Tried = tuple[_Able, LoopRun | None]
+
+
+def _able(axis: AxisScene, name: str, scene: Scene) -> _Able:
+    try:
+        return able_under(axis, name, scene)
+    except ParameterError as error:
+        return f"refused: {error}"
+
+
+def _of_axes(
+    scene: Scene, names: Sequence[str], cycles: int, counter: Callable[[], None], engine: Engine | None, repeats: int
+) -> Comparison:
+    """Return the comparison of single axes; by an engine without a bus, or None: over CAN."""
+    require_single_axes(scene, "compare")
+    if not all(axis.simulation is not None for axis in scene.axes):
+        raise InputError(f"{scene.source}: has no `simulation`, expected a plant and a user to compare on; add one")
+    references = [reference_of(axis, scene, cycles) for axis in scene.axes]
+    tried: list[dict[str, _Tried]] = [{} for _ in scene.axes]
+    for name in names:
+        able = [_able(axis, name, scene) for axis in scene.axes]
+        if engine is None:
+            found = _over_can(scene, able, cycles, counter)
+        else:
+            found = [
+                _direct(scene, one, of, cycles, counter, engine) for one, (of, _) in zip(able, references, strict=True)
+            ]
+        for axis, one in zip(tried, found, strict=True):
+            axis[name] = one
+    axes = [_of_axis(scene, *row, repeats) for row in zip(scene.axes, references, tried, strict=True)]
+    result = {**heading_of(scene, cycles, "can" if engine is None else "direct")}
+    accounts = {axis.name: account for axis, account in axes}
+    return Comparison({**result, "axes": accounts}, tuple(axis for axis, _ in axes), scene.bus.sample_time)
+
+
 def _direct(
-    scene: Scene, names: Sequence[str], cycles: int, references: Sequence[_Reference], counter: _Counter, engine: Engine
-) -> tuple[list[dict[str, LoopRun]], list[dict[str, str]]]:
-    runs: list[dict[str, LoopRun]] = []
-    remarks: list[dict[str, str]] = []
-    for axis, (reference, _) in zip(scene.axes, references, strict=True):
-        runs.append({})
-        remarks.append({})
-        for name in names:
-            try:
-                chosen = able_under(axis, name, scene)
-            except ParameterError as error:
-                remarks[-1][name] = f"refused: {error}"
-                continue
-            remarks[-1][name] = chosen.remark
-            reach = EVERYWHERE if reference is None else Reach.around(reference.position)
-            case = loop_case(chosen.axis, scene)
-            computes = chosen_engine(engine, work_of(case, cycles) >= WORTH_COMPILING)
-            runs[-1][name] = render_by(computes, case, cycles, reach, counter)
-    return runs, remarks
+    scene: Scene, able: _Able, reference: ContinuousReference | None, cycles: int, counter: Callable[[], None],
+    engine: Engine,
+) -> _Tried:  # fmt: skip
+    if isinstance(able, str):
+        return able, None
+    reach = EVERYWHERE if reference is None else Reach.around(reference.position)
+    case = loop_case(able.axis, scene)
+    computes = chosen_engine(engine, work_of(case, cycles) >= WORTH_COMPILING)
+    return able, render_by(computes, case, cycles, reach, counter)
 
 
-def _over_can(
-    scene: Scene, names: Sequence[str], cycles: int, counter: _Counter
-) -> tuple[list[dict[str, LoopRun]], list[dict[str, str]]]:
-    runs: list[dict[str, LoopRun]] = [{} for _ in scene.axes]
-    remarks: list[dict[str, str]] = [{} for _ in scene.axes]
-    for name in names:
-        try:
-            built = [able_under(axis, name, scene) for axis in scene.axes]
-        except ParameterError as error:
-            for remark in remarks:
-                remark[name] = f"refused: {error}"
-            continue
-        found = render_over_can(replace(scene, axes=tuple(one.axis for one in built)), cycles, counter)
-        for index, run in enumerate(found):
-            runs[index][name], remarks[index][name] = run, built[index].remark
-    return runs, remarks
+def _over_can(scene: Scene, able: Sequence[_Able], cycles: int, counter: Callable[[], None]) -> list[_Tried]:
+    refused = next((one for one in able if isinstance(one, str)), None)
+    if refused is not None:
+        return [(refused, None)] * len(able)
+    axes = tuple(one.axis for one in able if not isinstance(one, str))
+    return list(zip(able, render_over_can(replace(scene, axes=axes), cycles, counter), strict=True))
 
 
-def _cost(scene: Scene, runs: Sequence[dict[str, LoopRun]], repeats: int) -> list[dict[str, float]]:
-    costs = []
-    for axis, of_axis in zip(scene.axes, runs, strict=True):
-        cases: dict[str, tuple[LoopCase, LoopRun]] = {}
-        for name, run in of_axis.items():
-            cases[name] = loop_case(able_under(axis, name, scene).axis, scene), run
-        costs.append(microseconds_per_step(cases, repeats) if repeats else {})
-    return costs
-
-
-def _account(
-    scene: Scene,
-    axis: AxisComparison,
-    index: int,
-    method: str,
-    names: Sequence[str],
-    remarks: dict[str, str],
-    cost: dict[str, float],
-) -> Row:
-    environment = environment_of(scene.axes[index])
-    accounts: Row = {}
-    for name in names:
-        run = axis.runs.get(name)
-        found = (
-            {}
-            if run is None or not run.position.size
-            else figures(environment, run, axis.reference, scene.bus.sample_time)
-        )
+def _of_axis(
+    scene: Scene, axis: AxisScene, found: tuple[ContinuousReference | None, str], tried: Mapping[str, _Tried],
+    repeats: int,
+) -> tuple[AxisComparison, Row]:  # fmt: skip
+    """Return the runs of one axis, and their account as plain values."""
+    reference, method = found
+    runs = {name: run for name, (_, run) in tried.items() if run is not None}
+    cases = {name: (loop_case(able_under(axis, name, scene).axis, scene), run) for name, run in runs.items()}
+    cost = microseconds_per_step(cases, repeats) if repeats else {}
+    accounts = {}
+    for name, (able, run) in tried.items():
+        remark = able if isinstance(able, str) else able.remark
         accounts[name] = {
             "status": "refused" if run is None else run.ended or "completed",
-            "remark": "; ".join(text for text in (remarks.get(name, ""), "" if run is None else run.reason) if text),
+            "remark": "; ".join(text for text in (remark, "" if run is None else run.reason) if text),
             "engine": None if run is None else run.engine,
-            **found,
+            **(figures(environment_of(axis), run, reference, scene.bus.sample_time)
+               if run is not None and run.position.size else {}),
             "microseconds_per_step": cost.get(name),
-        }
-    reference = axis.reference
-    return {
-        "unit": axis.unit,
-        "environment": scene.axes[index].environment.name,
+        }  # fmt: skip
+    account = {
+        "unit": axis.parameters.unit,
+        "environment": axis.environment.name,
         "reference": {
             "method": method,
             "travel": None if reference is None else reference.travel,
@@ -251,189 +249,83 @@ def _account(
         },
         "algorithms": accounts,
     }
+    return AxisComparison(axis.parameters.name, axis.parameters.unit, reference, runs), account
 
 
-class AdmittanceRunCompared(TypedDict, total=False):
-    """A display under one algorithm; a refused one has only status and remark."""
-
-    status: str
-    remark: str
-    account: PortResult
-    truth: TruthResult
+def _of_displays(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> Row:
+    runs = accounts_over_can(scene, names, cycles, _displays_under, progress)
+    axes = {axis: {name: _of_display(axis, found) for name, found in runs.items()} for axis in parts_of(scene)}
+    return {**heading_of(scene, cycles), "axes": axes}
 
 
-class DisplaysCompared(Heading):
-    """All displays of a scene, by algorithm."""
-
-    axes: dict[str, dict[str, AdmittanceRunCompared]]
-
-
-def display_algorithms(algorithms: Sequence[str] | None) -> list[str]:
-    """Return the requested names; see `known_algorithms`."""
-    return known_algorithms(DISPLAY_ALGORITHMS, "admittance algorithm", algorithms)
-
-
-def compare_displays(
-    scene: Scene,
-    algorithms: Sequence[str] | None = None,
-    *,
-    duration: float | None = None,
-    progress: Callable[[int], None] | None = None,
-) -> DisplaysCompared:
-    """Return the account of every axis, and of every group, under each algorithm, as plain values.
-
-    Args:
-        scene: Scene whose axes are admittance displays, with drives simulated in this process.
-        algorithms: Names of `DISPLAY_ALGORITHMS`; by default all, or all group algorithms if there are only groups.
-        duration: Duration [s]; by default the scene's.
-        progress: Called with the number of cycles done so far, of all runs together.
-
-    Raises:
-        InputError: The drives are not simulated in this process.
-        ParameterError: An unknown algorithm.
-    """
-    names, cycles = display_algorithms(algorithms), cycles_of(scene, duration)
-    if algorithms is None and all(axis.group for axis in scene.axes):
-        names = list(DISPLAY_GROUP_ALGORITHMS)
-    runs = accounts_over_can(scene, names, cycles, _scene_under, progress)
-    axes = list(parts_of(scene))
-    return {
-        **heading_of(scene, cycles),
-        "axes": {axis: {name: _of_axis(axis, found) for name, found in runs.items()} for axis in axes},
-    }
-
-
-def _scene_under(scene: Scene, name: str) -> Scene:
+def _displays_under(scene: Scene, name: str) -> Scene:
     groups = tuple(display_group_under(group, name) for group in scene.groups)
     axes = tuple(axis if axis.group else display_under(axis, name) for axis in scene.axes)
     return replace(scene, axes=axes, groups=groups)
 
 
-def _of_axis(axis: str, found: Mapping[str, Any]) -> AdmittanceRunCompared:
+def _of_display(axis: str, found: Row) -> Row:
     if "ports" not in found:
         return {"status": found["status"], "remark": found["remark"]}
     status = f"{found['status']}: {found['remark']}" if found["remark"] else found["status"]
     return {"status": status, "account": found["ports"][axis], "truth": found["truth"][axis]}
 
 
-class TrueEnergies(TypedDict):
-    """True energies of a group [J]."""
-
-    interaction: float
-    least_interaction: float
-    believed_error: float
-
-
-class ComparedGroup(PortResult, total=False):
-    """The account of a group under one algorithm; a refused one has only the first three fields."""
-
-    status: str
-    remark: str
-    engine: str | None
-    truth: TrueEnergies | None
-
-
-class GroupCompared(TypedDict):
-    """A group under all algorithms."""
-
-    axes: list[str]
-    network: str
-    unit: str
-    algorithms: dict[str, ComparedGroup]
-
-
-class GroupsCompared(Heading):
-    """All groups of a scene."""
-
-    groups: dict[str, GroupCompared]
-
-
-def compare_groups(
-    scene: Scene,
-    algorithms: Sequence[str] | None = None,
-    *,
-    duration: float | None = None,
-    engine: Engine = "python",
-    progress: Callable[[int], None] | None = None,
-) -> GroupsCompared:
-    """Return the accounts of every group of a scene under each algorithm, as plain values.
-
-    Args:
-        scene: Scene with groups, with all drives simulated in this process. Axes outside groups keep their
-            own algorithm.
-        algorithms: Names of `GROUP_ALGORITHMS`; all of them by default.
-        duration: Duration [s]; by default the scene's.
-        engine: "python" uses the whole CAN path, "numba" compiles each group with its motors, without a bus;
-            "auto" compiles where that is worthwhile.
-        progress: Called with the number of cycles done so far, of all runs together.
-
-    Raises:
-        InputError: The drives are not simulated in this process.
-        ParameterError: An unknown algorithm.
-    """
-    names, cycles = group_algorithms(algorithms), cycles_of(scene, duration)
+def _of_groups(scene: Scene, names: Sequence[str], cycles: int, engine: Engine, progress: Progress | None) -> Row:
+    """Return the comparison of groups: over the whole CAN path, or each with its motors compiled without a bus."""
+    if alone := ", ".join(axis.parameters.name for axis in scene.axes if not axis.group):
+        raise InputError(
+            f"{scene.source}: has groups and axes that render by themselves ({alone}); make a scene of each"
+        )
     chosen = chosen_engine(engine, len(names) * len(scene.groups) * cycles >= WORTH_COMPILING_GROUPS)
-    accounts = _groups_over_can if chosen == "python" else _without_bus
+    accounts = _groups_over_can if chosen == "python" else _groups_compiled
     found = accounts(scene, names, cycles, progress)
-    return {
-        **heading_of(scene, cycles, "can" if chosen == "python" else "direct"),
-        "groups": {
-            group.name: {
-                "axes": list(group.axes),
-                "network": group.network.name,
-                "unit": scene.axis(group.axes[0]).parameters.unit,
-                "algorithms": found[group.name],
-            }
-            for group in scene.groups
-        },
+    groups = {
+        group.name: {
+            "axes": list(group.axes),
+            "network": group.network.name,
+            "unit": scene.axis(group.axes[0]).parameters.unit,
+            "algorithms": found[group.name],
+        }
+        for group in scene.groups
     }
-
-
-def group_algorithms(algorithms: Sequence[str] | None) -> list[str]:
-    """Return the requested names; see `known_algorithms`."""
-    return known_algorithms(GROUP_ALGORITHMS, "group algorithm", algorithms)
+    return {**heading_of(scene, cycles, "can" if chosen == "python" else "direct"), "groups": groups}
 
 
 def _groups_under(scene: Scene, name: str) -> Scene:
     return replace(scene, groups=tuple(group_under(group, name) for group in scene.groups))
 
 
-_Accounts = dict[str, dict[str, ComparedGroup]]
-"""By group and algorithm."""
-
-
-def _groups_over_can(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> _Accounts:
+def _groups_over_can(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> dict[str, Row]:
     runs = accounts_over_can(scene, names, cycles, _groups_under, progress)
     return {group.name: {name: _of_group(group.name, found) for name, found in runs.items()} for group in scene.groups}
 
 
-def _of_group(name: str, found: Mapping[str, Any]) -> ComparedGroup:
-    account: ComparedGroup = {"status": found["status"], "remark": found["remark"], "engine": "python"}
+def _of_group(name: str, found: Row) -> Row:
+    account = {"status": found["status"], "remark": found["remark"], "engine": "python"}
     if "ports" in found:
-        account.update(found["ports"][name])
-        account["truth"] = found["truth"].get(name)
+        account |= {**found["ports"][name], "truth": found["truth"].get(name)}
     return account
 
 
-def _without_bus(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> _Accounts:
-    parts, found, done = parts_of(scene), _Accounts(), 0
-    for group in scene.groups:
-        found[group.name] = {}
+def _groups_compiled(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> dict[str, Row]:
+    parts, found, done = parts_of(scene), {group.name: Row() for group in scene.groups}, 0
+    for group, accounts in found.items():
         for name in names:
-            found[group.name][name] = _compiled(parts[group.name], name, cycles)
+            accounts[name] = _compiled(parts[group], name, cycles)
             done += cycles
             if progress is not None:
-                progress(done // len(scene.groups))
+                progress(done // len(found))
     return found
 
 
-def _compiled(scene: Scene, name: str, cycles: int) -> ComparedGroup:
+def _compiled(scene: Scene, name: str, cycles: int) -> Row:
     """Return the account of one group; whether it was passive is what the plant's own energies say."""
     try:
         run = render_group("numba", _groups_under(scene, name), cycles)
     except ParameterError as error:
         return {"status": "refused", "remark": str(error), "engine": None}
-    account = cast("ComparedGroup", run.summary.as_json(scene.bus.sample_time))  # it has the keys of both
+    account: Row = {**run.summary.as_json(scene.bus.sample_time)}
     account["status"], account["engine"] = run.ended or "completed", run.engine
     account["remark"] = "; ".join(text for text in (run.reason, run.engine.partition(": ")[2]) if text)
     account["passive"] = passive_verdict(run.least_interaction)[0]

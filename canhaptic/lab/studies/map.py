@@ -73,17 +73,15 @@ class MapField:
     def __init__(self, table: SweepTable, axis: str, controller: str = "", *, allow_code: bool = False) -> None:
         self._table, self.axis = table, axis
         self.index = table.axes.index(axis)
-        self.is_grid = not table.identity["samples"]
-        varied = table.identity["varied"]
-        names = [str(entry["key"]) for entry in varied]
-        self._rows: Any = slice(None)
-        if controller:
-            self._rows = np.array(table.values(CONTROLLER)) == controller
-        if self.is_grid:
-            self._levels = {key: _levels(table.values(key)) for key in names if key != CONTROLLER}
-        numeric = {str(entry["key"]) for entry in varied if entry["numbers"]}
-        self.keys = [key for key in names if key in numeric and self._is_varied(key)]
-        self.values = {key: self._values(key) for key in self.keys}
+        self.is_grid, varied = not table.points.samples, table.points.varied
+        self._rows: Any = np.array(table.values(CONTROLLER)) == controller if controller else slice(None)
+        self._levels = {one.key: len(one.values) for one in varied if one.key != CONTROLLER}
+        numeric = [one for one in varied if one.is_number and len(one.values) > 1]
+        self.keys = [one.key for one in numeric]
+        self.values = {
+            one.key: np.array(one.values) if self.is_grid else np.asarray(table.values(one.key))[self._rows]
+            for one in numeric
+        }
         self.scene = _scene(table, axis, controller, allow_code)
         self.algorithm = self.scene.axes[0].passivity.name
         self.unit = self.scene.axes[0].parameters.unit
@@ -112,22 +110,13 @@ class MapField:
         """Return one value of a key in words, such as `damping 5 N*s/m`."""
         return f"{key.rpartition('.')[2]} {value:.3g} {_unit_of(self.scene, key)}".rstrip()
 
-    def _is_varied(self, key: str) -> bool:
-        return len(self._levels[key]) > 1 if self.is_grid else len(_levels(self._table.values(key))) > 1
-
-    def _values(self, key: str) -> Array:
-        if self.is_grid:
-            return np.array(self._levels[key])
-        found: Array = np.asarray(self._table.values(key))[self._rows]
-        return found
-
     def _shaped(self, column: NDArray[Any]) -> Any:
         """Return a column of this algorithm; of a grid with the numeric keys first, all others last."""
         rows = column[self._rows]
         if not self.is_grid:
             return rows
         names = list(self._levels)
-        cube = rows.reshape([len(self._levels[key]) for key in names])
+        cube = rows.reshape(list(self._levels.values()))
         order = [names.index(key) for key in self.keys] + [i for i, key in enumerate(names) if key not in self.keys]
         cube = cube.transpose(order)
         return cube.reshape(*cube.shape[: len(self.keys)], -1)
@@ -146,19 +135,14 @@ def fields_of(table: SweepTable, axis: str | None = None, *, allow_code: bool = 
     """
     name = axis or table.axes[0]
     if name not in table.axes:
-        raise InputError(f"{table.path}: has no axis {name!r}, expected one of: {', '.join(table.axes)}")
+        raise InputError(f"{table.folder}: has no axis {name!r}, expected one of: {', '.join(table.axes)}")
     if not table.done().any():
-        raise InputError(f"{table.path}: no chunk is finished yet, there is nothing to draw; let the sweep run on")
+        raise InputError(f"{table.folder}: no chunk is finished yet, there is nothing to draw; let the sweep run on")
     controllers = list(dict.fromkeys(table.values(CONTROLLER))) if CONTROLLER in table.keys else [""]
     fields = [MapField(table, name, str(controller), allow_code=allow_code) for controller in controllers]
     if not fields[0].keys:
-        raise InputError(f"{table.path}: no key with numbers was varied, there is no axis to draw along")
+        raise InputError(f"{table.folder}: no key with numbers was varied, there is no axis to draw along")
     return fields
-
-
-def _levels(column: Any) -> list[Any]:
-    values = column.tolist() if isinstance(column, np.ndarray) else column
-    return list(dict.fromkeys(values))
 
 
 def _scene(table: SweepTable, axis: str, controller: str, allow_code: bool) -> Scene:

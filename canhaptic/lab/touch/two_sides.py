@@ -10,7 +10,7 @@ Both sides of admittance displays: force in, velocity out; one axis, or two axes
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, cast
 
 from canhaptic.axis_units import damping_unit, mass_unit, stiffness_unit
 from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
@@ -161,22 +161,6 @@ _OVER: Final = 1.05
 _DISPLAY_SLIDERS: Final = ("mass", "cup", "damping")
 
 
-def display_line(scene: Scene, axis: AxisScene) -> TouchScene:
-    """Return an admittance display twice: unprotected, and under its own algorithm."""
-    plain = display_under(axis, PLAIN)
-    guarded = axis if axis.passivity.name != PLAIN else replace(axis, passivity=_guard_of(axis))
-    sides = (Side(PLAIN, (PLAIN,)), _side(guarded.passivity, (guarded.passivity.name,)))
-    axes = [_display_held(one, side, side.axes[0]) for one, side in zip((plain, guarded), sides, strict=True)]
-    user, start = _hand_of(axis)
-    shown = reach(user.motion, user.rest, start)
-    environment: Any = axis.environment.parameters
-    return TouchScene(
-        on_two_buses(scene, axes, sides), sides, axis.parameters.unit, (shown,), (start,),
-        _walls(environment, shown), sliders_of("environment", environment, _DISPLAY_SLIDERS, axis.parameters.unit),
-        is_display=True,
-    )  # fmt: skip
-
-
 def display_plane(scene: Scene, name: str) -> TouchScene:
     """Return two admittance displays with one account twice.
 
@@ -197,7 +181,7 @@ def display_plane(scene: Scene, name: str) -> TouchScene:
         for one in both
     )
     axes = [
-        _display_held(axis, side, port)
+        _held_axis(axis, side, port)
         for side in sides
         for axis, port in zip(members, side.axes, strict=True)
     ]  # fmt: skip
@@ -219,10 +203,10 @@ def _side(passivity: ComponentSpec, axes: tuple[str, ...], group: str = "") -> S
     return Side(passivity.name, axes, group, allowance)
 
 
-def _display_held(axis: AxisScene, side: Side, port: str) -> AxisScene:
+def _held_axis(axis: AxisScene, side: Side, port: str) -> AxisScene:
     """Return an axis of one side, held by the pointer.
 
-    A simulated sensor without noise shows one count while the pointer rests: the check for a frozen sensor is off here.
+    A simulated force sensor without noise shows one count while the pointer rests: its check for a frozen one is off.
     """
     display = axis.parameters.admittance
     if display is not None:
@@ -306,43 +290,34 @@ def two_sides(scene: Scene, axis: str | None = None) -> TouchScene:
     if name not in names:
         raise InputError(f"{scene.source}: has no axis {name!r}, expected one of: {', '.join(names)}")
     chosen = scene.axis(name)
-    if chosen.parameters.admittance is not None:
-        return display_plane(scene, chosen.group) if chosen.group else display_line(scene, chosen)
-    return _plane(scene, chosen.group) if chosen.group else _line(scene, chosen)
+    if not chosen.group:
+        return _line(scene, chosen)
+    return (_plane if chosen.parameters.admittance is None else display_plane)(scene, chosen.group)
 
 
 # --- along an axis ------------------------------------------------------------------------------------------------
 
 
 def _line(scene: Scene, axis: AxisScene) -> TouchScene:
-    plain = able_under(axis, PLAIN, scene).axis
-    guarded = axis if axis.passivity.name != PLAIN else able_under(axis, GUARDED, scene).axis
-    protected = _name_of(guarded)
-    sides = (Side(PLAIN, (PLAIN,)), Side(protected, (protected,)))
-    simulation = simulation_of(axis)
-    user, start = simulation.user or UserParameters(), simulation.plant.initial_position
-    axes = tuple(
-        replace(
-            one,
-            parameters=one.parameters.model_copy(update={"name": side.name, "energy_loss_limit": "none"}),
-            bus=side.name,
-            simulation=replace(simulation_of(one), user=pointer_hand(user, start)),
-        )
-        for one, side in zip((plain, guarded), sides, strict=True)
-    )
+    """Return an axis or an admittance display twice: unprotected, and under its own algorithm."""
+    is_display, environment = axis.parameters.admittance is not None, cast(Any, axis.environment.parameters)
+    if is_display:
+        plain = display_under(axis, PLAIN)
+        guarded = axis if axis.passivity.name != PLAIN else replace(axis, passivity=_guard_of(axis))
+    else:
+        plain = able_under(axis, PLAIN, scene).axis
+        guarded = axis if axis.passivity.name != PLAIN else able_under(axis, GUARDED, scene).axis
+    name = _name_of(guarded)
+    sides = (Side(PLAIN, (PLAIN,)), replace(_side(guarded.passivity, (name,)), name=name))
+    axes = [_held_axis(one, side, side.axes[0]) for one, side in zip((plain, guarded), sides, strict=True)]
+    user, start = _hand_of(axis)
     shown = reach(user.motion, user.rest, start)
-    solid = _solid(axis.environment.parameters, shown)
-    wall = axis.environment.parameters
-    names = _SLIDERS if "stiffness" in type(wall).model_fields else ()
+    names = _DISPLAY_SLIDERS if is_display else _SLIDERS if hasattr(environment, "stiffness") else ()
     return TouchScene(
-        on_two_buses(scene, axes, sides),
-        sides,
-        axis.parameters.unit,
-        (shown,),
-        (start,),
-        solid,
-        sliders_of("environment", wall, names, axis.parameters.unit),
-    )
+        on_two_buses(scene, axes, sides), sides, axis.parameters.unit, (shown,), (start,),
+        (_walls if is_display else _solid)(environment, shown),
+        sliders_of("environment", environment, names, axis.parameters.unit), is_display=is_display,
+    )  # fmt: skip
 
 
 def _name_of(axis: AxisScene) -> str:

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,10 +16,11 @@ from canhaptic.lab.studies.arena import (
     group_figures,
     ranking,
     ranks,
-    result_rows,
     run_arena,
     scenes_named,
 )
+from canhaptic.lab.studies.runner import Progress
+from tools.bench.arena import result_rows
 
 SUBSET = [
     "--scenes",
@@ -76,24 +78,31 @@ def test_a_subset_gives_one_page_with_every_case(tmp_path: Path, capsys: pytest.
 
 def test_an_arena_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     plan = ArenaPlan(tuple(scenes_named(["slot", "tapping"])), ("unprotected",), (100.0,), (0, 1), 0.3, per_decade=0)
-    path, asked = tmp_path / "cases.jsonl", []
+    path, asked = tmp_path / "cases", []
 
     def stop() -> bool:
         asked.append(1)
         return len(asked) > 1
 
-    assert run_arena(plan, ArenaStore(path), stop_requested=stop) is None
-    lines = path.read_text().splitlines()
-    assert 0 < len(lines) <= 4
-    path.write_text("\n".join([*lines[:1], lines[-1][:40]]))  # a kill cut the last line off
-    begun = []
-    whole = run_arena(plan, ArenaStore(path), progress=begun.append)
+    def run(**options: Any) -> dict | None:
+        arena = ArenaStore(path)
+        with arena:
+            return run_arena(plan, arena, **options)
+
+    assert run(stop_requested=stop) is None
+    first, *others = sorted(path.glob("*[0-9a-f].json"))
+    assert 0 < len(others) < 4
+    for other in others:
+        other.unlink()
+    begun: list[Progress] = []
+    whole = run(progress=begun.append)
     assert whole is not None
     assert begun[0].begun == 1
     assert begun[-1].done == begun[-1].total == len(whole["cases"]) == 4
-    again = []
-    assert run_arena(plan, ArenaStore(path), progress=again.append) == whole
+    again: list[Progress] = []
+    assert run(progress=again.append) == whole
     assert again[0].done == again[0].total
+    assert first.exists()
     assert ArenaStore(path, force=True).finished(plan.groups()[0]) == []
 
 
@@ -109,7 +118,7 @@ def test_an_own_entry_runs_where_it_is_allowed_and_counts_as_what_it_is(tmp_path
     assert known.pop("algorithm") == "unprotected"
     assert mine == known
     (tmp_path / "mine.py").write_text(OWN.replace("pass", "x = 1"))  # another file: its cases run again
-    store = ArenaStore(tmp_path / "out" / "cases.jsonl")
+    store = ArenaStore(tmp_path / "out" / "cases")
     group = CaseGroup(scenes_named(["slot"])[0], 100.0, (0, 1), ("unprotected", words[-1]), 0.4, allow_code=True)
     assert {case["algorithm"] for case in store.finished(group)} == {"unprotected"}
 

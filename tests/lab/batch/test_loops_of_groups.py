@@ -13,7 +13,7 @@ from canhaptic.control.multi_axis.group_motion import why_not_world
 from canhaptic.lab.batch.group_loop import GroupMeter, LinearMotors, group_case, shares
 from canhaptic.lab.batch.scalar import group_meter, render_group
 from canhaptic.lab.loop.axis_loop import Recorder
-from canhaptic.lab.studies.compare import compare_groups
+from canhaptic.lab.studies.compare import compare
 from canhaptic.lab.studies.sweep import sweep
 from canhaptic.lab.studies.sweep.chunk import ENGINES
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
@@ -160,7 +160,7 @@ def test_a_sweep_of_groups_says_what_computed_it(tmp_path) -> None:
     pytest.importorskip("numba")
     found = []
     for engine in ("python", "numba"):
-        path = tmp_path / f"{engine}.h5"
+        path = tmp_path / f"{engine}"
         sweep(scene_of("xy_box"), ["groups.0.network.stiffness=500,3000"], path, cycles=300, engine=engine)
         with SweepTable(path) as table:
             computed = "scalar" if engine == "python" else engine
@@ -200,7 +200,7 @@ def test_compiled_every_sync_of_a_group_is_that_of_python_but_for_rounding() -> 
     (group,) = scene.groups
     name = group.passivity.name
     over_can, compiled = (
-        compare_groups(scene, [name], duration=0.3, engine=engine)["groups"][group.name]["algorithms"][name]
+        compare(scene, [name], duration=0.3, engine=engine).result["groups"][group.name]["algorithms"][name]
         for engine in ("python", "numba")
     )
     assert (over_can["engine"], compiled["engine"]) == ("python", "numba")

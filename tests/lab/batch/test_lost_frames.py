@@ -73,8 +73,8 @@ def test_a_sweep_says_which_effects_of_the_bus_it_leaves_out(tmp_path):
     assert not_in_loop(scene_of(LOSSY), is_batched=True) == not_in_loop(scene_of(), is_batched=False) == ""
     picked = scene_of("simulation.bus={drop: 0.01, during: [{begin: 1 s, duration: 1 s}]}")
     assert not losses_of(picked).exists
-    sweep(scene, ["environment.stiffness=100,200"], tmp_path / "a.h5", cycles=20, metrics=["travel"])
-    with SweepTable(tmp_path / "a.h5") as table:
+    sweep(scene, ["environment.stiffness=100,200"], tmp_path / "a", cycles=20, metrics=["travel"])
+    with SweepTable(tmp_path / "a") as table:
         assert "simulation.bus drop, jitter" in table.remark(0)  # so few run one by one
 
 

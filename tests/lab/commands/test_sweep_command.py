@@ -9,7 +9,7 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.lab.commands.scene_progress import scene_progress
-from canhaptic.lab.studies.sweep.run_sweep import Progress
+from canhaptic.lab.studies.runner import Progress
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 DEMO = str(REPOSITORY / "configs" / "demo.yaml")
@@ -19,7 +19,7 @@ Captured = pytest.CaptureFixture[str]
 
 
 def test_json_is_one_object_with_what_computed_each_scene(capsys: Captured, tmp_path: Path) -> None:
-    out = tmp_path / "a.h5"
+    out = tmp_path / "a"
     words = ["--vary", "bus.rate=100,4000", "--controllers", "unprotected,guarded", "--out", str(out), "--json"]
     assert main([*SMALL, *words]) == 0
     result = json.loads(capsys.readouterr().out)
@@ -45,7 +45,7 @@ def test_the_table_says_engine_and_reason(capsys: Captured) -> None:
         (["--vary", "environment.damping=1:2"], "no number of values"),
         (["--controllers", "best"], "unknown passivity algorithm 'best'"),
         (["--resume"], "name it with --out"),
-        (["--out", "/no/such/folder/a.h5"], "/no/such/folder/a.h5"),
+        (["--out", "/no/such/folder/a"], "/no/such/folder/a"),
         (["--metrics", "beauty"], "unknown metric"),
         pytest.param(["--dask", "nonsense://"], "--dask nonsense://", marks=pytest.mark.slow),  # imports Dask
     ],
@@ -67,7 +67,7 @@ def test_bad_options_are_refused_by_the_parser(capsys: Captured, arguments: list
 
 @pytest.mark.slow
 def test_a_map_of_a_sweep(capsys: Captured, tmp_path: Path) -> None:
-    out, picture = tmp_path / "a.h5", tmp_path / "map.png"
+    out, picture = tmp_path / "a", tmp_path / "map.png"
     words = ["--vary", "bus.rate=100,200", "--controllers", "unprotected", "--set", "environment.damping=0"]
     main([*SMALL, *words, "--out", str(out)])
     capsys.readouterr()
@@ -121,7 +121,7 @@ def test_warm_compiles_what_a_sweep_needs_and_says_what_python_runs(
     assert main(["warm", DEMO, "--controllers", "unprotected", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["loops"] == {"unprotected": {"engine": "numba", "remark": ""}}
     compiled_loops.cache_clear()
-    out = tmp_path / "swept.h5"
+    out = tmp_path / "swept"
     with only_kept():
         words = ["--vary", "environment.stiffness=300:3000:8", "--controllers", "unprotected", "--cycles", "40"]
         assert main(["sweep", DEMO, *words, "--engine", "numba", "--out", str(out), "--json"]) == 0

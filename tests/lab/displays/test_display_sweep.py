@@ -64,7 +64,7 @@ def test_a_force_beyond_the_range_ends_a_run() -> None:
 def test_a_display_is_swept_under_its_own_algorithms_and_mapped(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    table, picture = str(tmp_path / "sweep.h5"), tmp_path / "map.png"
+    table, picture = str(tmp_path / "sweep"), tmp_path / "map.png"
     vary = ["--vary", "environment.mass=1,4", "--vary", "bus.rate=500,1000", "--controllers", "guarded,unprotected"]
     assert main(["sweep", str(MASS), *vary, "--duration", "0.3", "--out", table, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

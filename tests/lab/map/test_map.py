@@ -34,7 +34,7 @@ SOFT_HAND = "simulation.user={stiffness: 0.01, push: -1}"
 @pytest.fixture(scope="module")
 def plain_wall(tmp_path_factory):
     """A plain wall with the encoder's count, device damping and rate varied, held by a hand too soft to matter."""
-    path = tmp_path_factory.mktemp("map") / "plain.h5"
+    path = tmp_path_factory.mktemp("map") / "plain"
     scene = load_scene(DEMO, [SOFT_HAND, "bus.rpdo=event", "environment.damping=0"])
     vary = ["environment.stiffness=100:20000:log:161", "bus.rate=200,400,800", "simulation.plant.damping=1,2"]
     sweep(scene, vary, path, controllers=["unprotected"], cycles=20, metrics=["spectral_radius"])
@@ -43,7 +43,7 @@ def plain_wall(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def two_controllers(tmp_path_factory):
-    path = tmp_path_factory.mktemp("map") / "two.h5"
+    path = tmp_path_factory.mktemp("map") / "two"
     vary = ["environment.stiffness=100:2000:log:5", "bus.rate=50,100", "environment.damping=0,2"]
     friction = "simulation.effects=[{type: coulomb_friction, static: 0.1 N, kinetic: 0.1 N}]"
     scene = load_scene(DEMO, [friction, "bus.rpdo=event"])
@@ -81,8 +81,8 @@ def test_the_border_found_by_marching_is_that_of_colgate_within_three_per_cent(t
     vary = ["environment.stiffness=85:450:log:121", "bus.rate=100,200", "simulation.plant.damping=0.5,1"]
     travel = []
     for cycles in (1000, 2000):
-        sweep(scene, vary, tmp_path / f"{cycles}.h5", controllers=["unprotected"], cycles=cycles, metrics=["travel"])
-        with SweepTable(tmp_path / f"{cycles}.h5") as table:
+        sweep(scene, vary, tmp_path / f"{cycles}", controllers=["unprotected"], cycles=cycles, metrics=["travel"])
+        with SweepTable(tmp_path / f"{cycles}") as table:
             [field] = fields_of(table)
             travel.append(field.figure("travel")[..., 0])
     calm = travel[1] <= 1.0001 * travel[0]
@@ -139,7 +139,7 @@ def test_the_border_beside_dry_friction_and_a_coarse_encoder_is_that_of_abbott_a
         f"phase: -1.5707963267948966, offset: {-1.5 * count!r}}}}}",
         "simulation.effects=[{type: coulomb_friction, static: 0.1 N, kinetic: 0.1 N}]",
     ]  # fmt: skip
-    path = tmp_path / "friction.h5"
+    path = tmp_path / "friction"
     metrics = ["least_covered", "least_interaction", "diverged"]
     stiffnesses = "environment.stiffness=1000,1900,1950,2050,2100,3000"
     scene = load_scene(DEMO, overrides)
@@ -181,7 +181,7 @@ def test_what_is_not_drawn_counts_at_its_worst_and_one_failing_scene_ends_a_colu
 
 
 def test_scenes_that_were_refused_or_not_run_are_blank(tmp_path):
-    path = tmp_path / "a.h5"
+    path = tmp_path / "a"
     sweep(load_scene(DEMO), ["environment.stiffness=100,200", "bus.rate=100,3000"], path, cycles=20)
     with SweepTable(path) as table:
         border = border_of(fields_of(table)[0], "environment.stiffness", ["bus.rate"], "passive")
@@ -252,7 +252,7 @@ def test_the_eigenvalues_of_a_hand_that_hardly_holds_are_at_colgates_bound(plain
 @pytest.mark.parametrize("kind", ["grid", "samples", "one key"])
 def test_pictures_and_pages_are_made_of_grids_of_samples_and_of_one_key(request, kind, tmp_path):
     pytest.importorskip("matplotlib")
-    path, scene = tmp_path / "a.h5", load_scene(DEMO)
+    path, scene = tmp_path / "a", load_scene(DEMO)
     options: dict[str, Any] = {"cycles": 20, "metrics": ["margin", "diverged"]}
     if kind == "grid":
         path = request.getfixturevalue("two_controllers")

@@ -26,6 +26,11 @@ simulation:
 """
 
 
+def content(folder):
+    """Returns every file of a sweep."""
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
 @pytest.fixture
 def demo():
     return load_scene(DEMO)

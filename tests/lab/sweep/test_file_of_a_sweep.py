@@ -7,10 +7,8 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 
@@ -20,7 +18,7 @@ from canhaptic.lab.studies.sweep import sweep
 from canhaptic.lab.studies.sweep.chunk import ChunkResult
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.scene.load import load_scene
-from tests.lab.sweep.conftest_sweep import DEMO, VARY
+from tests.lab.sweep.conftest_sweep import DEMO, VARY, content
 
 LONG = [
     "sweep", DEMO, "--vary", "environment.stiffness=1e2:1e4:log:6", "--vary", "simulation.seed=0:4:lin:5",
@@ -54,15 +52,15 @@ def wait_until(is_so, limit=90.0):
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """The file of a sweep that nothing disturbed."""
-    path = tmp_path_factory.mktemp("whole") / "whole.h5"
+    path = tmp_path_factory.mktemp("whole") / "whole"
     assert main([*LONG, "--out", str(path)]) == 0
-    return path.read_bytes()
+    return content(path)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_after_kill_9_every_finished_chunk_is_there_and_the_rest_is_run(tmp_path, whole, workers):
-    path = tmp_path / "killed.h5"
+    path = tmp_path / "killed"
     process = begin(path, "--workers", workers)
     wait_until(lambda: finished(path) >= 3)
     process.kill()
@@ -76,7 +74,7 @@ def test_after_kill_9_every_finished_chunk_is_there_and_the_rest_is_run(tmp_path
         assert np.isfinite(kept).all()
     wait_until(lambda: not group_lives(process.pid))  # no worker outlives it
     assert main([*LONG, "--out", str(path), "--resume"]) == 0
-    assert path.read_bytes() == whole
+    assert content(path) == whole
     with SweepTable(path) as table:
         assert table.figure("handle", "travel")[rows].tobytes() == kept.tobytes()
 
@@ -91,7 +89,7 @@ def group_lives(group):
 
 @pytest.mark.slow
 def test_ctrl_c_ends_after_the_chunk_under_way_and_says_how_to_go_on(tmp_path, whole):
-    path = tmp_path / "stopped.h5"
+    path = tmp_path / "stopped"
     process = begin(path)
     wait_until(lambda: finished(path) >= 2)
     process.send_signal(signal.SIGINT)
@@ -100,12 +98,12 @@ def test_ctrl_c_ends_after_the_chunk_under_way_and_says_how_to_go_on(tmp_path, w
     assert f"--resume goes on with {path}" in said
     assert 2 <= finished(path) < CHUNKS
     assert main([*LONG, "--out", str(path), "--resume"]) == 0
-    assert path.read_bytes() == whole
+    assert content(path) == whole
 
 
 @pytest.mark.slow
 def test_a_disk_that_fills_up_costs_the_chunk_under_way_alone(demo, tmp_path, monkeypatch):
-    path, undisturbed = tmp_path / "full.h5", tmp_path / "whole.h5"
+    path, undisturbed = tmp_path / "full", tmp_path / "whole"
     sweep(demo, VARY, undisturbed, chunk=4, **ONE)
     flush = os.fsync
 
@@ -119,11 +117,11 @@ def test_a_disk_that_fills_up_costs_the_chunk_under_way_alone(demo, tmp_path, mo
         sweep(demo, VARY, path, chunk=4, **ONE, progress=fill_up)
     assert finished(path) == 2
     assert sweep(demo, VARY, path, chunk=4, **ONE, resume=True).done == 32
-    assert path.read_bytes() == undisturbed.read_bytes()
+    assert content(path) == content(undisturbed)
 
 
 def test_a_disk_without_room_for_all_results_is_found_out_before_a_scene_runs(demo, tmp_path):
-    path = tmp_path / "large.h5"
+    path = tmp_path / "large"
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     try:
@@ -136,37 +134,12 @@ def test_a_disk_without_room_for_all_results_is_found_out_before_a_scene_runs(de
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
-def test_a_merge_that_fails_leaves_the_chunks_for_the_next(demo, tmp_path, monkeypatch):
-    path, undisturbed = tmp_path / "full.h5", tmp_path / "whole.h5"
-    sweep(demo, VARY, undisturbed, chunk=4, **ONE)
-
-    def refuse(self, target):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    def fill_up(state):
-        if state.done == 32:
-            patch.setattr(Path, "replace", refuse)
-
-    with monkeypatch.context() as patch, pytest.raises(LogWriteError, match=r"no room.*--resume"):
-        sweep(demo, VARY, path, chunk=4, **ONE, progress=fill_up)
-    with SweepTable(path) as table:
-        assert table.done().all()
-        travel = table.figure("handle", "travel")
-    state = sweep(demo, VARY, path, chunk=4, **ONE, resume=True)
-    assert (state.begun, state.done) == (32, 32)
-    assert path.read_bytes() == undisturbed.read_bytes()
-    assert sorted(tmp_path.iterdir()) == [path, undisturbed]
-    with SweepTable(path) as table:
-        assert table.figure("handle", "travel").tobytes() == travel.tobytes()
-
-
 def test_chunks_of_an_earlier_sweep_are_not_taken_for_those_of_another(demo, tmp_path):
-    path = tmp_path / "a.h5"
+    path = tmp_path / "a"
     sweep(demo, VARY, path, chunk=4, **ONE, stop_requested=iter([False, False, True, True, True]).__next__)
     with SweepTable(path, writable=True) as table:
-        table.write(7, table_result(4))
-    path.unlink()
+        table.store(7, table_result(4))
+    (path / "study.json").unlink()
     assert sweep(demo, VARY[:1], path, chunk=4, **ONE).begun == 0
     with SweepTable(path) as table:
         assert np.isfinite(table.figure("handle", "travel")).all()
@@ -178,23 +151,21 @@ def table_result(scenes):
 
 
 def test_a_damaged_chunk_is_named(demo, tmp_path):
-    path = tmp_path / "a.h5"
+    path = tmp_path / "a"
     sweep(demo, VARY, path, chunk=4, **ONE)
-    folder = tmp_path / "a.h5.chunks"
-    folder.mkdir()
-    (folder / "00000003.npz").write_bytes(b"no chunk")
+    (path / "00000003.npz").write_bytes(b"no chunk")
     with SweepTable(path) as table, pytest.raises(LogFormatError, match=r"00000003\.npz"):
         table.status()
 
 
 def test_a_folder_that_is_not_there_is_named(demo, tmp_path):
     with pytest.raises(LogWriteError, match="nowhere"):
-        sweep(demo, VARY, tmp_path / "nowhere" / "a.h5")
+        sweep(demo, VARY, tmp_path / "nowhere" / "a")
 
 
 @pytest.mark.slow
-def test_two_sweeps_cannot_write_one_file(demo, tmp_path):
-    path = tmp_path / "a.h5"
+def test_two_sweeps_cannot_write_one_folder(demo, tmp_path):
+    path = tmp_path / "a"
     sweep(demo, VARY, path, **ONE)
     code = (
         "from pathlib import Path; from canhaptic.lab.studies.sweep.sweep_table import SweepTable; "
@@ -202,13 +173,13 @@ def test_two_sweeps_cannot_write_one_file(demo, tmp_path):
     )
     with SweepTable(path, writable=True):
         found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "another sweep writes it" in found.stderr
+    assert "another study writes it" in found.stderr
 
 
-def test_a_file_is_neither_overwritten_nor_mixed_with_another_sweep(demo, tmp_path):
-    path = tmp_path / "a.h5"
+def test_a_folder_is_neither_overwritten_nor_mixed_with_another_sweep(demo, tmp_path):
+    path = tmp_path / "a"
     sweep(demo, VARY, path, **ONE)
-    before = path.read_bytes()
+    before = content(path)
     with pytest.raises(InputError, match="--resume continues it, --force replaces it"):
         sweep(demo, VARY, path, **ONE)
     others = [
@@ -221,27 +192,45 @@ def test_a_file_is_neither_overwritten_nor_mixed_with_another_sweep(demo, tmp_pa
     for scene, vary, options, what in others:
         with pytest.raises(InputError, match=f"was made with {what}"):
             sweep(scene, vary, path, resume=True, **options)
-    assert path.read_bytes() == before
+    assert content(path) == before
     sweep(demo, VARY[:1], path, force=True, **ONE)
-    assert len(path.read_bytes()) < len(before)
+    assert content(path).keys() == {"study.json", "00000000.npz"}
+    assert content(path) != before
 
 
 def test_a_finished_sweep_is_not_run_again(demo, tmp_path):
-    path = tmp_path / "a.h5"
+    path = tmp_path / "a"
     sweep(demo, VARY, path, **ONE)
     state = sweep(demo, VARY, path, resume=True, **ONE)
     assert (state.done, state.begun) == (32, 32)
 
 
-@pytest.mark.parametrize("content", [b"", b"no HDF5 at all", None])
-def test_a_file_that_is_no_sweep_is_refused(tmp_path, content):
-    path = Path(tmp_path / "a.h5")
-    if content is None:
-        with h5py.File(path, "w") as file:
-            file.attrs["format"] = "something else"
-    else:
-        path.write_bytes(content)
-    with pytest.raises(LogFormatError, match=r"a\.h5"):
+FOREIGN = ["", "no JSON", "[1]", '{"format": "canhaptic arena"}', '{"format": "canhaptic sweep", "format_version": 99}']
+
+
+@pytest.mark.parametrize("text", [*FOREIGN, None])
+def test_a_folder_that_is_no_sweep_is_refused(tmp_path, text):
+    path = tmp_path / "a"
+    path.mkdir()
+    if text is not None:
+        (path / "study.json").write_text(text)
+    with pytest.raises(LogFormatError, match=r"a: (cannot be read as a sweep|is '.*, expected)"):
         SweepTable(path)
-    with pytest.raises(LogFormatError, match="no such file"):
-        SweepTable(tmp_path / "b.h5")
+
+
+def test_a_file_of_an_earlier_release_is_refused_and_not_replaced(demo, tmp_path):
+    path = tmp_path / "old.h5"
+    path.write_bytes(b"\x89HDF")
+    with pytest.raises(LogFormatError, match="cannot be read as a sweep"):
+        SweepTable(path)
+    with pytest.raises(InputError, match="is a file, expected a folder"):
+        sweep(demo, VARY, path, force=True, **ONE)
+    assert path.read_bytes() == b"\x89HDF"
+
+
+def test_a_folder_with_other_files_keeps_them(demo, tmp_path):
+    (tmp_path / "mine.npz").write_bytes(b"1")
+    (tmp_path / "mine.json").write_bytes(b"2")
+    sweep(demo, VARY, tmp_path, **ONE)
+    sweep(demo, VARY[:1], tmp_path, force=True, **ONE)
+    assert content(tmp_path).keys() == {"mine.npz", "mine.json", "study.json", "00000000.npz"}

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from canhaptic.lab.studies.runner import begin_worker
 from canhaptic.lab.studies.sweep.chunk import ENGINES, SLOTS, ChunkResult, run_chunk
-from canhaptic.lab.studies.sweep.run_sweep import Asked, SerialExecutor, _begin_worker, make_sweep
+from canhaptic.lab.studies.sweep.run_sweep import Asked, make_sweep
 from tests.lab.sweep.conftest_sweep import VARY
 
 
@@ -40,7 +41,7 @@ def test_python_runs_scenes_until_their_loop_is_compiled_and_the_bits_are_the_sa
         reported.append(scenes)
         first._compiling.join()
 
-    first = first_use.FirstUse(report, _begin_worker)
+    first = first_use.FirstUse(report, begin_worker)
     found = first.run(asked.recipe, 0, columns)
     first.close()
     expected = run_chunk(replace(asked.recipe, engine="python"), 0, columns)
@@ -90,9 +91,3 @@ def test_more_remarks_than_a_chunk_keeps_share_the_last_one():
     parts = [result((f"{i}", f"{i}b"), [1, 2]) for i in range(SLOTS)]
     whole = joined(parts)
     assert len(whole.texts) == SLOTS == whole.remark.max()
-
-
-def test_a_serial_executor_runs_another_function_in_the_place_of_one():
-    executor = SerialExecutor({abs: lambda number: number + 1})
-    assert executor.submit(abs, -3).result() == -2
-    assert executor.submit(max, -3, 2).result() == 2

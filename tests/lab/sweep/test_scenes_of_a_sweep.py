@@ -15,7 +15,7 @@ from canhaptic.lab.loop.axis_loop import with_algorithm
 from canhaptic.lab.studies.sweep import sweep
 from canhaptic.lab.studies.sweep.chunk import _MORE, SLOTS
 from canhaptic.lab.studies.sweep.run_sweep import _pays
-from canhaptic.lab.studies.sweep.summary import Selected, summary
+from canhaptic.lab.studies.sweep.summary import _shares, summary
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.scene.load import load_scene
 from tests.lab.sweep.conftest_sweep import DEMO, VARY
@@ -29,7 +29,7 @@ def run(scene, vary, path, **options):
 
 
 def test_every_row_is_the_scene_written_by_hand(demo, tmp_path):
-    with run(demo, VARY, tmp_path / "a.h5", cycles=150, metrics=EXACT) as table:
+    with run(demo, VARY, tmp_path / "a", cycles=150, metrics=EXACT) as table:
         assert table.status().tolist() == [1] * 32
         for row in (0, 5, 17, 31):
             values = {key: table.values(key)[row] for key in table.keys}
@@ -42,7 +42,7 @@ def test_every_row_is_the_scene_written_by_hand(demo, tmp_path):
 
 
 def test_a_duration_is_as_many_holds_as_each_rate_makes_of_it(demo, tmp_path):
-    with run(demo, ["bus.rate=100,250,1000"], tmp_path / "a.h5", duration=0.2) as table:
+    with run(demo, ["bus.rate=100,250,1000"], tmp_path / "a", duration=0.2) as table:
         assert table.figure("handle", "cycles").tolist() == [20.0, 50.0, 200.0]
 
 
@@ -50,7 +50,7 @@ def test_the_bits_do_not_depend_on_how_scenes_are_dealt_into_chunks(demo, tmp_pa
     found, vary = [], ["environment.stiffness=100,9000", *VARY[1:]]
     metrics = ["margin", "least_covered", "travel", "stiffness_rendered.share", "branches.exact", "spectral_radius"]
     for chunk in (1, 3, 8):
-        with run(demo, vary, tmp_path / f"{chunk}.h5", cycles=40, chunk=chunk, metrics=metrics) as table:
+        with run(demo, vary, tmp_path / f"{chunk}", cycles=40, chunk=chunk, metrics=metrics) as table:
             found.append(np.array([table.figure("handle", metric) for metric in table.metrics]))
     assert found[0].tobytes() == found[1].tobytes() == found[2].tobytes()
 
@@ -58,24 +58,24 @@ def test_the_bits_do_not_depend_on_how_scenes_are_dealt_into_chunks(demo, tmp_pa
 @pytest.mark.slow
 def test_what_the_bus_cannot_carry_is_refused_row_by_row_and_judged_when_asked(demo, tmp_path):
     vary = ["bus.rate=500,2000", "environment.stiffness=100:1000:3"]
-    with run(demo, vary, tmp_path / "a.h5", cycles=50) as table:
+    with run(demo, vary, tmp_path / "a", cycles=50) as table:
         assert table.status().tolist() == [1, 1, 1, 2, 2, 2]
         assert table.remark(3).startswith("bus.rate: the cycle does not fit the bus")
         assert np.isnan(table.figure("handle", "margin")[3:]).all()
         assert summary(table)["status"] == {"completed": 3, "refused": 3}
-    with run(demo, vary, tmp_path / "b.h5", cycles=50, beyond_bus=True) as table:
+    with run(demo, vary, tmp_path / "b", cycles=50, beyond_bus=True) as table:
         assert table.status().tolist() == [1] * 6
 
 
 def test_a_range_beyond_what_the_bus_carries_is_refused_exactly_where_the_scene_is(demo, tmp_path):
-    with run(demo, ["bus.rate=1400:1440:5"], tmp_path / "a.h5", cycles=20) as table:
+    with run(demo, ["bus.rate=1400:1440:5"], tmp_path / "a", cycles=20) as table:
         assert table.values("bus.rate").tolist() == [1400.0, 1410.0, 1420.0, 1430.0, 1440.0]
         assert table.status().tolist() == [1, 1, 2, 2, 2]
 
 
 @pytest.mark.slow
 def test_more_reasons_than_a_chunk_keeps_are_said_to_be_more(demo, tmp_path):
-    with run(demo, ["bus.rate=1500:9000:60"], tmp_path / "a.h5", cycles=20, chunk=60) as table:
+    with run(demo, ["bus.rate=1500:9000:60"], tmp_path / "a", cycles=20, chunk=60) as table:
         assert table.status().tolist() == [2] * 60
         assert table.remark(0) != table.remark(1) != _MORE
         assert {table.remark(row) for row in range(SLOTS - 1, 60)} == {_MORE}
@@ -84,7 +84,7 @@ def test_more_reasons_than_a_chunk_keeps_are_said_to_be_more(demo, tmp_path):
 def test_an_algorithm_without_what_it_rests_on_takes_it_from_the_plant_in_every_row(tmp_path):
     scene = load_scene(DEMO, ["passivity={algorithm: unprotected}"])
     vary = ["simulation.plant.mass=0.1,0.4"]
-    with run(scene, vary, tmp_path / "a.h5", cycles=1200, controllers=["unprotected", "guarded"]) as table:
+    with run(scene, vary, tmp_path / "a", cycles=1200, controllers=["unprotected", "guarded"]) as table:
         assert "from the plant: moving_mass" in table.remark(2)
         for row, mass in ((2, 0.1), (3, 0.4)):
             alone = load_scene(
@@ -104,7 +104,7 @@ def test_controllers_judge_the_same_scene(tmp_path):
     strong = load_scene(DEMO, ["environment.stiffness=5000", "bus.rate=100"])
     [axis] = strong.axes
     names = ["unprotected", "guarded"]
-    with run(strong, [], tmp_path / "a.h5", cycles=150, controllers=names) as table:
+    with run(strong, [], tmp_path / "a", cycles=150, controllers=names) as table:
         found = table.figure("handle", "least_interaction")
     by_hand = [run_scalar(replace(strong, axes=(with_algorithm(axis, name),)), 150) for name in names]
     assert found == pytest.approx([figures["least_interaction"] for figures in by_hand], rel=1e-9)
@@ -114,7 +114,7 @@ def test_controllers_judge_the_same_scene(tmp_path):
 @pytest.mark.slow
 def test_a_short_key_means_every_axis_also_one_with_its_own_section(two_axes, tmp_path):
     both = ["environment.stiffness=300,900", "simulation.plant.mass=0.3,0.6"]
-    with run(two_axes(), both, tmp_path / "a.h5", cycles=100) as table:
+    with run(two_axes(), both, tmp_path / "a", cycles=100) as table:
         assert table.axes == ["left", "right"]
         for row, (stiffness, mass) in enumerate(((300, 0.3), (300, 0.6), (900, 0.3), (900, 0.6))):
             scene = two_axes(
@@ -129,7 +129,7 @@ def test_a_short_key_means_every_axis_also_one_with_its_own_section(two_axes, tm
 
 
 def test_a_full_key_means_one_axis_and_leaves_the_other_alone(two_axes, tmp_path):
-    with run(two_axes(), ["axes.1.environment.stiffness=50,5000"], tmp_path / "a.h5", cycles=100) as table:
+    with run(two_axes(), ["axes.1.environment.stiffness=50,5000"], tmp_path / "a", cycles=100) as table:
         left, right = (table.figure(name, "torque_peak") for name in ("left", "right"))
         assert left[0] == left[1]
         assert right[0] != right[1]
@@ -140,9 +140,7 @@ def test_noise_differs_from_scene_to_scene_and_repeats_from_sweep_to_sweep(two_a
     noisy = two_axes("simulation.effects=[{type: encoder_noise, deviation: 0.1 mm}]")
     found = []
     for chunk in (1, 4):
-        with run(
-            noisy, ["environment.damping=1:1.000001:4"], tmp_path / f"{chunk}.h5", cycles=80, chunk=chunk
-        ) as table:
+        with run(noisy, ["environment.damping=1:1.000001:4"], tmp_path / f"{chunk}", cycles=80, chunk=chunk) as table:
             found.append(table.figure("left", "travel"))
     assert found[0].tobytes() == found[1].tobytes()
     assert np.ptp(found[0]) > 1e-6
@@ -163,39 +161,37 @@ def test_noise_differs_from_scene_to_scene_and_repeats_from_sweep_to_sweep(two_a
 )
 def test_a_value_that_is_wrong_by_itself_ends_the_sweep_before_it_begins(demo, tmp_path, vary, message):
     with pytest.raises(SceneError, match=message) as raised:
-        sweep(demo, [vary], tmp_path / "a.h5")
+        sweep(demo, [vary], tmp_path / "a")
     assert "--vary" in str(raised.value)
-    assert not (tmp_path / "a.h5").exists()
+    assert not (tmp_path / "a").exists()
 
 
 def test_what_cannot_be_swept_is_refused(demo, tmp_path):
     real = load_scene(DEMO, ["simulation=null", "bus.channel=x"])
     with pytest.raises(InputError, match="has no `simulation`"):
-        sweep(real, ["environment.stiffness=1,2"], tmp_path / "a.h5")
+        sweep(real, ["environment.stiffness=1,2"], tmp_path / "a")
     with pytest.raises(InputError, match="unknown metric"):
-        sweep(demo, ["environment.stiffness=1,2"], tmp_path / "a.h5", metrics=["beauty"])
+        sweep(demo, ["environment.stiffness=1,2"], tmp_path / "a", metrics=["beauty"])
     with pytest.raises(InputError, match="unknown passivity algorithm"):
-        sweep(demo, ["environment.stiffness=1,2"], tmp_path / "a.h5", controllers=["best"])
+        sweep(demo, ["environment.stiffness=1,2"], tmp_path / "a", controllers=["best"])
     with pytest.raises(InputError, match="give one"):
-        sweep(demo, ["environment.stiffness=1,2"], tmp_path / "a.h5", cycles=5, duration=1.0)
+        sweep(demo, ["environment.stiffness=1,2"], tmp_path / "a", cycles=5, duration=1.0)
 
 
 @given(arrays(np.float64, st.integers(1, 40), elements=st.floats() | st.sampled_from([0.0, -0.0, 1.0, -1.0])))
-def test_medians_and_extremes_of_a_column_read_in_blocks_are_those_of_the_whole(values):
+def test_medians_extremes_and_shares_are_those_of_the_finite_values(values):
     class Table:
-        figure = staticmethod(lambda _axis, _metric, start, stop: values[start:stop])
-        status = staticmethod(lambda start, stop: np.ones(len(values[start:stop]), dtype=np.uint8))
-        __len__ = staticmethod(lambda: len(values))
+        metrics = ("margin", "mass_felt.share")
+        figure = staticmethod(lambda _axis, _metric: values)
 
-    selected = Selected(Table(), "handle")  # type: ignore[arg-type]
+    found = _shares(Table(), "handle", np.ones(len(values), dtype=bool))  # type: ignore[arg-type]
     known = values[np.isfinite(values)]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("canhaptic.lab.studies.sweep.summary._BLOCK", 7)
-        assert selected.least("margin") == (known.min() if len(known) else None)
-        middle = statistics.median(known.tolist()) if len(known) and np.abs(known).max() < 1e308 else None
-        assert middle is None or selected.median("margin") == pytest.approx(middle, rel=1e-15, abs=0.0)
-        share = selected.share("margin", lambda part: part >= 0.0)
-        assert share == pytest.approx(np.mean(values >= 0.0))
+    assert found.keys() == {"scenes", "margin_kept", "least_margin", "mass_felt"}
+    assert found["scenes"] == len(values)
+    assert found["least_margin"] == (known.min() if len(known) else None)
+    middle = statistics.median(known.tolist()) if len(known) and np.abs(known).max() < 1e308 else None
+    assert middle is None or found["mass_felt"] == pytest.approx(middle, rel=1e-15, abs=0.0)
+    assert found["margin_kept"] == pytest.approx(np.mean(values >= -1e-6))
 
 
 @pytest.mark.slow
@@ -209,7 +205,7 @@ def test_the_margin_of_guarded_is_short_by_no_more_than_the_counts_of_the_encode
     )
     metrics = ["margin", "believed_margin", "believed_error", "force_variation", "torque_peak"]
     counts = "axes.0.counts_per_unit=1e5,1e6,1e8"
-    with run(scene, [counts, "bus.rpdo=synchronous,event"], tmp_path / "a.h5", cycles=500, metrics=metrics) as table:
+    with run(scene, [counts, "bus.rpdo=synchronous,event"], tmp_path / "a", cycles=500, metrics=metrics) as table:
         figure = {metric: table.figure("handle", metric) for metric in metrics}
         hidden = 0.5 / table.values("axes.0.counts_per_unit") * (figure["force_variation"] + figure["torque_peak"])
     assert (figure["believed_error"] <= hidden).all()

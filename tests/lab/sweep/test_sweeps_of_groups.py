@@ -9,7 +9,7 @@ from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.errors import InputError
 from canhaptic.lab.batch import run_scalar, why_not_batchable
-from canhaptic.lab.studies.compare import compare_groups
+from canhaptic.lab.studies.compare import compare
 from canhaptic.lab.studies.sweep import sweep
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.scene.components import ComponentSpec
@@ -25,7 +25,7 @@ STAGE, LINKS, HANDLES = (
 def test_a_group_without_a_bus_has_the_account_of_the_one_over_the_bus(path):
     scene = load_scene(path)
     group = scene.groups[0]
-    compared = compare_groups(scene, [group.passivity.name], duration=0.3)
+    compared = compare(scene, [group.passivity.name], duration=0.3).result
     over_the_bus = compared["groups"][group.name]["algorithms"][group.passivity.name]
     alone = run_scalar(scene, compared["cycles"])
     assert alone["branches.exact"] == over_the_bus["branches"]["exact"] > 30
@@ -39,8 +39,8 @@ def test_a_group_without_a_bus_has_the_account_of_the_one_over_the_bus(path):
 @pytest.mark.slow
 def test_every_row_of_a_group_is_the_scene_written_by_hand(tmp_path):
     vary = ["groups.0.network.stiffness=500,3000", "groups.0.network.damping=2,20"]
-    sweep(load_scene(STAGE), vary, tmp_path / "a.h5", cycles=200)
-    with SweepTable(tmp_path / "a.h5") as table:
+    sweep(load_scene(STAGE), vary, tmp_path / "a", cycles=200)
+    with SweepTable(tmp_path / "a") as table:
         assert list(table.axes) == ["stage"]
         assert table.status().tolist() == [1] * 4
         found = []

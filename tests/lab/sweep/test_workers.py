@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from canhaptic.errors import InputError, WorkersLostError
+from canhaptic.lab.studies.runner import Pool, dask_executor
 from canhaptic.lab.studies.sweep import sweep
-from canhaptic.lab.studies.sweep.run_sweep import Pool, dask_executor
 from canhaptic.scene.load import load_scene
-from tests.lab.sweep.conftest_sweep import DEMO, VARY
+from tests.lab.sweep.conftest_sweep import DEMO, VARY, content
 from tests.lab.sweep.dask_cluster import dask_cluster
 
 OPTIONS: dict[str, Any] = {
@@ -26,16 +26,16 @@ SCENES = 32
 
 @pytest.fixture(scope="module")
 def serial(tmp_path_factory):
-    path = tmp_path_factory.mktemp("serial") / "serial.h5"
+    path = tmp_path_factory.mktemp("serial") / "serial"
     sweep(load_scene(DEMO), VARY, path, **OPTIONS)
-    return path.read_bytes()
+    return content(path)
 
 
 @pytest.mark.slow
 def test_any_executor_of_python_gives_the_same_bits(demo, tmp_path, serial):
     with ThreadPoolExecutor(3) as executor:
-        sweep(demo, VARY, tmp_path / "threads.h5", executor, **OPTIONS)
-    assert (tmp_path / "threads.h5").read_bytes() == serial
+        sweep(demo, VARY, tmp_path / "threads", executor, **OPTIONS)
+    assert content(tmp_path / "threads") == serial
 
 
 @pytest.mark.slow
@@ -48,16 +48,16 @@ def test_a_pool_goes_on_with_new_processes_after_one_was_killed(demo, tmp_path, 
             os.kill(killed[0], signal.SIGKILL)
 
     try:
-        assert sweep(demo, VARY, tmp_path / "pool.h5", pool, progress=kill, **OPTIONS).done == SCENES
+        assert sweep(demo, VARY, tmp_path / "pool", pool, progress=kill, **OPTIONS).done == SCENES
     finally:
         pool.close()
     assert killed
-    assert (tmp_path / "pool.h5").read_bytes() == serial
+    assert content(tmp_path / "pool") == serial
 
 
 @pytest.mark.slow
 def test_workers_that_die_again_and_again_end_the_sweep_with_what_was_finished(demo, tmp_path, serial):
-    pool, path = Pool(1), tmp_path / "dying.h5"
+    pool, path = Pool(1), tmp_path / "dying"
     before = dict(os.environ)
 
     def poison(state):
@@ -74,7 +74,7 @@ def test_workers_that_die_again_and_again_end_the_sweep_with_what_was_finished(d
         os.environ.update(before)
         pool.close()
     assert sweep(demo, VARY, path, resume=True, **OPTIONS).begun >= SCENES // 4
-    assert path.read_bytes() == serial
+    assert content(path) == serial
 
 
 @pytest.mark.slow  # three processes that each import dask
@@ -91,17 +91,17 @@ def test_a_dask_cluster_that_loses_a_worker_gives_the_same_bits(demo, tmp_path, 
         cluster.wait_for_workers()
         with dask_executor(cluster.address) as (executor, threads):
             assert threads == 2
-            state = sweep(demo, VARY, tmp_path / "dask.h5", executor, progress=kill, **OPTIONS)
+            state = sweep(demo, VARY, tmp_path / "dask", executor, progress=kill, **OPTIONS)
             assert cluster.count_workers() == 1
     assert killed
     assert state.done == SCENES
-    assert (tmp_path / "dask.h5").read_bytes() == serial
+    assert content(tmp_path / "dask") == serial
 
 
 @pytest.mark.slow
 def test_an_address_where_no_scheduler_answers_is_named(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("canhaptic.lab.studies.sweep.run_sweep._CONNECT", 0.5)
+    monkeypatch.setattr("canhaptic.lab.studies.runner._CONNECT", 0.5)
     with pytest.raises(InputError, match="no scheduler answers"), dask_executor("tcp://127.0.0.1:9"):
         pass
 
@@ -115,11 +115,11 @@ def test_a_long_sweep_that_python_runs_gets_a_process_a_core(demo, tmp_path, ser
             made.append(workers)
             super().__init__(workers)
 
-    monkeypatch.setattr("canhaptic.lab.studies.sweep.run_sweep.Pool", Watched)
+    monkeypatch.setattr("canhaptic.lab.studies.runner.Pool", Watched)
     monkeypatch.setattr("canhaptic.lab.studies.sweep.run_sweep.os.cpu_count", lambda: 2)
-    sweep(demo, VARY, tmp_path / "short.h5", processes=True, **OPTIONS)
+    sweep(demo, VARY, tmp_path / "short", processes=True, **OPTIONS)
     assert made == []
     monkeypatch.setattr("canhaptic.lab.studies.sweep.run_sweep._WORTH_A_POOL", 32 * 40.0)
-    sweep(demo, VARY, tmp_path / "long.h5", processes=True, **OPTIONS)
+    sweep(demo, VARY, tmp_path / "long", processes=True, **OPTIONS)
     assert made == [2]
-    assert (tmp_path / "long.h5").read_bytes() == serial
+    assert content(tmp_path / "long") == serial

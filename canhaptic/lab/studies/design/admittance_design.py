@@ -6,7 +6,7 @@ A mass passes where every hand feels it within the tolerance, and at most the de
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Final, TypedDict
+from typing import Final
 
 import numpy as np
 import yaml
@@ -20,6 +20,7 @@ from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import CheckFailedError, InputError
 from canhaptic.lab.figures.figures import display_figures
 from canhaptic.lab.loop.axis_loop import parts_of, require_design_room
+from canhaptic.lab.studies import Row
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import display_properties
@@ -36,35 +37,11 @@ _METRICS: Final = ("mass_felt", "mass_felt.share", "least_interaction", "guard_a
 
 Progress = Callable[[int, int], None]
 _Figures = dict[str, float]
-_Shares = TypedDict("_Shares", {"mass_felt.share": list[float]}, total=False)
-
-
-class AdmittanceDesign(_Shares, total=False):
-    """The lightest mass of a display, with its figures for the worst of all hands."""
-
-    mass: float
-    unit: str
-    never_acts: float  # mass from which the guard never acts
-    least_interaction: float  # [J]
-    energy_allowance: float  # [J]
-    guard_acts: float  # part of the holds
-    uncertified: float  # part of the holds
-    hands: int
-    passes: list[float]  # least and largest mass that passes
-
-
-class AdmittanceDesigns(TypedDict):
-    """The designs of all displays of a scene."""
-
-    scene: str
-    margin: float
-    tolerance: float
-    displays: dict[str, AdmittanceDesign]
 
 
 def design_displays(
     scene: Scene, margin: float, tolerance: float, progress: Progress = lambda _tried, _most: None
-) -> AdmittanceDesigns:
+) -> Row:
     """Return the lightest mass for each display, and group of displays, of a scene, as plain values.
 
     Args:
@@ -126,7 +103,7 @@ class _Trial:
         return 1e9 if np.isnan(shares).any() else max(shares)
 
 
-def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, AdmittanceDesign]]:
+def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, Row]]:
     """Yield (masses tried so far, what is known of the lightest), from heavy to light.
 
     Raises:
@@ -135,7 +112,7 @@ def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, AdmittanceDesig
     low, high = (share * trial.never_acts for share in _RANGE)
     tried, most = 0, 0.0
     nearest: tuple[float, float, list[_Figures]] = (np.inf, low, [])
-    found: AdmittanceDesign = {}
+    found: Row = {}
     for places in _PLACES:
         passed = 0.0
         for mass in np.geomspace(low, high, places)[::-1].tolist():
@@ -168,7 +145,7 @@ def _why(figures: list[_Figures], mass: float, trial: _Trial) -> str:
     )
 
 
-def _account(trial: _Trial, mass: float, figures: list[_Figures]) -> AdmittanceDesign:
+def _account(trial: _Trial, mass: float, figures: list[_Figures]) -> Row:
     """Return what a mass is and costs; the worst of all hands."""
     shares = [of["mass_felt.share"] for of in figures]
     return {
@@ -234,13 +211,13 @@ def _rounded_up(value: float) -> float:
     return float(f"{np.ceil(value / unit * (1.0 - 1e-12)) * unit:.{_DIGITS}g}")
 
 
-def display_snippet(found: AdmittanceDesign) -> str:
+def display_snippet(found: Row) -> str:
     """Return the mass as YAML for a scene."""
     environment = {"type": "virtual_mass", "mass": f"{found['mass']:g} {found['unit']}"}
     return str(yaml.safe_dump({"environment": environment}, sort_keys=False))
 
 
-def display_design_report(result: AdmittanceDesigns) -> RenderableType:
+def display_design_report(result: Row) -> RenderableType:
     """Return the text of a design for a terminal; `result` as `design_displays` returns it."""
     heading = Text(" ")
     heading.append(str(result["scene"]), style="bold")

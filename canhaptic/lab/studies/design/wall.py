@@ -44,8 +44,8 @@ from canhaptic.lab.studies.design.trial import (
     Trial,
     TrialVerdict,
 )
+from canhaptic.lab.studies.runner import Pool
 from canhaptic.lab.studies.sweep.chunk import places_of
-from canhaptic.lab.studies.sweep.run_sweep import Pool
 from canhaptic.scene.hints import DRAG, ENCODER, LEAN, guarantee, stability_hints
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import AxisScene, Scene

@@ -485,11 +485,7 @@ class _Chunk:
         return [together[number] for number in np.argsort(first).tolist()]
 
     def _row(self, row: int, keys: set[str] | None = None) -> Row:
-        return tuple(
-            (key, float(values[row]) if isinstance(values, np.ndarray) else values[row])
-            for key, values in self._columns.items()
-            if keys is None or key in keys
-        )
+        return row_of(self._columns, row, keys)
 
     def _run_group(self, rows: _Rows, batched: Sequence[str]) -> None:
         built = scene_of(self._recipe, self._row(int(rows[0])))
@@ -594,6 +590,15 @@ class _Chunk:
                 return SLOTS
             self._texts.append(remark if len(self._texts) < SLOTS - 1 else _MORE)
         return self._texts.index(remark) + 1 if remark in self._texts else SLOTS
+
+
+def row_of(columns: Mapping[str, Column], row: int, keys: set[str] | None = None) -> Row:
+    """Return the values of one scene of some keys; None for all."""
+    return tuple(
+        (key, float(values[row]) if isinstance(values, np.ndarray) else values[row])
+        for key, values in columns.items()
+        if keys is None or key in keys
+    )
 
 
 def _numbered(column: Column) -> NDArray[np.int64]:

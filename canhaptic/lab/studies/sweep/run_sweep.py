@@ -1,40 +1,30 @@
-"""Chunks to workers, results to the file as they come: memory does not grow with the number of scenes.
+"""A sweep: chunks of scenes to workers, results to the store as they come.
 
 The result of a scene depends only on its values and its global index, so that serial, pool and cluster write the same
 bits; only the order in which chunks become ready differs.
-
-Where chunks run: in this process, in a process pool, on a Dask cluster, on any executor of `concurrent.futures`.
-
-A pool whose worker dies is replaced and its unfinished work is run again; Dask does that by itself.
 """
 
-import hashlib
 import json
 import math
-import multiprocessing
 import os
-import signal
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
-from concurrent.futures import wait as wait_for_chunks
-from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from contextlib import ExitStack
+from dataclasses import asdict, replace
 from importlib.metadata import version
-from multiprocessing.connection import wait
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.errors import CanHapticError, InputError, WorkersLostError
-from canhaptic.extras import install_hint
+from canhaptic.errors import InputError
 from canhaptic.lab.batch import why_not_batchable
 from canhaptic.lab.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
 from canhaptic.lab.batch.group_loop import group_case
 from canhaptic.lab.loop.admittance_loop import is_display
 from canhaptic.lab.loop.axis_loop import cycles_of, parts_of, with_algorithm
 from canhaptic.lab.studies import Row
+from canhaptic.lab.studies.runner import Count, Job, Pool, Progress, begin_worker, pool_of, run_jobs
 from canhaptic.lab.studies.sweep.chunk import (
     FIGURES,
     RATE,
@@ -42,127 +32,26 @@ from canhaptic.lab.studies.sweep.chunk import (
     Recipe,
     is_batch_key,
     make_recipe,
+    row_of,
     run_chunk,
     scene_of,
     usual_figures,
 )
-from canhaptic.lab.studies.sweep.sweep_table import Columnset, SweepTable, create
-from canhaptic.lab.studies.sweep.vary import Points, Varied, make_points, parse_vary
+from canhaptic.lab.studies.sweep.sweep_table import SweepTable, create
+from canhaptic.lab.studies.sweep.vary import Points, Value, Varied, make_points, parse_vary
 from canhaptic.scene.method import plant_errors
 from canhaptic.scene.models import Scene
-
-T = TypeVar("T")
-
-_CONNECT: Final = 10.0
-"""Time in which a scheduler must answer [s]."""
-
-
-class SerialExecutor(Executor):
-    """Executor that runs everything at once, in this thread.
-
-    Args:
-        instead: Function -> the function that replaces it.
-    """
-
-    def __init__(self, instead: Mapping[object, Callable[..., Any]] | None = None) -> None:
-        self._instead = instead or {}
-
-    def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
-        """Return a completed future."""
-        future: Future[T] = Future()
-        try:
-            run: Callable[..., T] = self._instead.get(fn, fn)
-            future.set_result(run(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-
-class Pool:
-    """Worker processes of our own; `renew` replaces them when one died.
-
-    They are started afresh (`spawn`), so that they inherit no thread or lock of this process. They leave Ctrl-C to this
-    process, and end when it does, however it ends.
-
-    Args:
-        workers: Number of processes.
-    """
-
-    def __init__(self, workers: int) -> None:
-        self.workers = workers
-        self.executor = self._made()
-
-    def renew(self) -> Executor:
-        """Replace the processes by new ones and return the pool."""
-        self.executor.shutdown(wait=True, cancel_futures=True)
-        self.executor = self._made()
-        return self.executor
-
-    def close(self) -> None:
-        """End the processes once they have finished their present work."""
-        self.executor.shutdown(wait=True, cancel_futures=True)
-
-    def _made(self) -> ProcessPoolExecutor:
-        context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(self.workers, mp_context=context, initializer=_begin_worker)
-
-
-def _begin_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
-    threading.Thread(target=_follow_parent, daemon=True).start()
-
-
-def _follow_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(1)
-
-
-@contextmanager
-def dask_executor(address: str) -> Iterator[tuple[Executor, int]]:
-    """Yield (executor, number of threads of its workers) of a Dask cluster.
-
-    Args:
-        address: Address of the scheduler, such as tcp://10.0.0.5:8786.
-
-    Raises:
-        InputError: Dask is not installed, no scheduler answers, or it has no worker.
-    """
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise InputError(f"--dask needs Dask; install it with: {install_hint('sweep')}") from error
-    try:
-        client = Client(address, timeout=_CONNECT, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(
-            f"--dask {address}: no scheduler answers there within {_CONNECT:g} s ({error}); "
-            "start one with dask scheduler"
-        ) from error
-    try:
-        threads = sum(client.nthreads().values())
-        if not threads:
-            raise InputError(f"--dask {address}: the cluster has no worker; start some with dask worker {address}")
-        yield client.get_executor(pure=False), threads
-    finally:
-        client.close()
-
 
 _BATCH_CHUNK: Final = (1000, 5000)
 """Least and most scenes of a chunk unless the user says otherwise: fewer, and making the batch costs more than it."""
 _SCALAR_CHUNK: Final = (1, 50)
 _WORTH_A_POOL: Final = 1e6
 """Scenes times cycles that Python runs, from which a pool of processes pays: some 10 s on one core."""
+_MOST_PLANTS: Final = 6
+"""Values of a key of the plant of which an error is estimated."""
 _FEWEST_CHUNKS: Final = 16
 _FEWEST_TOGETHER: Final = 8
 """Scenes of one kind in a sweep, below which making their batch costs more than running them."""
-_LOOK: Final = 0.2
-"""Time between two looks at a request to stop [s]."""
-_MOST_LOSSES: Final = 3
-"""Pools lost in a row without a chunk finished in between."""
 
 
 class Asked(NamedTuple):
@@ -173,15 +62,6 @@ class Asked(NamedTuple):
     chunk: int
     identity: Row
     is_auto: bool  # whether the engine was chosen here
-
-
-class Progress(NamedTuple):
-    """Progress of a sweep."""
-
-    done: int  # scenes whose results are in the file
-    total: int
-    begun: int  # scenes that an earlier run had finished
-    compiles: bool = False  # whether their loop is being compiled while Python runs some
 
 
 def sweep(
@@ -198,16 +78,16 @@ def sweep(
     stop_requested: Callable[[], bool] = lambda: False,
     **options: Any,
 ) -> Progress:
-    """Run every scene and store the figures in a file; a stopped or killed sweep continues where it was.
+    """Run every scene and store the figures in a folder; a stopped or killed sweep continues where it was.
 
     Args:
         scene: Scene with simulated drives, from a file or text.
         vary: Varied keys, as for `--vary`.
-        out: The file (HDF5).
+        out: Folder of the results.
         executor: Any `concurrent.futures.Executor`, or a `Pool`; None: in this thread.
-        resume: Whether to continue with an existing file; a missing one is created.
-        force: Whether to replace an existing file.
-        in_flight: Largest number of chunks submitted and not yet written.
+        resume: Whether to continue with an existing folder; a missing one is created.
+        force: Whether to replace the results of an existing folder.
+        in_flight: Largest number of chunks submitted to an executor and not yet written; a `Pool` gets two a process.
         processes: Whether, where no executor is given, a long sweep that Python runs gets a process on each core, and
             a loop that is not compiled yet is compiled in a separate process while Python runs scenes.
         progress: Called regularly with the progress.
@@ -215,33 +95,40 @@ def sweep(
         options: As for `make_sweep`.
 
     Raises:
-        InputError: Bad input, or a file of another sweep.
-        LogWriteError: The file cannot be written.
+        InputError: Bad input, or a folder of another sweep.
+        LogWriteError: The folder cannot be written.
         WorkersLostError: The workers die again and again.
     """
     asked, path = make_sweep(scene, vary, **options), Path(out)
-    if resume and path.exists():
-        with SweepTable(path) as table:
-            _check_same(table, asked)
-    else:
-        create(path, asked.points, asked.chunk, _columns(scene, asked), replace=force)
+    if not (resume and path.exists()):
+        create(path, asked.chunk, asked.identity, _notes(scene, asked), replace=force)
+    cores, run = os.cpu_count() or 1, run_chunk
     with ExitStack() as stack:
         table = stack.enter_context(SweepTable(path, writable=True))
-        cores = os.cpu_count() or 1
+        _check_same(table, asked)
+        count = Count(len(table), table.finished(), progress)
         if executor is None and processes and cores > 1 and _is_long(asked):
-            pool = Pool(cores)
-            executor, in_flight = pool, 2 * cores
-            stack.callback(pool.close)
-        run = _Run(asked, table, progress)
-        if executor is None and processes and cores > 1 and asked.is_auto and asked.recipe.engine == "numba":
+            executor = stack.enter_context(pool_of(cores))
+        elif executor is None and processes and cores > 1 and asked.is_auto and asked.recipe.engine == "numba":
             from canhaptic.lab.studies.sweep.first_use import FirstUse  # numba is installed
 
-            first = FirstUse(run.report, _begin_worker)
+            first = FirstUse(count.compiling, begin_worker)
             stack.callback(first.close)
-            executor, in_flight = SerialExecutor({run_chunk: first.run}), 1
-        run.run(executor or SerialExecutor(), 1 if executor is None else in_flight, stop_requested)
-        table.merge()
-        return run.state
+            run = first.run
+        jobs = [_job(table, chunk, asked.recipe, run, count) for chunk in np.flatnonzero(~table.done()).tolist()]
+        run_jobs(jobs, executor, stop_requested, path, in_flight)
+        return count.state
+
+
+def _job(table: SweepTable, chunk: int, recipe: Recipe, run: Callable[..., ChunkResult], count: Count) -> Job:
+    start, stop = table.span(chunk)
+
+    def take(result: ChunkResult) -> None:
+        table.store(chunk, result)
+        count.add(stop - start)
+
+    arguments = lambda: (recipe, start, table.points.columns(start, stop))  # noqa: E731
+    return Job(f"scenes {start} to {stop - 1}", run, arguments, take)
 
 
 def make_sweep(
@@ -324,90 +211,6 @@ def _is_long(asked: Asked) -> bool:
     return asked.recipe.engine == "python" and len(asked.points) * cycles >= _WORTH_A_POOL
 
 
-class _Run:
-    """A sweep on its way: which chunks are out, which are in the file."""
-
-    def __init__(self, asked: Asked, table: SweepTable, progress: Callable[[Progress], None]) -> None:
-        self._asked, self._table, self._progress = asked, table, progress
-        done = table.done()
-        self._waiting = np.flatnonzero(~done).tolist()[::-1]
-        begun = sum(stop - start for start, stop in map(table.span, np.flatnonzero(done).tolist()))
-        self._out: dict[Future[ChunkResult], int] = {}
-        self._losses = 0
-        self.state = Progress(begun, len(table), begun)
-
-    def run(self, executor: Executor | Pool, in_flight: int, stop_requested: Callable[[], bool]) -> None:
-        """Run what is not in the file yet."""
-        self._progress(self.state)
-        try:
-            while (self._waiting or self._out) and not stop_requested():
-                self._submit(executor, in_flight)
-                ready, _ = wait_for_chunks(self._out, timeout=_LOOK, return_when=FIRST_COMPLETED)
-                for future in ready:
-                    self._take(future, executor)
-        finally:
-            for future in self._out:
-                future.cancel()
-        for future in [*self._out]:
-            if not future.cancelled():  # what is under way is not thrown away
-                self._take(future, executor)
-
-    def report(self, scenes: int) -> None:
-        """Show how many scenes of the chunk under way are done while their loop is being compiled."""
-        self._progress(self.state._replace(done=self.state.done + scenes, compiles=True))
-
-    def _submit(self, executor: Executor | Pool, in_flight: int) -> None:
-        target = executor.executor if isinstance(executor, Pool) else executor
-        while self._waiting and len(self._out) < in_flight:
-            chunk = self._waiting.pop()
-            start, stop = self._table.span(chunk)
-            columns = self._table.columns(start, stop)
-            try:
-                self._out[target.submit(run_chunk, self._asked.recipe, start, columns)] = chunk
-            except BrokenExecutor as error:
-                self._waiting.append(chunk)
-                self._lost(executor, error)
-                return
-
-    def _take(self, future: Future[ChunkResult], executor: Executor | Pool) -> None:
-        chunk = self._out.pop(future, None)
-        if chunk is None:
-            return
-        try:
-            result = future.result()
-        except BrokenExecutor as error:
-            self._waiting.append(chunk)
-            self._lost(executor, error)
-        except CanHapticError:
-            raise
-        except (Exception, CancelledError) as error:
-            start, stop = self._table.span(chunk)
-            raise WorkersLostError(
-                f"{self._table.path}: scenes {start} to {stop - 1} failed in a worker "
-                f"({type(error).__name__}: {error}); workers need the same canhaptic and the drive's EDS at the same "
-                "path; what was finished is kept, --resume goes on"
-            ) from error
-        else:
-            self._table.write(chunk, result)
-            start, stop = self._table.span(chunk)
-            self._losses = 0
-            self.state = self.state._replace(done=self.state.done + stop - start)
-            self._progress(self.state)
-
-    def _lost(self, executor: Executor | Pool, error: BrokenExecutor) -> None:
-        """Begin anew with new workers after one died, unless that does not help."""
-        self._waiting += self._out.values()
-        self._out.clear()
-        self._losses += 1
-        if not isinstance(executor, Pool) or self._losses >= _MOST_LOSSES:
-            raise WorkersLostError(
-                f"{self._table.path}: the workers died {self._losses} times in a row without finishing a chunk "
-                f"({error or type(error).__name__}); what was finished is kept: look for the cause (memory?), take "
-                "fewer workers or a smaller --chunk with a new file, and --resume"
-            ) from error
-        executor.renew()
-
-
 def _varied(one: str | Varied) -> Varied:
     return parse_vary(one) if isinstance(one, str) else one
 
@@ -432,13 +235,10 @@ def _is_not_batchable(scene: Scene, controllers: Sequence[str]) -> bool:
 
 
 def _identity(scene: Scene, recipe: Recipe, points: Points) -> Row:
-    """Return what two runs must have in common to share a file."""
+    """Return what two runs must have in common to share a folder."""
     return {
         "configuration": scene.config_hash(),
-        "varied": [
-            {"key": v.key, "given": str(v), "spacing": v.spacing, "hash": _hash(v), "numbers": v.is_number}
-            for v in points.varied
-        ],
+        "varied": [{**asdict(v), "values": list(v.values), "given": str(v)} for v in points.varied],
         "samples": points.samples,
         "seed": points.seed if points.samples else 0,
         "duration": recipe.duration,
@@ -450,15 +250,37 @@ def _identity(scene: Scene, recipe: Recipe, points: Points) -> Row:
     }
 
 
-def _hash(varied: Varied) -> str:
-    return hashlib.sha256(json.dumps(varied.values).encode()).hexdigest()
-
-
-def _columns(scene: Scene, asked: Asked) -> Columnset:
-    figures = tuple(f"{axis}/{metric}" for axis in asked.recipe.axes for metric in asked.recipe.metrics)
+def _notes(scene: Scene, asked: Asked) -> dict[str, str]:
     notes = {"scene": scene.text, "source": scene.source, "overrides": json.dumps(scene.overrides)}
-    notes["plant_errors"] = "\n".join(plant_errors(scene))
-    return Columnset(figures, asked.identity, notes)
+    return notes | {"plant_errors": "\n".join(_plant_errors(asked))}
+
+
+def _plant_errors(asked: Asked) -> list[str]:
+    """Return the estimated errors of plants that are not exact: of the first and last scene and of each kind of plant.
+
+    Of the others it is not estimated, which the last line says.
+    """
+    lines, looked_at = [], _looked_at(asked.points)
+    for index in looked_at:
+        row = row_of(asked.points.columns(index, index + 1), 0)
+        built, words = scene_of(asked.recipe, row).scene, ", ".join(f"{key}={_short(value)}" for key, value in row)
+        lines += [f"with {words}: {line}" for line in (plant_errors(built) if built else ())]
+    others = len(asked.points) - len(looked_at)
+    return [*lines, f"of {others} other scenes ERROR NOT KNOWN"] if lines and others else lines
+
+
+def _looked_at(points: Points) -> list[int]:
+    """Return the scenes whose error is estimated: the first, the last, the first with each listed part of a plant."""
+    found = {0, len(points) - 1}
+    for varied in points.varied if not points.samples else ():
+        if varied.spacing == "list" and varied.key.startswith("simulation."):
+            numbers = points.numbers(varied.key)
+            found |= {int(np.argmax(numbers == value)) for value in range(min(len(varied.values), _MOST_PLANTS))}
+    return sorted(found)
+
+
+def _short(value: Value) -> str:
+    return value if isinstance(value, str) else f"{value:.6g}"
 
 
 def _check_same(table: SweepTable, asked: Asked) -> None:
@@ -467,13 +289,12 @@ def _check_same(table: SweepTable, asked: Asked) -> None:
     Raises:
         InputError: It is; names what differs.
     """
-    there: Mapping[str, Any] = table.identity
     for name, value in asked.identity.items():
-        if there.get(name) == value:
+        if table.identity.get(name) == value:
             continue
-        found, wanted = (_words(name, entry) for entry in (there.get(name), value))
+        found, wanted = (_words(name, entry) for entry in (table.identity.get(name), value))
         raise InputError(
-            f"{table.path}: was made with {name.replace('_', ' ')} {found}, now asked {wanted}; ask for the same, "
+            f"{table.folder}: was made with {name.replace('_', ' ')} {found}, now asked {wanted}; ask for the same, "
             "give another --out, or replace it with --force"
         )
 

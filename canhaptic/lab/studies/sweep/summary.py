@@ -1,12 +1,8 @@
-"""Contents of a sweep file, as plain values and as tables for a terminal.
+"""Contents of a sweep, as plain values and as tables for a terminal."""
 
-Shares, extremes and medians of the completed scenes of a sweep, block by block: memory does not grow with them.
-"""
-
-import math
 from collections import Counter
-from collections.abc import Callable, Iterator
-from typing import Final
+from collections.abc import Callable, Mapping
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,116 +12,27 @@ from rich.text import Text
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.sweep.chunk import COMPLETED
+from canhaptic.lab.studies.sweep.chunk import COMPLETED, RADIUS
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.lab.studies.sweep.vary import CONTROLLER
 from canhaptic.view.si import si
 from canhaptic.view.table import Table
-
-_BLOCK: Final = 65_536
-"""Rows looked at together."""
-_DIGIT: Final = 16
-"""Bits of a number that one look at the column settles."""
-_SIGN: Final = np.uint64(1 << 63)
-
-
-class Selected:
-    """The completed scenes of one axis under one algorithm.
-
-    Args:
-        table: File of the sweep.
-        axis: Name of the axis.
-        controller: Number of the algorithm among the texts of its key; None for all scenes.
-    """
-
-    def __init__(self, table: SweepTable, axis: str, controller: int | None = None) -> None:
-        self.table, self._axis, self._controller = table, axis, controller
-
-    def count(self) -> int:
-        """Return the number of scenes."""
-        return sum(int(rows.sum()) for _, _, rows in self._blocks())
-
-    def share(self, metric: str, holds: Callable[[Array], NDArray[np.bool_]], *, finite: bool = False) -> float | None:
-        """Return the share of the scenes whose figure passes; None where there are none.
-
-        Args:
-            metric: Name of the figure.
-            holds: Function from an array of figures to an array of truth values.
-            finite: Whether only finite figures count.
-        """
-        true = count = 0
-        for values in self._columns(metric, finite=finite):
-            true, count = true + int(holds(values).sum()), count + len(values)
-        return true / count if count else None
-
-    def least(self, metric: str) -> float | None:
-        """Return the least finite figure; None where there is none."""
-        return min((float(values.min()) for values in self._columns(metric, finite=True) if len(values)), default=None)
-
-    def median(self, metric: str) -> float | None:
-        """Return the median of the finite figures; for an even number, the mean of the middle two."""
-        count = sum(len(values) for values in self._columns(metric, finite=True))
-        if not count:
-            return None
-        low, high = (self._ranked(metric, rank) for rank in ((count - 1) // 2, count // 2))
-        return low if low == high else math.fsum((0.5 * low, 0.5 * high))
-
-    def _ranked(self, metric: str, rank: int) -> float:
-        """Return the finite figure that `rank` others come before: its bits from the first to the last, in turns."""
-        known = np.uint64(0)
-        for settled in range(0, 64, _DIGIT):
-            left = np.uint64(64 - settled - _DIGIT)
-            counts = np.zeros(1 << _DIGIT, dtype=np.int64)
-            for values in self._columns(metric, finite=True):
-                ordered = _ordered(values)
-                if settled:
-                    ordered = ordered[ordered >> np.uint64(64 - settled) == known]
-                digit = (ordered >> left) & np.uint64((1 << _DIGIT) - 1)
-                counts += np.bincount(digit.astype(np.int64), minlength=1 << _DIGIT)
-            before = np.cumsum(counts)
-            chosen = int(np.searchsorted(before, rank, side="right"))
-            rank -= int(before[chosen] - counts[chosen])
-            known = (known << np.uint64(_DIGIT)) | np.uint64(chosen)
-        bits = known ^ _SIGN if known & _SIGN else ~known
-        return float(np.array([bits], dtype=np.uint64).view(np.float64)[0])
-
-    def _columns(self, metric: str, *, finite: bool = False) -> Iterator[Array]:
-        for start, stop, rows in self._blocks():
-            values = self.table.figure(self._axis, metric, start, stop)[rows]
-            yield values[np.isfinite(values)] if finite else values
-
-    def _blocks(self) -> Iterator[tuple[int, int, NDArray[np.bool_]]]:
-        for start in range(0, len(self.table), _BLOCK):
-            stop = min(len(self.table), start + _BLOCK)
-            rows = np.asarray(self.table.status(start, stop) == COMPLETED)
-            if self._controller is not None:
-                rows &= self.table.numbers(CONTROLLER, start, stop) == self._controller
-            yield start, stop, rows
-
-
-def _ordered(values: Array) -> NDArray[np.uint64]:
-    """Return whole numbers in the order of the values: the bits of a float, those of negative ones inverted."""
-    bits = np.ascontiguousarray(values).view(np.uint64)
-    return np.where(bits & _SIGN, ~bits, bits | _SIGN)
-
 
 _MOST_REMARKS: Final = 20
 
 
 def summary(table: SweepTable) -> Row:
     """Return the account of a sweep as plain values: what `canhaptic sweep --json` prints."""
-    done = table.done()
     counts: Counter[tuple[str, str, str]] = Counter()
     for status, engine, remark, number in table.remarks():
         counts[status, engine, remark] += number
-    finished = sum(stop - start for start, stop in map(table.span, np.flatnonzero(done).tolist()))
     return {
-        "file": str(table.path),
+        "file": str(table.folder),
         "scene": table.note("source"),
         "varied": [varied["given"] for varied in table.identity["varied"]],
         "samples": table.identity["samples"],
         "scenes": len(table),
-        "finished": finished,
+        "finished": table.finished(),
         "status": _by(counts, 0),
         "engines": _by(counts, 1),
         "remarks": [
@@ -146,30 +53,48 @@ def _by(counts: Counter[tuple[str, str, str]], part: int) -> dict[str, int]:
 
 def _figures(table: SweepTable, axis: str) -> Row:
     """Return shares and medians over the completed scenes, per algorithm."""
+    completed = table.status() == COMPLETED
     if CONTROLLER not in table.keys:
-        return {"of the scene": _shares(Selected(table, axis))}
-    return {name: _shares(Selected(table, axis, index)) for index, name in enumerate(table.texts(CONTROLLER))}
+        return {"of the scene": _shares(table, axis, completed)}
+    numbers = table.points.numbers(CONTROLLER)
+    names = next(one.values for one in table.points.varied if one.key == CONTROLLER)
+    return {str(name): _shares(table, axis, completed & (numbers == i)) for i, name in enumerate(names)}
 
 
-def _shares(selected: Selected) -> Row:
-    asked = set(selected.table.metrics)
-    found: Row = {"scenes": selected.count()}
-    if "least_interaction" in asked:
-        found["passive"] = selected.share("least_interaction", lambda values: values >= -PASSIVE_TOLERANCE)
-    if "margin" in asked:
-        found["margin_kept"] = selected.share("margin", lambda values: values >= -PASSIVE_TOLERANCE)
-        found["least_margin"] = selected.least("margin")
-    if "diverged" in asked:
-        found["diverged"] = selected.share("diverged", lambda values: values == 1.0)
-    if "spectral_radius" in asked:
-        found["stable"] = selected.share("spectral_radius", lambda values: values < 1.0, finite=True)
-    if "stiffness_rendered.share" in asked:
-        found["stiffness_rendered"] = selected.median("stiffness_rendered.share")
-    if "mass_felt.share" in asked:
-        found["mass_felt"] = selected.median("mass_felt.share")
-    if "guard_acts" in asked:
-        found["guard_acts"] = selected.median("guard_acts")
+def _shares(table: SweepTable, axis: str, rows: NDArray[np.bool_]) -> Row:
+    """Return shares, least values and medians of some scenes, one figure after the other; None where there are none."""
+    found: Row = {"scenes": int(rows.sum())}
+    for name, (metric, figure) in _SHARES.items():
+        if metric in table.metrics:
+            values = table.figure(axis, metric)[rows]
+            found[name] = figure(values) if len(values) else None
     return found
+
+
+def _kept(values: Array) -> float:
+    return float((values >= -PASSIVE_TOLERANCE).mean())
+
+
+def _finite(figure: Callable[[Array], Any]) -> Callable[[Array], float | None]:
+    """Return a figure of the finite values alone; None where there is none."""
+
+    def of(values: Array) -> float | None:
+        finite = values[np.isfinite(values)]
+        return float(figure(finite)) if len(finite) else None
+
+    return of
+
+
+_SHARES: Final[Mapping[str, tuple[str, Callable[[Array], float | None]]]] = {
+    "passive": ("least_interaction", _kept),
+    "margin_kept": ("margin", _kept),
+    "least_margin": ("margin", _finite(np.min)),
+    "diverged": ("diverged", lambda values: float((values == 1.0).mean())),
+    "stable": (RADIUS, _finite(lambda values: (values < 1.0).mean())),
+    "stiffness_rendered": ("stiffness_rendered.share", _finite(np.median)),
+    "mass_felt": ("mass_felt.share", _finite(np.median)),
+    "guard_acts": ("guard_acts", _finite(np.median)),
+}
 
 
 def summary_report(found: Row) -> RenderableType:

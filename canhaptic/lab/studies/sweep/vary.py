@@ -261,6 +261,11 @@ class Points:
     def __len__(self) -> int:
         return math.prod(self.shape)
 
+    def numbers(self, key: str) -> NDArray[np.intp]:
+        """Return the place of every scene's value among those of a key of the grid, shape (n,)."""
+        place = 0 if self.samples else [varied.key for varied in self.varied].index(key)
+        return np.unravel_index(np.arange(len(self)), self.shape)[place]
+
     def columns(self, start: int, stop: int) -> dict[str, Column]:
         """Return the values of scenes `start` to `stop` by key, each of length stop - start."""
         indices = np.unravel_index(np.arange(start, stop), self.shape)

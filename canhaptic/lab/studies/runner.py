@@ -1,0 +1,263 @@
+"""The jobs of a study on workers: in this process, in a process pool, on a Dask cluster, on any executor.
+
+A pool whose worker dies is replaced and its unfinished work is run again; Dask does that by itself.
+"""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import wait as wait_for_jobs
+from contextlib import contextmanager
+from multiprocessing.connection import wait
+from typing import Any, Final, NamedTuple, TypeVar
+
+from canhaptic.errors import CanHapticError, InputError, WorkersLostError
+from canhaptic.extras import install_hint
+
+T = TypeVar("T")
+
+_CONNECT: Final = 10.0
+"""Time in which a scheduler must answer [s]."""
+_LOOK: Final = 0.2
+"""Time between two looks at a request to stop [s]."""
+_MOST_LOSSES: Final = 3
+"""Pools lost in a row without a job finished in between."""
+
+
+class Progress(NamedTuple):
+    """Progress of a study."""
+
+    done: int  # cases whose results are in the store
+    total: int
+    begun: int  # cases that an earlier run had finished
+    compiles: bool = False  # whether a loop is being compiled while Python runs some
+
+
+class Job(NamedTuple):
+    """Some cases of a study that are finished together."""
+
+    what: str  # in words, as in "scenes 0 to 49"
+    run: Callable[..., Any]
+    arguments: Callable[[], tuple[Any, ...]]  # asked for when it is submitted
+    take: Callable[[Any], None]  # stores what it gave
+
+
+class Count:
+    """Count of the finished cases, shown as it grows.
+
+    Args:
+        total: Number of all cases.
+        begun: Number of those that an earlier run had finished.
+        progress: Called with the progress.
+
+    Attributes:
+        state: Progress so far.
+    """
+
+    def __init__(self, total: int, begun: int, progress: Callable[[Progress], None]) -> None:
+        self.state, self._progress = Progress(begun, total, begun), progress
+        progress(self.state)
+
+    def add(self, cases: int) -> None:
+        """Count further finished cases."""
+        self.state = self.state._replace(done=self.state.done + cases)
+        self._progress(self.state)
+
+    def compiling(self, cases: int) -> None:
+        """Show how many cases of the job under way are done while their loop is being compiled."""
+        self._progress(self.state._replace(done=self.state.done + cases, compiles=True))
+
+
+class SerialExecutor(Executor):
+    """Executor that runs everything at once, in this thread."""
+
+    def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
+        """Return a completed future."""
+        future: Future[T] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+class Pool:
+    """Worker processes of our own; `renew` replaces them when one died.
+
+    They are started afresh (`spawn`), so that they inherit no thread or lock of this process. They leave Ctrl-C to this
+    process, and end when it does, however it ends.
+
+    Args:
+        workers: Number of processes.
+    """
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+        self.executor = self._made()
+
+    def renew(self) -> Executor:
+        """Replace the processes by new ones and return the pool."""
+        self.executor.shutdown(wait=True, cancel_futures=True)
+        self.executor = self._made()
+        return self.executor
+
+    def close(self) -> None:
+        """End the processes once they have finished their present work."""
+        self.executor.shutdown(wait=True, cancel_futures=True)
+
+    def _made(self) -> ProcessPoolExecutor:
+        context = multiprocessing.get_context("spawn")
+        return ProcessPoolExecutor(self.workers, mp_context=context, initializer=begin_worker)
+
+
+@contextmanager
+def pool_of(workers: int) -> Iterator[Pool | None]:
+    """Yield a pool of processes, or None where one is enough; it is closed at the end."""
+    if workers == 1:
+        yield None
+        return
+    pool = Pool(workers)
+    try:
+        yield pool
+    finally:
+        pool.close()
+
+
+def begin_worker() -> None:
+    """Leave Ctrl-C to the parent, use one thread, and end with the parent; called in a new process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    threading.Thread(target=_follow_parent, daemon=True).start()
+
+
+def _follow_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+@contextmanager
+def dask_executor(address: str) -> Iterator[tuple[Executor, int]]:
+    """Yield (executor, number of threads of its workers) of a Dask cluster.
+
+    Args:
+        address: Address of the scheduler, such as tcp://10.0.0.5:8786.
+
+    Raises:
+        InputError: Dask is not installed, no scheduler answers, or it has no worker.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError(f"--dask needs Dask; install it with: {install_hint('sweep')}") from error
+    try:
+        client = Client(address, timeout=_CONNECT, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(
+            f"--dask {address}: no scheduler answers there within {_CONNECT:g} s ({error}); "
+            "start one with dask scheduler"
+        ) from error
+    try:
+        threads = sum(client.nthreads().values())
+        if not threads:
+            raise InputError(f"--dask {address}: the cluster has no worker; start some with dask worker {address}")
+        yield client.get_executor(pure=False), threads
+    finally:
+        client.close()
+
+
+def run_jobs(
+    jobs: Sequence[Job],
+    executor: Executor | Pool | None,
+    stop_requested: Callable[[], bool],
+    where: object,
+    in_flight: int = 4,
+) -> None:
+    """Run jobs until all are finished or a stop is requested; what is under way then is finished, too.
+
+    Args:
+        jobs: The jobs, in the order of their submission.
+        executor: Executor; None: this thread, one job after the other. A `Pool` gets two jobs a process.
+        stop_requested: Polled regularly.
+        where: Place of the results, for messages.
+        in_flight: Largest number of jobs submitted to another executor and not yet taken.
+
+    Raises:
+        CanHapticError: A job fails with it.
+        WorkersLostError: The workers die again and again, or cannot run a job.
+    """
+    if executor is None or isinstance(executor, Pool):
+        in_flight = 1 if executor is None else 2 * executor.workers
+    _Run(jobs, executor or SerialExecutor(), in_flight, where).until(stop_requested)
+
+
+class _Run:
+    """Jobs on their way: which wait, and which are out."""
+
+    def __init__(self, jobs: Sequence[Job], executor: Executor | Pool, in_flight: int, where: object) -> None:
+        self._waiting, self._executor, self._in_flight, self._where = [*jobs][::-1], executor, in_flight, where
+        self._out: dict[Future[Any], Job] = {}
+        self._losses = 0
+
+    def until(self, stop_requested: Callable[[], bool]) -> None:
+        try:
+            while (self._waiting or self._out) and not stop_requested():
+                self._submit()
+                ready, _ = wait_for_jobs(self._out, timeout=_LOOK, return_when=FIRST_COMPLETED)
+                for future in ready:
+                    self._take(future)
+        finally:
+            for future in self._out:
+                future.cancel()
+        for future in [*self._out]:
+            if not future.cancelled():  # what is under way is not thrown away
+                self._take(future)
+
+    def _submit(self) -> None:
+        target = self._executor.executor if isinstance(self._executor, Pool) else self._executor
+        while self._waiting and len(self._out) < self._in_flight:
+            job = self._waiting.pop()
+            try:
+                self._out[target.submit(job.run, *job.arguments())] = job
+            except BrokenExecutor as error:
+                self._waiting.append(job)
+                self._lost(error)
+                return
+
+    def _take(self, future: Future[Any]) -> None:
+        job = self._out.pop(future, None)
+        if job is None:
+            return
+        try:
+            result = future.result()
+        except BrokenExecutor as error:
+            self._waiting.append(job)
+            self._lost(error)
+        except CanHapticError:
+            raise
+        except (Exception, CancelledError) as error:
+            raise WorkersLostError(
+                f"{self._where}: {job.what} failed in a worker ({type(error).__name__}: {error}); workers need the "
+                "same canhaptic and the drive's EDS at the same path; what was finished is kept, --resume goes on"
+            ) from error
+        else:
+            job.take(result)
+            self._losses = 0
+
+    def _lost(self, error: BrokenExecutor) -> None:
+        """Begin anew with new workers after one died, unless that does not help."""
+        self._waiting += self._out.values()
+        self._out.clear()
+        self._losses += 1
+        if not isinstance(self._executor, Pool) or self._losses >= _MOST_LOSSES:
+            raise WorkersLostError(
+                f"{self._where}: the workers died {self._losses} times in a row without finishing a chunk "
+                f"({error or type(error).__name__}); what was finished is kept: look for the cause (memory?), take "
+                "fewer workers or a smaller --chunk with a new folder, and --resume"
+            ) from error
+        self._executor.renew()
