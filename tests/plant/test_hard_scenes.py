@@ -158,7 +158,7 @@ def test_lost_and_late_syncs_do_not_move_a_plant_in_free_space():
         for _ in range(300):
             experiment.cycle.step()
         [moved] = experiment.plants
-        ticks = moved._tick
+        ticks = moved.tick
         energy = moved.energy()
     assert scene.axes[0].simulation is not None
     still = build_plant(scene.axes[0].simulation, scene.bus.sample_time_ns)

@@ -33,6 +33,7 @@ from canhaptic.sim.plant.assembly import (
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.hybrid_automaton import HOLDS, HybridAutomaton, matrix_of
 from canhaptic.sim.plant.propagator import TICKS, Array
+from canhaptic.sim.plant.sample_clock import SampleClock
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.units import Parameters, quantity
 
@@ -110,7 +111,7 @@ class PlantParameters(Parameters):
             rows.forces[MOTOR] += rows.row(effort=1.0)
 
 
-class Plant:
+class Plant(SampleClock):
     """One simulated axis, moved by a torque that is constant from call to call.
 
     The plant is at rest until `begin(now)`; from then on its clock never stops.
@@ -143,13 +144,11 @@ class Plant:
         accuracy: AccuracyParameters | None = None,
         compiled: bool = False,
     ) -> None:
-        if sample_time_ns < 1:
-            raise ParameterError(f"sample time: got {sample_time_ns} ns, expected at least 1 ns; lower the rate")
+        super().__init__(sample_time_ns)
         self.parameters = parameters
         self.user = user
         self.effects = tuple(effects)
         self.accuracy = accuracy or AccuracyParameters()
-        self.sample_time_ns = sample_time_ns
         self.seed = seed
         self.scene = collect(parameters, user, effects, sample_time_ns * 1e-9)
         self.has_ideal_encoder = not self.scene.encoders
@@ -201,12 +200,12 @@ class Plant:
                 keeper.reset()
         self.stored_at_start = self._stored()
         self._epoch: int | None = None
-        self._tick = 0
+        self.tick = 0
         self._next_tidy = _TIDY
         self._pause = 0 if self._looks_ahead else _TIDY  # tick at which `_look` is due
         self._free_torque = self._passing if self._is_flat else -1.0  # until then one product is the hold within it
         self._largest, self._wait = 0.0, 1
-        self._next_period = -1  # [ns] end of the sample time that begins at _tick; -1 inside a sample time
+        self._next_period = -1  # [ns] end of the sample time that begins at the tick; -1 inside a sample time
         self.position = self._machine.state.item(0)
 
     @property
@@ -230,7 +229,7 @@ class Plant:
         """Position that the encoder reports [m or rad]; the same however often it is read at one instant."""
         position = self.position
         for encoder in self.scene.encoders:
-            position = encoder.read(position, self._tick, self.seed)
+            position = encoder.read(position, self.tick, self.seed)
         return position
 
     def set_states(self, values: Mapping[str, float]) -> None:
@@ -295,8 +294,8 @@ class Plant:
     def begin(self, now: int) -> None:
         """Start the clock: `now` [ns] is the epoch, the state there is the initial one. Later calls change nothing."""
         if self._epoch is None:
-            self._epoch = now
             self._next_period = now + self.sample_time_ns
+        super().begin(now)
 
     def advance_to(self, now: int, torque: float) -> None:
         """Move the plant to `now` under a torque that was constant since the last call; still before `begin`.
@@ -310,7 +309,7 @@ class Plant:
             EventLimitError: More events in one sample time than `accuracy.max_events`.
         """
         if now == self._next_period:
-            self._tick = tick = self._tick + TICKS
+            self.tick = tick = self.tick + TICKS
             self._next_period = now + self.sample_time_ns
             free = self._free_torque
             if -free <= torque <= free:
@@ -319,29 +318,29 @@ class Plant:
                 self._hold(TICKS, torque)
             if tick >= self._pause:
                 self._look()
-        elif self._epoch is not None:
-            ticks = self._ticks_until(now, self._epoch)
-            if ticks:
-                self._hold(ticks, torque)
-                if self._tick >= self._pause:
-                    self._look()
+        elif ticks := self.pass_until(now):
+            whole, inside = divmod(self.tick, TICKS)
+            self._next_period = -1 if inside else (self._epoch or 0) + (whole + 1) * self.sample_time_ns
+            self._hold(ticks, torque)
+            if self.tick >= self._pause:
+                self._look()
 
     def _look(self) -> None:
         """Tidy when due, and look ahead for holds that no guard can end."""
-        if self._tick >= self._next_tidy:
+        if self.tick >= self._next_tidy:
             self._machine.tidy()
-            self._next_tidy = self._tick - self._tick % _TIDY + _TIDY
+            self._next_tidy = self.tick - self.tick % _TIDY + _TIDY
         self._pause = self._next_tidy
         if self._looks_ahead:
             largest = min(2.0 * self._largest, self._passing)
             holds = self._machine.holds_without_events(largest) if self._next_period >= 0 else 0
             if self._timetable:
-                holds = min(holds, self._timetable.holds_from(self._tick))
+                holds = min(holds, self._timetable.holds_from(self.tick))
             if holds >= _WORTH_LOOKING:
                 self._free_torque, self._wait = largest, 1
             else:
                 self._free_torque, self._wait, holds = -1.0, min(2 * self._wait, HOLDS), self._wait
-            self._pause = min(self._pause, self._tick + holds * TICKS)
+            self._pause = min(self._pause, self.tick + holds * TICKS)
 
     def run(self, torques: Array) -> Array:
         """Move by one sample time under each torque and return the positions after them; begin at 0 if need be.
@@ -357,7 +356,7 @@ class Plant:
         """
         self.begin(0)
         if self._next_period < 0:
-            raise ParameterError(f"run: got a plant {self._tick % TICKS} ticks inside a sample time, expected 0")
+            raise ParameterError(f"run: got a plant {self.tick % TICKS} ticks inside a sample time, expected 0")
         positions = np.empty(len(torques))
         for k, torque in enumerate(torques.tolist()):
             self.advance_to(self._next_period, torque)
@@ -388,7 +387,7 @@ class Plant:
             self.position = self._machine.state.item(0)
 
     def _commanded_hold(self, ticks: int, torque: float) -> None:
-        duration = ticks * self._machine.tick_time
+        duration = ticks * self.tick_time
         for command in self.scene.commands:
             torque = command.apply(torque, duration)
         self._linear_hold(ticks, torque)
@@ -397,16 +396,16 @@ class Plant:
         machine = self._machine
         try:
             for command in self.scene.commands:
-                torque = command.apply(torque, ticks * machine.tick_time)
+                torque = command.apply(torque, ticks * self.tick_time)
             if self._looks_ahead:
                 if ticks == TICKS and abs(torque) <= self._free_torque:
                     self.position = machine.period(torque)
                     return
                 self._expect(ticks, torque)
             if self._timetable:
-                self._timetable.tick = self._tick - ticks
+                self._timetable.tick = self.tick - ticks
             machine.state[-2] = torque
-            machine.allow_events(self._tick - ticks, self._tick)
+            machine.allow_events(self.tick - ticks, self.tick)
             self._run(ticks)
         except EventLimitError as error:
             raise EventLimitError(error.most, error.state, f"plant {self._before}", error.products) from None
@@ -417,7 +416,7 @@ class Plant:
 
     @property
     def _before(self) -> str:
-        return f"before {self._tick * self._machine.tick_time:.9g} s"
+        return f"before {self.tick * self.tick_time:.9g} s"
 
     def _stay(self, ticks: int, torque: float) -> None:
         """Stay where it is."""
@@ -427,16 +426,4 @@ class Plant:
         self._largest = max(self._largest, abs(torque))
         if self._free_torque >= 0.0:
             self._free_torque = -1.0
-            self._pause = 0 if ticks == TICKS else min(self._next_tidy, self._tick + HOLDS * TICKS)
-
-    def _ticks_until(self, now: int, epoch: int) -> int:
-        """Ticks from the last call to `now`; advances the clock."""
-        period = self.sample_time_ns
-        tick = ((now - epoch) * TICKS + period // 2) // period
-        ticks = tick - self._tick
-        if ticks < 0:
-            raise ParameterError(f"time went back: got {now} ns, {-ticks} ticks before the last call")
-        self._tick = tick
-        whole, inside = divmod(tick, TICKS)
-        self._next_period = -1 if inside else epoch + (whole + 1) * period
-        return ticks
+            self._pause = 0 if ticks == TICKS else min(self._next_tidy, self.tick + HOLDS * TICKS)

@@ -334,7 +334,7 @@ class AdmittancePlant(Plant):
             self._machine.set_part_mode(_INTEGRAL, "free")
         self._free_torque = self._passing if on and self._is_flat else -1.0
         self._hold = self._moves if on or not self._is_flat else self._free_hold
-        self._pause, self._wait = self._tick, 1
+        self._pause, self._wait = self.tick, 1
 
     def limit_torque(self, limit: float) -> None:
         """Lower the limit of the torque before the plant begins, as 0x6072 does; no effect without a limit.
@@ -361,7 +361,7 @@ class AdmittancePlant(Plant):
         change, self._torque_offset = torque - self._torque_offset, torque
         if self._integral >= 0:
             self._machine.state[self._integral] += change
-            self._pause, self._wait = self._tick, 1
+            self._pause, self._wait = self.tick, 1
         else:
             self._shift = torque / self.display.loop.gain
 
@@ -387,7 +387,7 @@ class AdmittancePlant(Plant):
 
     def read_force(self) -> float:
         """Present reading of the sensor; see `ForceReading.take`."""
-        read, elapsed = self._machine.state.item, self._tick * self.sample_time_ns // TICKS
+        read, elapsed = self._machine.state.item, self.tick * self.sample_time_ns // TICKS
         force = self.force if self._force_state < 0 else read(self._force_state)
         return self.reading.take(elapsed, force, read(self._places[0]))
 

@@ -32,9 +32,9 @@ from canhaptic.axis_units import Motion
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, Indices, list_of_zeros, new
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.plant.mechanism.sample_clock import SampleClock
 from canhaptic.sim.plant.mechanism.task_hand import Ellipse, TaskHand
 from canhaptic.sim.plant.propagator import TICKS
+from canhaptic.sim.plant.sample_clock import SampleClock
 from canhaptic.units import Parameters, quantity
 
 _CLEARANCE: Final = 1e-9  # of the distal length: nearer to a singular pose there is no direction left
@@ -618,7 +618,7 @@ class FiveBarLinkage(Parameters):
         return FiveBarMotion(self, hand, sample_time_ns, substeps)
 
 
-class FiveBarMotion:
+class FiveBarMotion(SampleClock):
     """A five-bar in motion.
 
     Args:
@@ -636,11 +636,11 @@ class FiveBarMotion:
     """
 
     def __init__(self, links: FiveBarLinkage, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> None:
-        self._clock = SampleClock(sample_time_ns)
+        super().__init__(sample_time_ns)
         linkage, stop = links.linkage(), links.elbow_stop
         stiffness, least, most = (stop.stiffness, stop.least, stop.most) if stop is not None else (0.0, 0.0, 0.0)
         self.settings = FiveBarSettings(
-            linkage, force_of_hand(hand), links.damping, stiffness, least, most, substeps, self._clock.tick_time
+            linkage, force_of_hand(hand), links.damping, stiffness, least, most, substeps, self.tick_time
         )
         self._place, self._stack = place_at(linkage, *links.initial_angles), five_bar_stack()
         self.state = FiveBarState(*links.initial_angles)
@@ -673,18 +673,14 @@ class FiveBarMotion:
         """Kinetic energy, and that in the elbow stop, from the state [J]."""
         return stored(self.settings, self.state, self._place)
 
-    def begin(self, now: int) -> None:
-        """Start the clock at `now` [ns]."""
-        self._clock.begin(now)
-
     def advance_to(self, now: int, torques: tuple[float, ...]) -> None:
         """Move to `now` [ns] under torques [N*m] that were constant since the last call.
 
         Raises:
             ParameterError: `now` lies before the last call, or the links are pushed through a singular pose.
         """
-        begin = self._clock.tick
-        ticks = self._clock.pass_until(now)
+        begin = self.tick
+        ticks = self.pass_until(now)
         if ticks:
             left, right = torques
             self._place = advance_five_bar(

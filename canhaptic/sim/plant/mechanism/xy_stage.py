@@ -15,9 +15,9 @@ from canhaptic.sim.plant.accuracy_parameters import LEVELS
 from canhaptic.sim.plant.assembly import LEAST_MASS, Body, LinearPart, PlantModel, Rows
 from canhaptic.sim.plant.dry_friction import DryFriction
 from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton, matrix_of
-from canhaptic.sim.plant.mechanism.sample_clock import SampleClock
 from canhaptic.sim.plant.mechanism.task_hand import Length, PointerTaskHand, TaskHand
 from canhaptic.sim.plant.propagator import TICKS, Array
+from canhaptic.sim.plant.sample_clock import SampleClock
 from canhaptic.units import Parameters, quantity
 
 _NAMES: Final = ("x", "y")
@@ -52,7 +52,7 @@ class XYStage(Parameters):
         return XYMotion(self, hand, sample_time_ns)
 
 
-class XYMotion:
+class XYMotion(SampleClock):
     """The stage in motion.
 
     Args:
@@ -68,7 +68,7 @@ class XYMotion:
     """
 
     def __init__(self, stage: XYStage, hand: TaskHand | None, sample_time_ns: int) -> None:
-        self._clock = SampleClock(sample_time_ns)
+        super().__init__(sample_time_ns)
         self._parts = stage, hand, sample_time_ns * 1e-9
         self._scene = scene = self.model()
         self._machine = machine = HybridAutomaton(scene, _MAX_EVENTS, LEVELS)
@@ -123,10 +123,6 @@ class XYMotion:
         """Changes between sticking and sliding since the start."""
         return self._machine.events
 
-    def begin(self, now: int) -> None:
-        """Start the clock at `now` [ns]."""
-        self._clock.begin(now)
-
     def advance_to(self, now: int, torques: Sequence[float]) -> None:
         """Move to `now` [ns] under forces [N] that were constant since the last call.
 
@@ -134,15 +130,15 @@ class XYMotion:
             ParameterError: `now` lies before the last call.
             EventLimitError: More than 1000 events in one sample time.
         """
-        before = self._clock.tick
-        ticks = self._clock.pass_until(now)
+        before = self.tick
+        ticks = self.pass_until(now)
         if ticks:
             machine = self._machine
             for place, force in zip(self.force_places, torques, strict=True):
                 machine.state[place] = force
             machine.allow_events(before, before + ticks)
             self._run(ticks)
-            if before // _TIDY != self._clock.tick // _TIDY:
+            if before // _TIDY != self.tick // _TIDY:
                 machine.tidy()
 
     def energy(self, axis: int) -> PlantEnergy:
