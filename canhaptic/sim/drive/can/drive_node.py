@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Sequence, Sized
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol, cast
+from typing import TYPE_CHECKING, Final, cast
 
 import can
 from canopen.objectdictionary import ObjectDictionary
@@ -339,18 +339,6 @@ class SimulatedDrive:
             self._process_data.send_events()
 
 
-class Drives(Protocol):
-    """Simulated drives of a rig, on one bus or several (a `SimulatedPeer`)."""
-
-    drives: tuple[SimulatedDrive, ...]
-
-    def process(self, now: int) -> None:
-        """Handle all frames and timers of all drives up to `now` [ns]."""
-
-    def next_due(self) -> int:
-        """Return when the next event of any drive is due [ns]."""
-
-
 class DriveGroup:
     """Drives that share a bus connection (a `SimulatedPeer`) and do not receive each other's frames: no drive needs to.
 
@@ -431,3 +419,7 @@ class DriveGroups:
     def next_due(self) -> int:
         """Return when the next timer of any drive is due [ns]."""
         return min((group.next_due() for group in self._groups), default=NEVER)
+
+
+Drives = DriveGroup | DriveGroups
+"""Simulated drives of a rig, on one bus or several."""
