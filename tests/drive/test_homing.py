@@ -100,6 +100,29 @@ def test_the_axis_moves_to_the_next_index_and_stays_there(
     assert is_left_at_rest(b)
 
 
+def at_call(number: int, act: Callable[[], object]) -> Callable[[], bool]:
+    """Never asks to stop, and acts at one of its calls."""
+    calls = iter(range(10_000))
+
+    def stopped() -> bool:
+        if next(calls) == number:
+            act()
+        return False
+
+    return stopped
+
+
+def show_bits(b: Bench, bits: int, when: Callable[[], bool]) -> None:
+    """Sets bits in the upper byte of the statusword."""
+
+    def tamper(message: can.Message) -> can.Message:
+        if message.arbitration_id == 0x185 and when():
+            message.data[1] |= bits
+        return message
+
+    b.tampered.on_receive = tamper
+
+
 def test_a_stop_in_the_middle_halts_and_disables(bench: MakeBench, tmp_path: Path) -> None:
     b, drive = homed(bench, tmp_path, UP)
     calls = iter(range(10_000))
@@ -113,15 +136,12 @@ def test_a_stop_in_the_middle_halts_and_disables(bench: MakeBench, tmp_path: Pat
 
 def test_a_second_signal_in_the_middle_disables_at_once(bench: MakeBench, tmp_path: Path) -> None:
     b, drive = homed(bench, tmp_path, UP)
-    calls = iter(range(10_000))
 
-    def stopped() -> bool:
-        if next(calls) == 400:
-            raise SystemExit(130)
-        return False
+    def signal() -> None:
+        raise SystemExit(130)
 
     with pytest.raises(SystemExit):
-        home(drive, stopped)
+        home(drive, at_call(400, signal))
     assert controlwords(b)[-2:] == [0x1F, 0x00]
     assert is_left_at_rest(b)
 
@@ -135,13 +155,7 @@ def test_a_home_that_is_not_found_in_time_ends_at_rest(bench: MakeBench, tmp_pat
 
 def test_a_homing_error_of_the_drive_ends_at_rest(bench: MakeBench, tmp_path: Path) -> None:
     b, drive = homed(bench, tmp_path, UP)
-
-    def tamper(message: can.Message) -> can.Message:
-        if message.arbitration_id == 0x185 and controlwords(b)[-1:] == [0x1F]:
-            message.data[1] |= 0x20
-        return message
-
-    b.tampered.on_receive = tamper
+    show_bits(b, 0x20, lambda: controlwords(b)[-1:] == [0x1F])
     with pytest.raises(RigError, match=r"homing error \(bit 13"):
         home(drive, NEVER)
     assert is_left_at_rest(b)
@@ -149,15 +163,8 @@ def test_a_homing_error_of_the_drive_ends_at_rest(bench: MakeBench, tmp_path: Pa
 
 def test_a_silent_drive_is_disabled_though_nothing_of_it_is_heard(bench: MakeBench, tmp_path: Path) -> None:
     b, drive = homed(bench, tmp_path, UP)
-    calls = iter(range(10_000))
-
-    def stopped() -> bool:
-        if next(calls) == 300:
-            b.tampered.drop(0x185)
-        return False
-
     with pytest.raises(LinkError):
-        home(drive, stopped)
+        home(drive, at_call(300, lambda: b.tampered.drop(0x185)))
     assert is_left_at_rest(b)
 
 
@@ -197,13 +204,7 @@ def test_a_method_that_the_drive_does_not_have_is_refused_before_it_is_enabled(
 
 def test_an_old_result_in_the_statusword_is_not_taken_for_the_new_one(bench: MakeBench, tmp_path: Path) -> None:
     b, drive = homed(bench, tmp_path, UP._replace(timeout=0.4))
-
-    def tamper(message: can.Message) -> can.Message:
-        if message.arbitration_id == 0x185:
-            message.data[1] |= 0x14  # attained and reached, all the time
-        return message
-
-    b.tampered.on_receive = tamper
+    show_bits(b, 0x14, lambda: True)  # attained and reached, all the time
     with pytest.raises(RigError, match="no home within"):
         home(drive, NEVER)
 
