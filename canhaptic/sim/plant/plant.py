@@ -32,8 +32,7 @@ from canhaptic.sim.plant.assembly import (
 )
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.hybrid_automaton import HOLDS, HybridAutomaton, matrix_of
-from canhaptic.sim.plant.propagator import TICKS, Array
-from canhaptic.sim.plant.sample_clock import SampleClock
+from canhaptic.sim.plant.propagator import TICKS, Array, SampleClock
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.units import Parameters, quantity
 

@@ -4,6 +4,8 @@ The matrix exponential is our own: a Taylor series at the smallest step, then do
 exponential MINUS the identity, E(2h) = 2 E(h) + E(h)^2; doubling exp(F h) itself would amplify the rounding of its ones
 by 2^24. Energies are integrals of a quadratic power z'Sz along the flow (Van Loan, IEEE Trans. Automatic Control
 23(3), 1978); they are doubled by Q(2h) = Q(h) + Phi(h)' Q(h) Phi(h).
+
+The time of a plant: whole ticks of T / 2^24 since its epoch, so that k sample times are exactly k steps.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -12,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.accuracy_parameters import LEVELS
 
 Array = NDArray[np.float64]
@@ -131,3 +134,46 @@ def flow_changes(rates: Array) -> Array:
         some = change[rows]
         change[rows] = 2.0 * some + some @ some
     return change
+
+
+class SampleClock:
+    """Base of what moves by ticks since its epoch; at rest until `begin`.
+
+    Args:
+        sample_time_ns: T [ns].
+
+    Attributes:
+        tick: Present tick.
+        tick_time: Duration of a tick [s].
+
+    Raises:
+        ParameterError: The sample time is below 1 ns.
+    """
+
+    def __init__(self, sample_time_ns: int) -> None:
+        if sample_time_ns < 1:
+            raise ParameterError(f"sample time: got {sample_time_ns} ns, expected at least 1 ns; lower the rate")
+        self.sample_time_ns = sample_time_ns
+        self.tick_time = sample_time_ns * 1e-9 / TICKS
+        self._epoch: int | None = None
+        self.tick = 0
+
+    def begin(self, now: int) -> None:
+        """Start the clock: `now` [ns] is the epoch, the state there is the initial one. Later calls change nothing."""
+        if self._epoch is None:
+            self._epoch = now
+
+    def pass_until(self, now: int) -> int:
+        """Return the ticks from the last call to `now` [ns], rounded; 0 before `begin`.
+
+        Raises:
+            ParameterError: `now` lies before the last call.
+        """
+        if self._epoch is None:
+            return 0
+        tick = ((now - self._epoch) * TICKS + self.sample_time_ns // 2) // self.sample_time_ns
+        ticks = tick - self.tick
+        if ticks < 0:
+            raise ParameterError(f"time went back: got {now} ns, {-ticks} ticks before the last call")
+        self.tick = tick
+        return ticks

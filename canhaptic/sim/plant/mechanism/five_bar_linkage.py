@@ -33,8 +33,7 @@ from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, Indices, list_of_zeros, new
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.mechanism.task_hand import Ellipse, TaskHand
-from canhaptic.sim.plant.propagator import TICKS
-from canhaptic.sim.plant.sample_clock import SampleClock
+from canhaptic.sim.plant.propagator import TICKS, SampleClock
 from canhaptic.units import Parameters, quantity
 
 _CLEARANCE: Final = 1e-9  # of the distal length: nearer to a singular pose there is no direction left

@@ -16,8 +16,7 @@ from canhaptic.sim.plant.assembly import LEAST_MASS, Body, LinearPart, PlantMode
 from canhaptic.sim.plant.dry_friction import DryFriction
 from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton, matrix_of
 from canhaptic.sim.plant.mechanism.task_hand import Length, PointerTaskHand, TaskHand
-from canhaptic.sim.plant.propagator import TICKS, Array
-from canhaptic.sim.plant.sample_clock import SampleClock
+from canhaptic.sim.plant.propagator import TICKS, Array, SampleClock
 from canhaptic.units import Parameters, quantity
 
 _NAMES: Final = ("x", "y")
