@@ -9,6 +9,7 @@ Settings of a scene for this computer: its buses and the number of drives on eac
 import ast
 import importlib.util
 import logging
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -87,23 +88,7 @@ _OF_EVERY_BUS: Final = frozenset({"can_filters"})
 _TIMING: Final = frozenset({"f_clock", "brp", "tseg1", "tseg2", "sjw", "nof_samples"})
 """From these `can.Bus` makes the `timing` of a backend that takes one."""
 
-_REMEDIES: Final[Mapping[str, str]] = {
-    "socketcan": "load the modules (modprobe can can_raw and the adapter's own) and bring the interface up: "
-    "ip link set {channel} up type can bitrate {bitrate}; see `ip link`",
-    "pcan": "install PEAK's driver with the PCAN-Basic library; on Linux the kernel offers the same adapter as "
-    "socketcan",
-    "kvaser": "install Kvaser's driver with the CANlib library (linuxcan on Linux); on Linux the kernel offers the "
-    "same adapter as socketcan",
-    "slcan": "pip install 'python-can[serial]'; channel is the serial port (/dev/ttyACM0, COM5), which must exist, be "
-    "free and be yours (group dialout)",
-    "gs_usb": "pip install 'python-can[gs-usb]' and plug the adapter in; on Linux the kernel offers it as socketcan",
-    "ixxat": "works on Windows alone, with HMS's VCI 4 driver; on Linux use HMS's kernel driver as socketcan",
-    "vector": "works on Windows alone, with Vector's XL Driver Library; assign the channel to the application name "
-    "(app_name) in Vector Hardware Config",
-    "udp_multicast": "pip install 'canhaptic[multicast]'; channel is a multicast group that is yours alone (239.x.x.x)",
-    "virtual": "channel is any name, and reaches this process alone",
-}
-"""What makes an interface usable, by its python-can name."""
+_REMEDIES: Final = Path(__file__).with_suffix(".toml")
 
 logging.getLogger("can").addHandler(logging.NullHandler())  # our error names missing drivers, once
 
@@ -191,7 +176,10 @@ def opening_error(bus: BusSettings, channel: str | int | None, error: Exception)
     Bad input where python-can lacks the interface, its driver or library; a link fault where the device fails.
     """
     place = f"bus {bus.interface!r}, channel {channel!r}"
-    remedy = _REMEDIES.get(bus.interface, "install what python-can needs for this interface, and plug the device in")
+    remedies = tomllib.loads(_REMEDIES.read_text(encoding="utf-8"))
+    remedy = str(
+        remedies.get(bus.interface, "install what python-can needs for this interface, and plug the device in")
+    )
     remedy = remedy.format(channel=channel, bitrate=bus.bitrate)
     seen = " ".join(str(error).split()) or type(error).__name__
     is_device = isinstance(error, can.CanError | OSError) and not isinstance(error, can.CanInterfaceNotImplementedError)

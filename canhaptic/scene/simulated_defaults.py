@@ -4,7 +4,9 @@ A simulated drive inherits its axis's quirks, so that a scene for a real drive s
 drive will behave; any key of `simulation.drive` wins.
 """
 
+import tomllib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.scene.document import MarkedMapping
@@ -13,24 +15,9 @@ from canhaptic.units import Unit
 _MILLI: Final = 1e-3
 _LARGEST_RATIO: Final = 1e9  # anything larger is a fault of the axis, noted there
 
-_TWINS: Final[Mapping[str, Mapping[str, Any]]] = {
-    "rated_torque_micro": {"rated_torque_resolution": 1e-6},
-    "rated_torque_absent": {"absent": ["0x6076"]},
-    "rated_torque_written": {"rated_torque_stated": False},
-    "torque_per_cent": {"torque_resolution": 1e-2},
-    "torque_per_ten_thousand": {"torque_resolution": 1e-4},
-    "max_torque_absent": {"absent": ["0x6072"]},
-    "demand_absent": {"absent": ["0x6074"]},
-    "slow_enable": {"enable_delay": 3.0},
-    "late_following": {"follow_delay": 0.2},
-    "acts_at_once": {"acts_at_once": True},
-    "acts_a_sync_late": {"syncs_late": 1},
-    "abort_disable_voltage": {"refused": {"0x6007": 1}},
-    "abort_quick_stop": {"refused": {"0x6007": 1}},
-    "manufacturer_event": {"refused": {"0x1400.2": 255}},
-    "no_interpolation_period": {"absent": ["0x60C2"]},
-    "sdo_size_not_indicated": {"sdo_size_indicated": False},
-}
+_TWINS: Final[Mapping[str, Mapping[str, Any]]] = tomllib.loads(
+    Path(__file__).with_name("quirk_twins.toml").read_text(encoding="utf-8")
+)
 """Quirk -> keys of `simulation.drive`."""
 
 

@@ -19,46 +19,7 @@ from canhaptic.view.run_lines import headline_text
 from canhaptic.view.table import Table
 from canhaptic.view.terminal import visible
 
-_STYLE: Final = """
-:root { color-scheme: light dark; --ink: #202020; --paper: #ffffff; --blue: #0072b2; }
-:root { --red: #b00020; --green: #00704f; --yellow: #8a5a00; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e6e6e6; --paper: #15171a; --blue: #48a9e6; --red: #ff8a80; --green: #5fd3a8; --yellow: #ffc861; }
-}
-body { font: 15px/1.45 system-ui, sans-serif; margin: 1.5em auto; max-width: 84em; padding: 0 1em; }
-body, svg { background: var(--paper); color: var(--ink); }
-svg { fill: var(--ink); max-width: 100%; height: auto; }
-figure, div.table { margin: 0 0 1.5em; overflow-x: auto; }
-table { border-collapse: collapse; font-size: 13px; }
-caption { font-weight: bold; padding: 0.4em; text-align: left; }
-th, td { border-bottom: 1px solid color-mix(in srgb, var(--ink) 15%, var(--paper)); padding: 0.2em 0.6em; }
-th { background: color-mix(in srgb, var(--ink) 6%, var(--paper)); cursor: pointer; vertical-align: bottom; }
-th, td { text-align: right; }
-.key { text-align: left; }
-td.key:first-child { white-space: pre-wrap; }
-.bold { font-weight: bold; } .dim { opacity: 0.6; }
-.red { color: var(--red); } .green { color: var(--green); } .yellow { color: var(--yellow); }
-small, small a { color: color-mix(in srgb, var(--ink) 65%, var(--paper)); }
-summary { cursor: pointer; font-weight: bold; margin-bottom: 0.5em; }
-"""
-_SCRIPT: Final = """
-const scales = {f: 1e-15, p: 1e-12, n: 1e-9, u: 1e-6, m: 1e-3, k: 1e3, M: 1e6, G: 1e9};
-const value = text => {
-  const found = text.match(/^[<>=\\s]*([-+]?\\d+\\.?\\d*(?:e[-+]?\\d+)?)(?![\\w.])\\s*(?:([fpnumkMG])(?=[A-Za-z]))?/);
-  return found ? found[1] * (scales[found[2]] ?? 1) : null;
-};
-for (const head of document.querySelectorAll("th")) head.addEventListener("click", () => {
-  const body = head.closest("table").tBodies[0], sign = head.dataset.down === "1" ? -1 : 1;
-  head.dataset.down = sign === 1 ? "1" : "0";
-  const text = row => row.cells[head.cellIndex].textContent.trim(), blank = words => words === "" || words === "-";
-  const order = (one, other) => {
-    const [a, b] = [text(one), text(other)], [x, y] = [value(a), value(b)];
-    if (blank(a) || blank(b)) return blank(a) - blank(b);
-    return sign * (x !== null && y !== null ? x - y : (x === null) - (y === null) || a.localeCompare(b));
-  };
-  body.append(...[...body.rows].sort(order));
-});
-"""
+_STYLE, _SCRIPT = (Path(__file__).with_suffix(suffix).read_text(encoding="utf-8") for suffix in (".css", ".js"))
 _LEAST_SIZE: Final = 0.6
 """Part of its size below which a picture is not shrunk; a narrower window scrolls it."""
 _GREY: Final = re.compile(r"(?<=: )#([0-9a-f]{2})\1\1\b")
@@ -112,7 +73,7 @@ def write_page(path: Path, title: str, parts: Iterable[str | Table]) -> None:
     name = html.escape(title)
     text = (
         f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{name}</title>'
-        f"<style>{_STYLE}</style></head><body><h1>{name}</h1>{body}<script>{_SCRIPT}</script></body></html>"
+        f"<style>\n{_STYLE}</style></head><body><h1>{name}</h1>{body}<script>\n{_SCRIPT}</script></body></html>"
     )
     try:
         with replacing(path) as page:
