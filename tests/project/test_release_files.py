@@ -35,12 +35,11 @@ def test_the_citation_names_the_version_and_the_licence_of_the_package() -> None
 
 def test_the_wheel_takes_every_folder_of_scenes_and_dictionaries_along() -> None:
     """A folder that is not named is left out without a word."""
-    files = [
-        file for folder in ("configs", "eds") for file in Path(folder).rglob("*") if file.suffix in (".yaml", ".eds")
-    ]
-    expected = {
-        f"share/canhaptic/{file.parent.as_posix()}": [f"{file.parent.as_posix()}/*{file.suffix}"] for file in files
-    }
+    files = [file for folder in ("configs", "eds") for file in Path(folder).rglob("*")]
+    kinds = {(file.parent.as_posix(), file.suffix) for file in files if file.suffix in (".yaml", ".csv", ".eds")}
+    expected: dict[str, list[str]] = {}
+    for folder, suffix in sorted(kinds, reverse=True):
+        expected.setdefault(f"share/canhaptic/{folder}", []).append(f"{folder}/*{suffix}")
     assert _METADATA["tool"]["setuptools"]["data-files"] == expected
 
 
