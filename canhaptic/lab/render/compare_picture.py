@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 _BUCKETS: Final = 1200
-_ACROSS: Final = 6
+_ACROSS: Final = 4
 """Columns of one band: more are too small to read on a page."""
 _ROOM: Final = 0.35
 """Above and below the continuous run, as a part of its range."""
@@ -60,7 +60,7 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
     columns = -(-most // bands)
     rows = 3 * bands * len(comparison.axes)
     with drawing() as figure_type:
-        figure = figure_type(figsize=(1.2 + 3.0 * columns, 0.9 + 2.5 * rows), dpi=110, layout="constrained")
+        figure = figure_type(figsize=(1.2 + 3.0 * columns, 0.9 + 2.1 * rows), dpi=110, layout="constrained")
         panels = figure.subplots(rows, columns, sharex=True, sharey="row", squeeze=False)
         for index, axis in enumerate(comparison.axes):
             _draw_axis(axis, comparison, panels[3 * bands * index : 3 * bands * (index + 1)])
