@@ -158,7 +158,8 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
         InputError: No cycle lies between `start` and `stop`.
     """
     rows = rows_between(log, start, stop)
-    sync_index, time = log.timing["sync_index"][rows], log.deadlines(rows.start, rows.stop) * log.sample_time
+    edges = (rows.start, rows.stop - 1) if rows.start < rows.stop else ()
+    begin, end = [float(log.deadlines(row, row + 1)[0] * log.sample_time) for row in edges] or (0.0, 0.0)
     truth = {name: _truth(log, name, rows) for name in log.truth}
     ports = _ports(log, rows, truth)
     stretches = {n: _contacts(log, port, rows) for n, port in log.ports.items() if n not in log.group_of}
@@ -173,14 +174,14 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
             "config_hash": str(log.attributes.get("config_hash", "")),
             "cycles": int(rows.stop - rows.start),
             "rate": 1.0 / log.sample_time,
-            "from": float(time[0]) if len(time) else 0.0,
-            "to": float(time[-1]) if len(time) else 0.0,
+            "from": begin,
+            "to": end,
             "findings": impossible_values(log),
             **overall(ports),
             "ports": ports,
             "truth": truth,
             "timing": _timing(log, rows),
-            "link": _link(log, rows, sync_index),
+            "link": _link(log, rows),
             "contacts": stretches,
             "events": [_logged(event, log) for event in log.events],
         },
@@ -253,6 +254,7 @@ def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> Led
     """The account of rows in arrays; what `Ledger` sums up one row at a time."""
     h_i, h_r = column("h_i"), column("h_r")
     margin, margin_row = _least(_running(h_i - h_r))
+    running = _running(h_i)
     place = rows.start + margin_row
     cycle = int(log.timing["sync_index"][place]) if len(h_i) else 0
     deadline = int(log.deadlines(place, place + 1)[0]) if len(h_i) else 0
@@ -274,8 +276,8 @@ def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> Led
         margin_value=margin,
         margin_cycle=cycle,
         margin_deadline=deadline,
-        least_interaction=_least(_running(h_i))[0],
-        first_below=_first_below(log, _running(h_i), rows.start),
+        least_interaction=_least(running)[0],
+        first_below=_first_below(log, running, rows.start),
         certificates=certificates_of(
             sum(1 << int(number) for number in np.unique(certificates[column("torque_command") != 0.0]))
         ),
@@ -333,31 +335,38 @@ def _taken_in(log: EnergyLog, name: str, rows: slice) -> Array:
 
 
 def _timing(log: EnergyLog, rows: slice) -> dict[str, int | dict[str, float]]:
-    parts = {name: log.timing.read(name, rows.start, rows.stop) for name in CycleTiming._fields}
-    if not any(values.any() for values in parts.values()):
+    result: dict[str, int | dict[str, float]] = {}
+    cycle_time, late = np.zeros(0, np.int64), np.zeros(0, np.int64)
+    for name in CycleTiming._fields:  # one at a time: an hour has 29 MB of each
+        values = log.timing.read(name, rows.start, rows.stop)
+        if name == "wakeup_lateness":
+            late = values.copy()
+        else:
+            cycle_time = cycle_time + values if len(cycle_time) else values.copy()
+        result[name] = _quantiles(values)
+    late += cycle_time
+    if not late.any():
         return {}  # in lock-step virtual time does not advance within a cycle: durations say nothing
-    cycle_time = parts["sync_to_last_tpdo"] + parts["compute"] + parts["send"]
-    late = parts["wakeup_lateness"] + cycle_time > log.sample_time_ns
-    result: dict[str, int | dict[str, float]] = {"deadlines_missed": int(late.sum())}
-    return result | {name: _quantiles(values) for name, values in {**parts, "cycle_time": cycle_time}.items()}
+    missed = int((late > log.sample_time_ns).sum())
+    return {"deadlines_missed": missed} | result | {"cycle_time": _quantiles(cycle_time)}
 
 
 def _quantiles(durations: Array) -> dict[str, float]:
-    """Return p50, p99, p99.9 and the maximum [s] of durations [ns]."""
+    """Return p50, p99, p99.9 and the maximum [s] of durations [ns], whose order is lost."""
     if not len(durations):
         return dict.fromkeys((*_QUANTILES, "max"), 0.0)
-    values = np.quantile(durations, list(_QUANTILES.values()), method="higher")
+    values = np.quantile(durations, list(_QUANTILES.values()), method="higher", overwrite_input=True)
     return {name: float(value) / 1e9 for name, value in zip(_QUANTILES, values, strict=True)} | {
         "max": float(durations.max()) / 1e9
     }
 
 
-def _link(log: EnergyLog, rows: slice, sync_index: Array) -> dict[str, float]:
+def _link(log: EnergyLog, rows: slice) -> dict[str, float]:
     fresh = [port.read("fresh", rows.start, rows.stop) for n, port in log.ports.items() if n not in log.groups]
     expected = sum(len(values) for values in fresh)
     received = int(sum(values.sum(dtype=np.int64) for values in fresh))
     dropped = int(log.timing.read("dropped_before", rows.start, rows.stop).sum(dtype=np.int64))
-    gaps = int((np.diff(sync_index) - 1).sum()) if len(sync_index) else 0
+    gaps = int((np.diff(log.timing["sync_index"][rows]) - 1).sum())
     return {
         "success_rate": received / expected if expected else 1.0,
         "missing": expected - received,

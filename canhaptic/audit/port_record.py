@@ -57,10 +57,10 @@ def contacts(branch: Array) -> list[tuple[int, int]]:
 
     A contact continues across a hold whose sample was lost.
     """
-    booked = np.where(branch != Branch.HELD.value, np.arange(len(branch)), 0)
-    touching = np.isin(branch[np.maximum.accumulate(booked)], (Branch.FREE.value, Branch.HELD.value), invert=True)
-    edges = np.flatnonzero(np.diff(touching, prepend=False, append=False))
-    return [(int(start), int(end) - 1) for start, end in zip(edges[::2], edges[1::2], strict=True)]
+    rows = np.flatnonzero(branch != Branch.HELD.value)
+    edges = np.flatnonzero(np.diff(branch[rows] != Branch.FREE.value, prepend=False, append=False))
+    ends = [int(rows[edge]) if edge < len(rows) else len(branch) for edge in edges[1::2]]
+    return [(int(start), end - 1) for start, end in zip(rows[edges[::2]], ends, strict=True)]
 
 
 _BLOCK: Final = 65_536  # rows held in memory at a time

@@ -264,10 +264,11 @@ def propose_allowance(session: Session, axis: int, known: Mapping[str, float]) -
     timing = {each.key[10:]: each.value for each in mine if isinstance(each.value, float)}
     loop = with_declared(scene, {**known, **{name: timing[name] for name in _TIMES if name in timing}}).loop
     energy = hints.advised_allowance(loop, hand_force, getattr(scene.passivity.parameters, "max_consecutive_losses", 0))
-    if energy > 0.0:
+    if energy >= _NOTICED:
         session.propose(axis, key, energy, "J", hints.allowance_words(energy, loop, scene.parameters.unit))
 
 
+_NOTICED: Final = 1e-6  # [J]: 0.2 kg at 3 mm/s; less lets no wall engage sooner that anybody would feel
 _TIMES: Final = ("sync_jitter", "torque_window", "current_lag")
 _ITEM: Final = "torque lag"
 _SHORTEST: Final = 16  # cycles of the first part of the longest doublet

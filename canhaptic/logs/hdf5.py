@@ -17,6 +17,7 @@ Array = NDArray[Any]
 Attribute = str | bytes | int | float | np.generic
 
 _TABLE_CACHE: Final = 1 << 18  # [B]
+_CHUNK_CACHE: Final = 1 << 19  # [B] a column; the default of HDF5 2.0 is 8 MiB, and a log has 40 columns
 _TEXTS_AND_CHUNKS: Final = 1 << 26  # [B], the most that those of one item may take
 _USER_BLOCK: Final = 512  # [B] before the file's own content, the least that the format allows
 _SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
@@ -101,7 +102,7 @@ class Hdf5File:
     def __init__(self, path: Path, mode: str) -> None:
         if mode == "live":
             with _bounded_memory():
-                self._file = h5py.File(path, "r", swmr=True)
+                self._file = h5py.File(path, "r", swmr=True, rdcc_nbytes=_CHUNK_CACHE)
         else:
             oldest, block = ("v110", _USER_BLOCK) if mode == "x live" else ("earliest", None)
             # Without a cache for chunks: each is written once, whole; a megabyte of them per column would be kept.

@@ -44,8 +44,9 @@ def felt(scene: Path, capsys: pytest.CaptureFixture[str]) -> float:
     """Share of the stiffness that a run of 3 s renders, which is passive."""
     capsys.readouterr()
     assert main(["run", str(scene), "--duration", "3", "--pace", "free", "--json"]) == 0
-    [port] = json.loads(capsys.readouterr().out)["ports"].values()
-    assert port["passive"] == "yes"
+    result = json.loads(capsys.readouterr().out)
+    [port] = result["ports"].values()
+    assert result["verdict"].startswith("yes")  # at the handle, where damping was measured
     return float(port["rendered"]["stiffness"])
 
 

@@ -95,7 +95,10 @@ def test_own_code_alone_loads_what_reads_it(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(text.replace("  position: -0.05 m\n", ""))
     (tmp_path / "my_wall.py").write_text(WALL)
     shutil.copy(ROOT / "eds" / "cia402_servo.eds", tmp_path)
-    assert loaded(str(tmp_path / "scene.yaml"), "--allow-code") == GUARDED | {"own code"}
+    assert loaded(str(tmp_path / "scene.yaml"), "--allow-code") == GUARDED | {
+        "own code",
+        "log",
+    }  # memory of the kind that a log shares
 
 
 @pytest.mark.slow

@@ -86,7 +86,7 @@ def test_a_picture_names_the_least_margin_the_wall_and_the_faults_and_shades_eve
     text = (tmp_path / "run.svg").read_text()
     least, time = 1e6 * float(margin.min()), int(margin.argmin()) * 1e-3
     for words in (
-        f"least margin {least:.1f} uJ at {time:.4g} s",
+        f"smallest margin {least:.3g} uJ at {time:.4g} s",
         "wall",
         "1.5 s: emcy 0x8130 heartbeat lost",
         "applied",

@@ -98,7 +98,7 @@ def test_a_group_has_the_energy_and_its_axes_the_positions(tmp_path: Path) -> No
     of_group = [f"stage: {what}" for what in ("damping", "energy", "force", "surplus")]
     assert sorted(titles_of(document)) == sorted(["lost", "timing", *of_axes, *of_group])
     assert "stage: " in status_of(document)
-    assert "x: " not in status_of(document)
+    assert "x: free" not in status_of(document)
 
 
 def test_the_status_ends_with_the_last_four_events(tmp_path: Path) -> None:
