@@ -211,6 +211,13 @@ def _check_loop(axis: AxisScene, passivity: MarkedMapping, scene: Scene, faults:
             f"got {friction:g} {unit} at least, but device_friction_bound says {bound:g} {unit} at most; measure both "
             "(canhaptic commission)",
         )
+    cogging, stiffness = axis.loop.device_cogging_bound, axis.loop.presliding_stiffness
+    if (cogging is None) is not (stiffness is None) or (cogging or 0.0) > (bound or 0.0):
+        faults.add(
+            passivity.value_at("presliding_stiffness" if cogging is None else "device_cogging_bound"),
+            "friction brakes only where device_friction_bound, device_cogging_bound within it and presliding_stiffness "
+            "are all declared; declare them, or leave both of the latter out",
+        )
     if abs(axis.loop.sample_time - scene.bus.sample_time) > 1e-9:
         faults.add(
             passivity.value_at("sample_time"),

@@ -123,6 +123,7 @@ else:  # a scene without them loads nothing of them
 
 LOOP_KEYS: Final = (
     *("moving_mass", "device_damping", "device_damping_bound", "device_friction", "device_friction_bound"),
+    *("device_cogging_bound", "presliding_stiffness"),
     *("sync_jitter", "torque_window", "current_lag", "delay", "sample_time"),
 )
 """Keys of `passivity` that describe the loop and not the algorithm; the last two follow from the bus."""
@@ -371,6 +372,7 @@ def _known_bus(bus: BusParameters, info: Info[SceneContext]) -> BusParameters:
 
 LATER_LOOP_KEYS: Final = (
     *("device_friction", "device_friction_bound", "sync_jitter", "torque_window", "current_lag"),
+    *("device_cogging_bound", "presliding_stiffness"),
     *("torque_rate_limit", "power_limit"),
 )
 """Keys of the loop that logs of the first release do not have."""

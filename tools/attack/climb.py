@@ -245,7 +245,7 @@ class Attack:
 
     def run(self, seed: int, evaluations: int = EVALUATIONS, holds: int = HOLDS) -> float:
         """Returns the least sum of energy that the hand of one seed reached [J]; 0 where none was below it."""
-        room = np.zeros(8), np.zeros(holds), np.ones(holds), np.zeros(3), np.ones(2 * holds + 2)
+        room = np.zeros(9), np.zeros(holds), np.ones(holds), np.zeros(3), np.ones(2 * holds + 2)
         found = float(
             self._climb(
                 self._numbers, self._settings, self._rest, self._states, self._memory, self._zeros, self._rig,

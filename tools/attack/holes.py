@@ -1,6 +1,6 @@
 """What a real rig does to the proof of an ideal hold, each with and without the declaration that mends it.
 
-Nine ways on which certified torques gave out energy before the hold was declared as it is.
+Ten ways on which certified torques gave out energy before the hold was declared as it is.
 """
 
 from functools import partial
@@ -37,6 +37,7 @@ _PUSHES: Final = Hand(5.0, 60.0, 0.5)
 _SNAP: Final = {"peak": 20.0, "pitch": 0.004}
 _SLOT: Final = {"stiffness": 1e4, "lower": 0.0019, "upper": 0.002}
 _WIDE: Final = {"stiffness": 1e4, "lower": -0.0005, "upper": 0.0045}
+_BRAKES: Final = {"device_friction_bound": 2.0, "device_cogging_bound": 0.0}
 
 HOLES: Final = (
     Hole("A", "limit of 2.5 N, 100 Hz", Rig(0.01, 0.25, 0.1, limit=2.5, delay=1), _STIFF, Hand(20.0, 20.0, 0.5),
@@ -63,6 +64,12 @@ HOLES: Final = (
          {"device_damping_bound": 0.0}),
     Hole("B", "dry friction of 2 N, 100 Hz", Rig(0.01, 0.25, 0.1, friction=2.0), _STIFF, _HAND,
          {"device_friction_bound": 2.0}, {}),
+    Hole("S", "dry friction of 2 N that springs back, 100 Hz", Rig(0.01, 0.25, 0.1, friction=2.0, bristles=500.0),
+         {"stiffness": 1000.0}, Hand(0.0, 20.0, 0.5), {**_BRAKES, "presliding_stiffness": 500.0},
+         {**_BRAKES, "presliding_stiffness": 1e9}),
+    Hole("S", "the same by Dahl, one sample late",
+         Rig(0.01, 0.25, 0.1, friction=2.0, delay=1, bristles=500.0, creeps=True), {"stiffness": 300.0},
+         Hand(0.0, 20.0, 0.5), {**_BRAKES, "presliding_stiffness": 500.0}, {**_BRAKES, "presliding_stiffness": 1e9}),
     Hole("G", "rotor of 0.1 kg on a shaft, 100 Hz",
          Rig(0.01, 0.1, 0.1, load=0.126, shaft_stiffness=5000.0, shaft_damping=1.0), {"stiffness": 200.0}, _HAND,
          {"hand_force": 100.0}, {"moving_mass": 0.226}),  # the torque of the shaft is the hand of the rotor
@@ -108,11 +115,14 @@ def random_attack(seed: int) -> Attack:
     rig = Rig(time, mass, damping, friction, lag, window, jitter, delay=delay, limit=limit)
     hand = Hand(one_of((0.0, 0.5, 2.0, 5.0, 20.0)), one_of((5.0, 20.0, 60.0)), 1.0)
     device = damping * one_of((0.0, 0.5, 1.0)) or None, friction * one_of((0.0, 0.5, 1.0)) or None
+    rig, brakes = _that_brakes(seed, rig)
+    if rig.bristles:
+        device = device[0], None  # what they give back no path dissipates
     loop = LoopProperties(
         sync_jitter=jitter, torque_window=window, current_lag=lag, device_friction_bound=friction,
         device_damping=device[0], device_friction=device[1], sample_time=time, delay=delay, torque_limit=limit,
         moving_mass=mass * one_of((0.6, 1.0)), device_damping_bound=damping * one_of((1.0, 3.0)),
-        encoder_count=one_of((0.0, 1e-6, 2e-5)),
+        encoder_count=one_of((0.0, 1e-6, 2e-5)), **brakes,
     )  # fmt: skip
     more = {"hand_push": hand.push} if chance.drawn(0.5) else {}
     wall: Any = SpringDamperWall(stiffness=decades(50.0, 5e4), damping=one_of((0.0, 5.0, 20.0)), position=0.0)
@@ -123,6 +133,19 @@ def random_attack(seed: int) -> Attack:
     if chance.drawn(0.25) and any(device):
         return Attack(rig, wall, loop, GuardedParameters(**{**more, "hand_force": None}), hand._replace(pull=60.0))
     return Attack(rig, wall, loop, GuardedParameters(hand_force=hand.pull, **more), hand)
+
+
+def _that_brakes(seed: int, rig: Rig) -> tuple[Rig, dict[str, float]]:
+    """Returns a rig whose friction gives way for two seeds in three, and what is declared of it; see `_that_turns`."""
+    chance = Chance(seed, 37)
+    kind, stiffness = int(chance.generator.integers(3)), chance.decades(3.0, 1000.0) * rig.mass / rig.sample_time**2
+    if not rig.friction:
+        return rig, {}
+    declared = {
+        "device_cogging_bound": chance.one_of((0.0, 0.0, 0.3)) * rig.friction,
+        "presliding_stiffness": chance.one_of((0.7, 1.0)) * stiffness,  # of rigid ones any is an under-estimate
+    }
+    return (rig._replace(bristles=stiffness, creeps=kind == 2) if kind else rig), declared
 
 
 def _that_turns(seed: int, damping: float) -> Any:

@@ -13,8 +13,9 @@ STEPS: Final = 24
 """Parts of a hold with one torque each."""
 _SHAFT_STEPS: Final = 16
 """Steps of the shaft in each part."""
-X, V, LOAD_X, LOAD_V, MOTOR, BEFORE, TAKEN_IN, DISSIPATED = range(8)
-"""Places in the state of a plant: positions and velocities, torque of the motor, last torque, energies [J]."""
+X, V, LOAD_X, LOAD_V, MOTOR, BEFORE, TAKEN_IN, DISSIPATED, STRAIN = range(9)
+"""Places in the state of a plant: positions and velocities, torque of the motor, last torque, energies [J], bristles.
+"""
 
 
 class Rig(NamedTuple):
@@ -34,6 +35,8 @@ class Rig(NamedTuple):
     shaft_damping: float = 0.0
     delay: int = 0  # holds between computing a torque and its hold
     turns: bool = False  # the words of the hand depend on where the handle is
+    bristles: float = 0.0  # stiffness by which dry friction gives way; 0: none
+    creeps: bool = False  # as Dahl has it, and not at once where they slide
 
 
 class Hand(NamedTuple):
@@ -96,6 +99,9 @@ def move(rig: Rig, state: Buffer, torque: float, hand: float, since: float, step
     if rig.load > 0.0:
         move_two(rig, state, mean, hand, step)
         by_hand = hand * (state[LOAD_X] - hand_from)
+    elif rig.bristles > 0.0:
+        move_on_bristles(rig, state, mean + hand, step)
+        by_hand = hand * (state[X] - before)
     else:
         move_one(rig, state, mean + hand, step)
         by_hand = hand * (state[X] - before)
@@ -141,6 +147,25 @@ def move_one(rig: Rig, state: Buffer, force: float, duration: float) -> None:
         left -= time
         if left <= 0.0:
             return
+
+
+def move_on_bristles(rig: Rig, state: Buffer, force: float, duration: float) -> None:
+    """Moves one mass under a constant force [N] on bristles that slide at the friction; leapfrog, 40 steps a radian."""
+    most, steps = rig.friction / rig.bristles, 4 + int(40.0 * duration * math.sqrt(rig.bristles / rig.mass))
+    step = duration / steps
+    for _ in range(steps):
+        strain = state[STRAIN]
+        state[V] += 0.5 * (force - rig.bristles * strain - rig.damping * state[V]) / rig.mass * step
+        moved = state[V] * step
+        state[X] += moved
+        if not rig.creeps:
+            strain = min(max(strain + moved, -most), most)
+        elif moved > 0.0:
+            strain = most - (most - strain) * math.exp(-moved / most)
+        else:
+            strain = -most + (most + strain) * math.exp(moved / most)
+        state[STRAIN] = strain
+        state[V] += 0.5 * (force - rig.bristles * strain - rig.damping * state[V]) / rig.mass * step
 
 
 def move_two(rig: Rig, state: Buffer, torque: float, hand: float, duration: float) -> None:

@@ -54,7 +54,25 @@ def add_further(seed: int, values: dict[str, Any], tags: set[str], outward: tupl
             axis = values["axes"][0]
             axis["hold_dither"] = max(chance.decades(0.02, 0.5), 0.005 * axis["rated_torque"])
             tags.add("declares:hold_dither")
+        _let_friction_brake(Chance(seed, 43), values, tags)
     return outward
+
+
+def _let_friction_brake(chance: Chance, values: dict[str, Any], tags: set[str]) -> None:
+    """Declares in half of the scenes with dry friction that it brakes; bristles by their own stiffness."""
+    passivity, is_drawn, ratio = values["passivity"], chance.drawn(0.5), chance.decades(5.0, 1000.0)
+    effects = {effect["type"]: effect for effect in values["simulation"]["effects"]}
+    if not is_drawn or "moving_mass" not in passivity:
+        return
+    if (lugre := effects.get("lugre_friction")) is not None:
+        passivity["device_friction_bound"] = float(f"{1.1 * lugre['static']:.4g}")
+        stiffness = 0.9 * lugre["bristle_stiffness"]
+    elif "device_friction_bound" in passivity:
+        stiffness = ratio * passivity["moving_mass"] * values["bus"]["rate"] ** 2
+    else:
+        return
+    passivity.update(device_cogging_bound=0.0, presliding_stiffness=float(f"{stiffness:.4g}"))
+    tags.add("declares:presliding_stiffness")
 
 
 def _near_the_bounds(chance: Chance, values: dict[str, Any], tags: set[str]) -> None:

@@ -20,6 +20,27 @@ the energy taken out, sum(f_i D_i) + F D, is largest when every D_i is: a bound 
 comes IN. The largest F with F (base + gain F) <= budget is the certified torque (`hand_force_bound`).
 Dry friction F_c of the device may push out as well as hold: F_h + F_c takes the place of F_h (`device_friction_bound`).
 
+**Friction that brakes.** Cogging, weight and the wind-up of a gear pull; dry friction r opposes the motion, and pushes
+out of a motion inward alone. What brakes is `device_friction_bound` less `device_cogging_bound`, F_c from here on. At a
+reversal bristles give back what the motion inward put into them: by a stiffness sigma (`presliding_stiffness`) no more
+than F_c^2 / 2 sigma, within d = F_c / sigma of the way out; let w = F_c / sqrt(sigma m), a = (f + F_h) / m the largest
+acceleration without friction, and q the last instant of hold 0 at which the axis does not move outward. Then, besides
+the bound above,
+
+    D_1 <= max(D_0, 0) + the terms of both torques and of F_h + F_c (T^2 / 8m + 1.5 T / sqrt(sigma m) + 4 / sigma).
+
+v_T being the speed at the end of hold 0, hold 1 moves no farther than max(v_T, 0) T + T^2 a_1 / 2, and w T if the
+reversal is in it: after one, m v^2 / 2 <= the integral of m a v + m w^2 / 2, so that v <= a t + w.
+If q >= T/2, v_T <= a (T - q) + w, so that v_T T <= a T^2 / 2 + w T. If q < T/2, let q_2 be where the friction has left
+its d. From q_2 on it brakes: with x(q) - x(0) >= -(a + F_c / m) q^2 / 2,
+
+    v_T T - D_0 <= a T^2 / 2 + F_c q^2 / 2m + (v_2 q_2 - a (q_2^2 - q^2) / 2),   v_2 <= w + min(a t, sqrt(2 a d)),
+
+t = q_2 - q: the bracket is at most w T + min(a t^2 / 2, T (sqrt(2 a d) - a t / 2)) <= w T + 4 d. An axis that moves
+outward throughout, its bristles not yet unloaded, has v_2 <= sqrt(2) w + sqrt(2 a d) and the same with 1.5 w T + d.
+Damping lowers each of these; an older torque of a late one counts in full, (g - f) theta T / m, wherever it acts. So
+friction may be any part of F_c in either direction, and the bound falls with D_0: `brake` is what it takes off.
+
 **Device damping.** The device itself dissipates at least (b/T) D^2 in a hold of displacement D (Cauchy-Schwarz). For
 every D, -F D + (b/T) D^2 >= -F^2 T / 4b, so F^2 <= 4 b E_d / T, less the squares of the queued torques, keeps
 E_d = E + (b/T) sum(D^2) >= 0 for every user.
@@ -152,6 +173,7 @@ class DisplacementResponse:
     tail_during: float = 0.0  # [m/N] per torque in the hold itself
     tail_hand: float = 0.0  # per displacement by the hand
     swing: float = 1.0  # factor by which friction lengthens the way back inside a hold
+    brake: float = 0.0  # part of `hand` and `push` that dry friction does not add to a motion outward, or from rest
 
 
 NO_RESPONSE: Final = DisplacementResponse(1.0, 0.0, 0.0, 0.0)
@@ -166,6 +188,7 @@ def displacement_response(
     damping_most: float = 0.0,
     hand_push: float = math.inf,
     timing: HoldTiming | None = None,
+    friction: tuple[float, float] = (0.0, math.inf),
 ) -> DisplacementResponse:
     """Return the worst response of the displacement in a hold.
 
@@ -181,6 +204,8 @@ def displacement_response(
         damping_most: Upper bound of that damping.
         hand_push: Largest inward force of the hand [N or N*m]; infinite: no bound is known.
         timing: Timing of the holds; None: exact.
+        friction: Dry friction in `hand_force` and `hand_push` that brakes, and its presliding stiffness
+            [N or N*m, N/m or N*m/rad].
     """
     timing = timing or HoldTiming(sample_time, sample_time, 0.0, 0.0)
     longest, shortest, late = timing.longest, timing.shortest, timing.late
@@ -192,7 +217,8 @@ def displacement_response(
         fade = math.exp(-y)
         during, before = whole * (y - 1.0 + fade) / (y * y), whole * (1.0 - fade - y * fade) / (y * y)
     both, share = during + before, late / shortest
-    fading = max(damping_most, damping_least) * longest / mass
+    fading, (braking, stiffness) = max(damping_most, damping_least) * longest / mass, friction
+    given_back = (1.5 * longest / math.sqrt(stiffness * mass) + 4.0 / stiffness) * longest / shortest
     retained = math.exp(-fading) * (shortest / longest)
     return DisplacementResponse(
         retained=retained,
@@ -208,6 +234,7 @@ def displacement_response(
         tail_during=late * late / mass,
         tail_hand=late * (0.5 * longest + late) / mass / both,
         swing=fading / -math.expm1(-fading) if fading > 0.0 else 1.0,
+        brake=braking * max(0.0, both - whole / 8.0 - given_back),
     )
 
 
@@ -225,8 +252,10 @@ def next_displacement(
     """
     if displacement < 0.0:
         displacement -= (1.0 - response.retained) * displacement
+        if displacement > -response.brake:
+            displacement = -response.brake
     else:
-        displacement *= response.growth
+        displacement = displacement * response.growth - response.brake
     if torque_before > 0.0:
         displacement += torque_before * response.before
     if torque > 0.0:

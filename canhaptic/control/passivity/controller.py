@@ -25,6 +25,12 @@ class LoopProperties(Parameters):
     device_friction_bound: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
     """Upper bound of the dry friction and cogging of the device, which may push out of a contact as well as hold.
     None: not known; 0 in a bare loop."""
+    device_cogging_bound: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
+    """Part of that bound that pulls: cogging, weight, wind-up of a gear. The rest only brakes where
+    `presliding_stiffness` is declared too. None: all of it pulls, as in a group."""
+    presliding_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0)] | None = None
+    """UNDER-estimate of the stiffness with which dry friction gives way before it slides. It has to be some 20 times
+    the moving mass over T^2, or nothing is gained. None: not known."""
     sync_jitter: Annotated[float, quantity("1", ge=0.0, le=0.5)] | None = None
     """Every hold, from position to position, lasts T (1 +- jitter). None: not known; 0 in a bare loop."""
     torque_window: Annotated[float, quantity("s", ge=0.0, le=1.0)] | None = None

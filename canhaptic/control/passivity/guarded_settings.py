@@ -213,6 +213,7 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
     response, turns = of_loop.declared.response, of_loop.declared.by_hand_force and not outside
     if turns and response.push < inf:
         response = replace(response, hand=response.push)
+    response = replace(response, brake=0.0)  # a contact begins with a motion inward, in which friction pulls
     return replace(
         of_loop,
         earned=kept_for_contacts(environment, parameters, loop, response),
@@ -344,6 +345,9 @@ def hand_response(parameters: GuardedParameters, loop: LoopProperties) -> Displa
             "hand_force: null and another certificate"
         )
     friction, push = loop.device_friction_bound or 0.0, parameters.hand_push
+    stiffness, braking = loop.presliding_stiffness or inf, 0.0
+    if loop.presliding_stiffness is not None and loop.device_cogging_bound is not None:
+        braking = max(0.0, friction - loop.device_cogging_bound)
     return displacement_response(
         loop.sample_time,
         loop.moving_mass,
@@ -352,4 +356,5 @@ def hand_response(parameters: GuardedParameters, loop: LoopProperties) -> Displa
         loop.device_damping_bound,
         inf if push is None else push + friction,
         loop.timing,
+        (braking, stiffness),
     )
