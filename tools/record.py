@@ -23,7 +23,8 @@ from canhaptic.errors import CanHapticError
 from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.bus_reader import Frame, read_bus_log
 from canhaptic.logs.decoder import BusDecoder
-from canhaptic.scene.build import build, build_drive_group, private_channel
+from canhaptic.scene.build import build, private_channel
+from canhaptic.scene.far_side import build_drive_group
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_axis_controllers, build_servo_drive

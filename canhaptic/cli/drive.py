@@ -14,7 +14,8 @@ from canhaptic.cli.output import write_note
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import InputError, LinkError
 from canhaptic.host.realtime import Realtime
-from canhaptic.scene.build import build_drive_group, open_bus, suffers, with_effects
+from canhaptic.scene.build import open_bus
+from canhaptic.scene.far_side import build_drive_group, suffers, with_effects
 from canhaptic.scene.models import NamedBus, Scene
 from canhaptic.sim.drive.can.drive_node import DriveGroup
 

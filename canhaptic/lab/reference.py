@@ -43,9 +43,9 @@ from canhaptic.lab.judge.reference_group import State as GroupState
 from canhaptic.lab.judge.reference_model import POSITION, VELOCITY, Floats, Model, Modes, State, Transition
 from canhaptic.lab.judge.solvers import states_at
 from canhaptic.lab.loop.axis_loop import mechanism_of_group
+from canhaptic.scene.far_side import effect_of
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisSimulation, Scene
-from canhaptic.scene.parts import effect_of
-from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.mechanism import MechanismParameters
 from canhaptic.sim.plant.propagator import Array
 

@@ -31,21 +31,17 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link, Recorder
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
-from canhaptic.errors import CanHapticError, InputError, ParameterError
+from canhaptic.errors import CanHapticError, InputError
 from canhaptic.host.interfaces import opening_error
-from canhaptic.registry import load
 from canhaptic.result import RunResult, run_result
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import (
     build_axis_controllers,
     build_axis_groups,
     build_axis_meters,
-    build_mechanism_drive,
     build_servo_drive,
-    build_simulated_drive,
     group_places,
     require_torque_axis,
-    shared_motors,
 )
 from canhaptic.signals import SimulatedPeer, Truth
 
@@ -58,7 +54,6 @@ if TYPE_CHECKING:
     from canhaptic.sim.plant.plant import Plant
 
 _ECHOING: Final = frozenset({"udp_multicast"})  # interfaces that return sent frames, with any setting
-_SEEDS_APART: Final = 1_000_003  # from one bus to the next
 _PRIVATE: Final = itertools.count()
 
 
@@ -90,29 +85,6 @@ def open_bus(bus: BusParameters, channel: str | int | None) -> can.BusABC:
         return can.Bus(interface=bus.interface, channel=channel, **options)
     except Exception as error:  # backends pass on any exception of their driver library
         raise opening_error(bus, channel, error) from error
-
-
-def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"], index: int = 0) -> "FaultyBus":
-    """Return a connection with the effects that a scene names on its buses.
-
-    Args:
-        bus: Opened connection.
-        scene: Scene with `bus_effects`.
-        side: Side that owns the connection.
-        index: Index of the bus among those of the scene.
-    """
-    from canhaptic.sim.bus.faulty_bus import FaultyBus
-
-    if scene.bus_effects is None or scene.simulation is None:
-        raise InputError(f"{scene.source}: names no effect on its bus (simulation.bus)")
-    bitrate, seed = scene.buses[index].parameters.bitrate, scene.simulation.seed + _SEEDS_APART * index
-    return FaultyBus(bus, scene.bus_effects, bitrate=bitrate, seed=seed, side=side)
-
-
-def suffers(scene: Scene, name: str) -> bool:
-    """Whether a scene names effects on the bus of this name."""
-    effects = scene.bus_effects
-    return effects is not None and (effects.buses is None or name in effects.buses)
 
 
 DEFAULT_LIMIT: Final = 0.01  # [J]
@@ -184,8 +156,6 @@ def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
 
 
 _Pace = Literal["real", "free"]
-_CHOICES: Final = {"auto": "canhaptic.lab.studies.accuracy.accuracy_choice:with_chosen_accuracy"}
-"""Automatic accuracy -> "module:function" that chooses it; the laboratory, loaded only for a scene that asks for it."""
 
 
 class Experiment:
@@ -212,10 +182,21 @@ class Experiment:
         _require_push(scene, controllers)
         with ExitStack() as stack:
             channels = [_channel(bus.parameters) for bus in scene.buses]
-            groups = _build_groups(scene, channels, stack) if scene.simulated else []
-            self.far_side = _far_side(scene, groups)
+            groups: list[DriveGroup] = []
+            self.far_side: Drives | None = None
+            if scene.simulated:
+                from canhaptic.scene import far_side
+
+                for named, channel in zip(scene.buses, channels, strict=True):
+                    bus = _open_bus(named.parameters, channel, stack)
+                    groups.append(far_side.build_drive_group(scene, bus, named.name))
+                self.far_side = far_side.all_drives(scene, groups)
             buses = [_open_bus(b.parameters, channel, stack) for b, channel in zip(scene.buses, channels, strict=True)]
-            faulty = {n: _build_faulty_bus(scene, n, buses[n], stack) for n in _suffering(scene)}
+            faulty: dict[int, FaultyBus] = {}
+            for n, named in enumerate(scene.buses) if scene.simulated else ():
+                if far_side.suffers(scene, named.name):
+                    faulty[n] = far_side.with_effects(buses[n], scene, "master", n)
+                    stack.callback(faulty[n].shutdown)
             self.faulty_buses = {scene.buses[n].name: faulty_bus for n, faulty_bus in faulty.items()}
             self.clock = _build_clock(scene, pace, groups, faulty)
             self.energy_log: EnergyLogWriter | None = None
@@ -358,7 +339,11 @@ def build(
 
         require_law(scene)
         scene = apart(scene)
-    return Experiment(_with_accuracy(scene), chosen, *logs, no_torque=no_torque)
+    if scene.accuracy_tolerance is not None:
+        from canhaptic.scene.far_side import with_accuracy
+
+        scene = with_accuracy(scene)
+    return Experiment(scene, chosen, *logs, no_torque=no_torque)
 
 
 def _require_push(scene: Scene, controllers: Sequence[object]) -> None:
@@ -386,45 +371,6 @@ def require_buildable(scene: Scene) -> None:
     """
     if scene.simulated and not scene.unread:
         Experiment(scene, "free", None, None).close()
-
-
-def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) -> "DriveGroup":
-    """Return the simulated drives of a scene on one connection to the bus.
-
-    Args:
-        scene: Scene with a `simulation`.
-        bus: Connection to the bus.
-        name: Name of that bus; None for the only one.
-
-    Raises:
-        InputError: The scene has no `simulation`.
-    """
-    from canhaptic.sim.drive.can.drive_node import DriveGroup
-
-    scene = _with_accuracy(scene)
-    period, drives = scene.bus.sample_time_ns, []
-    axes = [axis for axis in scene.axes if name in (None, axis.bus)]
-    motors = shared_motors(scene) if any(axis.simulated_drive is not None for axis in axes) else {}
-    for axis in axes:
-        try:
-            if axis.simulation is not None:
-                drives.append(build_simulated_drive(axis, axis.simulation, bus, period))
-            elif axis.simulated_drive is not None:
-                motor = motors[axis.parameters.name]
-                drives.append(build_mechanism_drive(axis, axis.simulated_drive, motor, bus, period))
-        except ParameterError as error:
-            raise ParameterError(f"{scene.source}: simulation.drive of {axis.parameters.name}: {error}") from error
-    if not drives:
-        raise InputError(f"{scene.source}: has no `simulation`, so there is no drive to simulate; add one")
-    return DriveGroup(bus, drives)
-
-
-def _with_accuracy(scene: Scene) -> Scene:
-    """Scene with its automatic accuracy chosen; without one, nothing is imported."""
-    if scene.accuracy_tolerance is None:
-        return scene
-    chosen: Scene = load(_CHOICES, "auto", "choice of accuracy")(scene)
-    return chosen
 
 
 def _code_process(scene: Scene, pace: _Pace, cycle: Cycle, stack: ExitStack) -> "CodeProcess | None":
@@ -459,34 +405,6 @@ def _open_bus(parameters: BusParameters, channel: str | int | None, stack: ExitS
     bus = open_bus(parameters, channel)
     stack.callback(bus.shutdown)
     return bus
-
-
-def _build_groups(scene: Scene, channels: Sequence[str | int | None], stack: ExitStack) -> "list[DriveGroup]":
-    return [
-        build_drive_group(scene, _open_bus(bus.parameters, channel, stack), bus.name)
-        for bus, channel in zip(scene.buses, channels, strict=True)
-    ]
-
-
-def _far_side(scene: Scene, groups: "Sequence[DriveGroup]") -> "Drives | None":
-    """Return all simulated drives in the order of the axes; None with real ones."""
-    if len(groups) < 2:
-        return groups[0] if groups else None
-    from canhaptic.sim.drive.can.drive_node import DriveGroups
-
-    drives = {bus.name: iter(group.drives) for bus, group in zip(scene.buses, groups, strict=True)}
-    return DriveGroups(groups, [next(drives[axis.bus]) for axis in scene.axes])
-
-
-def _suffering(scene: Scene) -> list[int]:
-    """Places of the buses that have effects of their own."""
-    return [n for n, bus in enumerate(scene.buses) if scene.simulated and suffers(scene, bus.name)]
-
-
-def _build_faulty_bus(scene: Scene, index: int, bus: can.BusABC, stack: ExitStack) -> "FaultyBus":
-    faulty_bus = with_effects(bus, scene, "master", index)
-    stack.callback(faulty_bus.shutdown)
-    return faulty_bus
 
 
 def _build_clock(scene: Scene, pace: _Pace, groups: "Sequence[DriveGroup]", faulty: "Mapping[int, FaultyBus]") -> Clock:

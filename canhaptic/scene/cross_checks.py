@@ -16,7 +16,7 @@ from canhaptic.host.interfaces import interface_faults
 from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, SourceLocation
 from canhaptic.scene.layout import bus_section
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.scene.parts import build_axis_controller, build_group, build_mechanism, build_plant
+from canhaptic.scene.parts import build_axis_controller, build_group
 from canhaptic.scene.timing import rests_on_hand_force
 from canhaptic.units import shown
 
@@ -257,6 +257,8 @@ def _check_parts(
     except ParameterError as error:
         faults.add(_passivity_section(axis, entry, sections, scene).mark, str(error))
     if axis.simulation is not None and axis.is_read:
+        from canhaptic.scene.far_side import build_plant
+
         try:
             build_plant(axis.simulation, scene.bus.sample_time_ns)
         except ParameterError as error:
@@ -267,7 +269,7 @@ def _check_parts(
 def _check_display(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: Diagnostics) -> None:
     if axis.parameters.admittance is None and (axis.simulation is None or axis.simulation.admittance is None):
         return
-    from canhaptic.scene.admittance_checks import check_display
+    from canhaptic.scene.displays import check_display
 
     check_display(axis, entry, scene, faults)
 
@@ -313,9 +315,11 @@ def _check_groups(scene: Scene, sections: MarkedMapping, faults: Diagnostics) ->
 
 def _check_mechanisms(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
     """Note axes that cannot move a mechanism, and its own objections, such as a singular initial pose."""
-    for of, section in zip(
-        scene.mechanisms, sections["simulation"]["mechanisms"] if scene.mechanisms else (), strict=True
-    ):
+    if not scene.mechanisms:
+        return
+    from canhaptic.scene.far_side import build_mechanism
+
+    for of, section in zip(scene.mechanisms, sections["simulation"]["mechanisms"], strict=True):
         (name, model, _), before, at = of.mechanism, len(faults), section.value_at("axes")
         motion, members = cast("MechanismParameters", model).motion, [scene.axis(axis) for axis in of.axes]
         for axis in members:

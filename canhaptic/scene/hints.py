@@ -24,8 +24,8 @@ from canhaptic.control.certificates.scalar_bounds import (
 )
 from canhaptic.control.damping import largest_stable_damping, least_oscillating_damping
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.scene.displays import display_properties
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.scene.parts import display_properties
 
 _BY_DAMPING: Final = ("guarded", "energy_bounding")
 """Algorithms that certain damping of the device certifies."""

@@ -15,8 +15,7 @@ from typing import Any, Final
 
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 
-from canhaptic.scene.layout import SCALING_KEYS, SIMULATION_PARTS
-from canhaptic.scene.models import LOOP_KEYS, scene_adapter
+from canhaptic.scene.models import LOOP_KEYS, SCALING_KEYS, SIMULATION_PARTS, scene_adapter
 from canhaptic.units import Parameters
 
 

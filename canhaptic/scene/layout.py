@@ -33,7 +33,7 @@ from canhaptic.scene.document import (
     read_mapping,
     refuse_unknown_keys,
 )
-from canhaptic.scene.models import LOOP_KEYS, FurtherBus, GroupMembership, RunParameters
+from canhaptic.scene.models import LOOP_KEYS, SIMULATION_PARTS, FurtherBus, GroupMembership, RunParameters
 from canhaptic.units import shown
 
 if TYPE_CHECKING:
@@ -81,10 +81,6 @@ SECTIONS: Final = (
 )
 OWN_SECTIONS: Final = ("environment", "passivity")
 """Shared sections of which an axis may have its own."""
-SCALING_KEYS: Final = ("counts_per_unit", "rated_torque", "direction")
-"""Keys of an axis that its simulated drive takes over unless `simulation.drive` has its own."""
-SIMULATION_PARTS: Final = ("drive", "plant", "user", "effects", "admittance")
-"""Parts of `simulation` that `simulation.axes.NAME` may have its own of."""
 
 
 def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence[str], faults: Diagnostics) -> Any:
@@ -251,7 +247,9 @@ def _axes(
         if buses:
             axis["bus"] = _bus_of_axis(section, buses, faults)
         if simulation is not None:
-            _put_far_side(axis, name, simulation, any(name in moved.axes for moved in mechanisms), faults)
+            from canhaptic.scene.simulated_defaults import put_far_side
+
+            put_far_side(axis, name, simulation, any(name in moved.axes for moved in mechanisms), faults)
         axes.append(axis)
     _check_names(written, simulation, groups, faults)
     return axes
@@ -329,85 +327,6 @@ def _loop_in_group(section: MarkedMapping, group: "Members", faults: Diagnostics
     for key in own.keys() - set(LOOP_KEYS):
         faults.add(own.keys_at[key], f"{renders} give it in the group, and here only {', '.join(LOOP_KEYS)}")
     return own if loop is None else own.over(loop)
-
-
-# --- simulation of an axis ----------------------------------------------------------------------------------------
-
-
-def _put_far_side(
-    axis: MarkedMapping, name: str, simulation: MarkedMapping, moves_mechanism: bool, faults: Diagnostics
-) -> None:
-    """Set the simulation behind the drive of an axis, or its drive alone where that moves a mechanism."""
-    parts, own = simulation.only(SIMULATION_PARTS), _own_parts(name, simulation, faults)
-    for key, value in own.items():
-        below = parts.get(key)
-        if isinstance(value, MarkedMapping) and isinstance(below, MarkedMapping):
-            value = value.over(below)
-        parts.put(key, value, own.keys_at[key], own.values_at[key])
-    drive = _drive(parts, axis["parameters"], faults)
-    if moves_mechanism:
-        axis.set("simulated_drive", drive)
-        for key in own.keys() & {"plant", "user", "effects"}:
-            text = f"{name!r} moves a mechanism, which has masses and hand of its own; leave it out"
-            faults.add(own.keys_at[key], text)
-        return
-    for key in ("user", "effects", "admittance"):
-        if parts.get(key) is None:
-            parts = parts.without(key)
-    if parts.get("plant") is None:
-        parts.set("plant", MarkedMapping(parts.value_at("plant")))
-    parts.set("drive", drive)
-    axis.set("simulation", parts.only(SIMULATION_PARTS))
-
-
-def _own_parts(name: str, simulation: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
-    """Return the entry of `simulation.axes` of an axis; an empty one where it has none."""
-    axes = simulation.get("axes")
-    if not isinstance(axes, MarkedMapping) or axes.get(name) is None:
-        return MarkedMapping(simulation.mark)
-    own = read_mapping(axes[name], axes.value_at(name), faults, ", ".join(SIMULATION_PARTS))
-    return MarkedMapping(simulation.mark) if own is None else own
-
-
-def _drive(parts: MarkedMapping, axis: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
-    """Return the simulated drive's parameters; its scaling is the axis's unless it is given one of its own."""
-    from canhaptic.scene.simulated_defaults import mirror_quirks
-
-    at = parts.value_at("drive")
-    written = MarkedMapping(at)
-    if parts.get("drive") is not None:
-        written = read_mapping(parts["drive"], at, faults, "its parameters") or written
-    drive = written.copy()
-    for key in SCALING_KEYS:
-        if key not in drive and axis.get(key) is not None:
-            drive.put(key, axis[key], axis.keys_at[key], axis.values_at[key])
-    mirror_quirks(drive, axis)
-    _mirror_display(drive, axis)
-    return drive
-
-
-def _mirror_display(drive: MarkedMapping, axis: MarkedMapping) -> None:
-    """Give the simulated drive of an admittance display the scales of its axis, unless it has its own."""
-    display = axis.get("admittance")
-    own = drive.get("display", MarkedMapping(drive.mark))
-    if not isinstance(display, MarkedMapping) or not isinstance(own, MarkedMapping):
-        return
-    force = display.get("force")
-    if not isinstance(force, MarkedMapping) or "per_count" not in force:
-        return
-    at = axis.value_at("admittance")
-    scales = own.copy()
-    named = {
-        "force_object": force.get("object"),
-        "force_node": force.get("node"),
-        "force_per_count": force["per_count"],
-        "force_offset_counts": force.get("offset_counts", 0.0),
-        "velocity_counts": display.get("velocity_counts"),
-    }
-    for key, value in named.items():
-        if value is not None and key not in scales:
-            scales.put(key, value, at, at)
-    drive.put("display", scales, at, at)
 
 
 def _check_names(

@@ -15,12 +15,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canhaptic.drive.clock import WallClock
-from canhaptic.errors import CanHapticError
+from canhaptic.errors import CanHapticError, InputError
+from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
-from canhaptic.scene.parts import build_plant
-from canhaptic.scene.torque_history import declared_order, simulation_of, torque_history
+from canhaptic.scene.parts import build_axis_controller
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.direct_rig import observed
+from canhaptic.sim.plant.direct_rig import DirectRig, observed
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.plant.user import RecordedMotion
@@ -39,6 +39,45 @@ _DETENTS: Final = 6.0
 """Detents in a substep from which halves and thirds of it may both be whole numbers of them."""
 _SUSPECT: Final = 1e3
 """Times the bracket of events: a difference of halved steps above it is no matter of brackets."""
+
+
+_FINE: Final = AccuracyParameters(substeps=16)
+
+
+def torque_history(axis: AxisScene, scene: Scene, holds: int, accuracy: AccuracyParameters = _FINE) -> list[float]:
+    """Return the torque of each hold [N or N*m] of the scene's own controller on a simulated plant, without a bus.
+
+    Args:
+        axis: Simulated axis.
+        scene: Scene of the axis, for rate, delay and quantisation.
+        holds: Number of holds.
+        accuracy: Accuracy of the plant; fine by default.
+    """
+    simulation, period = simulation_of(axis), scene.bus.sample_time_ns
+    plant = build_plant(replace(simulation, accuracy=accuracy), period)
+    given, quantum = axis.parameters, axis.loop.torque_quantum or None
+    step = build_axis_controller(axis).step
+    rig = DirectRig(plant, step, period, scene.bus.delay, given.counts_per_unit, quantum, given.torque_limit)
+    held: list[float] = rig.run(holds + 1).torque_applied[1:].tolist()
+    return held
+
+
+def declared_order(simulation: AxisSimulation) -> int | None:
+    """Return the least order in the substep that an effect or an own hand declares; None where all are exact."""
+    parts = (*(effect.parameters for effect in simulation.effects), simulation.user)
+    orders = [getattr(part, "order", None) for part in parts]
+    return min((order for order in orders if order is not None), default=None)
+
+
+def simulation_of(axis: AxisScene) -> AxisSimulation:
+    """Return the simulation of an axis.
+
+    Raises:
+        InputError: It has none.
+    """
+    if axis.simulation is None:
+        raise InputError(f"{axis.parameters.name}: is not simulated, expected a plant and a user; add `simulation`")
+    return axis.simulation
 
 
 LONG_SWING: Final = 1_200.0

@@ -170,6 +170,12 @@ GroupNetwork = Annotated[
 ]
 
 
+SCALING_KEYS: Final = ("counts_per_unit", "rated_torque", "direction")
+"""Keys of an axis that its simulated drive takes over unless `simulation.drive` has its own."""
+SIMULATION_PARTS: Final = ("drive", "plant", "user", "effects", "admittance")
+"""Parts of `simulation` that `simulation.axes.NAME` may have its own of."""
+
+
 def task_unit(kinematics: str, motor_unit: UnitT) -> UnitT | Literal["m"]:
     """Unit of task space, by the name of the kinematics and the unit of the motor axes."""
     return "m" if kinematics in _MOVES_IN_METRES else motor_unit

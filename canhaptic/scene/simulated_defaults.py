@@ -1,4 +1,4 @@
-"""Deviations of a simulated drive that follow from the quirks of its axis.
+"""The simulation of an axis as a scene file has it, and deviations of its drive that follow from the axis's quirks.
 
 A simulated drive inherits its axis's quirks, so that a scene for a real drive shows on the virtual bus how that
 drive will behave; any key of `simulation.drive` wins.
@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from canhaptic.scene.document import MarkedMapping
+from canhaptic.scene.document import Diagnostics, MarkedMapping, read_mapping
+from canhaptic.scene.models import SCALING_KEYS, SIMULATION_PARTS
 from canhaptic.units import Unit
 
 _MILLI: Final = 1e-3
@@ -51,7 +52,7 @@ def _ratio(written: object) -> float | None:
     return ratio if isinstance(ratio, int | float) and 0.0 < ratio < _LARGEST_RATIO else None
 
 
-def mirror_quirks(drive: MarkedMapping, axis: MarkedMapping) -> None:
+def _mirror_quirks(drive: MarkedMapping, axis: MarkedMapping) -> None:
     """Add to the section of a simulated drive the keys that follow from its axis; its own keys win."""
     for key, value in _twin_of(axis).items():
         if key not in drive:
@@ -63,3 +64,77 @@ def _joined(before: Any, value: Any) -> Any:
     if isinstance(before, list):
         return [*before, *value]
     return {**before, **value} if isinstance(before, dict) else value
+
+
+def put_far_side(
+    axis: MarkedMapping, name: str, simulation: MarkedMapping, moves_mechanism: bool, faults: Diagnostics
+) -> None:
+    """Set the simulation behind the drive of an axis, or its drive alone where that moves a mechanism."""
+    parts, own = simulation.only(SIMULATION_PARTS), _own_parts(name, simulation, faults)
+    for key, value in own.items():
+        below = parts.get(key)
+        if isinstance(value, MarkedMapping) and isinstance(below, MarkedMapping):
+            value = value.over(below)
+        parts.put(key, value, own.keys_at[key], own.values_at[key])
+    drive = _drive(parts, axis["parameters"], faults)
+    if moves_mechanism:
+        axis.set("simulated_drive", drive)
+        for key in own.keys() & {"plant", "user", "effects"}:
+            text = f"{name!r} moves a mechanism, which has masses and hand of its own; leave it out"
+            faults.add(own.keys_at[key], text)
+        return
+    for key in ("user", "effects", "admittance"):
+        if parts.get(key) is None:
+            parts = parts.without(key)
+    if parts.get("plant") is None:
+        parts.set("plant", MarkedMapping(parts.value_at("plant")))
+    parts.set("drive", drive)
+    axis.set("simulation", parts.only(SIMULATION_PARTS))
+
+
+def _own_parts(name: str, simulation: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
+    """Return the entry of `simulation.axes` of an axis; an empty one where it has none."""
+    axes = simulation.get("axes")
+    if not isinstance(axes, MarkedMapping) or axes.get(name) is None:
+        return MarkedMapping(simulation.mark)
+    own = read_mapping(axes[name], axes.value_at(name), faults, ", ".join(SIMULATION_PARTS))
+    return MarkedMapping(simulation.mark) if own is None else own
+
+
+def _drive(parts: MarkedMapping, axis: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
+    """Return the simulated drive's parameters; its scaling is the axis's unless it is given one of its own."""
+    at = parts.value_at("drive")
+    written = MarkedMapping(at)
+    if parts.get("drive") is not None:
+        written = read_mapping(parts["drive"], at, faults, "its parameters") or written
+    drive = written.copy()
+    for key in SCALING_KEYS:
+        if key not in drive and axis.get(key) is not None:
+            drive.put(key, axis[key], axis.keys_at[key], axis.values_at[key])
+    _mirror_quirks(drive, axis)
+    _mirror_display(drive, axis)
+    return drive
+
+
+def _mirror_display(drive: MarkedMapping, axis: MarkedMapping) -> None:
+    """Give the simulated drive of an admittance display the scales of its axis, unless it has its own."""
+    display = axis.get("admittance")
+    own = drive.get("display", MarkedMapping(drive.mark))
+    if not isinstance(display, MarkedMapping) or not isinstance(own, MarkedMapping):
+        return
+    force = display.get("force")
+    if not isinstance(force, MarkedMapping) or "per_count" not in force:
+        return
+    at = axis.value_at("admittance")
+    scales = own.copy()
+    named = {
+        "force_object": force.get("object"),
+        "force_node": force.get("node"),
+        "force_per_count": force["per_count"],
+        "force_offset_counts": force.get("offset_counts", 0.0),
+        "velocity_counts": display.get("velocity_counts"),
+    }
+    for key, value in named.items():
+        if value is not None and key not in scales:
+            scales.put(key, value, at, at)
+    drive.put("display", scales, at, at)

@@ -10,10 +10,9 @@ The hand-force certificate counts on them. With real drives nothing is derived: 
 (`canhaptic commission`) and declared, and without them no real drive runs (`guesses`, and the algorithm itself).
 """
 
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Mapping, Set
 from dataclasses import replace
-from math import inf
-from typing import Any, Final
+from typing import Final
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
@@ -21,9 +20,7 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.can.bus_budget import torque_latency, worst_frame
 from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.errors import CanHapticError
-from canhaptic.scene.models import DISPLAY_LOOP_KEYS, AxisScene, MechanismScene, NamedBus, Scene
-
-BOUNDS: Final = ("device_damping_bound", "device_friction_bound")
+from canhaptic.scene.models import DISPLAY_LOOP_KEYS, AxisScene, NamedBus, Scene
 
 
 def rests_on_hand_force(scene: Scene, axis: AxisScene) -> bool:
@@ -33,55 +30,21 @@ def rests_on_hand_force(scene: Scene, axis: AxisScene) -> bool:
 
 def with_device_bounds(scene: Scene) -> Scene:
     """Return the scene with the bounds of simulated devices; declared bounds are kept."""
+    if scene.simulation is None:
+        return scene
+    from canhaptic.scene.far_side import device_bounds
+
     axes = []
     for axis in scene.axes:
-        found = _bounds(scene, axis) if rests_on_hand_force(scene, axis) else {}
-        missing = {key: value for key, value in found.items() if getattr(axis.loop, key) is None}
-        axes.append(replace(axis, loop=axis.loop.model_copy(update=missing)) if missing else axis)
+        found = device_bounds(scene, axis) if rests_on_hand_force(scene, axis) else {}
+        axes.append(_with_loop(axis, {key: of for key, of in found.items() if getattr(axis.loop, key) is None}))
     return replace(scene, axes=tuple(axes))
 
 
-def _bounds(scene: Scene, axis: AxisScene) -> dict[str, float]:
-    """Upper bounds of an axis's simulated device; none for a real one, or one in another process."""
-    if axis.simulation is not None:
-        effects = [effect.parameters for effect in axis.simulation.effects]
-        damping = axis.simulation.plant.damping + sum(_damping(effect) for effect in effects)
-        return dict(zip(BOUNDS, (damping, sum(_friction(effect) for effect in effects)), strict=True))
-    for of in scene.mechanisms:
-        if axis.parameters.name in of.axes:
-            return _bounds_of_mechanism(of, of.axes.index(axis.parameters.name))
-    return {}
+def _with_loop(axis: AxisScene, missing: Mapping[str, float]) -> AxisScene:
+    return replace(axis, loop=axis.loop.model_copy(update=dict(missing))) if missing else axis
 
 
-def _damping(effect: Any) -> float:
-    """Return the largest damping of an effect on the body at the encoder; a stop's and a shaft's are not the device's.
-
-    The bristles of LuGre friction damp as well until they slide.
-    """
-    kind = getattr(effect, "type", "")  # own code has none
-    if kind == "viscous_friction":
-        return float(effect.damping)
-    return float(effect.viscous + effect.bristle_damping) if kind == "lugre_friction" else 0.0
-
-
-def _friction(effect: Any) -> float:
-    """Return the largest force of an effect at any speed: dry friction, cogging."""
-    if getattr(effect, "type", "") == "cogging":
-        return float(effect.amplitude)
-    return float(max(getattr(effect, "static", 0.0), getattr(effect, "kinetic", 0.0)))
-
-
-def _bounds_of_mechanism(of: MechanismScene, place: int) -> dict[str, float]:
-    """The same for one motor of a mechanism: its bearing, or its guide."""
-    given: Any = of.mechanism.parameters
-    guide = f"_{'xy'[place]}" if of.mechanism.name == "xy_stage" else ""
-    friction = getattr(given, f"friction{guide}", None)
-    static = 0.0 if friction is None else float(max(friction.static, friction.kinetic))
-    return dict(zip(BOUNDS, (float(getattr(given, f"damping{guide}", 0.0)), static), strict=True))
-
-
-NO_LAG: Final = 1.0
-"""Lag of a torque whose own is not bounded [s]: the largest that is accepted, with which nothing is certified."""
 GUESSES: Final = {"sync_jitter": 0.05, "torque_window": 100e-6, "current_lag": 500e-6}
 """Taken for real drives until it is declared, with the time that event RPDOs take; no real drive runs on them."""
 _NEVER_ZERO: Final = ("torque_window", "current_lag")
@@ -101,34 +64,26 @@ def _unknown(loop: LoopProperties) -> list[str]:
 
 
 def with_timing(scene: Scene) -> Scene:
-    """Return the scene with the timing of its axes; declared keys are kept."""
+    """Return the scene with the timing of its axes, guessed for real drives; declared keys are kept."""
     needed = tuple(f"{axis.parameters.name}.passivity.{key}" for axis in scene.axes for key in _needed(scene, axis))
     scene = replace(scene, undeclared=needed)
-    if not scene.simulated:
-        return _with_guesses(scene)
     windows = {bus.name: _window(scene, bus) for bus in scene.buses}
-    jitters = {bus.name: _jitter(scene, bus) for bus in scene.buses}
     if any(axis.bus not in windows for axis in scene.axes):  # noted where buses are checked
         return scene
-    axes = []
-    for axis in scene.axes:
-        known = {"sync_jitter": jitters[axis.bus], "torque_window": windows[axis.bus], "current_lag": _lag(axis)}
-        missing = {key: known[key] for key in undeclared(axis.loop)}
-        axes.append(replace(axis, loop=axis.loop.model_copy(update=missing)) if missing else axis)
-    return replace(scene, axes=tuple(axes))
+    if not scene.simulated:
+        known = [{**GUESSES, "torque_window": GUESSES["torque_window"] + windows[axis.bus]} for axis in scene.axes]
+        missing = [_unknown(axis.loop) for axis in scene.axes]
+    else:
+        from canhaptic.scene.far_side import lag_of
 
-
-def _with_guesses(scene: Scene) -> Scene:
-    """Scene with guesses where the timing of real holds is undeclared."""
-    windows = {bus.name: GUESSES["torque_window"] + _window(scene, bus) for bus in scene.buses}
-    if any(axis.bus not in windows for axis in scene.axes):  # noted where buses are checked
-        return scene
-    axes = []
-    for axis in scene.axes:
-        values = {**GUESSES, "torque_window": windows[axis.bus]}
-        missing = {key: values[key] for key in _unknown(axis.loop)}
-        axes.append(replace(axis, loop=axis.loop.model_copy(update=missing)))
-    return replace(scene, axes=tuple(axes))
+        jitters = {bus.name: _jitter(scene, bus) for bus in scene.buses}
+        known = [
+            {"sync_jitter": jitters[axis.bus], "torque_window": windows[axis.bus], "current_lag": lag_of(axis)}
+            for axis in scene.axes
+        ]
+        missing = [undeclared(axis.loop) for axis in scene.axes]
+    found = zip(scene.axes, known, missing, strict=True)
+    return replace(scene, axes=tuple(_with_loop(axis, {key: of[key] for key in keys}) for axis, of, keys in found))
 
 
 def _needed(scene: Scene, axis: AxisScene) -> list[str]:
@@ -191,13 +146,3 @@ def _window(scene: Scene, bus: NamedBus) -> float:
     except (CanHapticError, OSError):
         return window  # noted with the dictionary
     return window + torque_latency(bus.parameters, maps)
-
-
-def _lag(axis: AxisScene) -> float:
-    """Largest time constant from the commanded torque to the motor's [s]; `NO_LAG` where it may not follow at all."""
-    effects = {of.name: of.parameters for of in axis.simulation.effects} if axis.simulation is not None else {}
-    lag = float(getattr(effects.get("current_loop"), "time_constant", 0.0))
-    slowest: Callable[..., float] | None = getattr(effects.get("voltage_limit"), "slowest_lag", None)
-    if slowest is None:
-        return lag
-    return min(slowest(lag, axis.parameters.torque_limit or inf, axis.parameters.largest_speed), NO_LAG)

@@ -15,7 +15,8 @@ from canhaptic.cli.main import main
 from canhaptic.cli.options import seconds
 from canhaptic.cycle import run
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.scene.build import build, build_drive_group, open_bus
+from canhaptic.scene.build import build, open_bus
+from canhaptic.scene.far_side import build_drive_group
 from canhaptic.scene.load import load_scene
 from canhaptic.view.terminal import RunProgress
 

@@ -9,8 +9,8 @@ import pytest
 
 from canhaptic.lab.loop.axis_loop import loop_case
 from canhaptic.scene.build import build
+from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.direct_rig import DirectRig
 from canhaptic.sim.plant.plant import Plant
 from tests.plant.plant_scenes import ReferenceMode, Way, hand, largest_flow, reference, residual, run

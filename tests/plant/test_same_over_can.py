@@ -7,8 +7,9 @@ import pytest
 
 from canhaptic.cycle import run
 from canhaptic.scene.build import build
+from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.parts import build_axis_controller, build_plant
+from canhaptic.scene.parts import build_axis_controller
 from canhaptic.sim.plant.direct_rig import DirectRig
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -10,12 +10,12 @@ from tests.acceptance.two_processes import Listener, canhaptic, shared_bus  # no
 from tools.count_structure import code_of, loaded_modules
 
 ROOT: Final = Path(__file__).resolve().parents[2]
-CODE_OF_A_REAL_AXIS: Final = 11_300
+CODE_OF_A_REAL_AXIS: Final = 11_000
 """Most lines of code that one real axis may load, on a bus that is not SocketCAN and without its preflight (170)."""
 KINDS: Final[dict[str, tuple[str, ...]]] = {
     "simulation": (
         *("sim.drive", "sim.bus", "sim.plant.plant", "sim.plant.user", "control.energy_audit"),
-        *("scene.simulated_defaults", "scene.method", "scene.torque_history"),
+        *("scene.simulated_defaults", "scene.method", "scene.far_side"),
     ),
     "effect": ("sim.plant.effects.",),
     "approximate effect": ("sim.plant.splitting",),
@@ -25,7 +25,7 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
     "mechanism": ("sim.plant.mechanism.",),
     "display": (
         *("control.admittance.", "drive.can.admittance_", "drive.profile.admittance_"),
-        *("scene.admittance_checks", "sim.drive.profile.admittance_", "sim.plant.velocity_drive"),
+        *("scene.displays", "sim.drive.profile.admittance_", "sim.plant.velocity_drive"),
     ),
     "force node": ("canopen.force_node", "sim.drive.can.sensor_node"),
     "impedance algorithm": ("control.passivity.guarded", "control.certificates.torque_bound"),

@@ -12,7 +12,8 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.clock import VirtualClock, WallClock
 from canhaptic.errors import InputError, LinkError, RigError
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.scene.build import build, build_drive_group, open_bus, private_channel, require_buildable
+from canhaptic.scene.build import build, open_bus, private_channel, require_buildable
+from canhaptic.scene.far_side import build_drive_group
 from canhaptic.scene.hints import stability_hints
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import method_line

@@ -21,8 +21,8 @@ from canhaptic.lab.studies.accuracy.loop_sensitivity import continuous_loop
 from canhaptic.lab.studies.sweep.chunk import make_recipe
 from canhaptic.lab.studies.sweep.chunk import scene_of as scene_of_row
 from canhaptic.lab.studies.sweep.vary import make_points, parse_vary
+from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,8 +9,7 @@ from canhaptic.cli.main import main
 from canhaptic.errors import OwnCodeError
 from canhaptic.own_results import watch
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.method import method_line
-from canhaptic.scene.torque_history import declared_order, simulation_of
+from canhaptic.scene.method import declared_order, method_line, simulation_of
 from canhaptic.sim.plant.own_hand import OwnHand
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 

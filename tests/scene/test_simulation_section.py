@@ -7,9 +7,9 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.scene.build import build
+from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import dear_holds, method_line
-from canhaptic.scene.parts import build_plant
 from tests.scene.scene_text import faults, scene_file
 
 COULOMB = "{type: coulomb_friction, kinetic: 0.3 N, static: 0.5 N}"

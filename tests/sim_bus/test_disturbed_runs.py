@@ -20,7 +20,8 @@ from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.passivity.controller import Controller
 from canhaptic.cycle import run
 from canhaptic.errors import DriveFaultError, LinkError, RigError
-from canhaptic.scene.build import Experiment, build, build_drive_group, with_effects
+from canhaptic.scene.build import Experiment, build
+from canhaptic.scene.far_side import build_drive_group, with_effects
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.sim_bus.bus_bench import virtual_bus

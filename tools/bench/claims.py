@@ -15,8 +15,8 @@ from canhaptic.lab.figures.field_figures import energy_beyond_device
 from canhaptic.lab.loop.axis_loop import LoopRun, cycles_of, loop_case
 from canhaptic.lab.studies.arena import scene_under, with_loop
 from canhaptic.lab.studies.map import theory_of
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import Scene
-from canhaptic.scene.torque_history import simulation_of
 from tools.bench.report import Row, publish
 from tools.paper_runs import figures_of, record
 

@@ -20,7 +20,7 @@ from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
-from canhaptic.scene.build import build_drive_group
+from canhaptic.scene.far_side import build_drive_group
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_servo_drive
 from canhaptic.sim.drive.can.drive_node import DriveGroup

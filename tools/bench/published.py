@@ -18,10 +18,10 @@ from canhaptic.lab.figures.field_figures import m_width
 from canhaptic.lab.loop.axis_loop import LoopRun, environment_of, loop_case
 from canhaptic.lab.studies.arena import rounded, with_loop
 from canhaptic.lab.studies.map import colgate_stiffness
+from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import Scene
-from canhaptic.scene.parts import build_plant
-from canhaptic.scene.torque_history import simulation_of
 from tools.bench.report import Row, publish
 
 _PACKAGES: Final = ("canhaptic", "numpy")

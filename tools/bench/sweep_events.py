@@ -104,7 +104,7 @@ def jax_rows() -> list[Row]:
     name = "JAX, vmap over scan: unprotected, linear plant, peak torque alone"
     if not python:
         return [Row(f"{name}: peer absent (JAX_PYTHON names no interpreter)", float("nan"), "M cycles/s")]
-    from canhaptic.scene.parts import build_plant
+    from canhaptic.scene.far_side import build_plant
 
     scene = load_scene(CONFIG)
     simulation: Any = scene.axes[0].simulation

@@ -41,8 +41,8 @@ from canhaptic.lab.figures.meter import MeterSettings
 from canhaptic.lab.loop.axis_loop import EVERYWHERE, Array, LoopCase, Reach, loop_case
 from canhaptic.lab.reference import readings_per_hold
 from canhaptic.registry import load
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisSimulation, Scene
-from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.propagator import flow_changes
 
 

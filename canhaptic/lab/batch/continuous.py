@@ -24,8 +24,8 @@ from canhaptic.lab.reference import (
     surfaces,
 )
 from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.models import AxisSimulation
-from canhaptic.scene.parts import build_plant
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import PlantParameters

@@ -72,9 +72,10 @@ from canhaptic.lab.batch.plants import (
 from canhaptic.lab.figures.meter import Meter, count_branch, take_energy
 from canhaptic.lab.loop.axis_loop import FURTHEST, mechanism_of_group
 from canhaptic.registry import load
+from canhaptic.scene.far_side import build_mechanism, build_plant
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, MechanismScene, Scene
-from canhaptic.scene.parts import build_mechanism, build_plant, check_group, loop_as_known
-from canhaptic.scene.torque_history import simulation_of
+from canhaptic.scene.parts import check_group, loop_as_known
 from canhaptic.sim.plant import splitting, stepper
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.assembly import PlantModel

@@ -42,8 +42,8 @@ from canhaptic.lab.batch.closed_loop import Signals, Winding
 from canhaptic.lab.batch.varied import simulation_with
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.far_side import build_plant, effect_of
 from canhaptic.scene.models import AxisSimulation
-from canhaptic.scene.parts import build_plant, effect_of
 from canhaptic.sim.plant import mode_arrays, splitting, stepper
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.assembly import PlantModel, collect

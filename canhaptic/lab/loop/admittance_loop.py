@@ -15,9 +15,10 @@ from canhaptic.control.balance import RANKS, Certificate
 from canhaptic.drive.profile.admittance_parameters import ForceChannel
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.lab.loop.axis_loop import EVERYWHERE, FURTHEST, Array, LoopRun, Recorder, finished
+from canhaptic.scene.far_side import build_plant
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.scene.parts import build_axis_controller, build_group, build_plant
-from canhaptic.scene.torque_history import simulation_of
+from canhaptic.scene.parts import build_axis_controller, build_group
 from canhaptic.sim.plant.velocity_drive import AdmittancePlant
 
 Mask = NDArray[np.bool_]

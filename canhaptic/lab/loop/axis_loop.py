@@ -30,11 +30,11 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.kernels import new
 from canhaptic.registry import load
-from canhaptic.scene.admittance_checks import refuse_displays
 from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.displays import refuse_displays
+from canhaptic.scene.far_side import build_plant
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene
-from canhaptic.scene.parts import build_plant
-from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import UserParameters

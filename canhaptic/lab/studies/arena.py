@@ -70,8 +70,8 @@ from canhaptic.lab.studies.runner import Count, Job, Pool, Progress, run_jobs
 from canhaptic.lab.studies.store import Store, create_store
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import MAX_BYTES, load_scene, scene_from_text
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import Scene
-from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 
 _MARK: Final = ".py:"

@@ -22,8 +22,8 @@ from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.errors import InputError
 from canhaptic.lab.loop.axis_loop import able_under, display_group_under, display_under
 from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, FurtherBus, GroupScene, MechanismScene, Scene
-from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, PointerTaskHand, TaskHand
 from canhaptic.sim.plant.pointer_hand import PointerHand
 from canhaptic.sim.plant.user import UserParameters

@@ -16,9 +16,10 @@ from canhaptic.lab.studies.accuracy.accuracy_choice import LEAST_ORDER, fitted_o
 from canhaptic.lab.studies.accuracy.accuracy_table import advice_lines
 from canhaptic.lab.studies.accuracy.loop_sensitivity import continuous_loop
 from canhaptic.lab.studies.accuracy.study import AccuracyStudy
+from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.parts import build_axis_controller, build_plant
-from canhaptic.scene.torque_history import declared_order, simulation_of, torque_history
+from canhaptic.scene.method import declared_order, simulation_of, torque_history
+from canhaptic.scene.parts import build_axis_controller
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import DirectRig, observed
 

@@ -13,10 +13,9 @@ from canhaptic.lab.judge.solvers import reference
 from canhaptic.lab.reference import textbook_model
 from canhaptic.lab.studies.accuracy.accuracy_choice import holds_of, ladder, with_chosen_accuracy
 from canhaptic.scene.build import build
+from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.method import PlantPrice, estimated_error, method_line, plant_prices
-from canhaptic.scene.parts import build_plant
-from canhaptic.scene.torque_history import simulation_of, torque_history
+from canhaptic.scene.method import PlantPrice, estimated_error, method_line, plant_prices, simulation_of, torque_history
 from canhaptic.sim.plant.direct_rig import observed
 from tests.scene.scene_text import scene_file
 

@@ -14,10 +14,10 @@ from canhaptic.lab.reference import textbook_model
 from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR, choose, holds_of, ladder
 from canhaptic.lab.studies.accuracy.accuracy_table import advice, line, markdown, meets
 from canhaptic.lab.studies.accuracy.plant_solvers import OURS, PlantSide
+from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene
+from canhaptic.scene.method import simulation_of, torque_history
 from canhaptic.scene.old_forms import RELEASES
-from canhaptic.scene.parts import build_plant
-from canhaptic.scene.torque_history import simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import observed
 from tests.lab.accuracy.accuracy_scenes import FOLDER, REPOSITORY, SCENES

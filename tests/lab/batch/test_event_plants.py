@@ -11,8 +11,8 @@ from canhaptic.lab.batch.cases import batch_case
 from canhaptic.lab.batch.marching import march
 from canhaptic.lab.batch.plants import run_event_plants
 from canhaptic.lab.batch.varied import scene_with
+from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.parts import build_plant
 
 CYCLES = 450
 MOVING = ("environment.position=0.005", "simulation.user.motion.frequency=3")

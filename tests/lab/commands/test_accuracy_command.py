@@ -19,7 +19,7 @@ from canhaptic.lab.studies.accuracy import study as control_thread
 from canhaptic.lab.studies.accuracy.accuracy_table import price_lines, wrapped
 from canhaptic.lab.studies.accuracy.study import AccuracyStudy, length_of
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.torque_history import torque_history
+from canhaptic.scene.method import torque_history
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 SCENE = str(REPOSITORY / "configs" / "accuracy" / "delayed_bus.yaml")

@@ -13,7 +13,7 @@ from canhaptic.lab.loop.admittance_loop import run_display
 from canhaptic.lab.render.accuracy_picture import draw_display_accuracy
 from canhaptic.lab.studies.accuracy.admittance_accuracy import study_display
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.torque_history import simulation_of
+from canhaptic.scene.method import simulation_of
 
 SCENES = Path(__file__).parents[3] / "configs" / "admittance"
 NODE = SCENES / "force_node.yaml"

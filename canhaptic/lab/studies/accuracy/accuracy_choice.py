@@ -16,9 +16,9 @@ from canhaptic.errors import InputError
 from canhaptic.lab.judge.reference_model import MotionError, difference
 from canhaptic.lab.judge.solvers import reference
 from canhaptic.lab.reference import textbook_model
+from canhaptic.scene.far_side import build_plant
+from canhaptic.scene.method import declared_order, simulation_of, torque_history
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
-from canhaptic.scene.parts import build_plant
-from canhaptic.scene.torque_history import declared_order, simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import Motion, observed
 

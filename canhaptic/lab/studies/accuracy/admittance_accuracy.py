@@ -30,8 +30,8 @@ from canhaptic.lab.loop.axis_loop import Array, at_rate, display_group_under, di
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy.accuracy_choice import holds_of
 from canhaptic.lab.studies.accuracy.loop_sensitivity import Variant
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation, SimulatedForceSensor
 from canhaptic.view.si import si
 from canhaptic.view.table import Table

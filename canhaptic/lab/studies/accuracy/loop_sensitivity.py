@@ -34,10 +34,10 @@ from canhaptic.lab.loop.axis_loop import (
 )
 from canhaptic.lab.reference import ContinuousGroup, continuous_run, textbook_model
 from canhaptic.lab.studies import Row
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_group
 from canhaptic.scene.timing import with_timing
-from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.propagator import Array
 

@@ -39,9 +39,9 @@ from canhaptic.lab.reference import group_model, textbook_model
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR, fitted_order, ladder
 from canhaptic.lab.studies.accuracy.loop_sensitivity import finely_solved
+from canhaptic.scene.far_side import build_plant
+from canhaptic.scene.method import declared_order, simulation_of, torque_history
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
-from canhaptic.scene.parts import build_plant
-from canhaptic.scene.torque_history import declared_order, simulation_of, torque_history
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import Motion, observed
 from canhaptic.sim.plant.plant import Plant

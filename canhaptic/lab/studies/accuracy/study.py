@@ -65,10 +65,11 @@ from canhaptic.lab.studies.accuracy.plant_solvers import (
     own_ladder,
     own_setting,
 )
-from canhaptic.scene.build import build, build_drive_group, open_bus, private_channel
+from canhaptic.scene.build import build, open_bus, private_channel
+from canhaptic.scene.far_side import build_drive_group, build_plant
+from canhaptic.scene.method import simulation_of, torque_history
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.scene.parts import build_plant, build_servo_drive
-from canhaptic.scene.torque_history import simulation_of, torque_history
+from canhaptic.scene.parts import build_servo_drive
 from canhaptic.signals import SimulatedPeer
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import observed

@@ -22,9 +22,9 @@ from canhaptic.lab.figures.figures import display_figures
 from canhaptic.lab.loop.axis_loop import parts_of, require_design_room
 from canhaptic.lab.studies import Row
 from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.displays import display_properties
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
-from canhaptic.scene.parts import display_properties
-from canhaptic.scene.torque_history import simulation_of
 from canhaptic.view.si import si
 
 _HANDS: Final = ((1.0, 1.0), (0.3, 1.0), (3.0, 1.0), (1.0, 0.3), (1.0, 3.0))

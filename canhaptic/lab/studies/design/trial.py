@@ -71,8 +71,8 @@ from canhaptic.lab.studies.sweep.chunk import (
 from canhaptic.lab.studies.sweep.vary import CONTROLLER, Column, listed, make_points, ranged
 from canhaptic.scene.hints import LEAN
 from canhaptic.scene.load import scene_from_text
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, MechanismScene, Scene, task_unit
-from canhaptic.scene.torque_history import simulation_of
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion
 from canhaptic.sim.plant.user import RecordedMotion, SinusoidMotion
 from canhaptic.units import Parameters

@@ -55,9 +55,9 @@ from canhaptic.lab.loop.axis_loop import (
 from canhaptic.lab.loop.over_can import known_algorithms
 from canhaptic.lab.studies.sweep.vary import CONTROLLER, Column, Points, Value, Varied, scene_seed, scene_seeds
 from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, parse_yaml
-from canhaptic.scene.layout import OWN_SECTIONS, SIMULATION_PARTS
+from canhaptic.scene.layout import OWN_SECTIONS
 from canhaptic.scene.load import scene_from_text
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.models import SIMULATION_PARTS, AxisScene, Scene
 from canhaptic.scene.overrides import apply_overrides
 from canhaptic.scene.own_code import require_same_code
 

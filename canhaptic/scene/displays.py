@@ -1,0 +1,108 @@
+"""Admittance displays of a scene: their declared properties, and checks that need more than one section.
+
+A scene without one loads nothing of it.
+"""
+
+from typing import TYPE_CHECKING, cast
+
+from canhaptic.control.admittance import build_display_group
+from canhaptic.control.admittance.port import AdmittanceProperties
+from canhaptic.drive.axis_parameters import AxisParameters
+from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
+from canhaptic.errors import InputError, ParameterError
+from canhaptic.scene.document import Diagnostics, MarkedMapping
+from canhaptic.scene.models import AxisScene, GroupScene, Scene
+
+if TYPE_CHECKING:
+    from canhaptic.control.mechanisms.kinematics import Kinematics
+    from canhaptic.control.multi_axis.group_controller import GroupController
+
+
+def display_properties(axis: AxisScene) -> AdmittanceProperties:
+    """Declared properties of an admittance display.
+
+    Raises:
+        ParameterError: A limit without which nothing may move is missing, or the axis is no admittance display.
+    """
+    given, display = axis.parameters, axis.parameters.admittance
+    if display is None:
+        raise ParameterError(f"{given.name}: has no `admittance`; expected an admittance display")
+    if "speed_limit" not in given.model_fields_set or display.acceleration_limit is None:
+        missing = "admittance.acceleration_limit" if display.acceleration_limit is None else "speed_limit"
+        raise ParameterError(f"{given.name}: {missing}: missing; an admittance display needs it, add it")
+    force, time = display.force, axis.loop.sample_time
+    counts = given.counts_per_unit
+    quantum = 1.0 / (counts * time) if display.mode == "position" else 1.0 / (display.velocity_counts or counts)
+    return AdmittanceProperties(
+        sample_time=time, jitter=axis.loop.sync_jitter or 0.0,
+        delay=axis.loop.delay, sampling=force.sampling, latency=force.latency, filter=force.filter,
+        force_slew=force.slew, handle_acceleration=display.handle_acceleration, force_error=force.error,
+        encoder_count=1.0 / counts, speed_quantum=quantum, speed_limit=given.speed_limit,
+        acceleration_limit=display.acceleration_limit, torque_limit=given.torque_limit,
+        **({} if display.position_low is None else {"position_low": display.position_low}),
+        **({} if display.position_high is None else {"position_high": display.position_high}),
+    )  # fmt: skip
+
+
+def build_group_of_displays(scene: Scene, group: GroupScene) -> "GroupController":
+    """Return the controller of a group of admittance displays; raise ParameterError where an axis is none."""
+    axes = [scene.axis(name) for name in group.axes]
+    others = [axis.parameters.name for axis in axes if axis.parameters.admittance is None]
+    if others:
+        raise ParameterError(
+            f"group {group.name!r} has admittance displays and {', '.join(others)}, which is none; expected one kind"
+        )
+    properties, kinematics = [display_properties(of) for of in axes], cast("Kinematics", group.kinematics.parameters)
+    return build_display_group(
+        group.network.parameters, group.passivity.name, group.passivity.parameters, properties, kinematics
+    )
+
+
+def check_display(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: Diagnostics) -> None:
+    """Note missing properties of an admittance display, and an impedance display simulated as an admittance display."""
+    display, simulation = axis.parameters.admittance, axis.simulation
+    if display is None:
+        if simulation is not None and simulation.admittance is not None:
+            faults.add(entry.mark, "simulation.admittance: got one, but the axis has no `admittance`; add it there")
+        return
+    at = entry.value_at("admittance")
+    if axis.simulated_drive is not None:
+        faults.add(
+            at, "got an admittance display, but this axis moves a simulated mechanism; expected a plant of its own"
+        )
+    if scene.bus.rpdo == "event":
+        faults.add(
+            at, "got an admittance display with rpdo: event, whose commands act at no known time; use synchronous"
+        )
+    if simulation is not None and simulation.admittance is None:
+        faults.add(at, "got an admittance display, but simulation.admittance is missing; add loop, grip and sensor")
+    if not scene.simulated:
+        for key in _missing(axis.parameters, display):
+            faults.add(at, f"{key}: missing; an admittance display on a real interface does not move without, add it")
+
+
+def _missing(given: AxisParameters, display: AdmittanceParameters) -> list[str]:
+    """Keys that real hardware needs and the axis lacks."""
+    needed = {
+        "admittance.position_low": display.position_low,
+        "admittance.position_high": display.position_high,
+        "admittance.acceleration_limit": display.acceleration_limit,
+        "admittance.force.frozen_after": display.force.frozen_after,
+        "speed_limit": given.speed_limit if "speed_limit" in given.model_fields_set else None,
+        "watchdog: true": given.watchdog or None,
+    }
+    return [key for key, value in needed.items() if value is None]
+
+
+def refuse_displays(scene: Scene, command: str) -> None:
+    """Refuse a scene with admittance displays for a command that serves impedance displays only.
+
+    Raises:
+        InputError: It has one.
+    """
+    names = ", ".join(axis.parameters.name for axis in scene.axes if axis.parameters.admittance is not None)
+    if names:
+        raise InputError(
+            f"{scene.source}: {names}: {command} takes impedance displays (motion in, torque out) only; "
+            "use canhaptic run, touch, compare, sweep, design, accuracy, check or inspect"
+        )
