@@ -259,6 +259,7 @@ def _finish(axes: "Axes", title: str, unit: str) -> None:
 _HEIGHTS: Final = {"path": 5.0, "position": 3.0, "velocity": 2.0, "torque": 3.0, "energy": 4.0, "surplus": 2.0}
 """Heights of the panels, in units of `_INCH`."""
 _INCH: Final = 0.75  # per unit of height
+_ACROSS: Final = 2  # accounts next to each other; more continue below
 
 
 def draw_energy(
@@ -325,16 +326,20 @@ def _layout(
     wanted = {name: picture.draws() for name, picture in pictures.items()}
     rows = [row for row in _HEIGHTS if any(row in names for names in wanted.values())]
     heights = [_HEIGHTS[row] for row in rows]
-    figure = figure_type(figsize=(2.0 + 6.5 * len(pictures), _INCH * sum(heights)), dpi=120)
+    across = min(len(pictures), _ACROSS)
+    bands = -(-len(pictures) // _ACROSS)
+    figure = figure_type(figsize=(2.0 + 6.5 * across, _INCH * sum(heights) * bands), dpi=120)
     figure.set_layout_engine("constrained", hspace=0.04, h_pad=0.06)
-    grid = figure.add_gridspec(len(rows), len(pictures), height_ratios=heights)
+    grid = figure.add_gridspec(len(rows) * bands, across, height_ratios=heights * bands)
     columns: dict[str, dict[str, Axes]] = {}
     first = None
     for number, (name, names) in enumerate(wanted.items()):
         columns[name] = {}
         for row in names:
             over_time = row != "path"
-            axes = figure.add_subplot(grid[rows.index(row), number], sharex=first if over_time else None)
+            band, column = divmod(number, across)
+            place = grid[band * len(rows) + rows.index(row), column]
+            axes = figure.add_subplot(place, sharex=first if over_time else None)
             axes.tick_params(labelbottom=row in ("path", names[-1]))
             first = axes if over_time and first is None else first
             columns[name][row] = axes

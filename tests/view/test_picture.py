@@ -20,7 +20,7 @@ from canhaptic.scene.load import load_scene
 from canhaptic.signals import Sample
 from canhaptic.view import run_picture
 from canhaptic.view.picture_style import drawing, save_picture
-from canhaptic.view.run_picture import PortPicture, draw_energy
+from canhaptic.view.run_picture import PortPicture, draw_energy, energy_figure
 from canhaptic.view.series import decimate
 from tests.drawn import examples
 from tests.view.synthetic_run import TIMING, write_run
@@ -193,6 +193,15 @@ def test_a_surplus_of_rounding_has_no_panel_and_a_real_one_has(tmp_path: Path) -
         writer.close()
         with EnergyLog(tmp_path / name) as log:
             assert ("surplus" in PortPicture(log, "handle", slice(0, 20)).draws()) == shown
+
+
+def test_four_axes_are_drawn_two_by_two(tmp_path: Path) -> None:
+    write_run(tmp_path / "run.h5", cycles=60, ports=("a", "b", "c", "d"))
+    with EnergyLog(tmp_path / "run.h5") as log:
+        panels = energy_figure(log).axes
+    placed = {name: panel.get_subplotspec() for panel in panels if (name := panel.get_title(loc="left")[:1]) in "abcd"}
+    assert [spec.colspan.start for spec in placed.values() if spec] == [0, 1, 0, 1]
+    assert len({spec.rowspan.start for spec in placed.values() if spec}) == 2
 
 
 def test_powers_of_ten_are_written_plainly_and_dollars_stay(tmp_path: Path) -> None:
