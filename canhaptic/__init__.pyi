@@ -19,7 +19,7 @@ from canhaptic.drive.rig import Rig as Rig
 from canhaptic.errors import CanHapticError as CanHapticError
 from canhaptic.errors import InputError as InputError
 from canhaptic.errors import RigError as RigError
-from canhaptic.lab.batch import run_batch as run_batch
+from canhaptic.lab.batch.marching import run_batch as run_batch
 from canhaptic.lab.from_python import accuracy as accuracy
 from canhaptic.lab.from_python import check as check
 from canhaptic.lab.from_python import compare as compare

@@ -22,6 +22,7 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.control.certificates.scalar_bounds import (
+    DisplacementResponse,
     displacement_response,
     energy_for_any_hand,
     renderable_by_hand_force,
@@ -36,7 +37,6 @@ from canhaptic.lab.studies.design.contact_quality import (
     Bench,
     Leaning,
     SlowHand,
-    certified_rest,
     enter,
     largest_held,
     settling_time,
@@ -303,6 +303,32 @@ def best_rows(algorithms: Sequence[str]) -> Iterator[Row]:
     """What any law can hold without energy before the contact, where `guarded` is asked for more."""
     if "guarded" in algorithms:
         yield from rows_of(LOOPS, [key for key in REACH if key[1]], MASS, PUSH)
+
+
+def certified_rest(response: DisplacementResponse, delay: int, hand: SlowHand) -> tuple[float, float]:
+    """Returns depth [m or rad] and stiffness at which the hand rests on the force held by the hand-force certificate.
+
+    The certificate holds the stiffness c F / (F + F_h) at a force F. With the force K (s - x) of a spring K that ends
+    at s, the depth x has c x = F + F_h. Where it lies beyond s, the spring is too weak to be held: the depth is s, and
+    the stiffness is 0.
+
+    Args:
+        response: Displacement response of the axis.
+        delay: Delay in whole holds.
+        hand: The hand.
+    """
+
+    def lacking(depth: float) -> float:
+        force = hand.stiffness * (hand.into - depth)
+        return force - renderable_by_hand_force(response, delay, force) * depth
+
+    shallow, deep = 0.0, hand.into * (1.0 - 1e-9)
+    if lacking(deep) > 0.0:
+        return hand.into, 0.0
+    for _ in range(60):
+        middle = 0.5 * (shallow + deep)
+        shallow, deep = (middle, deep) if lacking(middle) > 0.0 else (shallow, middle)
+    return deep, hand.stiffness * (hand.into - deep) / deep
 
 
 FIGURES: Final = (held_rows, best_rows, energy_rows, slow_rows, entry_rows, friction_rows)

@@ -7,7 +7,7 @@ import numpy as np
 from canhaptic.control.certificates.scalar_bounds import displacement_response, start_energy
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.lab.batch.scalar import render
-from canhaptic.lab.studies.design.contact_quality import SlowHand, certified_rest, enter
+from canhaptic.lab.studies.design.contact_quality import SlowHand, enter
 from tools.bench import feel
 from tools.bench.report import picture_place
 from tools.bench.standard_cases import USER_S, standard_case, standard_reference
@@ -46,7 +46,7 @@ def _draw_wall(plot: Any) -> None:
 def _draw_slow_hand(plot: Any) -> None:
     rate, delay, damping = feel.LOOPS[LOOP]
     response = displacement_response(1.0 / rate, feel.MASS, 5.0, 0.0, damping)
-    depth, stiffness = certified_rest(response, delay, HAND)
+    depth, stiffness = feel.certified_rest(response, delay, HAND)
     energy = start_energy(response, delay, stiffness)
     cases: dict[str, dict[str, Any]] = {
         "guarded, no energy": {},

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from canhaptic.lab.batch import run_batch
+from canhaptic.lab.batch.marching import run_batch
 from canhaptic.scene.load import load_scene
 from tools.bench.report import Row
 

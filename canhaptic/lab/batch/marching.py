@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.errors import EventLimitError
+from canhaptic.errors import EventLimitError, ParameterError
 from canhaptic.kernels import Kernel, Run, list_of_zeros
 from canhaptic.kernels.records import bound
 from canhaptic.lab.batch.cases import (
@@ -18,11 +18,14 @@ from canhaptic.lab.batch.cases import (
     ContinuousModes,
     NotBatchableError,
     SceneRow,
+    batch_case,
+    check_values,
     continuous_modes,
     kernel_of,
     linear_plants,
     no_modes,
     scene_rows,
+    why_not_beforehand,
     why_not_continuous,
 )
 from canhaptic.lab.batch.closed_loop import (
@@ -37,9 +40,11 @@ from canhaptic.lab.batch.closed_loop import (
 )
 from canhaptic.lab.batch.engine import WORTH_COMPILING, Engine, chosen_engine
 from canhaptic.lab.batch.plants import Plants, Stopped, loop_replacements, never_stopped, run_event_plants
-from canhaptic.lab.figures.figures import last_rows, metrics_of, sums_of
+from canhaptic.lab.batch.varied import scene_with
+from canhaptic.lab.figures.figures import ALL, METRICS, last_rows, metrics_of, sums_of
 from canhaptic.lab.figures.meter import BRIEF, Meter
 from canhaptic.lab.loop.axis_loop import Array
+from canhaptic.scene.models import Scene
 
 
 class InterpretedLoops:
@@ -209,3 +214,57 @@ def _compared(sums: Mapping[str, Array], runs: Mapping[str, Array], modes: Conti
     }
     exist = modes.exist
     return {name: np.where(exist, values, np.nan) for name, values in found.items()}
+
+
+_DELAY: Final = "loop.delay"
+
+
+def run_batch(
+    scene: Scene,
+    varied: Mapping[str, Array],
+    cycles: int,
+    engine: Engine = "auto",
+    metrics: Sequence[str] | None = None,
+    *,
+    seeds: Array | None = None,
+    stopped: dict[int, str] | None = None,
+) -> Mapping[str, Array]:
+    """Return the figures of many scenes, each of shape (n_scenes,); the order of the scenes does not matter.
+
+    Args:
+        scene: Common part of the scenes; `why_not_batchable(scene)` must be "".
+        varied: Key of `BATCH_KEYS` -> value of each scene, shape (n_scenes,), in SI.
+        cycles: SYNCs, at least 2.
+        engine: "numba" needs the extra `fast`; "auto" takes it where it is installed and worthwhile, else "python".
+        metrics: Names of `ALL`; None for `METRICS`. Those of
+            `CONTINUOUS` march a continuous run with every loop and are NaN where it has no closed form.
+        seeds: Seed of everything random in each scene, shape (n_scenes,); by default that of the scene.
+        stopped: Called with the numbers of scenes whose plant could not be advanced, and why; their figures are NaN.
+
+    Raises:
+        ParameterError: A key that cannot vary inside a batch, a value out of its range, an unknown metric.
+        NotBatchableError: The scene cannot run in a batch.
+    """
+    names = list(METRICS) if metrics is None else list(metrics)
+    unknown = [name for name in names if name not in ALL]
+    if unknown or cycles < 2:
+        raise ParameterError(f"run_batch: got metrics {unknown} and {cycles} cycles; expected {list(ALL)}, 2 or more")
+    arrays = {key: np.asarray(values, dtype=float) for key, values in varied.items()}
+    reason = why_not_beforehand(scene)
+    if reason:
+        raise NotBatchableError(f"{scene.source}: {reason}; run such scenes one by one with run_scalar")
+    count = check_values(scene, arrays)
+    found = {name: np.empty(count) for name in names}
+    delays = arrays.pop(_DELAY, None)
+    for delay in [None] if delays is None else sorted({*delays.tolist()}):
+        rows = np.arange(count) if delays is None else np.flatnonzero(delays == delay)
+        of_delay = scene if delay is None else scene_with(scene, {_DELAY: delay})
+        case = batch_case(of_delay, {key: np.ascontiguousarray(values[rows]) for key, values in arrays.items()})
+        if seeds is not None:
+            case = replace(case, numbers={**case.numbers, "seed": seeds[rows].astype(float)})
+        ended: dict[int, str] = {}
+        for name, values in march(case, len(rows), cycles, engine, names, ended).items():
+            found[name][rows] = values
+        if stopped is not None:
+            stopped |= {int(rows[row]): reason for row, reason in ended.items()}
+    return found

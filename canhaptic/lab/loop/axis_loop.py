@@ -13,7 +13,7 @@ from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, NamedTuple, Protocol, cast
+from typing import Any, Final, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -447,24 +447,17 @@ def chosen_algorithms(algorithms: Sequence[str] | None, own: Sequence[str] = ())
     return chosen
 
 
+_Part = TypeVar("_Part", AxisScene, GroupScene)
+
+
 def with_algorithm(axis: AxisScene, name: str) -> AxisScene:
     """An axis under another algorithm, with the common parameters (alpha, velocity, ...) kept."""
-    if axis.passivity.name == name:
-        return axis
-    model: type[Parameters] = load(ALGORITHMS, name, "passivity algorithm").parameters_type
-    given = axis.passivity.parameters
-    common = {key: getattr(given, key) for key in model.model_fields if key in type(given).model_fields}
-    return replace(axis, passivity=ComponentSpec(name, model().model_copy(update=common)))
+    return _under(axis, name, ALGORITHMS, "passivity algorithm")
 
 
 def group_under(group: GroupScene, name: str) -> GroupScene:
     """A group under another algorithm, with the common parameters kept."""
-    if group.passivity.name == name:
-        return group
-    model = load(GROUP_ALGORITHMS, name, "group algorithm").parameters_type
-    given = group.passivity.parameters
-    common = {key: getattr(given, key) for key in model.model_fields if key in type(given).model_fields}
-    return replace(group, passivity=ComponentSpec(name, model().model_copy(update=common)))
+    return _under(group, name, GROUP_ALGORITHMS, "group algorithm")
 
 
 def display_under(axis: AxisScene, name: str) -> AxisScene:
@@ -473,25 +466,27 @@ def display_under(axis: AxisScene, name: str) -> AxisScene:
     Raises:
         ParameterError: The algorithm needs parameters that the scene does not give.
     """
-    if axis.passivity.name == name:
-        return axis
-    model = load(DISPLAY_ALGORITHMS, name, "admittance algorithm").parameters_type
-    return replace(axis, passivity=_with_defaults(name, model, "compare a scene with it"))
+    return _under(axis, name, DISPLAY_ALGORITHMS, "admittance algorithm", keeps=False)
 
 
 def display_group_under(group: GroupScene, name: str) -> GroupScene:
     """Return a group of admittance displays under another algorithm; see `display_under`."""
-    if group.passivity.name == name:
-        return group
-    model = load(DISPLAY_GROUP_ALGORITHMS, name, "algorithm of several admittance displays").parameters_type
-    return replace(group, passivity=_with_defaults(name, model, "study a scene with it"))
+    return _under(group, name, DISPLAY_GROUP_ALGORITHMS, "algorithm of several admittance displays", keeps=False)
 
 
-def _with_defaults(name: str, model: type[Parameters], remedy: str) -> ComponentSpec:
+def _under(part: _Part, name: str, table: Mapping[str, str], kind: str, *, keeps: bool = True) -> _Part:
+    """A part of a scene under an algorithm of a table; `keeps` the parameters that both have."""
+    if part.passivity.name == name:
+        return part
+    model, given = load(table, name, kind).parameters_type, part.passivity.parameters
+    common = [key for key in model.model_fields if keeps and key in type(given).model_fields]
     try:
-        return ComponentSpec(name, model())
+        parameters = model().model_copy(update={key: getattr(given, key) for key in common})
     except ValueError as error:
-        raise ParameterError(f"{name}: needs parameters that the scene does not give; {remedy}") from error
+        raise ParameterError(
+            f"{name}: needs parameters that the scene does not give; compare a scene with it"
+        ) from error
+    return replace(part, passivity=ComponentSpec(name, parameters))
 
 
 def _with_known_plant(axis: AxisScene) -> AbleAxis:

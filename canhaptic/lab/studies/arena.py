@@ -34,8 +34,10 @@ from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.input_file import read_regular, shipped
-from canhaptic.lab.batch import run_batch, run_scalar, scene_with, why_not_batchable
-from canhaptic.lab.batch.scalar import render
+from canhaptic.lab.batch.cases import why_not_batchable
+from canhaptic.lab.batch.marching import run_batch
+from canhaptic.lab.batch.scalar import render, run_scalar
+from canhaptic.lab.batch.varied import scene_with
 from canhaptic.lab.figures.field_figures import (
     asked_impedance,
     drag,

@@ -36,7 +36,8 @@ from numpy.typing import NDArray
 
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.lab.batch import scene_with, spectral_radius
+from canhaptic.lab.batch.radius import spectral_radius
+from canhaptic.lab.batch.varied import scene_with
 from canhaptic.lab.figures.field_figures import NEAR
 from canhaptic.lab.loop.admittance_loop import is_display
 from canhaptic.lab.loop.axis_loop import Array, display_under, viscous_friction, with_algorithm

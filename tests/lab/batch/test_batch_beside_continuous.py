@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from canhaptic.control.environments import ENVIRONMENTS
-from canhaptic.lab.batch import ALL, CONTINUOUS, METRICS, run_batch, run_scalar, scene_with
 from canhaptic.lab.batch.cases import continuous_modes, why_not_continuous
 from canhaptic.lab.batch.closed_loop import ReferenceState, begin_reference, follow_hold
 from canhaptic.lab.batch.continuous import continuous_reference
-from canhaptic.lab.batch.marching import march, reference_memory_of
-from canhaptic.lab.batch.scalar import render
-from canhaptic.lab.figures.figures import figures
+from canhaptic.lab.batch.marching import march, reference_memory_of, run_batch
+from canhaptic.lab.batch.scalar import render, run_scalar
+from canhaptic.lab.batch.varied import scene_with
+from canhaptic.lab.figures.figures import ALL, CONTINUOUS, METRICS, figures
 from canhaptic.lab.judge.reference_model import Model
 from canhaptic.lab.loop.axis_loop import environment_of, loop_case, plant_parts
 from canhaptic.lab.reference import continuous_run

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from canhaptic.errors import EventLimitError
-from canhaptic.lab.batch import METRICS, run_batch, run_scalar
 from canhaptic.lab.batch.cases import batch_case
-from canhaptic.lab.batch.marching import march
+from canhaptic.lab.batch.marching import march, run_batch
 from canhaptic.lab.batch.plants import run_event_plants
+from canhaptic.lab.batch.scalar import run_scalar
 from canhaptic.lab.batch.varied import scene_with
+from canhaptic.lab.figures.figures import METRICS
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene
 

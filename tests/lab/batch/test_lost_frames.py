@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from canhaptic.lab.batch import METRICS, run_batch
 from canhaptic.lab.batch.cases import losses_of, not_in_loop
 from canhaptic.lab.batch.closed_loop import CycleState, pass_frames
+from canhaptic.lab.batch.marching import run_batch
+from canhaptic.lab.figures.figures import METRICS
 from canhaptic.lab.loop.over_can import render_over_can
 from canhaptic.lab.studies.sweep import sweep
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable

@@ -8,17 +8,12 @@ import pytest
 
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import CanHapticError, ParameterError
-from canhaptic.lab.batch import (
-    METRICS,
-    NotBatchableError,
-    run_batch,
-    run_scalar,
-    scene_with,
-    spectral_radius,
-    why_not_batchable,
-)
-from canhaptic.lab.batch.scalar import render
-from canhaptic.lab.figures.figures import figures
+from canhaptic.lab.batch.cases import NotBatchableError, why_not_batchable
+from canhaptic.lab.batch.marching import run_batch
+from canhaptic.lab.batch.radius import spectral_radius
+from canhaptic.lab.batch.scalar import render, run_scalar
+from canhaptic.lab.batch.varied import scene_with
+from canhaptic.lab.figures.figures import METRICS, figures
 from canhaptic.lab.loop.axis_loop import environment_of, loop_case, with_algorithm
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import load_scene

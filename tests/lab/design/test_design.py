@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from canhaptic.errors import CheckFailedError, InputError
-from canhaptic.lab.batch import run_scalar
+from canhaptic.lab.batch.scalar import run_scalar
 from canhaptic.lab.render.design_report import snippet
 from canhaptic.lab.studies.compare import compare
 from canhaptic.lab.studies.design import wall

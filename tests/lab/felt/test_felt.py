@@ -15,7 +15,6 @@ from canhaptic.lab.studies.design.contact_quality import (
     Leaning,
     Leg,
     SlowHand,
-    certified_rest,
     enter,
     held,
     largest_held,
@@ -24,7 +23,7 @@ from canhaptic.lab.studies.design.contact_quality import (
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters
-from tools.bench.feel import largest_rise
+from tools.bench.feel import certified_rest, largest_rise
 from tools.bench.feel_best import best_from_nothing, bound_from_nothing, depths_of
 from tools.bench.standard_cases import standard_case
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from canhaptic.errors import InputError, SceneError
-from canhaptic.lab.batch import run_scalar
+from canhaptic.lab.batch.scalar import run_scalar
 from canhaptic.lab.loop.axis_loop import with_algorithm
 from canhaptic.lab.studies.sweep import sweep
 from canhaptic.lab.studies.sweep.chunk import _MORE, SLOTS

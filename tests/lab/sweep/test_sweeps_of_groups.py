@@ -8,7 +8,8 @@ import pytest
 from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.errors import InputError
-from canhaptic.lab.batch import run_scalar, why_not_batchable
+from canhaptic.lab.batch.cases import why_not_batchable
+from canhaptic.lab.batch.scalar import run_scalar
 from canhaptic.lab.studies.compare import compare
 from canhaptic.lab.studies.sweep import sweep
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable

@@ -27,7 +27,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.control.certificates.scalar_bounds import DisplacementResponse, renderable_by_hand_force
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Reach
@@ -242,9 +241,6 @@ def largest_held(bench: Bench, leaning: Leaning, softest: float, stiffest: float
     return LargestHeld(float(low), last, passed[:last].count(False))
 
 
-_HALVINGS: Final = 60
-
-
 @dataclass(frozen=True, slots=True)
 class SlowHand:
     """A spring with a moving end, towards a wall at the origin."""
@@ -283,29 +279,3 @@ def enter(bench: Bench, wall: SpringDamperWall, hand: SlowHand) -> Entered:
     before = run.torque[: int(inside[0])] if len(inside) else run.torque
     depth = -float(run.true_position[-max(2, round(hand.rest / period)) :].mean())
     return Entered(depth, float(np.abs(before).max(initial=0.0)), run.least_interaction, run)
-
-
-def certified_rest(response: DisplacementResponse, delay: int, hand: SlowHand) -> tuple[float, float]:
-    """Depth [m or rad] and stiffness at which the hand rests on the force held by the hand-force certificate.
-
-    The certificate holds the stiffness c F / (F + F_h) at a force F. With the force K (s - x) of a spring K that ends
-    at s, the depth x has c x = F + F_h. Where it lies beyond s, the spring is too weak to be held: the depth is s, and
-    the stiffness is 0.
-
-    Args:
-        response: Displacement response of the axis.
-        delay: Delay in whole holds.
-        hand: The hand.
-    """
-
-    def lacking(depth: float) -> float:
-        force = hand.stiffness * (hand.into - depth)
-        return force - renderable_by_hand_force(response, delay, force) * depth
-
-    shallow, deep = 0.0, hand.into * (1.0 - 1e-9)
-    if lacking(deep) > 0.0:
-        return hand.into, 0.0
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (shallow + deep)
-        shallow, deep = (middle, deep) if lacking(middle) > 0.0 else (shallow, middle)
-    return deep, hand.stiffness * (hand.into - deep) / deep

@@ -25,22 +25,14 @@ from numpy.typing import NDArray
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.errors import CanHapticError, InputError, ParameterError, SceneConflictError, SceneError
-from canhaptic.lab.batch import (
-    ALL,
-    BATCH_KEYS,
-    METRICS,
-    NotBatchableError,
-    run_batch,
-    run_scalar,
-    spectral_radius,
-    why_not_batchable,
-    why_not_compared,
-)
-from canhaptic.lab.batch.cases import not_in_loop
+from canhaptic.lab.batch.cases import NotBatchableError, not_in_loop, why_not_batchable, why_not_compared
 from canhaptic.lab.batch.engine import ChosenEngine
 from canhaptic.lab.batch.group_loop import group_case
-from canhaptic.lab.batch.scalar import group_figures, group_meter
-from canhaptic.lab.figures.figures import DISPLAY_METRICS, display_figures
+from canhaptic.lab.batch.marching import run_batch
+from canhaptic.lab.batch.radius import spectral_radius
+from canhaptic.lab.batch.scalar import group_figures, group_meter, run_scalar
+from canhaptic.lab.batch.varied import BATCH_KEYS
+from canhaptic.lab.figures.figures import ALL, DISPLAY_METRICS, METRICS, display_figures
 from canhaptic.lab.loop.admittance_loop import is_display
 from canhaptic.lab.loop.axis_loop import (
     PLANT_OF,
