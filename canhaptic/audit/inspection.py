@@ -144,6 +144,7 @@ class Inspection(_Inspected, Verdicts):
     comparison: NotRequired[LogComparison]
     recomputed: NotRequired[list[Recomputed]]
     rederived: NotRequired["Rederived"]
+    others: NotRequired[list["Inspection"]]  # of further logs
 
 
 def inspect(log: EnergyLog, start: float | None = None, stop: float | None = None) -> Inspection:

@@ -33,6 +33,7 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: A log or an argument that cannot be used.
     """
     _check_files(arguments)
+    arguments.overlay = [*arguments.others, *arguments.overlay]
     console = make_console()
     if arguments.repair is not None:
         kept, lost = repair(arguments.log, arguments.repair)
@@ -48,6 +49,9 @@ def execute(arguments: argparse.Namespace) -> int:
         result = inspect(log, arguments.start, arguments.stop)
         result["checks"] = _checks(result, arguments)
         _judge(log, result, arguments)
+        for path in arguments.overlay:
+            with EnergyLog.open(path) as other:
+                result.setdefault("others", []).append(inspect(other, arguments.start, arguments.stop))
         _write_files(log, result, arguments)
     _show(result, console, as_json=arguments.json)
     return 0 if _is_good(result) else 1

@@ -142,7 +142,7 @@ def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
     damping = getattr(environment, "damping", None)
     if isinstance(damping, float):
         attributes[f"{name}.damping_asked"] = damping
-    for key in ("position", "side"):
+    for key in ("position", "side", "pitch"):
         value = getattr(environment, key, None)
         if isinstance(value, str | float):
             attributes[f"{name}.wall_{key}"] = value

@@ -1,6 +1,8 @@
 """`inspect --html`: one page with the account, pictures of the run and of its worst moments, contacts and events."""
 
+import html
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import cycle
 from pathlib import Path
@@ -8,14 +10,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from canhaptic.audit.port_record import rows_between, rows_to_draw
+from canhaptic.audit.port_record import rows_to_draw
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
 from canhaptic.signals import CycleTiming
 from canhaptic.view.energy_table import energy_table
 from canhaptic.view.html_page import picture, verdict_bar, words, write_page
 from canhaptic.view.inspect_table import inspection_tables
-from canhaptic.view.picture_style import BLUE, GREEN, OVERLAID, PURPLE, VERMILION, axis_scale, drawing, save_picture
+from canhaptic.view.picture_style import BLUE, GREEN, PURPLE, VERMILION, axis_scale, drawing, save_picture
+from canhaptic.view.run_lines import first_active
 from canhaptic.view.run_picture import draw_energy
 from canhaptic.view.series import FAULTS, decimate, losses
 from canhaptic.view.si import si
@@ -29,6 +32,9 @@ if TYPE_CHECKING:
 _BUCKETS: Final = 1000
 _SPAN: Final = 0.25  # [s] shown on either side of a moment
 _MOST_FAULTS: Final = 3
+_FIRST_BELOW: Final = "first below zero at"
+_BUTTON: Final = """<p><button onclick="const near = document.getElementById('moment{}'); near.open = true;
+near.scrollIntoView()">{}</button></p>"""
 _S_PER_NS: Final = 1e-9
 _Panels = dict[str, tuple[str, dict[str, tuple[Array, Array]]]]
 """Title -> unit and lines, each as times [s] and values."""
@@ -57,18 +63,25 @@ def write_html(
     """
     rows = rows_to_draw(log, start, stop)
     whole = partial(draw_energy, log, start=start, stop=stop, others=others)
-    parts: list[str | Table] = [words(_facts(result)), verdict_bar(result["ports"]), picture(whole, "the run")]
-    for title, moment in _moments(result):
+    parts: list[str | Table] = [words(_facts(result)), verdict_bar(result["ports"])]
+    for other in result.get("others", ()):
+        parts += [words(f"{other['file']}: {_facts(other)}"), verdict_bar(other["ports"])]
+    moments = []
+    for number, (title, moment) in enumerate(_moments(result)):
         near = partial(draw_energy, log, start=moment - _SPAN, stop=moment + _SPAN, others=others)
-        parts.append(picture(near, title, folded=True))
-    motions = {one.path.name: (one, rows_between(one, start, stop)) for one in others if one.rows}
-    parts.append(picture(partial(_draw_motion, log, rows, motions), "force over position", folded=True))
+        moments.append(picture(near, title, folded=True).replace("<details", f'<details id="moment{number}"', 1))
+        if _FIRST_BELOW in title:
+            parts.append(_BUTTON.format(number, html.escape(title)))
+    parts += [picture(whole, "the run"), *moments]
     panels, idle = _further(log, rows)
     if panels:
         parts.append(picture(partial(_draw_further, panels), "damping, timing, losses", folded=True))
     if idle:
         parts.append(words(f"zero throughout, not drawn: {', '.join(idle)}"))
-    write_page(path, log.path.name, [*parts, energy_table(result), *inspection_tables(result)])
+    tables = [energy_table(result), *inspection_tables(result)]
+    for other in result.get("others", ()):
+        tables.append(replace(energy_table(other), title=Path(other["file"]).name))
+    write_page(path, log.path.name, [*parts, *tables])
 
 
 def _facts(result: "Inspection") -> str:
@@ -83,9 +96,12 @@ def _moments(result: "Inspection") -> Iterator[tuple[str, float]]:
     if result["to"] - result["from"] <= 2.0 * _SPAN:
         return
     for name, port in result["ports"].items():
+        if "first_active" in port:
+            time = min(max(port["first_active"], result["from"]), result["to"])
+            yield f"{name}: {_FIRST_BELOW} {first_active(port).strip()}", time
         if "margin" in port:
             time = min(max(port["margin"]["time"], result["from"]), result["to"])
-            yield f"{name}: around the least margin, {si(port['margin']['value'], 'J')} at {time:.4g} s", time
+            yield f"{name}: around the smallest margin, {si(port['margin']['value'], 'J')} at {time:.4g} s", time
     for event in [event for event in result["events"] if event["kind"] in FAULTS][:_MOST_FAULTS]:
         time = min(max(event["time"], result["from"]), result["to"])
         yield f"around {event['kind']} {event['text']} at {event['time']:.4g} s", time
@@ -129,24 +145,6 @@ def _draw_further(panels: _Panels, path: Path) -> None:
                 place.plot(time, line / scale, color=colour, linewidth=1.0, drawstyle=stair, label=name)
             _finish(place, title, f"[{prefix}{unit}]" if unit else "")
         places[-1].set_xlabel("time [s]")
-        save_picture(figure, path)
-
-
-def _draw_motion(log: EnergyLog, rows: slice, others: dict[str, tuple[EnergyLog, slice]], path: Path) -> None:
-    """Draw the effort that acted over the position, one panel per axis: its slope is the stiffness felt."""
-    names = [name for name in log.ports if name not in log.groups]
-    with drawing() as figure_type:
-        figure = figure_type(figsize=(6.0 * len(names), 3.6), layout="constrained")
-        for place, name in zip(figure.subplots(1, len(names), squeeze=False)[0], names, strict=True):
-            runs = {"applied": (log, rows)} | {label: run for label, run in others.items() if name in run[0].ports}
-            for (label, (one, of_one)), colour in zip(runs.items(), cycle((BLUE, *OVERLAID)), strict=False):
-                port = one.ports[name]
-                position, effort = (port.read(key, of_one.start, of_one.stop) for key in ("position", "torque_applied"))
-                shown = np.unique(np.concatenate([decimate(position, _BUCKETS), decimate(effort, _BUCKETS)]))
-                place.plot(position[shown], effort[shown], color=colour, linewidth=0.9, label=label)
-            unit = log.ports[name].unit("torque_applied")
-            place.set_xlabel(f"position [{log.ports[name].unit('position')}]")
-            _finish(place, f"{name}: {'torque' if unit == 'N*m' else 'force'} over position", f"[{unit}]")
         save_picture(figure, path)
 
 

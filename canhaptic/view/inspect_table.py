@@ -33,6 +33,8 @@ def inspection_report(result: Result) -> RenderableType:
         parts.append(_recomputed_line(mismatch))
     if "rederived" in result:
         parts.append(_rederived_line(result["rederived"]))
+    for other in result.get("others", ()):
+        parts += [Text(), _header(other), energy_report(other)]
     if "comparison" in result:
         parts.append(_comparison(result["comparison"]))
     return Group(*parts)

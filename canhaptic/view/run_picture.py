@@ -8,7 +8,7 @@ matplotlib is imported when a picture is drawn, not before.
 One column of a picture of a run: the panels of one account, of an axis or of a group with its axes.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -30,7 +30,7 @@ from canhaptic.view.picture_style import (
     drawing,
     save_picture,
 )
-from canhaptic.view.series import TaskPlane, decimate, faults_of, task_plane
+from canhaptic.view.series import TaskPlane, decimate, faults_of, notches_of, task_plane
 from canhaptic.view.si import si
 
 if TYPE_CHECKING:
@@ -45,9 +45,10 @@ _ROUNDING: Final = 1e-6  # part of the energy that flowed, below which a surplus
 _LEGEND: Final[Any] = {
     "loc": "lower right",
     "bbox_to_anchor": (1.0, 0.985),
-    "ncols": 5,
+    "ncols": 6,
     "borderaxespad": 0.0,
-    "columnspacing": 1.2,
+    "columnspacing": 0.9,
+    "handlelength": 1.6,
 }
 
 
@@ -82,6 +83,7 @@ class PortPicture:
             "torque": True,
             "energy": energy,
             "surplus": surplus,
+            "motion": any(of.any() for of in self._of_movers("torque_applied")),
         }
         return [name for name, is_shown in shown.items() if is_shown]
 
@@ -97,10 +99,13 @@ class PortPicture:
         for name, axes in panels.items():
             if name == "path" and self.plane is not None:
                 self._draw_path(axes, self.plane)
+            if name in _NOT_OVER_TIME:
                 continue
             self._mark(axes, "in contact" if name == "position" else "")
             parts[name](axes)
             axes.margins(x=0.0)
+        if "motion" in panels:
+            self._draw_motion(panels, self.scales)
         if len(self._log.ports) > 1 or self._axes:
             panels["position"].set_title(f"{self._name}: position", fontweight="bold")
 
@@ -118,6 +123,8 @@ class PortPicture:
                 label = name if number == 0 else None
                 self._line(panels[panel], line, scale, color=colour, linewidth=0.7, linestyle=(0, (3, 2)), label=label)
             panels[panel].legend(**_LEGEND)
+        if "motion" in panels:
+            self._draw_motion(panels, scales, name, colour)
 
     def _column(self, name: str) -> Array:
         return self._port.read(name, self._rows.start, self._rows.stop)
@@ -138,7 +145,12 @@ class PortPicture:
         scale, prefix = self._prefix("position", *positions)
         for position, label, colour in zip(positions, self._axes or ("position",), cycle(_OF_AXES)):
             self._line(axes, position, scale, color=colour, linewidth=1.3, label=label)
-        if isinstance(wall, int | float):
+        low, high = (scale * end for end in axes.get_ylim())
+        notches = notches_of(self._log, self._name, low, high)
+        for place in notches:
+            label = "notch" if place == notches[0] else "_notch"
+            axes.axhline(place / scale, color=GREY, linewidth=0.7, linestyle="--", alpha=0.6, label=label)
+        if isinstance(wall, int | float) and f"{self._name}.wall_pitch" not in self._log.attributes:
             axes.axhline(wall / scale, color=GREY, linewidth=1.0, linestyle="--", label="wall")
             low, high = axes.get_ylim()
             inside = low if self._log.attributes.get(f"{self._name}.wall_side", "below") == "below" else high
@@ -163,6 +175,23 @@ class PortPicture:
         axes.set_aspect("equal")
         axes.set_xlabel(f"[{prefix}{plane.unit}]")
         _finish(axes, f"{self._name}: path", f"{prefix}{plane.unit}")
+
+    def _draw_motion(
+        self, panels: "Mapping[str, Axes]", scales: Mapping[str, float], other: str = "", colour: str = ""
+    ) -> None:
+        """Draw the effort that acted over the position of each axis: its slope is the stiffness felt."""
+        axes, position, torque = (panels[name] for name in ("motion", "position", "torque"))
+        places, efforts = self._of_movers("position"), self._of_movers("torque_applied")
+        labels = self._axes or ("applied",)
+        for place, effort, label, own in zip(places, efforts, labels, cycle(_OF_AXES)):
+            shown = np.unique(np.concatenate([decimate(place, _BUCKETS), decimate(effort, _BUCKETS)]))
+            across, along = place[shown] / scales["position"], effort[shown] / scales["torque"]
+            axes.plot(across, along, color=colour or own, linewidth=0.9, label=other or label)
+        if not other:
+            axes.set_xlabel(f"position {position.get_ylabel()}")
+            axes.set_ylabel(torque.get_ylabel())
+            axes.set_title(f"{torque.get_title(loc='left')} over position", fontweight="bold")
+        axes.legend(**_LEGEND)
 
     def _draw_torque(self, axes: "Axes") -> None:
         if self._axes:
@@ -202,14 +231,12 @@ class PortPicture:
         axes.plot(time, upper, color=BLUE, linewidth=1.3, label="in")
         axes.plot(time, lower, color=VERMILION, linewidth=1.3, linestyle=(0, (4, 1.5)), label="dissipated")
         worst = int(margin.argmin())
-        label = f"smallest margin {si(float(margin[worst]), 'J', 3)} at {self._time[worst]:.4g} s"
+        label = f"smallest margin {si(float(margin[worst]), 'J', 3)}"
         axes.plot(self._time[worst], taken_in[worst] / scale, "ko", markersize=4, zorder=5, label=label)
         below = taken_in < -PASSIVE_TOLERANCE
         if below.any():
             first = float(self._time[int(below.argmax())])
-            axes.axvline(
-                first, color=VERMILION, linewidth=1.0, linestyle=":", label=f"first below zero at {first:.4g} s"
-            )
+            axes.axvline(first, color=VERMILION, linewidth=1.0, linestyle=":", label=f"below zero from {first:.4g} s")
         _finish(axes, "energy", f"{prefix}J")
 
     def _draw_surplus(self, axes: "Axes") -> None:
@@ -256,7 +283,10 @@ def _finish(axes: "Axes", title: str, unit: str) -> None:
     axes.legend(**_LEGEND)
 
 
-_HEIGHTS: Final = {"path": 5.0, "position": 3.0, "velocity": 2.0, "torque": 3.0, "energy": 4.0, "surplus": 2.0}
+_NOT_OVER_TIME: Final = ("path", "motion")
+_HEIGHTS: Final = {
+    "path": 5.0, "position": 3.0, "velocity": 2.0, "torque": 3.0, "energy": 4.0, "surplus": 2.0, "motion": 4.0
+}  # fmt: skip
 """Heights of the panels, in units of `_INCH`."""
 _INCH: Final = 0.75  # per unit of height
 _ACROSS: Final = 2  # accounts next to each other; more continue below
@@ -314,9 +344,13 @@ def energy_figure(
                 if name in other.ports and other.rows:
                     overlay = PortPicture(other, name, rows_between(other, start, stop))
                     overlay.draw_over(columns[name], picture.scales, label, colour)
-            list(columns[name].values())[-1].set_xlabel("time [s]" + picture.faults())
+            columns[name][_last_over_time(columns[name])].set_xlabel("time [s]" + picture.faults())
         figure.suptitle(_caption(log), x=0.995, ha="right", fontsize=8.0, color="#707070")
     return figure
+
+
+def _last_over_time(names: Iterable[str]) -> str:
+    return [name for name in names if name not in _NOT_OVER_TIME][-1]
 
 
 def _layout(
@@ -336,11 +370,11 @@ def _layout(
     for number, (name, names) in enumerate(wanted.items()):
         columns[name] = {}
         for row in names:
-            over_time = row != "path"
+            over_time = row not in _NOT_OVER_TIME
             band, column = divmod(number, across)
             place = grid[band * len(rows) + rows.index(row), column]
             axes = figure.add_subplot(place, sharex=first if over_time else None)
-            axes.tick_params(labelbottom=row in ("path", names[-1]))
+            axes.tick_params(labelbottom=not over_time or row == _last_over_time(names))
             first = axes if over_time and first is None else first
             columns[name][row] = axes
     return figure, columns

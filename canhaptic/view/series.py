@@ -11,6 +11,7 @@ a network without a surface have no such picture.
 """
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -100,10 +101,22 @@ def port_facts(log: EnergyLog, name: str) -> PortFacts:
         "applied": effort,
         "damping": port.unit("damping_rendered"),
     }
-    wall = log.attributes.get(f"{name}.wall_position")
+    has_notches = f"{name}.wall_pitch" in log.attributes
+    wall = None if has_notches else log.attributes.get(f"{name}.wall_position")
     side = str(log.attributes.get(f"{name}.wall_side", "below"))
     place = float(wall) if isinstance(wall, int | float) else None
     return PortFacts(name, name in log.groups, name in log.group_of, units, place, side)
+
+
+_MOST_NOTCHES: Final = 200
+
+
+def notches_of(log: EnergyLog, name: str, low: float, high: float) -> list[float]:
+    """Return the resting positions of detents between two positions [m or rad]; none of another environment."""
+    place, pitch = (log.attributes.get(f"{name}.wall_{key}") for key in ("position", "pitch"))
+    if not (isinstance(place, float) and isinstance(pitch, float) and 0.0 < high - low < _MOST_NOTCHES * pitch):
+        return []
+    return [place + k * pitch for k in range(math.ceil((low - place) / pitch), math.floor((high - place) / pitch) + 1)]
 
 
 def losses(log: EnergyLog, start: int, stop: int) -> dict[str, Array]:

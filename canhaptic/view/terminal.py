@@ -1,8 +1,8 @@
 """Safe terminal output: control characters in texts from files and drives are shown, not sent.
 
-Progress on standard error, on a terminal or in a notebook, and only for tasks longer than a second. At real pace the
-terminal must not delay the cycle: one short line twice a second, and only if it can be written without waiting. No
-thread is started.
+Progress on standard error, on a terminal or in a notebook, and only for tasks longer than a second; where it is piped,
+one line every five seconds of a run at free pace. At real pace the terminal must not delay the cycle: one short line
+twice a second, and only if it can be written without waiting. No thread is started.
 """
 
 import os
@@ -34,6 +34,7 @@ def visible(text: str) -> str:
 
 _FIRST: Final = 1_000_000_000  # [ns]
 _INTERVAL: Final = {"real": 500_000_000, "free": 100_000_000}  # [ns]
+_PIPED: Final = 5_000_000_000  # [ns] between two lines where standard error is a pipe or a file
 _NOTEBOOK: Final = "ipykernel"
 _Pace = Literal["real", "free"]
 
@@ -42,18 +43,22 @@ _Pace = Literal["real", "free"]
 def run_progress(
     cycles: int | None, sample_time: float, pace: _Pace, every: int = 64
 ) -> Iterator["RunProgress | None"]:
-    """Progress of a run on a terminal or in a notebook; None elsewhere.
+    """Progress of a run; None where it would be piped and the pace is real.
 
     The arguments are those of `RunProgress`.
     """
-    if not (sys.stderr.isatty() or _NOTEBOOK in sys.modules):
+    if _is_piped() and (pace == "real" or cycles is None):
         yield None
         return
-    progress = RunProgress(cycles, sample_time, pace, every)
+    progress = RunProgress(cycles, sample_time, pace, every, is_piped=_is_piped())
     try:
         yield progress
     finally:
         progress.close()
+
+
+def _is_piped() -> bool:
+    return not (sys.stderr.isatty() or _NOTEBOOK in sys.modules)
 
 
 class RunProgress:
@@ -64,15 +69,19 @@ class RunProgress:
         sample_time: Sample time [s].
         pace: Pace of the run.
         every: At free pace, number of cycles between updates.
+        is_piped: Whether plain lines are written, one every five seconds.
     """
 
-    def __init__(self, cycles: int | None, sample_time: float, pace: _Pace, every: int = 64) -> None:
+    def __init__(
+        self, cycles: int | None, sample_time: float, pace: _Pace, every: int = 64, *, is_piped: bool = False
+    ) -> None:
         self._cycles = cycles
         self._every = every
         self._sample_time = sample_time
         self._pace = pace
         self._clock = WallClock()
-        self._next = self._clock.now() + _FIRST
+        self._is_piped = is_piped
+        self._next = self._clock.now() + (_PIPED if self._is_piped else _FIRST)
         self._shown = False
         self._bar: Progress | None = None
 
@@ -82,10 +91,13 @@ class RunProgress:
             return
         now = self._clock.now()
         if now >= self._next:
-            self._next = now + _INTERVAL[self._pace]
+            self._next = now + (_PIPED if self._is_piped else _INTERVAL[self._pace])
             self._show(cycles)
 
     def _show(self, cycles: int) -> None:
+        if self._is_piped and self._cycles:
+            _write_if_free(f"  {100.0 * cycles / self._cycles:3.0f} %   {cycles} of {self._cycles} cycles\n")
+            return
         self._shown = True
         if self._pace == "real" or self._cycles is None:
             end = "" if self._cycles is None else f" of {self._cycles * self._sample_time:g} s"

@@ -107,7 +107,7 @@ class TouchPage:
         if news.status is not None:
             for side in self._sides if news.status.cycles else ():
                 side.judge(news.status)
-            self._status.text = _status(news.status)
+            self._status.text = _status(news.status, self._hand.touched.scene.bus.rate)
 
     def _take_pointer(self, _name: str, _old: object, new: dict[str, list[float]]) -> None:
         place = (new["x"][0], new["y"][0])[: len(self._hand.touched.shown)]
@@ -122,6 +122,7 @@ class TouchPage:
             return
         for side in self._sides:
             side.clear()
+            side.draw_notches(float(changes.get("environment.pitch", 0.0)))
         self._status.text = "the drives start ..."
 
 
@@ -139,6 +140,7 @@ class _SideView:
     def __init__(self, hand: TouchHand, number: int, pointer: ColumnDataSource) -> None:
         touched = hand.touched
         self._waiting: list[dict[str, Array]] = []
+        self._is_touched = False
         self._name, self._number = touched.sides[number].name, number
         self._directions, self._is_display = touched.directions, touched.is_display
         self._allowance = touched.sides[number].allowance
@@ -159,7 +161,10 @@ class _SideView:
         self._columns["energy"] = f"{number}.energy"
         self._lines = ColumnDataSource({name: [] for name in ("time", *self._columns)}, name=f"lines {number}")
         self._verdict = Div(text="", name=f"verdict {number}", sizing_mode="stretch_width")
+        self._touched = touched
+        self._notches = ColumnDataSource({"x": [], "y": []}, name=f"notches {number}")
         self.scene = self._new_scene(touched, pointer)
+        self.draw_notches(0.0)
         self.panels = self._panels(touched)
         self.panels[-1].add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_dash="dashed"))
         title = Div(text=f"<b style='font-size:1.3em;color:{_COLOURS[number]}'>{html.escape(self._name)}</b>")
@@ -186,12 +191,20 @@ class _SideView:
         plane.xaxis.formatter = plane.yaxis.formatter = si_ticks(touched.unit)
         plane.yaxis.visible = touched.is_plane
         self._draw_solid(plane, touched, (low, high))
+        plane.varea("x", -1.0, "y", source=self._notches, fill_color=GREY, fill_alpha=0.25)
         plane.segment("x", "y", "hand_x", "hand_y", source=self.handle, line_color=PALE, line_width=3)
         plane.scatter("hand_x", "hand_y", source=self.handle, marker="cross", size=22, line_color=GREY, line_width=2)
         plane.scatter("x", "y", source=self.handle, size=26, fill_color=_COLOURS[self._number], line_color="white")
         for event in (PanStart, Pan):
             plane.js_on_event(event, CustomJS(args={"pointer": pointer}, code=_SEND))
         return plane
+
+    def draw_notches(self, pitch: float) -> None:
+        """Draw detents as hills between notches; their pitch is that of the scene where it is 0 [m or rad]."""
+        if self._touched.notches:
+            place, pitch = self._touched.notches[0], pitch or self._touched.notches[1]
+            across = np.linspace(*self._touched.shown[0], 2001)
+            self._notches.data = {"x": across, "y": 0.8 * np.sin(np.pi * (across - place) / pitch) ** 2 - 0.9}
 
     def _draw_solid(self, plane: figure, touched: TouchScene, shown: tuple[float, float]) -> None:
         look = {"fill_color": GREY, "fill_alpha": 0.25, "line_color": GREY}
@@ -243,6 +256,7 @@ class _SideView:
     def take(self, news: TouchNews, frame: int) -> None:
         """Take rows; `frame` comes back when they are drawn."""
         rows, number = news.rows, self._number
+        self._is_touched = self._is_touched or bool(rows[f"{number}.energy"].any())
         last: dict[str, object] = {"token": rows["token"][-1:], "frame": [frame]}
         for name, prefix in (("", f"{number}.position."), ("hand_", "hand.")):
             for d in ("x", "y"):
@@ -263,6 +277,9 @@ class _SideView:
 
     def judge(self, status: TouchStatus) -> None:
         """Show whether the side gave out more than it took in so far."""
+        if not self._is_touched:
+            self._verdict.text = "not touched yet"
+            return
         least = status.least[self._number]
         passive, _ = passive_verdict(least + self._allowance + PASSIVE_TOLERANCE)
         verdict = verdict_bar(
@@ -274,7 +291,7 @@ class _SideView:
     def clear(self) -> None:
         """Clear the last run."""
         self._lines.data = {name: [] for name in self._lines.data}
-        self._waiting = []
+        self._waiting, self._is_touched = [], False
 
 
 class _Controls:
@@ -318,7 +335,7 @@ def _slider(one: TouchSlider) -> Slider:
         most, step = max(20.0, 5.0 * one.value), max(0.1, one.value / 20.0)
         title = f"{one.title} [{one.unit}]"
         return Slider(start=0.0, end=most, step=step, value=one.value, title=title, name=one.title)
-    middle = np.log10(max(one.value, 1e-3))
+    middle = np.log10(max(one.value, 1e-6))
     shown = CustomJSTickFormatter(
         args={"unit": one.unit}, code="return `${Math.pow(10, tick).toPrecision(3)} ${unit}`"
     )  # fmt: skip
@@ -328,15 +345,13 @@ def _slider(one: TouchSlider) -> Slider:
     )  # fmt: skip
 
 
-def _status(status: TouchStatus) -> str:
+def _status(status: TouchStatus, rate: float) -> str:
     if status.ended:
         return f"<b>ended:</b> {html.escape(status.ended)}"
     facts = [
         f"{status.cycles} cycles",
-        f"{status.late} of them late by more than a sample time",
-        f"99 % of all begin within {si(status.lateness[1], 's')} of their time",
+        f"<b>this computer is too slow for {rate:g} Hz: shown in slow motion</b>" if status.given_up else "",
         f"{status.skipped} SYNCs skipped",
-        f"{status.given_up:.2f} s not caught up" if status.given_up else "",
         f"pointer to cycle {si(status.answered[0], 's')}, 99 % {si(status.answered[1], 's')}",
     ]
     return " &nbsp; ".join(fact for fact in facts if fact)

@@ -12,10 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, cast
 
-from canhaptic.axis_units import damping_unit, mass_unit, stiffness_unit
+from canhaptic.axis_units import damping_unit, effort_unit, mass_unit, stiffness_unit
 from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
 from canhaptic.control.admittance.group_environment import GroupMass, PathMass
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
+from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.passivity.unprotected import UnprotectedParameters
 from canhaptic.control.port_hamiltonian.shapes.box import Box
@@ -80,6 +81,7 @@ class TouchScene:
         sliders: Values that the page can change besides the rate.
         path: Corners of a path that the handle is led along, in a plane [m or rad]; empty: none.
         is_display: Whether the sides are admittance displays: force in, velocity out.
+        notches: A resting position of detents and their pitch [m or rad]; empty: none.
     """
 
     scene: Scene
@@ -91,6 +93,7 @@ class TouchScene:
     sliders: tuple[TouchSlider, ...]
     path: tuple[tuple[float, ...], ...] = ()
     is_display: bool = False
+    notches: tuple[float, ...] = ()
 
     @property
     def is_plane(self) -> bool:
@@ -115,6 +118,8 @@ def sliders_of(section: str, values: Parameters, names: Sequence[str], unit: str
     kinds = {
         "stiffness": (stiffness_unit(unit), 2.0),
         "damping": (damping_unit(unit), 0.0),
+        "peak": (effort_unit(unit), 1.0),
+        "pitch": (unit, 0.5),
         "mass": (mass_unit(unit), 1.0),
         "cup": (mass_unit(unit), 1.0),
     }
@@ -266,6 +271,7 @@ def _path(network: GroupMass) -> tuple[tuple[float, ...], ...]:
 
 
 _SLIDERS = ("stiffness", "damping")
+_OF_DETENTS = ("peak", "pitch")
 
 
 def two_sides(scene: Scene, axis: str | None = None) -> TouchScene:
@@ -312,11 +318,13 @@ def _line(scene: Scene, axis: AxisScene) -> TouchScene:
     axes = [_held_axis(one, side, side.axes[0]) for one, side in zip((plain, guarded), sides, strict=True)]
     user, start = _hand_of(axis)
     shown = reach(user.motion, user.rest, start)
-    names = _DISPLAY_SLIDERS if is_display else _SLIDERS if hasattr(environment, "stiffness") else ()
+    notches = (environment.position, environment.pitch) if isinstance(environment, Detents) else ()
+    felt = _OF_DETENTS if notches else _SLIDERS if hasattr(environment, "stiffness") else ()
+    names = _DISPLAY_SLIDERS if is_display else felt
+    solid = () if notches else (_walls if is_display else _solid)(environment, shown)
     return TouchScene(
-        on_two_buses(scene, axes, sides), sides, axis.parameters.unit, (shown,), (start,),
-        (_walls if is_display else _solid)(environment, shown),
-        sliders_of("environment", environment, names, axis.parameters.unit), is_display=is_display,
+        on_two_buses(scene, axes, sides), sides, axis.parameters.unit, (shown,), (start,), solid,
+        sliders_of("environment", environment, names, axis.parameters.unit), is_display=is_display, notches=notches,
     )  # fmt: skip
 
 
