@@ -3,9 +3,11 @@
 The steps are those of CiA 402. A derived class adds the fieldbus: its states, watchdog and process data.
 """
 
+import tomllib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Final, NamedTuple
 
 from canhaptic.canopen import objects as od
@@ -16,25 +18,7 @@ from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.errors import DictionaryError, LinkError, SdoError, StartError
 
-_REMEDIES: Final = {
-    "identity": "this is not the drive of the configuration; check node_id, vendor_id and product_code",
-    "device type": "only CiA 402 drives are supported; check node_id",
-    "drive modes": "this drive has no such mode; choose another drive or firmware",
-    "drive state": "find and remove the cause, then reset the fault (reset_fault: true or the vendor's tool)",
-    "rated torque": "correct rated_torque and transmission, or the drive's 0x6076 (quirks: rated_torque_...)",
-    "torque limit": "raise torque_limit where the drive calls it too low, reduce it where too high, or change the "
-    "drive's own limit with the vendor's tool (quirks: max_torque_absent)",
-    "drive objects": "correct drive_objects of the axis",
-    "brake": "correct brake.output of the axis, or let the drive work its brake (brake.by: drive)",
-    "watchdog": "see the quirks abort_... for 0x6007; watchdog: false only if a killed master may leave the torque on",
-    "interpolation period": "use a rate whose period the drive accepts, or quirks: [no_interpolation_period]",
-    "mode of operation": "the drive refuses the mode; check its licence, firmware and settings",
-    "zero torque": "another master may be writing to this drive",
-    "offsets": "set the object to 0 with the vendor's tool: the drive adds it to what the master asks",
-    "position": "the map or counts may be wrong, or the axis was moved by force during the start",
-    "enable": "check the safety inputs (STO), the supply of the power stage and the drive's error code; "
-    "quirks: slow_enable where it takes its time",
-}
+_REMEDIES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 
 _MODE_NAMES: Final = {
     od.HOMING: "homing",

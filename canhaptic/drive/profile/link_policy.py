@@ -9,7 +9,9 @@ missed TPDOs in a row   0            normal: the controller's torque
 everything below        at once      zero torque, the rig stops
 """
 
+import tomllib
 from enum import Enum, IntEnum
+from pathlib import Path
 from typing import Final, NamedTuple
 
 from canhaptic import errors
@@ -59,102 +61,10 @@ class _StopRule(NamedTuple):
     remedy: str
 
 
-STOP_TABLE: Final[dict[StopReason, _StopRule]] = {
-    StopReason.TPDO_LOST: _StopRule(
-        "no TPDO for too many SYNCs",
-        errors.TpdoLostError,
-        "check the cable and what else loads the bus, or raise bus.tpdo_timeout or bus.stop_cycles",
-    ),
-    StopReason.HEARTBEAT_LOST: _StopRule(
-        "the drive's heartbeat stopped",
-        errors.HeartbeatLostError,
-        "check power and cable of the drive, or raise bus.heartbeat_timeout",
-    ),
-    StopReason.SEND_FAILED: _StopRule(
-        "a frame could not be sent, or none be read",
-        errors.BusFailedError,
-        "check the cable, the bit rate and the length of the interface's queue",
-    ),
-    StopReason.COMMAND_LOST: _StopRule(
-        "the drive holds an old torque, its RPDOs are lost",
-        errors.CommandLostError,
-        "check the cable, the COB-ID of the RPDO and what else loads the bus",
-    ),
-    StopReason.SECOND_MASTER: _StopRule(
-        "another master sends on the bus",
-        errors.SecondMasterError,
-        "end the other program, or remove the other device, that sends SYNC, NMT, RPDOs or SDO requests",
-    ),
-    StopReason.SYNCS_SKIPPED: _StopRule(
-        "this computer was late for too many SYNCs",
-        errors.SyncsSkippedError,
-        "end other programs, see `canhaptic check`, host, ask for bus.realtime, or lower bus.rate",
-    ),
-    StopReason.EMERGENCY: _StopRule(
-        "the drive sent an EMCY", errors.EmergencyError, "look the code up in the drive's manual and remove its cause"
-    ),
-    StopReason.DRIVE_FAULT: _StopRule(
-        "the drive is in FAULT", errors.DriveStateFaultError, "look its error code (0x603F) up and remove the cause"
-    ),
-    StopReason.STATE_LEFT: _StopRule(
-        "the drive left OPERATION ENABLED, or the bus commands it no more (bit 9 of the statusword)",
-        errors.StateLeftError,
-        "check enable input, supply and limits of the drive, and what else may command it",
-    ),
-    StopReason.NMT_STATE_LEFT: _StopRule(
-        "the drive left NMT OPERATIONAL",
-        errors.NmtStateLeftError,
-        "look for a reset of the drive and for another NMT master",
-    ),
-    StopReason.POSITION_JUMP: _StopRule(
-        "the position moved faster than the speed limit",
-        errors.PositionJumpError,
-        "check the encoder and counts_per_unit, or raise speed_limit of the axis",
-    ),
-    StopReason.NOT_FOLLOWING: _StopRule(
-        "the drive does not follow its target torque (bit 12 of the statusword)",
-        errors.NotFollowingError,
-        "look for a limit, a halt or a safety input of the drive, and for another master that commands it",
-    ),
-    StopReason.TORQUE_LIMITED: _StopRule(
-        "the drive limits its torque (bit 11 of the statusword), and none is read back",
-        errors.TorqueLimitedError,
-        "map 0x6074 or 0x6077 (read_back), or lower torque_limit below the limits of the drive",
-    ),
-    StopReason.FORCE_RANGE: _StopRule(
-        "the force is beyond the range of its sensor",
-        errors.ForceRangeError,
-        "check cable, scale and offset of the sensor, or raise admittance.force.range",
-    ),
-    StopReason.FORCE_FROZEN: _StopRule(
-        "the force sensor shows the same count for too long",
-        errors.ForceFrozenError,
-        "check the sensor, its amplifier and its cable, or raise admittance.force.frozen_after",
-    ),
-    StopReason.CONTROLLER: _StopRule(
-        "the controller's torque is not finite",
-        errors.TorqueNotFiniteError,
-        "check the parameters of environment and algorithm against the motion",
-    ),
-    StopReason.EXCEPTION: _StopRule(
-        "the cycle raised an exception", errors.CycleFailedError, "see the error that caused it"
-    ),
-    StopReason.ENERGY_LOST: _StopRule(
-        "a port gave out more energy than was declared",
-        errors.EnergyLostError,
-        "look for SYNCs skipped, frames lost, and a wrong moving_mass or hand_force; raise energy_loss_limit "
-        "of the axis only where a person may be given that energy",
-    ),
-    StopReason.OWN_CODE_LATE: _StopRule(
-        "own code in its process did not answer",
-        errors.OwnCodeLateError,
-        "look for what it waits for, or raise late_holds; a torque that is not answered for is zero",
-    ),
-    StopReason.FORCE_CONTRADICTED: _StopRule(
-        "encoder and commands contradict the force sensor",
-        errors.ForceContradictedError,
-        "check sign, scale and offset of the sensor, whether commands reach the drive, and drive_mass and loop_gain",
-    ),
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+STOP_TABLE: Final = {
+    StopReason[name]: _StopRule(of["meaning"], getattr(errors, of["error"]), of["remedy"])
+    for name, of in _TABLES["stop"].items()
 }
 _REASONS: Final[dict[type[Exception], StopReason]] = {rule.error: reason for reason, rule in STOP_TABLE.items()}
 
@@ -164,27 +74,7 @@ def reason_of(error: Exception) -> StopReason:
     return _REASONS.get(type(error), StopReason.EXCEPTION)
 
 
-READ_BACK_TABLE: Final[dict[str, tuple[str, str, str]]] = {
-    # read_back of the axis -> an old torque is held (COMMAND_LOST), bit 12 goes out (NOT_FOLLOWING), bit 11 comes on
-    "demand": (
-        "0x6074 stays as it was for `bus.stop_cycles` SYNCs although another torque was sent",
-        "stop after more than `bus.hold_cycles` SYNCs in a row",
-        "recorded: the applied torque is read back, and the account is exact; one that is larger than the "
-        "command, or turned, is no limit and counts as an old torque",
-    ),
-    "actual": (
-        "0x6077 stays within `torque_tolerance` of an old command for `bus.stop_cycles` SYNCs although commands more "
-        "than twice as far from it were sent; nearer ones cannot be distinguished from noise",
-        "stop after more than `bus.hold_cycles` SYNCs in a row",
-        "recorded: the applied torque is read back; one that is larger than the command, or turned, is no limit",
-    ),
-    "none": (
-        "cannot be detected by the master; the drive's own deadline of the RPDO (0x1400:05) ends it after "
-        "`bus.heartbeat_timeout`, where its dictionary has that and `watchdog` is on",
-        "stop after more than `bus.hold_cycles` SYNCs in a row",
-        "TORQUE_LIMITED after more than `bus.hold_cycles` SYNCs in a row, if it was not on at the start",
-    ),
-}
+READ_BACK_TABLE: Final = {name: tuple(of.values()) for name, of in _TABLES["read_back"].items()}
 
 
 class LinkPolicy:
