@@ -29,10 +29,10 @@ from canhaptic.drive.survey import survey
 from canhaptic.host.realtime import GRANTED, Realtime
 from canhaptic.scene import hints as limits
 from canhaptic.scene.build import build, require_buildable
-from canhaptic.scene.first_contact import advice, halves_rendered, slowest_felt
+from canhaptic.scene.first_contact import FELT, advice, halves_rendered, kept_through_losses, slowest_felt
 from canhaptic.scene.hints import guarantee, stability_hints
 from canhaptic.scene.method import dear_holds
-from canhaptic.scene.models import Guess, Scene, refused_values, status_text, values_to_set
+from canhaptic.scene.models import AxisScene, Guess, Scene, refused_values, status_text, values_to_set
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.table import Cell, Styled, Table
 
@@ -186,7 +186,19 @@ class _CheckFindings(NamedTuple):
         speed, unit = _USUAL * axis.parameters.largest_speed, f"{axis.parameters.unit}/s"
         halves = halves_rendered(axis, speed)
         both = f" ({halves[0]:.2f} up to a crest and {halves[1]:.2f} behind it at {speed:.2g} {unit})" if halves else ""
-        return f"felt from {self.felt[name]:.2g} {unit}{at}{both}"
+        return (
+            f"felt from {self.felt[name]:.2g} {unit}{at}{both}{self._under_losses(axis, max(speed, self.felt[name]))}"
+        )
+
+    def _under_losses(self, axis: AxisScene, speed: float) -> str:
+        """Return the share of lost frames through which a wall stays; empty where no loss is declared."""
+        if not getattr(axis.passivity.parameters, "max_consecutive_losses", 0):
+            return ""
+        tried = kept_through_losses(axis, speed)
+        kept = max((lost for lost, share in tried if share >= FELT), default=0.0)
+        beyond = next((f"{share:.0%} of it at {lost:.1%}" for lost, share in tried if lost > kept), "")
+        stays = [f"it stays where about {kept:.1%} of the frames are lost"] if kept else []
+        return f"; pressed for 1 s {', '.join([*stays, *([beyond] if beyond else [])])}"
 
     @property
     def refused(self) -> bool:

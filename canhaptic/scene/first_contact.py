@@ -8,6 +8,7 @@ bus take part.
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from math import inf
+from random import Random
 from typing import Any, Final, NamedTuple, cast
 
 from canhaptic.axis_units import damping_unit, effort_unit
@@ -23,6 +24,10 @@ _OUTSIDE: Final = 30
 """Holds before the contact."""
 _MOST: Final = 600
 """Holds of one contact."""
+_PRESS: Final = 1.0
+"""Time for which a wall is pressed while frames are lost [s]."""
+_LOST: Final = (0.001, 0.003, 0.01, 0.03, 0.1)
+"""Shares of lost frames that are tried."""
 _PHASE: Final = 0.37
 """Place of the positions between two counts."""
 _SPEEDS: Final = tuple(3.0**-power for power in range(9))
@@ -193,6 +198,41 @@ def _inward(environment: Environment) -> tuple[float, float] | None:
     """Return where a contact begins [m or rad] and its direction, 1 or -1; None where none is found."""
     start = float(getattr(environment, "position", 0.0))
     return next(((start, sign) for sign in (1.0, -1.0) if environment.contact(start + sign * 1e-6)), None)
+
+
+def kept_through_losses(axis: AxisScene, speed: float) -> list[tuple[float, float]]:
+    """Return which part of a wall is felt in a second of pressing, for each of some shares of lost frames.
+
+    A frame takes what the torques under way might have given out unseen (`torque_bound`), which late torques, friction
+    and a fast hand make large; pressing on brings it in again. The declared mass is pushed, with a damping that allows
+    the speed, and either frame of a cycle is lost at random.
+
+    Args:
+        axis: Axis for which `can_be_tried` is true.
+        speed: Speed of the approach [m/s or rad/s].
+    """
+    return [(share, _share_pressed(axis, speed, share)) for share in _LOST]
+
+
+def _share_pressed(axis: AxisScene, speed: float, lost: float) -> float:
+    environment, loop, limit = _environment(axis), axis.loop, axis.parameters.torque_limit
+    start, sign = _inward(environment) or (0.0, 1.0)
+    controller, chance, push = build_axis_controller(axis), Random(1), 0.5 * LEAN * limit
+    step = loop.sample_time / (loop.moving_mass or 1.0)
+    queue, position, velocity, acting = [0.0] * (1 + loop.delay), start, sign * speed, 0.0
+    asked = sent = 0.0
+    for hold in range(round(_PRESS / loop.sample_time)):
+        is_heard = hold == 0 or chance.random() >= lost
+        balance = controller.step(position, acting) if is_heard else controller.sample_lost()
+        queue.append(max(-limit, min(limit, balance.torque)))
+        torque = queue.pop(0)
+        acting = torque if chance.random() >= lost else acting
+        if environment.contact(position):
+            effort = environment.effort(environment.true_state(position, 0.0, 0.0))
+            asked, sent = asked + abs(effort), sent + min(abs(acting), abs(effort))
+        velocity = (velocity + step * (acting + sign * push)) / (1.0 + step * push / speed)
+        position += velocity * loop.sample_time
+    return sent / asked if asked else 0.0
 
 
 def _contact(axis: AxisScene, speed: float) -> Iterator[tuple[float, float]]:

@@ -7,12 +7,15 @@ import pytest
 
 import canhaptic
 from canhaptic.cli.main import main
+from canhaptic.cycle import run
+from canhaptic.scene.build import build, experiment_account
 from canhaptic.scene.first_contact import (
     advice,
     can_be_tried,
     enough_allowance,
     halves_rendered,
     is_felt,
+    kept_through_losses,
     remedies,
     rendered_share,
     slowest_felt,
@@ -158,3 +161,38 @@ def test_both_halves_of_a_detent_are_rendered_and_check_says_how_much(capsys: py
     assert main(["check", str(CONFIGS / "demo.yaml"), *(word for text in SNAPS for word in ("--set", text))]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert f"({halves[0]:.2f} up to a crest and {halves[1]:.2f} behind it at 0.1 m/s)" in said
+
+
+LOSSY = ("passivity.max_consecutive_losses=4", "environment.stiffness=500", "bus.rate=250 Hz", "environment.position=0",
+         "passivity.hand_force=2", "passivity.current_lag=1 ms", "passivity.device_friction=0.3",
+         "passivity.device_friction_bound=1")  # fmt: skip
+
+
+def test_of_a_link_that_loses_frames_check_says_how_much_of_a_wall_it_holds(capsys: pytest.CaptureFixture[str]) -> None:
+    late = dict(kept_through_losses(axis(*LOSSY), 0.1))
+    assert list(late.values()) == sorted(late.values(), reverse=True)
+    assert late[0.1] < 0.1 < late[0.001]
+    words = [word for change in LOSSY for word in ("--set", change)]
+    assert main(["check", str(CONFIGS / "demo.yaml"), *words]) == 0
+    assert "; pressed for 1 s 28% of it at 0.1%, " in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_of_a_torque_that_is_not_late_a_lost_frame_takes_next_to_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(CONFIGS / "demo.yaml"), "--set", "passivity.max_consecutive_losses=1"]) == 0
+    assert "; pressed for 1 s it stays where about 10.0% of the frames are lost, " in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("lost", "least", "most"), [(0.001, 0.2, 1.0), (0.1, 0.0, 0.1)])
+def test_a_run_feels_what_check_says_of_a_link_that_loses_frames(lost: float, least: float, most: float) -> None:
+    plant = ("simulation.user={push: -8, damping: 80}", f"simulation.bus={{drop: {lost}}}",
+             "simulation.plant={mass: 0.25, damping: 0.1, initial_position: 0.01}", "axes.0.energy_loss_limit=none",
+             "simulation.effects=[{type: coulomb_friction, kinetic: 0.4, static: 0.5}, "
+             "{type: current_loop, time_constant: 1 ms}]")  # fmt: skip
+    scene = load_scene(CONFIGS / "demo.yaml", [*LOSSY, *plant])
+    with build(scene) as experiment:
+        run(experiment.cycle, 300)
+        felt = experiment_account(experiment, "completed", 1.0)["ports"]["handle"]["rendered"]["stiffness"]
+    assert felt is not None
+    assert least <= felt <= most
