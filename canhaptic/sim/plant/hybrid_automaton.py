@@ -27,17 +27,7 @@ from canhaptic.kernels import Indices
 from canhaptic.sim.plant import stepper
 from canhaptic.sim.plant.assembly import Exit, Mode, PlantModel, compile_mode, first_key, initial_state
 from canhaptic.sim.plant.propagator import TICKS, Array
-from canhaptic.sim.plant.stepper import (
-    COUNTS,
-    EVENTS,
-    LIMIT,
-    MISSING,
-    MODE,
-    NONE,
-    PRODUCTS,
-    ModeTables,
-    StepperSettings,
-)
+from canhaptic.sim.plant.stepper import NONE, ModeTables, StepperSettings
 
 HOLDS: Final = 64
 """Sample times that are looked ahead."""
@@ -132,7 +122,7 @@ class HybridAutomaton:
         return list(stepper.two_buffers(len(self.scene.names), len(self.scene.works)))
 
     def _new_counts(self) -> Indices:
-        return [0] * COUNTS
+        return [0] * stepper.COUNTS
 
     def reset(self) -> None:
         """Return to the initial state and mode, with no energy booked."""
@@ -141,16 +131,16 @@ class HybridAutomaton:
         self.totals.fill(0.0)
         self._sums, self._carries = self.totals.tolist(), self.totals.tolist()
         counts = self._counts
-        counts[MODE], counts[MISSING], counts[EVENTS] = self._first, NONE, 0
+        counts[stepper.MODE], counts[stepper.MISSING], counts[stepper.EVENTS] = self._first, NONE, 0
         self.allow_events(0, TICKS)
         self.run(0)  # a body that starts beyond a stop starts with the stop's energy
         self.totals.fill(0.0)
-        counts[EVENTS] = counts[PRODUCTS] = self._periods = 0
+        counts[stepper.EVENTS] = counts[stepper.PRODUCTS] = self._periods = 0
 
     @property
     def mode(self) -> Mode:
         """Present mode."""
-        return self._modes[int(self._counts[MODE])]
+        return self._modes[int(self._counts[stepper.MODE])]
 
     @property
     def first_mode(self) -> Mode:
@@ -160,24 +150,24 @@ class HybridAutomaton:
     @property
     def events(self) -> int:
         """Mode changes since the start."""
-        return int(self._counts[EVENTS])
+        return int(self._counts[stepper.EVENTS])
 
     @property
     def products(self) -> int:
         """Number of flow steps tried since the start, a machine-independent cost."""
-        return int(self._counts[PRODUCTS]) + self._periods
+        return int(self._counts[stepper.PRODUCTS]) + self._periods
 
     def save(self) -> _Snapshot:
         """Return a copy of everything that a hold changes."""
         counts = self._counts
-        return _Snapshot(self.state.copy(), counts[MODE], self.totals.copy(), counts[EVENTS])
+        return _Snapshot(self.state.copy(), counts[stepper.MODE], self.totals.copy(), counts[stepper.EVENTS])
 
     def restore(self, saved: _Snapshot) -> None:
         """Return to a saved copy."""
         np.copyto(self.state, saved.state)
         np.copyto(self.totals, saved.totals)
         counts = self._counts
-        counts[MODE], counts[EVENTS] = saved.mode, saved.events
+        counts[stepper.MODE], counts[stepper.EVENTS] = saved.mode, saved.events
 
     @property
     def totals(self) -> Array:
@@ -223,12 +213,12 @@ class HybridAutomaton:
 
     def stored(self) -> float:
         """Return the kinetic and elastic energy [J]."""
-        stored: Callable[[Array], float] = self._stored[self._counts[MODE]]
+        stored: Callable[[Array], float] = self._stored[self._counts[stepper.MODE]]
         return stored(self.state)
 
     def set_part_mode(self, part: str, mode: str) -> None:
         """Put one part into another mode, at a time that the plant fixed beforehand."""
-        self._counts[MODE] = self.number_with(int(self._counts[MODE]), part, mode)
+        self._counts[stepper.MODE] = self.number_with(int(self._counts[stepper.MODE]), part, mode)
 
     @staticmethod
     def _whole_of(mode: Mode) -> Any:
@@ -240,7 +230,7 @@ class HybridAutomaton:
 
         They may be taken by `period`, until anything else moves the plant.
         """
-        place = int(self._counts[MODE])
+        place = int(self._counts[stepper.MODE])
         if place not in self._horizons:
             mode = self._modes[place]
             count = len(mode.exits)
@@ -278,7 +268,7 @@ class HybridAutomaton:
         """Allow `max_events` for each sample time that begins in [begin, end), in ticks; else the remainder of them."""
         begun = -(-end // TICKS) - -(-begin // TICKS)
         if begun:
-            self._most = int(self._counts[EVENTS]) + self._settings.max_events * begun
+            self._most = int(self._counts[stepper.EVENTS]) + self._settings.max_events * begun
 
     def run(self, ticks: int) -> int:
         """Move by `ticks` under constant inputs, through every event on the way; return the ticks left, 0.
@@ -286,13 +276,13 @@ class HybridAutomaton:
         Raises:
             EventLimitError: More events than `allow_events` allowed.
         """
-        self._counts[LIMIT] = self._most + 1
+        self._counts[stepper.LIMIT] = self._most + 1
         self.check_limit(self._run_on(ticks))
         return 0
 
     def run_to_event(self, ticks: int) -> int:
         """Move by `ticks` at most, through the first event; return the ticks left."""
-        self._counts[LIMIT] = self._counts[EVENTS] + 1
+        self._counts[stepper.LIMIT] = self._counts[stepper.EVENTS] + 1
         return self._run_on(ticks)
 
     def check_limit(self, left: int) -> None:
@@ -306,11 +296,11 @@ class HybridAutomaton:
 
     def _require_finished(self, left: int) -> None:
         """Refuse to go on when time is left before any limit of events: the products are used up."""
-        if left and self._counts[EVENTS] < self._counts[LIMIT]:
+        if left and self._counts[stepper.EVENTS] < self._counts[stepper.LIMIT]:
             raise self._limit_error(self._settings.max_products)
 
     def _limit_error(self, products: int = 0) -> EventLimitError:
-        state = self.described(self._counts[MODE], self.state.tolist())
+        state = self.described(self._counts[stepper.MODE], self.state.tolist())
         return EventLimitError(self._settings.max_events, state, products=products)
 
     def described(self, mode: int, state: Sequence[float]) -> str:
@@ -328,7 +318,7 @@ class HybridAutomaton:
     def _run_on(self, ticks: int) -> int:
         while True:
             self.state, self._moved, ticks = self._step(ticks)
-            if self._counts[MISSING] == NONE:
+            if self._counts[stepper.MISSING] == NONE:
                 self._require_finished(ticks)
                 return ticks
             self._enter_missing()
@@ -340,8 +330,8 @@ class HybridAutomaton:
 
     def _enter_missing(self) -> None:
         """Compile the mode behind the guard at which the stepper waits; the stepper then passes it by itself."""
-        mode, guard = int(self._counts[MODE]), int(self._counts[MISSING])
-        self._counts[MISSING] = NONE
+        mode, guard = int(self._counts[stepper.MODE]), int(self._counts[stepper.MISSING])
+        self._counts[stepper.MISSING] = NONE
         self.connect(mode, guard)
 
     def connect(self, mode: int, guard: int) -> None:

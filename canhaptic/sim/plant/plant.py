@@ -129,6 +129,8 @@ class Plant(SampleClock):
         position: True position of the motor [m or rad].
         encoder_position: True position after the effects of the encoder; the value that a drive reads.
         has_ideal_encoder: Whether the encoder has no effects, so that both positions agree.
+        is_linear: Whether nothing but a held torque acts on it: no guards, efforts, schedule or commands.
+        is_exact: Whether every effect is solved exactly between its events.
         stored_at_start: Kinetic and elastic energy at the start [J].
         state_names: Names of all states of the scene.
     """
@@ -153,11 +155,12 @@ class Plant(SampleClock):
         self.has_ideal_encoder = not self.scene.encoders
         self._machine = machine_type(compiled)(self.scene, self.accuracy.max_events, self.accuracy.event_bits)
         self._splitting = self._split() if self.scene.efforts else None
+        self.is_exact = self._splitting is None
         self._timetable: Timetable | None = None
         self._hold = self._chosen_hold()
         self._moves = self._hold  # until own code fails: then the body stays, so that the drives can be stopped
-        self._is_linear = self._hold == self._linear_hold
-        self._is_flat = self._is_linear or self._hold == self._commanded_hold
+        self.is_linear = self._hold == self._linear_hold
+        self._is_flat = self.is_linear or self._hold == self._commanded_hold
         self._passing = min((command.passes for command in self.scene.commands), default=math.inf)
         self._looks_ahead = self._passing >= 0.0 and not (compiled or self._is_flat or self.scene.efforts)
         kept = [name for command in self.scene.commands for name in command.state_names]
@@ -272,11 +275,6 @@ class Plant(SampleClock):
         """Initial mode of the scene, as data."""
         return self._machine.first_mode
 
-    @property
-    def is_linear(self) -> bool:
-        """Whether nothing but a held torque acts on it: no guards, efforts, schedule or commands."""
-        return self._is_linear
-
     def whole_flow(self) -> Array:
         """Return the flow of the first mode over one sample time, shape (n, n)."""
         return matrix_of(self._machine.first_mode.flows[0]).copy()
@@ -284,11 +282,6 @@ class Plant(SampleClock):
     def initial_state(self) -> Array:
         """Return the state at the start, shape (n,)."""
         return initial_state(self.scene)
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether every effect is solved exactly between its events."""
-        return self._splitting is None
 
     def begin(self, now: int) -> None:
         """Start the clock: `now` [ns] is the epoch, the state there is the initial one. Later calls change nothing."""

@@ -45,12 +45,8 @@ class Splitting:
         for effort in self._efforts:
             effort.reset()
         self.work: dict[Account, float] = {"motor": 0.0, "user": 0.0, "dissipated": 0.0}
-        self._force = 0.0
-        self._slope = -1.0
-        self._start = 0.0
-        self._duration = 0.0
-        self._passed = 0
-        self._held = 0.0
+        self._force, self._slope, self._passed = 0.0, -1.0, 0
+        self._start = self._duration = self._held = 0.0
 
     def stored(self, position: float) -> float:
         """Return the energy stored in the efforts [J]."""

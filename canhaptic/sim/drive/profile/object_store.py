@@ -80,9 +80,8 @@ class Entry:
             self.code = _REALS[data_type].format[-1]
         self.readable = access != "wo"
         self.writable = access not in ("ro", "const")
-        self.receivable = is_mappable and access in ("rw", "rww", "wo")
         is_dummy = index < 0x20  # a data type that an RPDO maps to skip bytes (CiA 301, 7.4.7)
-        self.receivable = is_dummy or self.receivable
+        self.receivable = is_dummy or (is_mappable and access in ("rw", "rww", "wo"))
         self.transmittable = not is_dummy and is_mappable and access in ("ro", "rw", "rwr", "const")
         self.initial: _Value | None = None
         self.value: _Value | None = None

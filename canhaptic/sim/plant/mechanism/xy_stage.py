@@ -7,7 +7,7 @@ breakaway and sticking are bracketed to T / 2^24. The held forces are states tha
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Any, ClassVar, Final
+from typing import Annotated, ClassVar, Final
 
 from canhaptic.axis_units import Motion
 from canhaptic.signals import PlantEnergy
@@ -147,13 +147,10 @@ class XYMotion(SampleClock):
         return PlantEnergy(motor, user, dissipated, 0.5 * self._masses[axis] * self.velocities[axis] ** 2)
 
 
-def _works_of(name: str, scene: PlantModel) -> tuple[list[int], list[int], list[int]]:
+def _works_of(name: str, scene: PlantModel) -> list[list[int]]:
     """Places of one direction's works: motor, user and dissipated."""
-    places: dict[Any, list[int]] = {"motor": [], "user": [], "dissipated": []}
-    for i, (work, account) in enumerate(scene.works.items()):
-        if work.startswith(f"{name}_"):
-            places[account].append(i)
-    return places["motor"], places["user"], places["dissipated"]
+    works = [(i, account) for i, (work, account) in enumerate(scene.works.items()) if work.startswith(f"{name}_")]
+    return [[i for i, of in works if of == account] for account in ("motor", "user", "dissipated")]
 
 
 def _scene(stage: XYStage, hand: TaskHand | None, sample_time: float) -> PlantModel:
