@@ -221,6 +221,16 @@ class ContinuousModes(NamedTuple):
         return np.array([settings.exists for settings in self.settings])
 
 
+class LoopJob(NamedTuple):
+    """Loops of one kind."""
+
+    kernel: Kernel  # of the algorithm
+    rows: Sequence[SceneRow]  # of the scenes
+    modes: ContinuousModes  # of the continuous environments
+    cycles: int  # SYNCs
+    instead: Mapping[object, object]  # replacements of functions of the loop
+
+
 def no_modes(count: int) -> ContinuousModes:
     """Placeholder for scenes without continuous environments."""
     nothing = np.zeros((1, 3, 1, 1))

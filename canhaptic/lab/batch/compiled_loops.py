@@ -25,7 +25,7 @@ from canhaptic.kernels import Buffer, Kernel, Matrix, Run
 from canhaptic.kernels.compiler import compiled, fixed_tuple
 from canhaptic.kernels.records import Records, arrays_of, record_of, records_of
 from canhaptic.lab.batch.cases import (
-    ContinuousModes,
+    LoopJob,
     NotBatchableError,
     SceneRow,
     kernel_of,
@@ -139,15 +139,9 @@ class CompiledLoops:
         NotBatchableError: numba cannot compile the environment.
     """
 
-    def __init__(
-        self,
-        kernel: Kernel,
-        rows: Sequence[SceneRow],
-        modes: ContinuousModes,
-        cycles: int,
-        instead: Mapping[object, object],
-    ) -> None:
-        self._kernel, self._rows, self._modes, self._cycles = kernel, rows, modes, cycles
+    def __init__(self, job: LoopJob) -> None:
+        self._kernel, self._rows, self._modes, self._cycles, instead = job
+        kernel, rows, modes = job[:3]
         self._settings, self._loops = records_of([row.settings for row in rows]), records_of([row.loop for row in rows])
         self._continuous = records_of(modes.settings)
         self._rest, self._place = records_of([kernel.state()]), records_of([CycleState()])
@@ -391,7 +385,7 @@ def compiled_rows(case: LoopCase, cycles: int, reach: Reach) -> Array:
     batch, kernel = replace(many_loops(case, {}, {}), reach=reach), cast(Kernel, kernel_of(case.algorithm))
     rows = [*scene_rows(batch, kernel, 1)]
     instead: dict[object, object] = {**_KEEPING, **loop_replacements(batch.plants)}
-    loops = CompiledLoops(kernel, rows, no_modes(1), cycles, instead)
+    loops = CompiledLoops(LoopJob(kernel, rows, no_modes(1), cycles, instead))
     loops.meters = np.full((1, cycles, 4 + len(EnergyBalance._fields)), np.nan)
     if batch.linear is None:
         stopped: dict[int, EventLimitError] = {}

@@ -16,8 +16,8 @@ from canhaptic.kernels.records import bound
 from canhaptic.lab.batch.cases import (
     BatchCase,
     ContinuousModes,
+    LoopJob,
     NotBatchableError,
-    SceneRow,
     batch_case,
     check_values,
     continuous_modes,
@@ -50,30 +50,16 @@ from canhaptic.scene.models import Scene
 class InterpretedLoops:
     """One loop after the other.
 
-    Args:
-        kernel: Kernel of the algorithm.
-        rows: Rows of the scenes.
-        modes: Modes of the continuous environments.
-        cycles: SYNCs.
-        instead: Replacements of functions of the loop.
-
     Attributes:
         meters: Meter of every scene.
         references: Memory of each scene's continuous run.
     """
 
-    def __init__(
-        self,
-        kernel: Kernel,
-        rows: Sequence[SceneRow],
-        modes: ContinuousModes,
-        cycles: int,
-        instead: Mapping[object, object],
-    ) -> None:
-        self._kernel, self._rows, self._modes, self._cycles = kernel, rows, modes, cycles
-        self._begin, self._at, self._run = _functions(kernel, tuple(instead.items()))
-        self.meters = [Meter() for _ in rows]
-        self.references = [ReferenceState() for _ in rows]
+    def __init__(self, job: LoopJob) -> None:
+        self._kernel, self._rows, self._modes, self._cycles, instead = job
+        self._begin, self._at, self._run = _functions(self._kernel, tuple(instead.items()))
+        self.meters = [Meter() for _ in self._rows]
+        self.references = [ReferenceState() for _ in self._rows]
 
     def run(self, some: Sequence[int], plants: Plants, stopped: Stopped) -> None:
         """Run some of the scenes.
@@ -180,7 +166,7 @@ def _part(
         modes = continuous_modes(case, count, cycles, with_force=forces, with_travel=travels)
     listed = engine == "python"
     rows = list(scene_rows(case, kernel, count))
-    loops = _loops(not listed)(kernel, rows, modes, cycles, loop_replacements(case.plants))
+    loops = _loops(not listed)(LoopJob(kernel, rows, modes, cycles, loop_replacements(case.plants)))
     if case.linear is None:
         which = np.broadcast_to(case.numbers["plant"], (count,))
         run_event_plants(loops, case.plants, which, stopped, listed=listed)
