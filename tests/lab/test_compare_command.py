@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from canhaptic.cli.main import main
+from canhaptic.lab.figures.figures import ALL, Figure
+from canhaptic.lab.render.compare_table import row_of
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 FIGURE = str(REPOSITORY / "configs" / "paper_fig5_100hz.yaml")
@@ -58,3 +60,14 @@ def test_the_tool_is_the_same_command(capsys, monkeypatch):
         runpy.run_path(tool, run_name="__main__")
     assert ended.value.code == 2
     assert "unknown passivity algorithm" in capsys.readouterr().err
+
+
+def test_a_figure_with_a_label_is_a_row_of_the_table_and_needs_no_other_file():
+    row = row_of("interaction", Figure("true energy at the end", "J", ("interaction",), "energy left", "not negative"))
+    assert (row.label, row.is_bounded) == ("energy left", True)
+    assert row.show(row.read({"interaction": 2e-3}, {}), "m").replace("\N{NO-BREAK SPACE}", " ").startswith("2")
+    part = row_of("error.rms", Figure("", "m", (), "error", "less"))
+    assert part.better is abs
+    assert part.read({"error": {"rms": 3.0, "max": 4.0}}, {}) == 3.0
+    labels = [row_of(name, figure).label for name, figure in ALL.items() if figure.label]
+    assert len(set(labels)) == len(labels) >= 10

@@ -142,7 +142,7 @@ def _from_one(value: float) -> float:
     return abs(value - 1.0)
 
 
-def _row_of(name: str, figure: Figure) -> _Row:
+def row_of(name: str, figure: Figure) -> _Row:
     """Return the row of a figure that has a label."""
     whole, _, part = name.partition(".")
 
@@ -157,7 +157,7 @@ _BETTER: Final[dict[str, Callable[[float], float]]] = {"less": abs, "near one": 
 _SHOWN: Final = {"m": _length, "N": _force, "J": _joule, "1": _share, "": _plain}
 _ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
-    *(_row_of(name, figure) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.label),
+    *(row_of(name, figure) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.label),
     _Row("damping rendered", _asked_damping, _share, _from_one),
     _Row("residual of account", lambda a, _: a["residual"], _plain),
     _Row("weakest certificate", lambda a, _: a["certificate"].replace("_", " ").removeprefix("device ")),
