@@ -157,7 +157,7 @@ def begin_motion(
             restart(memory.windows[i], memory.samples[i], positions[i])
     locate(world, settings, motion, memory, positions)
     if motion.located:
-        begin_network(world.tables, world.functions, motion.network, memory.network, memory.coordinates)
+        begin_network(world, motion.network, memory.network, memory.coordinates)
         settle_motion(motion)
 
 
@@ -173,12 +173,10 @@ def follow(
         return
     network, followed = motion.network, memory.network
     if motion.began:
-        begin_network(world.tables, world.functions, network, followed, memory.coordinates)
+        begin_network(world, network, followed, memory.coordinates)
     else:
         was_engaged = network.engaged
-        if not advance_network(
-            world.tables, world.functions, network, followed, memory.coordinates, memory.displacement, motion.elapsed
-        ):
+        if not advance_network(world, network, followed, memory.coordinates, memory.displacement, motion.elapsed):
             motion.limit = _UNSOLVED
         motion.internal = network.internal
         if not was_engaged:
@@ -333,10 +331,7 @@ def write_springs(
         request: Receives the efforts.
     """
     to_ports(memory, way, lead * motion.moved / motion.holds, memory.way)
-    springs(
-        world.tables, world.functions, memory.network, lead, motion.holds, memory.way, memory.spring_at_ports,
-        memory.lead_at_ports,
-    )  # fmt: skip
+    springs(world, memory.network, lead, motion.holds, memory.way, memory.spring_at_ports, memory.lead_at_ports)
     to_motors(memory, memory.spring_at_ports, request.spring)
     to_motors(memory, memory.lead_at_ports, request.lead)
 

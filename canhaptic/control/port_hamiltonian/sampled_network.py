@@ -23,7 +23,7 @@ until it is level.
 import math
 from dataclasses import dataclass
 from math import sqrt
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 from canhaptic.control.port_hamiltonian.gauss import solve_linear
 from canhaptic.control.port_hamiltonian.network import (
@@ -34,7 +34,7 @@ from canhaptic.control.port_hamiltonian.network import (
     stored_energy,
 )
 from canhaptic.control.port_hamiltonian.storages import Functions
-from canhaptic.kernels import Buffer, Matrix, list_of_zeros, zeros
+from canhaptic.kernels import Buffer, Matrix, list_of_zeros, new, zeros
 
 
 class Workspace(NamedTuple):
@@ -64,6 +64,27 @@ def new_workspace(states: int, dissipators: int) -> Workspace:
         one(n), one(n), one(n), one(d), one(d), one(d), one(d), one(n), one(n), one(n), one(n), one(n), one(n),
         zeros(n, n), zeros(n, n),
     )  # fmt: skip
+
+
+class NetworkModel(Protocol):
+    """A network: `network.Network`, and the model of a group that has one."""
+
+    @property
+    def tables(self) -> NetworkTables:
+        """The network as data."""
+
+    @property
+    def functions(self) -> Functions:
+        """Energies and structure given as functions."""
+
+
+class NetworkSample(NamedTuple):
+    """One sample of a network."""
+
+    state: Buffer  # x at the start of the hold, (n,)
+    displacement: Buffer  # motion of the ports during it, (r,)
+    sample_time: float  # T, or several of them where samples were lost [s]
+    room: Workspace  # `step` holds a guess, and the solution afterwards
 
 
 def drive(tables: NetworkTables, state: Buffer, displacement: Buffer, room: Workspace) -> None:
@@ -117,24 +138,23 @@ def dissipate(tables: NetworkTables, displacement: Buffer, sample_time: float, r
         room.factors[j] = share * factor
 
 
-def evaluate(
-    tables: NetworkTables,
-    state: Buffer,
-    displacement: Buffer,
-    sample_time: float,
-    room: Workspace,
-    functions: Functions,
-) -> float:
+def write_losses(model: NetworkModel, sample: NetworkSample) -> None:
+    """Write the efforts of the step, and flow and effort of every dissipator at them."""
+    tables, state, room = model.tables, sample.state, sample.room
+    discrete_gradient(tables, state, room.step, room.efforts, room.slopes)
+    if tables.by_functions:
+        model.functions.add_discrete_gradient(state, room.step, room.efforts)
+    dissipate(tables, sample.displacement, sample.sample_time, room)
+
+
+def evaluate(model: NetworkModel, sample: NetworkSample) -> float:
     """Write the residual of the equation at `room.step`; return its largest entry over the size of its terms.
 
     Infinite where an entry is not finite.
     """
-    n = len(room.step)
-    discrete_gradient(tables, state, room.step, room.efforts, room.slopes)
-    if tables.by_functions:
-        functions.add_discrete_gradient(state, room.step, room.efforts)
-    dissipate(tables, displacement, sample_time, room)
-    worst = 0.0
+    tables, sample_time, room = model.tables, sample.sample_time, sample.room
+    write_losses(model, sample)
+    n, worst = len(room.step), 0.0
     for i in range(n):
         row, total = tables.structure[i], 0.0
         size = abs(room.step[i]) + abs(room.driven[i])
@@ -158,8 +178,9 @@ def evaluate(
     return worst
 
 
-def linearise(tables: NetworkTables, sample_time: float, room: Workspace, functions: Functions) -> None:
+def linearise(model: NetworkModel, sample: NetworkSample) -> None:
     """Write the Jacobian of the equation, I + T (R' - J) de/ds."""
+    tables, sample_time, room = model.tables, sample.sample_time, sample.room
     n = len(room.step)
     mobility, jacobian = room.mobility, room.jacobian
     for i in range(n):
@@ -175,7 +196,7 @@ def linearise(tables: NetworkTables, sample_time: float, room: Workspace, functi
     if tables.coupled:
         _add_product(mobility, tables.quadratic, jacobian)
     if tables.by_functions:
-        functions.add_slopes(mobility, jacobian)
+        model.functions.add_slopes(mobility, jacobian)
     for i in range(n):
         jacobian[i][i] += 1.0
 
@@ -223,52 +244,27 @@ _INSIDE: Final = 0.1
 """Share of the way between two places, at either end, in which no place between them is tried."""
 
 
-def advance(
-    tables: NetworkTables,
-    state: Buffer,
-    displacement: Buffer,
-    sample_time: float,
-    room: Workspace,
-    functions: Functions,
-) -> int:
-    """Find the state change of one sample; return the evaluations it took, negative where it did not converge.
-
-    Args:
-        tables: The network.
-        state: x at the start of the hold, (n,).
-        displacement: Motion of the ports during it, (r,).
-        sample_time: T, or several of them where samples were lost [s].
-        room: Buffers; `step` holds a guess, and the solution afterwards.
-        functions: Energies and structure given as functions.
-    """
-    drive(tables, state, displacement, room)
+def advance(model: NetworkModel, sample: NetworkSample) -> int:
+    """Find the state change of one sample; return the evaluations it took, negative where it did not converge."""
+    room = sample.room
+    drive(model.tables, sample.state, sample.displacement, room)
     for i in range(len(room.scale)):
-        room.scale[i] = math.sqrt(abs(tables.stiffness[i])) + _LEAST_SCALE
-    evaluations = _by_residual(tables, state, displacement, sample_time, room, functions)
-    if evaluations < 0:
-        evaluations = by_power(tables, state, displacement, sample_time, room, functions, -evaluations)
-    return evaluations
+        room.scale[i] = math.sqrt(abs(model.tables.stiffness[i])) + _LEAST_SCALE
+    evaluations = _by_residual(model, sample)
+    return evaluations if evaluations > 0 else by_power(model, sample, -evaluations)
 
 
-def _by_residual(
-    tables: NetworkTables,
-    state: Buffer,
-    displacement: Buffer,
-    sample_time: float,
-    room: Workspace,
-    functions: Functions,
-) -> int:
+def _by_residual(model: NetworkModel, sample: NetworkSample) -> int:
     """Take Newton steps, each as far as the residual falls; return the evaluations, negative where that ends."""
-    worst = evaluate(tables, state, displacement, sample_time, room, functions)
-    evaluations = 1
+    room, worst, evaluations = sample.room, evaluate(model, sample), 1
     while worst > _CLOSE:
         before, merit = worst, _merit_of(room)
-        linearise(tables, sample_time, room, functions)
+        linearise(model, sample)
         if not solve_linear(room.jacobian, room.residual):
             return -evaluations
         for i in range(len(room.step)):
             room.direction[i] = room.residual[i]
-        worst, tried = _descend(tables, state, displacement, sample_time, room, functions, merit)
+        worst, tried = _descend(model, sample, merit)
         evaluations += tried
         if worst <= _FLOOR and worst > 0.25 * before:
             break  # Newton's method gains nothing more: rounding
@@ -286,65 +282,49 @@ def _merit_of(room: Workspace) -> float:
     return total
 
 
-def _descend(
-    tables: NetworkTables,
-    state: Buffer,
-    displacement: Buffer,
-    sample_time: float,
-    room: Workspace,
-    functions: Functions,
-    before: float,
-) -> tuple[float, int]:
+def _descend(model: NetworkModel, sample: NetworkSample, before: float) -> tuple[float, int]:
     """Step along Newton's direction as far as the residual falls; return (residual, evaluations)."""
-    share, taken = 1.0, 0.0
-    worst = 1.0
+    room, share, taken, worst = sample.room, 1.0, 0.0, 1.0
     for tried in range(1, _HALVINGS + 1):
         for i in range(len(room.step)):
             room.step[i] -= (share - taken) * room.direction[i]
         taken = share
-        worst = evaluate(tables, state, displacement, sample_time, room, functions)
+        worst = evaluate(model, sample)
         if worst <= _ROUNDING or _merit_of(room) < before:
             return worst, tried
         share *= 0.5
     return worst, _HALVINGS
 
 
-def by_power(
-    tables: NetworkTables,
-    state: Buffer,
-    displacement: Buffer,
-    sample_time: float,
-    room: Workspace,
-    functions: Functions,
-    spent: int,
-) -> int:
+def by_power(model: NetworkModel, sample: NetworkSample, spent: int) -> int:
     """Continue where the residual no longer falls; return all evaluations, negative if they were not enough.
 
     The first step is a full one: after it the equations without forces hold, and the power is that of the forces.
     """
-    worst = evaluate(tables, state, displacement, sample_time, room, functions)
+    room, worst = sample.room, evaluate(model, sample)
     evaluations, whole = spent + 1, True
     while worst > _CLOSE:
         if evaluations >= _EVALUATIONS:
             return -evaluations
         before, near = worst, worst <= _FLOOR
-        power = _aim(tables, sample_time, room, functions)
+        power = _aim(model, sample)
         if not (power > 0.0 or near):  # upwards, along a slope below 0: as if it were level
             for i in range(len(room.slopes)):
                 room.slopes[i] = max(room.slopes[i], 0.0)
-            power = _aim(tables, sample_time, room, functions)
+            power = _aim(model, sample)
         left = 1 if whole or near or not power > 0.0 else _EVALUATIONS - evaluations
-        worst, tried = _go_down(tables, state, displacement, sample_time, room, functions, power, left)
+        worst, tried = _go_down(model, sample, power, left)
         evaluations, whole = evaluations + tried, False
         if worst <= _FLOOR and worst > 0.25 * before:
             break
     return evaluations
 
 
-def _aim(tables: NetworkTables, sample_time: float, room: Workspace, functions: Functions) -> float:
+def _aim(model: NetworkModel, sample: NetworkSample) -> float:
     """Write Newton's direction and the change of the efforts along it; return the power, 0 where it has none."""
+    tables, room = model.tables, sample.room
     n = len(room.step)
-    linearise(tables, sample_time, room, functions)
+    linearise(model, sample)
     for i in range(n):
         room.direction[i] = room.residual[i]
     if not solve_linear(room.jacobian, room.direction):
@@ -356,7 +336,7 @@ def _aim(tables: NetworkTables, sample_time: float, room: Workspace, functions: 
                 weight += 0.5 * tables.quadratic[i][k] * room.direction[k]
         room.weights[i] = weight
     if tables.by_functions:
-        functions.add_change(room.direction, room.weights)
+        model.functions.add_change(room.direction, room.weights)
     return _power_of(room)
 
 
@@ -368,30 +348,23 @@ def _power_of(room: Workspace) -> float:
     return total
 
 
-def _go_down(
-    tables: NetworkTables, state: Buffer, displacement: Buffer, sample_time: float, room: Workspace,
-    functions: Functions, power: float, left: int,
-) -> tuple[float, int]:  # fmt: skip
+def _go_down(model: NetworkModel, sample: NetworkSample, power: float, left: int) -> tuple[float, int]:
     """Step along the direction towards a level point of the power; return (residual, evaluations).
 
     Args:
-        tables: The network.
-        state: x, (n,).
-        displacement: Motion of the ports, (r,).
-        sample_time: T [s].
-        room: Workspace; `direction` and `weights` give the direction.
-        functions: Energies and structure given as functions.
+        model: The network.
+        sample: The sample; `direction` and `weights` of its workspace give the direction.
         power: Power at the start of the step; > 0 where `left` is more than one.
         left: Evaluations left; with one the whole step is taken.
     """
+    room = sample.room
     for i in range(len(room.step)):
         room.before[i] = room.step[i]
-    share, low, high, at_low, at_high = 1.0, 0.0, 0.0, power, 0.0
-    worst = 1.0
+    share, low, high, at_low, at_high, worst = 1.0, 0.0, 0.0, power, 0.0, 1.0
     for tried in range(1, left + 1):
         for i in range(len(room.step)):
             room.step[i] = room.before[i] - share * room.direction[i]
-        worst = evaluate(tables, state, displacement, sample_time, room, functions)
+        worst = evaluate(model, sample)
         here = _power_of(room) if worst < math.inf else -math.inf
         if worst <= _FLOOR or abs(here) <= _LEVEL * power or (high == 0.0 and 0.0 < here <= _STEEP * power):
             return worst, tried
@@ -407,21 +380,12 @@ def _go_down(
     return worst, left
 
 
-def rest_on_ports(
-    tables: NetworkTables,
-    state: Buffer,
-    displacement: Buffer,
-    sample_time: float,
-    room: Workspace,
-    functions: Functions,
-) -> None:
+def rest_on_ports(model: NetworkModel, sample: NetworkSample) -> None:
     """Take s = g dc where no solution was found: internal states rest in this sample, and nothing is created."""
+    room = sample.room
     for i in range(len(room.step)):
         room.step[i] = room.driven[i]
-    discrete_gradient(tables, state, room.step, room.efforts, room.slopes)
-    if tables.by_functions:
-        functions.add_discrete_gradient(state, room.step, room.efforts)
-    dissipate(tables, displacement, sample_time, room)
+    write_losses(model, sample)
 
 
 @dataclass(slots=True)
@@ -453,71 +417,59 @@ def network_memory(tables: NetworkTables) -> NetworkMemory:
     return NetworkMemory(list_of_zeros(n), list_of_zeros(n), ports, list_of_zeros(n), list_of_zeros(n), room)
 
 
-def begin_network(
-    tables: NetworkTables, functions: Functions, network: NetworkState, memory: NetworkMemory, coordinates: Buffer
-) -> None:
+def begin_network(model: NetworkModel, network: NetworkState, memory: NetworkMemory, coordinates: Buffer) -> None:
     """Start at given coordinates of the ports: walls at their positions, masses at rest."""
     for j in range(len(coordinates)):
         memory.first[j] = coordinates[j]
     for i in range(len(memory.state)):
-        row, total = tables.origin[i], 0.0
+        row, total = model.tables.origin[i], 0.0
         for j in range(len(coordinates)):
             total += row[j] * coordinates[j]
         memory.state[i] = memory.begun[i] = total
         memory.room.step[i] = 0.0
-    settle_network(tables, functions, network, memory)
+    settle_network(model, network, memory)
     network.internal, network.evaluations = 0.0, 0
 
 
 def advance_network(
-    tables: NetworkTables,
-    functions: Functions,
-    network: NetworkState,
-    memory: NetworkMemory,
-    coordinates: Buffer,
-    displacement: Buffer,
+    model: NetworkModel, network: NetworkState, memory: NetworkMemory, coordinates: Buffer, displacement: Buffer,
     elapsed: float,
-) -> bool:
+) -> bool:  # fmt: skip
     """Advance by one motion of the ports; return False if no solution was found: then only the ports moved the state.
 
     Args:
-        tables: The network.
-        functions: Energies and structure given as functions.
+        model: The network.
         network: State of the network; changed.
         memory: Buffers of the network; changed.
         coordinates: Coordinates of the ports at the end [m or rad].
         displacement: Motion of the ports, less the mover's [m or rad].
         elapsed: One sample time, or several [s].
     """
-    solved = propose(tables, functions, network, memory, displacement, elapsed)
-    if tables.moving:
+    solved = propose(model, network, memory, displacement, elapsed)
+    if model.tables.moving:
         for i in range(len(memory.state)):
             memory.state[i] += memory.room.step[i]
     else:
-        place_state(tables, memory, coordinates, memory.state)
-    settle_network(tables, functions, network, memory)
+        place_state(model.tables, memory, coordinates, memory.state)
+    settle_network(model, network, memory)
     return solved
 
 
 def propose(
-    tables: NetworkTables,
-    functions: Functions,
-    network: NetworkState,
-    memory: NetworkMemory,
-    displacement: Buffer,
-    elapsed: float,
+    model: NetworkModel, network: NetworkState, memory: NetworkMemory, displacement: Buffer, elapsed: float
 ) -> bool:
     """Find the state change of one motion of the ports without taking it; see `advance_network`."""
-    room = memory.room
+    tables, room = model.tables, memory.room
     network.internal, network.evaluations = 0.0, 1
     if not tables.moving:  # s = g dc: nothing to solve, and nothing dissipated beyond the ports
         drive(tables, memory.state, displacement, room)
         return True
     if tables.by_functions:
-        functions.fill_structure(memory.state, tables.structure)
-    network.evaluations = advance(tables, memory.state, displacement, elapsed, room, functions)
+        model.functions.fill_structure(memory.state, tables.structure)
+    sample = new(NetworkSample, (memory.state, displacement, elapsed, room))
+    network.evaluations = advance(model, sample)
     if network.evaluations < 0:
-        rest_on_ports(tables, memory.state, displacement, elapsed, room, functions)
+        rest_on_ports(model, sample)
         return False
     inner = 0.0
     for j in range(len(room.losses)):
@@ -538,11 +490,12 @@ def place_state(tables: NetworkTables, memory: NetworkMemory, coordinates: Buffe
         into[i] = total
 
 
-def settle_network(tables: NetworkTables, functions: Functions, network: NetworkState, memory: NetworkMemory) -> None:
+def settle_network(model: NetworkModel, network: NetworkState, memory: NetworkMemory) -> None:
     """Update energy and engagement of the state."""
+    tables = model.tables
     energy, engaged = stored_energy(tables, memory.state), tables.always
     if tables.by_functions:
-        energy += functions.energy(memory.state)
+        energy += model.functions.energy(memory.state)
     if not engaged:
         for i in tables.edged:
             if extension(tables, i, memory.state[i]) != 0.0:
@@ -552,22 +505,14 @@ def settle_network(tables: NetworkTables, functions: Functions, network: Network
 
 
 def springs(
-    tables: NetworkTables,
-    functions: Functions,
-    memory: NetworkMemory,
-    lead: float,
-    holds: int,
-    way: Buffer,
-    spring: Buffer,
-    added: Buffer,
+    model: NetworkModel, memory: NetworkMemory, lead: float, holds: int, way: Buffer, spring: Buffer, added: Buffer
 ) -> None:
     """Write the present efforts of the storages at the ports, and their change by a predicted motion.
 
     No effort is predicted for a wall that is not engaged.
 
     Args:
-        tables: The network.
-        functions: Energies and structure given as functions.
+        model: The network.
         memory: Buffers of the network.
         lead: Holds of prediction, in which the network's own motion continues as in the last step.
         holds: Number of holds that the last step spanned.
@@ -575,7 +520,7 @@ def springs(
         spring: Receives the efforts, (ports,).
         added: Receives their change, (ports,).
     """
-    room, state = memory.room, memory.state
+    tables, room, state = model.tables, memory.room, memory.state
     now, ahead, moved, gain = room.efforts, memory.ahead, memory.moved, tables.gain
     for i in range(len(state)):
         row, driven = gain[i], 0.0
@@ -585,8 +530,8 @@ def springs(
     gradient(tables, state, now)
     gradient(tables, moved, ahead)
     if tables.by_functions:
-        functions.add_gradient(state, now)
-        functions.add_gradient(moved, ahead)
+        model.functions.add_gradient(state, now)
+        model.functions.add_gradient(moved, ahead)
     for i in tables.edged:
         if now[i] == 0.0 or now[i] * ahead[i] < 0.0:
             ahead[i] = 0.0

@@ -329,10 +329,10 @@ def begin_state(world: GroupModel, state: ScaledGroupState, memory: ScaledGroupM
     paid.h_s, paid.engaged, paid.pace, paid.blind, paid.touched = 0.0, False, 0.0, 0, False
     if not motion.located:
         return
-    begin_network(world.tables, world.functions, motion.network, followed, memory.group.motion.coordinates)
+    begin_network(world, motion.network, followed, memory.group.motion.coordinates)
     for i in range(len(followed.state)):
         followed.state[i] -= extension(world.tables, i, followed.state[i])
-    settle_network(world.tables, world.functions, motion.network, followed)
+    settle_network(world, motion.network, followed)
     paid.h_s = motion.network.energy
     write_model(world, state, memory)
     paid.touched = touches(world.tables, memory.paid)
@@ -364,9 +364,7 @@ def exchange(
         begin_state(world, state, memory)
         rest = available - paid.h_s
         return new(HoldAccount, (_EXIT, 0.0, 0.0, max(0.0, -rest), max(0.0, rest)))
-    propose(
-        world.tables, world.functions, motion.network, followed.network, followed.displacement, motion.elapsed
-    )  # fmt: skip
+    propose(world, motion.network, followed.network, followed.displacement, motion.elapsed)
     write_model(world, state, memory)
     touching, touched = touches(world.tables, memory.paid), paid.touched
     entered, left = touching and not touched, touched and not touching
@@ -395,7 +393,7 @@ def start(
     paid.pace = share_inside(world.tables, followed.room, model) if entered else 1.0
     for i in range(len(model)):
         followed.state[i] = model[i]
-    settle_network(world.tables, world.functions, network, followed)
+    settle_network(world, network, followed)
     paid.h_s = h_s = network.energy
     return new(HoldAccount, (_START, 0.0, max(0.0, h_s - available), 0.0, max(0.0, available - h_s)))
 
@@ -480,7 +478,7 @@ def settle_state(
 ) -> HoldAccount:
     """Update the energy of the state; book its excess or shortfall."""
     network = state.group.motion.network
-    settle_network(world.tables, world.functions, network, memory.group.motion.network)
+    settle_network(world, network, memory.group.motion.network)
     state.paid.h_s = h_s = network.energy
     state.paid.pace = pace
     rest = available - h_r - h_s
@@ -508,7 +506,7 @@ def leave(
             if extension(tables, i, model[i]) == 0.0:
                 upper, lower = tables.upper[i], tables.lower[i]
                 followed.state[i] = upper if abs(model[i] - upper) <= abs(model[i] - lower) else lower
-        settle_network(tables, world.functions, motion.network, followed)
+        settle_network(world, motion.network, followed)
         paid.h_s = motion.network.energy
         leak = leak + before - motion.network.energy
     paid.engaged = touching and motion.limit == 0
@@ -563,7 +561,7 @@ def write_state_efforts(world: GroupModel, state: ScaledGroupState, memory: Scal
     write_model(world, state, memory)
     spring, damper = followed.spring_at_ports, followed.damper_at_ports
     dampers(tables, network, ports, motion.elapsed / holds, memory.paid.model, damper)
-    springs(tables, world.functions, network, 0.0, 1, ports, spring, followed.lead_at_ports)
+    springs(world, network, 0.0, 1, ports, spring, followed.lead_at_ports)
     power = 0.0
     for j in range(len(ports)):
         power += damper[j] * ports[j]

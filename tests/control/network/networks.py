@@ -81,11 +81,10 @@ class FollowedNetwork:
         self.settle()
 
     def settle(self):
-        settle_network(self.network.tables, self.network.functions, self.found, self.memory)
+        settle_network(self.network, self.found, self.memory)
 
     def advance(self, coordinates, displacement, elapsed):
-        tables, functions = self.network.tables, self.network.functions
-        return advance_network(tables, functions, self.found, self.memory, coordinates, displacement, elapsed)
+        return advance_network(self.network, self.found, self.memory, coordinates, displacement, elapsed)
 
 
 def random_network(rng):

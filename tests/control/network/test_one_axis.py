@@ -102,7 +102,7 @@ def test_every_hold_of_step_scaling_is_that_of_internal_dissipation(delay, alpha
         world, _settings, state, memory = group._step.args  # type: ignore[attr-defined]
         network = memory.group.motion.network
         network.state[0] = storage.state
-        settle_network(world.tables, world.functions, state.group.motion.network, network)
+        settle_network(world, state.group.motion.network, network)
         state.paid.h_s, state.paid.pace, state.h_dis = storage.h_s, storage.velocity, axis.h_dis
         sent = memory.group.commands
         for index in range(delay + 1):

@@ -6,7 +6,7 @@ import pytest
 
 from canhaptic.control.port_hamiltonian import sampled_network as step
 from canhaptic.control.port_hamiltonian.network import DoubleWell, Mass, Network, Spring, UserEnergy, stored_energy
-from canhaptic.control.port_hamiltonian.sampled_network import _EVALUATIONS, advance, new_workspace
+from canhaptic.control.port_hamiltonian.sampled_network import _EVALUATIONS, NetworkSample, advance, new_workspace
 from canhaptic.lab.rivals.scaled_group import EVALUATIONS as SCALE_EVALUATIONS
 from canhaptic.lab.rivals.scaled_group import FURTHEST, line_memory, solve_scale, taken
 from tests.control.network.networks import random_network, tangled_network
@@ -28,7 +28,7 @@ def judge_model_step(network, state, motion, sample_time):
     """Solves one step; returns (evaluations, balance residual over the largest energy, port energy, losses, step)."""
     tables = network.tables
     room = new_workspace(network.states, len(tables.viscous))
-    evaluations = advance(tables, state, motion, sample_time, room, network.functions)
+    evaluations = advance(network, NetworkSample(state, motion, sample_time, room))
     before = stored_energy(tables, state)
     after = stored_energy(tables, [x + s for x, s in zip(state, room.step, strict=True)])
     effort = sum(row[0] * e for row, e in zip(tables.gain, room.efforts, strict=True))
@@ -120,11 +120,11 @@ def test_energies_given_as_functions_are_solved_as_those_of_the_table():
         for storage in (given, tabled):
             network = Network([storage, mass], gain=[[1.0], [0.0]], structure=ON_A_MASS)
             room = new_workspace(2, 0)
-            assert 0 < advance(network.tables, state, [1e-4], 1e-3, room, network.functions) <= _EVALUATIONS
+            assert 0 < advance(network, NetworkSample(state, [1e-4], 1e-3, room)) <= _EVALUATIONS
             steps.append(list(room.step))
         assert steps[0] == pytest.approx(steps[1], rel=1e-6, abs=1e-9)
 
 
 def test_a_step_without_finite_numbers_is_not_called_solved():
     network = Network([Spring(stiffness=1.0, hardening=1e12), Mass(mass=1.0)], gain=[[1.0], [0.0]], structure=ON_A_MASS)
-    assert advance(network.tables, [1e200, 0.0], [1e-3], 1e-3, new_workspace(2, 0), network.functions) < 0
+    assert advance(network, NetworkSample([1e200, 0.0], [1e-3], 1e-3, new_workspace(2, 0))) < 0
