@@ -8,9 +8,11 @@ import pytest
 
 from canhaptic.control.certificates.scalar_bounds import displacement_response, hand_force_bound, next_displacement
 from canhaptic.control.multi_axis.group_account import (
+    Accounting,
     AccountMemory,
     AccountSettings,
     GroupAccount,
+    QueuedTorques,
     account_memory,
     doubt_of_late_gap,
     doubt_of_late_group,
@@ -34,7 +36,6 @@ from canhaptic.control.multi_axis.group_certificates import (
 )
 from canhaptic.control.multi_axis.group_kernel import no_group_holds
 from canhaptic.control.multi_axis.group_rendering import (
-    QueuedTorques,
     extraction_of,
     free_energy,
     needed_under_way,
@@ -56,6 +57,9 @@ class Case(NamedTuple):
     under_way: QueuedTorques
     asked: list[float]
     draw: random.Random
+
+    def at(self, account: GroupAccount | None = None, under_way: QueuedTorques | None = None) -> Accounting:
+        return Accounting(self.settings, account or GroupAccount(), self.memory, under_way or self.under_way)
 
     def sent(self, hold: int) -> list[float]:
         return list(self.under_way.torques[self.under_way.first + hold])
@@ -120,8 +124,8 @@ def test_damping_and_the_way_of_the_hand_pay_for_all_that_may_act_and_for_what_a
                     new_square += sum(max(0.0, case.asked[i] ** 2 - held[i] ** 2) / axes.squares[i] for i in both)
         left = [energy + account.dissipated - square - moved, energy - way - moved]
         free = max(left[0] if axes.by_damping else 0.0, left[1] if axes.path else 0.0, 0.0)
-        assert free_energy(case.settings, account, case.memory, case.under_way, energy) == pytest.approx(free), seed
-        found = shares(case.settings, account, case.memory, case.under_way, case.asked, energy)
+        assert free_energy(case.at(account), energy) == pytest.approx(free), seed
+        found = shares(case.at(account), case.asked, energy)
         by_damping = math.sqrt(max(0.0, left[0] - more) / new_square) if axes.by_damping else 0.0
         assert found == (0.0, pytest.approx(by_damping), pytest.approx(max(0.0, left[1]) / (new_way + more)
                          if axes.path else 0.0)), seed  # fmt: skip
@@ -145,12 +149,12 @@ def test_a_group_with_late_torques_needs_what_each_hold_takes_at_its_worst_and_w
         case = case_of(seed)
         for hold in range(DELAY):
             expected = extraction(case, case.sent(hold), hold)
-            assert extraction_of(case.settings, case.memory, case.under_way, hold) == pytest.approx(expected), seed
+            assert extraction_of(case.at(), hold) == pytest.approx(expected), seed
         taken = [extraction(case, case.sent(hold), hold) for hold in range(DELAY)]
         nothing, way = case.memory.nothing, case.under_way
-        late = share_of_late(case.settings.axes, case.memory, way.torques, way.first, DELAY, nothing, 1.0)
+        late = share_of_late(case.settings.axes, case.memory, way, nothing, 1.0)
         expected = max(0.0, taken[0], sum(taken)) + late.constant
-        assert needed_under_way(case.settings, case.memory, way) == pytest.approx(expected), seed
+        assert needed_under_way(case.at()) == pytest.approx(expected), seed
 
 
 def test_the_share_by_hand_force_is_the_largest_whose_parabola_is_within_the_energy() -> None:
@@ -164,8 +168,8 @@ def test_the_share_by_hand_force_is_the_largest_whose_parabola_is_within_the_ene
         for hold in range(DELAY):
             taken, sent = extraction(case, case.sent(hold), hold), case.sent(hold)
             left -= taken if sum(a * b for a, b in zip(sent, asked, strict=True)) >= 0.0 else max(0.0, taken)
-        found = shares(case.settings, GroupAccount(), memory, way, asked, energy)[0]
-        late = share_of_late(axes, memory, way.torques, way.first, DELAY, asked, 1.0)
+        found = shares(case.at(), asked, energy)[0]
+        late = share_of_late(axes, memory, way, asked, 1.0)
         size = min(1.0, older_size(axes, memory, asked))
         if left < late.constant:
             continue
@@ -176,7 +180,7 @@ def test_the_share_by_hand_force_is_the_largest_whose_parabola_is_within_the_ene
         )
         best = []
         for part in (1.0, size):
-            late = share_of_late(axes, memory, way.torques, way.first, DELAY, asked, part)
+            late = share_of_late(axes, memory, way, asked, part)
             gain = max(0.0, part * part * gain_of(axes, asked) + late.square)
             low, high = 0.0, 1.0
             for _ in range(60):  # the parabola falls at first where the axes move inward
@@ -195,11 +199,11 @@ def test_energy_that_a_torque_brings_in_pays_for_none_the_other_way(sign: float)
     memory, sent = case.memory, QueuedTorques([[0.5], [0.5], [0.0]], 0, DELAY)
     memory.displacement[0], memory.torques[0] = -1e-4, 0.0
     memory.mover_motion[:] = [[0.0] for _ in memory.mover_motion]
-    taken = [extraction_of(case.settings, memory, sent, hold) for hold in range(DELAY)]
+    taken = [extraction_of(case.at(under_way=sent), hold) for hold in range(DELAY)]
     assert max(taken) < 0.0
     for energy in (0.0, 0.5 * sum(taken)):  # in debt half of what comes in pays for it
-        share, along = shares(case.settings, GroupAccount(), memory, sent, [sign * 0.5], energy)[0], sign * 0.5
-        base = worst_case(case.settings, memory, [along], sent, DELAY)
+        share, along = shares(case.at(under_way=sent), [sign * 0.5], energy)[0], sign * 0.5
+        base = worst_case(case.at(under_way=sent), [along], DELAY)
         budget = energy - (sum(taken) if sign > 0.0 else 0.0)
         assert share == pytest.approx(hand_force_bound(budget, base, gain_of(case.settings.axes, [along])))
         assert (share > 0.0) is (sign > 0.0)
@@ -213,7 +217,7 @@ def test_in_debt_a_torque_counts_with_what_it_makes_older_ones_give_out_more() -
         timing, asked = axes.timing, case.asked
         high, low = [case.draw.uniform(0.0, 2.0) for _ in asked], [case.draw.uniform(-3.0, 1.0) for _ in asked]
         memory.now.highest[:], memory.now.lowest[:] = high, low
-        least = norms_of(axes, memory, way.torques, way.first, DELAY, asked, 1.0).least
+        least = norms_of(axes, memory, way, asked, 1.0).least
         bends = [response_to_late(axes, asked, high, low, held, axes.during) for held in ([0.0, 0.0], asked)]
         size = math.sqrt(sum((r * w) ** 2 for r, w in zip(timing.roots, asked, strict=True)))
         linear, square = bends[0], bends[1] - bends[0]
@@ -228,7 +232,7 @@ def test_in_debt_a_torque_counts_with_what_it_makes_older_ones_give_out_more() -
                 reach = s * max(0.0, moved + (hold - 1) * root * least) + s * (0.5 + s) * root * least
                 linear += abs(w) * reach
                 square += abs(w) * own * root * size
-        found = given_in_debt(axes, memory, way.torques, way.first, DELAY, asked)
+        found = given_in_debt(axes, memory, way, asked)
         assert found == (0.0, pytest.approx(linear), pytest.approx(square)), seed
 
 

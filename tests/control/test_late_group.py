@@ -8,9 +8,11 @@ from typing import NamedTuple
 import pytest
 
 from canhaptic.control.multi_axis.group_account import (
+    Accounting,
     AccountMemory,
     AccountSettings,
     GroupAccount,
+    QueuedTorques,
     account_memory,
     doubt_of_late_gap,
     doubt_of_late_group,
@@ -21,7 +23,7 @@ from canhaptic.control.multi_axis.group_account import (
 )
 from canhaptic.control.multi_axis.group_certificates import AxisLimits, axes_of, pass_range, response_to_late
 from canhaptic.control.multi_axis.group_kernel import no_group_holds
-from canhaptic.control.multi_axis.group_rendering import QueuedTorques, free_energy, shares
+from canhaptic.control.multi_axis.group_rendering import free_energy, shares
 from canhaptic.control.multi_axis.per_axis_certificates import per_axis_limits
 from canhaptic.control.passivity.controller import LoopProperties
 
@@ -153,7 +155,7 @@ def test_older_torques_give_out_no_more_than_a_parabola_of_the_share(holds: int)
         group, size = group_of(seed), 0.7 if seed % 2 else 1.0
         axes, memory, timing = group.axes, group.memory, group.axes.timing
         least, more = norms(group, holds, size)
-        found_norms = norms_of(axes, memory, group.under_way, 0, holds, group.asked, size)
+        found_norms = norms_of(axes, memory, QueuedTorques(group.under_way, 0, holds), group.asked, size)
         assert found_norms == pytest.approx((least, more))
         older = passed(axes, (memory.before.highest, memory.before.lowest), memory.torques)
         given = 0.0
@@ -176,7 +178,7 @@ def test_older_torques_give_out_no_more_than_a_parabola_of_the_share(holds: int)
                     after = (1.0 - share) * max(0.0, c * g) + share * max(0.0, w + c * max(0.0, g - w))
                     expected += apart * (reach(group, i, sign, holds + 1, least) + s**2 * further)
                     expected += after * (reach(group, i, sign, holds + 2, least) + s * (1.0 + s) * further)
-            found = share_of_late(axes, memory, group.under_way, 0, holds, group.asked, size)
+            found = share_of_late(axes, memory, QueuedTorques(group.under_way, 0, holds), group.asked, size)
             assert close(found.constant + share * found.linear + share**2 * found.square, expected), (seed, share)
         squares = [sum(r * max(high, -low) ** 2 for r, high, low in zip(axes.during, *older, strict=True))]
         squares.append(sum(r * w * w for r, w in zip(axes.during, group.asked, strict=True)))
@@ -262,7 +264,7 @@ def test_where_axes_act_apart_damping_and_speed_pay_for_all_that_may_act_and_its
         memory.before.highest[:], memory.before.lowest[:] = group.memory.before
         settings, energy = AccountSettings(axes, apart, moves=False), draw.uniform(0.0, 2e-2)
         damped, paths = older_needs(axes, memory)
-        found = shares(settings, account, memory, QueuedTorques(group.under_way, 0, 1), group.asked, energy)
+        found = shares(Accounting(settings, account, memory, QueuedTorques(group.under_way, 0, 1)), group.asked, energy)
         sent = [[memory.torques[i], group.under_way[0][i]] for i in range(2)]
         strongest = [max(map(abs, row)) for row in sent]
         for i in range(2):  # any of both acts in the next two holds, the new one in the two after the first
@@ -302,9 +304,9 @@ def test_free_and_share_are_what_torques_under_way_leave_of_damping_and_of_the_w
         under_way = QueuedTorques(group.under_way, 0, 1)
         left_damped, left_way = energy + account.dissipated - squares, energy - ways
         free = max(left_damped if axes.by_damping else 0.0, left_way if axes.path else 0.0, 0.0)
-        assert free_energy(settings, account, memory, under_way, energy) == pytest.approx(free), seed
+        assert free_energy(Accounting(settings, account, memory, under_way), energy) == pytest.approx(free), seed
         if losses == 0:
-            _, by_damping, by_speed = shares(settings, account, memory, under_way, group.asked, energy)
+            _, by_damping, by_speed = shares(Accounting(settings, account, memory, under_way), group.asked, energy)
             need = sum(w * w / q for w, q in zip(group.asked, axes.squares, strict=True) if q)
             assert by_damping == pytest.approx(math.sqrt(max(0.0, left_damped) / need) if axes.by_damping else 0.0)
             way = axes.path * sum(map(abs, group.asked))

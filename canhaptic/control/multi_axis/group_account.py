@@ -151,6 +151,14 @@ def account_memory(limits: PerAxisLimits) -> AccountMemory:
     )  # fmt: skip
 
 
+class QueuedTorques(NamedTuple):
+    """Torques that act before the next command."""
+
+    torques: Matrix  # a ring, (delay + 1, axes) [N*m or N]
+    first: int  # place of the one that acts next; below 0 it wraps
+    holds: int
+
+
 class LateShare(NamedTuple):
     """A parabola a + b l + c l^2 above the energy that older torques give out [J]."""
 
@@ -175,15 +183,13 @@ def copy_range(axes: AxisLimits, memory: AccountMemory, ended: bool) -> None:
         pass_range(axes, now.highest, now.lowest, memory.torques)
 
 
-def norms_of(
-    axes: AxisLimits, memory: AccountMemory, under_way: Matrix, first: int, holds: int, torques: Buffer, size: float
-) -> Norms:
+def norms_of(axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer, size: float) -> Norms:
     """Return the norms of the queued torques, and the part of W that l = 1 replaces."""
     total = added = 0.0
     for i in range(len(torques)):
         most = max(abs(memory.torques[i]), memory.before.highest[i], -memory.before.lowest[i])
-        for place in range(first, first + holds):
-            most = max(most, abs(under_way[place][i]))
+        for place in range(under_way.first, under_way.first + under_way.holds):
+            most = max(most, abs(under_way.torques[place][i]))
         root, torque = axes.timing.roots[i], size * torques[i]
         total += root * root * most * most
         added += root * root * max(0.0, torque * torque - most * most)
@@ -258,24 +264,22 @@ def given_after(
 
 
 def share_of_late(
-    axes: AxisLimits, memory: AccountMemory, under_way: Matrix, first: int, holds: int, torques: Buffer, size: float
+    axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer, size: float
 ) -> LateShare:
     """Energy that older torques give out from now on, by the share of W that is sent.
 
     Args:
         axes: Properties of the motor axes.
         memory: Buffers of the account; `now` is changed.
-        under_way: Torques that act before W, a ring (delay + 1, axes) [N*m or N].
-        first: Index of the torques that act next; negative indices wrap.
-        holds: Number of holds.
+        under_way: Torques that act before W.
         torques: W, (axes,).
         size: Part of W that l = 1 replaces.
     """
-    norms = norms_of(axes, memory, under_way, first, holds, torques, size)
+    norms = norms_of(axes, memory, under_way, torques, size)
     copy_range(axes, memory, True)
-    constant, hold = 0.0, holds + 1
-    for place in range(holds):
-        held = under_way[first + place]
+    constant, hold = 0.0, under_way.holds + 1
+    for place in range(under_way.holds):
+        held = under_way.torques[under_way.first + place]
         constant += given_early(axes, memory, held, 1.0, 0.0, place + 1, norms).constant
         pass_range(axes, memory.now.highest, memory.now.lowest, held)
     highest, lowest = memory.now.highest, memory.now.lowest
@@ -291,11 +295,9 @@ def share_of_late(
     ))  # fmt: skip
 
 
-def given_in_debt(
-    axes: AxisLimits, memory: AccountMemory, under_way: Matrix, first: int, holds: int, torques: Buffer
-) -> LateShare:
+def given_in_debt(axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer) -> LateShare:
     """Increase by l W of the energy that all torques give out, beyond l W . D of `base_of` and its gain."""
-    norms, full, cross = norms_of(axes, memory, under_way, first, holds, torques, 1.0), 0.0, 0.0
+    norms, full, cross = norms_of(axes, memory, under_way, torques, 1.0), 0.0, 0.0
     highest, lowest = memory.now.highest, memory.now.lowest
     none = response_to_late(axes, torques, highest, lowest, memory.nothing, axes.during)
     whole = response_to_late(axes, torques, highest, lowest, torques, axes.during)
@@ -307,8 +309,8 @@ def given_in_debt(
         cross += older * share * (share + axes.timing.left[i] * (1.0 + share)) * axes.timing.roots[i] * full
         highest[i] = lowest[i] = 0.0
     norms = new(Norms, (norms.least, full))
-    early = given_early(axes, memory, torques, 0.0, 1.0, holds + 1, norms)
-    after = given_after(axes, memory, torques, 1.0, holds + 1, norms)
+    early = given_early(axes, memory, torques, 0.0, 1.0, under_way.holds + 1, norms)
+    after = given_after(axes, memory, torques, 1.0, under_way.holds + 1, norms)
     linear = none + cross + early.linear + after.linear
     return new(LateShare, (0.0, linear, whole - none + early.square + after.square))
 
@@ -419,6 +421,15 @@ class AccountSettings(NamedTuple):
     axes: AxisLimits
     apart: PerAxisLimits
     moves: bool  # whether a mover may give or take energy
+
+
+class Accounting(NamedTuple):
+    """The account of a group at a SYNC."""
+
+    settings: AccountSettings
+    account: GroupAccount
+    memory: AccountMemory
+    under_way: QueuedTorques
 
 
 def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: AccountMemory, ended: GroupHolds) -> float:

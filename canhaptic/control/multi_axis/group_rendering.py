@@ -7,17 +7,19 @@ The certificates of a group: the energy reserved for queued torques, and the cer
 
 from dataclasses import dataclass, field
 from math import sqrt
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 from canhaptic.control.balance import Certificate
 from canhaptic.control.certificates.scalar_bounds import hand_force_bound
 from canhaptic.control.certificates.torque_bound import keep
 from canhaptic.control.damping import modulated_damping
 from canhaptic.control.multi_axis.group_account import (
+    Accounting,
     AccountMemory,
     AccountSettings,
     GroupAccount,
     LateShare,
+    QueuedTorques,
     account_memory,
     certain_energy,
     copy_range,
@@ -78,7 +80,7 @@ from canhaptic.control.passivity.guarded_settings import (
 from canhaptic.control.passivity.stepped import towards_zero
 from canhaptic.control.port_hamiltonian.sampled_network import internal_motion
 from canhaptic.errors import ParameterError
-from canhaptic.kernels import Buffer, Matrix, list_of_zeros, new
+from canhaptic.kernels import Buffer, Run, list_of_zeros, new
 
 
 class GuardedGroupSettings(NamedTuple):
@@ -123,6 +125,10 @@ class GuardedGroupMemory(NamedTuple):
     sent: Buffer
     asked: Buffer  # as far as no limiter cuts them
     scaled: Buffer
+
+
+GuardedRun: TypeAlias = Run[GuardedGroupSettings, GuardedGroupState, GuardedGroupMemory]
+"""Settings, state and memory of a group."""
 
 
 def settings_of(
@@ -212,73 +218,53 @@ def memory_of(world: GroupModel, settings: GuardedGroupSettings) -> GuardedGroup
     )  # fmt: skip
 
 
-class QueuedTorques(NamedTuple):
-    """Torques that act before the next command."""
-
-    torques: Matrix  # a ring, (delay + 1, axes) [N*m or N]
-    first: int  # place of the one that acts next; below 0 it wraps
-    holds: int
-
-
-def worst_case(
-    settings: AccountSettings, memory: AccountMemory, torques: Buffer, under_way: QueuedTorques, count: int
-) -> float:
+def worst_case(at: Accounting, torques: Buffer, count: int) -> float:
     """Return the base of torques that act after some of the queued ones [J]; see `base_of`."""
-    axes, sent, first = settings.axes, under_way.torques, under_way.first
+    axes, memory, sent, first = at.settings.axes, at.memory, at.under_way.torques, at.under_way.first
     along = along_last(axes, torques, memory.displacement, memory.position_uncertainty)
     if not axes.timing.is_ideal:
         copy_range(axes, memory, False)
     return base_of(axes, torques, memory.displacement, along, memory.torques, sent, first, count, memory.now)
 
 
-def extraction_of(settings: AccountSettings, memory: AccountMemory, under_way: QueuedTorques, hold: int) -> float:
+def extraction_of(at: Accounting, hold: int) -> float:
     """Return the most energy [J] that the torques of one of the queued holds may take out in it."""
-    axes, torques = settings.axes, under_way.torques[under_way.first + hold]
-    taken = worst_case(settings, memory, torques, under_way, hold) + gain_of(axes, torques)
+    axes, memory, torques = at.settings.axes, at.memory, at.under_way.torques[at.under_way.first + hold]
+    taken = worst_case(at, torques, hold) + gain_of(axes, torques)
     if not axes.timing.is_ideal:
         taken += response_to_late(axes, torques, memory.now.highest, memory.now.lowest, torques, axes.during)
-    return taken + taken_by_mover(torques, memory.mover_motion[hold]) if settings.moves else taken
+    return taken + taken_by_mover(torques, memory.mover_motion[hold]) if at.settings.moves else taken
 
 
-def moved_at_most(settings: AccountSettings, memory: AccountMemory, under_way: QueuedTorques) -> float:
+def moved_at_most(at: Accounting) -> float:
     """Energy that a mover takes [J] in the holds of queued torques, where that is positive."""
-    total = 0.0
-    if settings.moves:
+    total, under_way = 0.0, at.under_way
+    if at.settings.moves:
         for hold in range(under_way.holds):
-            total += max(0.0, taken_by_mover(under_way.torques[under_way.first + hold], memory.mover_motion[hold]))
+            total += max(0.0, taken_by_mover(under_way.torques[under_way.first + hold], at.memory.mover_motion[hold]))
     return total
 
 
-def needed_under_way(settings: AccountSettings, memory: AccountMemory, under_way: QueuedTorques) -> float:
+def needed_under_way(at: Accounting) -> float:
     """Return the most energy [J] that the queued torques may give out to a hand within its force."""
-    worst = given = 0.0
-    for hold in range(under_way.holds):
-        given += extraction_of(settings, memory, under_way, hold)
+    axes, memory, worst, given = at.settings.axes, at.memory, 0.0, 0.0
+    for hold in range(at.under_way.holds):
+        given += extraction_of(at, hold)
         worst = max(worst, given)
-    return (
-        worst
-        if settings.axes.timing.is_ideal
-        else worst + late_of(settings, memory, under_way, memory.nothing, 1.0).constant
-    )
+    if axes.timing.is_ideal:
+        return worst
+    return worst + share_of_late(axes, memory, at.under_way, memory.nothing, 1.0).constant
 
 
-def late_of(
-    settings: AccountSettings, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer, size: float
-) -> LateShare:
-    """Energy that older torques give out beyond those held, as a function of the share of new ones."""
-    return share_of_late(settings.axes, memory, under_way.torques, under_way.first, under_way.holds, torques, size)
-
-
-def free_energy(
-    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: QueuedTorques, energy: float
-) -> float:
+def free_energy(at: Accounting, energy: float) -> float:
     """Part of `energy` [J] that the certificates of the queued torques do not need."""
+    settings, account, memory, under_way = at
     axes = settings.axes
     if settings.apart.is_apart:
-        return free_if_apart(settings, account, memory, under_way, energy)
-    free, moved = 0.0, moved_at_most(settings, memory, under_way)
+        return free_if_apart(at, energy)
+    free, moved = 0.0, moved_at_most(at)
     if axes.by_hand:
-        free = max(free, energy - needed_under_way(settings, memory, under_way))
+        free = max(free, energy - needed_under_way(at))
     needs, paths = older_needs(axes, memory)
     for hold in range(under_way.holds):
         torques = under_way.torques[under_way.first + hold]
@@ -293,30 +279,25 @@ def free_energy(
     return free
 
 
-def shares(
-    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer,
-    energy: float,
-) -> tuple[float, float, float]:  # fmt: skip
+def shares(at: Accounting, torques: Buffer, energy: float) -> tuple[float, float, float]:
     """Share of the torques that each certificate admits: hand force, device damping, hand speed; may be > 1.
 
     Args:
-        settings: Constants of the account.
-        account: Account of the group.
-        memory: Buffers of the account.
-        under_way: Torques that act first.
+        at: Account of the group.
         torques: W, for the next free hold [N*m or N].
         energy: Energy budget [J].
     """
+    settings, account, memory, under_way = at
     axes = settings.axes
     if settings.apart.is_apart:
-        return shares_if_apart(settings, account, memory, under_way, torques, energy)
+        return shares_if_apart(at, torques, energy)
     by_force = by_damping = by_speed = moved = 0.0
     if settings.moves:
         moved = taken_by_mover(torques, memory.mover_motion[under_way.holds])
     if axes.by_hand:
-        by_force = by_hand_force(settings, memory, under_way, torques, energy, moved)
+        by_force = by_hand_force(at, torques, energy, moved)
     if axes.by_damping or axes.path > 0.0:
-        more, taken = max(0.0, moved), moved_at_most(settings, memory, under_way)
+        more, taken = max(0.0, moved), moved_at_most(at)
         needs, paths = older_needs(axes, memory)
         for hold in range(under_way.holds):
             acting = under_way.torques[under_way.first + hold]
@@ -331,35 +312,28 @@ def shares(
     return by_force, by_damping, by_speed
 
 
-def by_hand_force(
-    settings: AccountSettings,
-    memory: AccountMemory,
-    under_way: QueuedTorques,
-    torques: Buffer,
-    energy: float,
-    moved: float,
-) -> float:
+def by_hand_force(at: Accounting, torques: Buffer, energy: float, moved: float) -> float:
     """Return the share by hand force; at most 1 where torques come late, see `group_account`.
 
     `moved` is the energy of a mover on the torques [J]; the other arguments are as for `shares`.
     """
-    axes = settings.axes
+    axes, memory, under_way = at.settings.axes, at.memory, at.under_way
     for hold in range(under_way.holds):
-        extraction = extraction_of(settings, memory, under_way, hold)
+        extraction = extraction_of(at, hold)
         acting, along = under_way.torques[under_way.first + hold], 0.0
         for i in range(len(torques)):
             along += acting[i] * torques[i]
         energy -= extraction if along >= 0.0 else max(0.0, extraction)
-    base, gain = worst_case(settings, memory, torques, under_way, under_way.holds) + moved, gain_of(axes, torques)
+    base, gain = worst_case(at, torques, under_way.holds) + moved, gain_of(axes, torques)
     if axes.timing.is_ideal:
         return hand_force_bound(energy, base, gain)
-    late = late_of(settings, memory, under_way, torques, 1.0)
+    late = share_of_late(axes, memory, under_way, torques, 1.0)
     if not energy >= late.constant:
-        return share_in_debt(axes, memory, under_way, torques, base, gain)
+        return share_in_debt(at, torques, base, gain)
     share = share_beyond(energy, base, gain, late, 1.0)
     size = min(1.0, older_size(axes, memory, torques))
     if share < 1.0 and size > 0.0:
-        late = late_of(settings, memory, under_way, torques, size)
+        late = share_of_late(axes, memory, under_way, torques, size)
         if energy >= late.constant:
             share = max(share, share_beyond(energy, base, gain, late, size))
     return share
@@ -374,14 +348,12 @@ def share_beyond(energy: float, base: float, gain: float, late: LateShare, size:
     return size * min(1.0, hand_force_bound(energy - late.constant, start, more))
 
 
-def share_in_debt(
-    axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer, base: float, gain: float
-) -> float:
+def share_in_debt(at: Accounting, torques: Buffer, base: float, gain: float) -> float:
     """Return the share of torques that absorbs energy for certain, where older ones may give out more than the budget.
 
-    `memory.now` is the range at the SYNC of the torques; the other arguments are as for `by_hand_force`.
+    The range in `now` is that at the SYNC of the torques; the other arguments are as for `by_hand_force`.
     """
-    own = given_in_debt(axes, memory, under_way.torques, under_way.first, under_way.holds, torques)
+    own = given_in_debt(at.settings.axes, at.memory, at.under_way, torques)
     return min(1.0, hand_force_bound(0.0, base + own.linear, max(0.0, gain + own.square)))
 
 
@@ -401,8 +373,9 @@ def size_of(values: Buffer) -> float:
     return total
 
 
-def take_all_sent(settings: AccountSettings, memory: AccountMemory, under_way: QueuedTorques) -> None:
+def take_all_sent(at: Accounting) -> None:
     """Take the hold that ended and the torques that may still act, for per-axis certificates."""
+    settings, _, memory, under_way = at
     copy_range(settings.axes, memory, True)
     take_sent(
         settings.axes, settings.apart, memory.apart, memory.displacement, memory.position_uncertainty, memory.torques,
@@ -410,12 +383,11 @@ def take_all_sent(settings: AccountSettings, memory: AccountMemory, under_way: Q
     )  # fmt: skip
 
 
-def free_if_apart(
-    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: QueuedTorques, energy: float
-) -> float:
+def free_if_apart(at: Accounting, energy: float) -> float:
     """`free_energy` for per-axis certificates."""
+    settings, account, memory, _ = at
     axes, limits, apart, free = settings.axes, settings.apart, memory.apart, 0.0
-    take_all_sent(settings, memory, under_way)
+    take_all_sent(at)
     older_damped, older_paths = older_needs(axes, memory)
     moved = taken_at_most(limits, apart, memory.mover_motion, apart.nothing)[0] if settings.moves else 0.0
     if axes.by_hand:
@@ -429,13 +401,11 @@ def free_if_apart(
     return free
 
 
-def shares_if_apart(
-    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer,
-    energy: float,
-) -> tuple[float, float, float]:  # fmt: skip
+def shares_if_apart(at: Accounting, torques: Buffer, energy: float) -> tuple[float, float, float]:
     """`shares` for per-axis certificates; none is above 1 by hand force."""
+    settings, account, memory, _ = at
     axes, limits, apart = settings.axes, settings.apart, memory.apart
-    take_all_sent(settings, memory, under_way)
+    take_all_sent(at)
     older_damped, older_paths = older_needs(axes, memory)
     by_force = by_damping = by_speed = moved = more = 0.0
     if settings.moves:
@@ -469,51 +439,41 @@ class Rendering(NamedTuple):
     certificate: int
 
 
-def render(
-    world: GroupModel,
-    settings: GuardedGroupSettings,
-    state: GuardedGroupState,
-    memory: GuardedGroupMemory,
-    under_way: QueuedTorques,
-) -> Rendering:
+def render(world: GroupModel, run: GuardedRun, at: Accounting) -> Rendering:
     """Send the torques for the next free hold."""
+    settings, state, memory = run
     group, commands, request = state.group, memory.group.commands, memory.request
     place = group.oldest
     if not group.motion.engaged:
         group.oldest = send_nothing(commands, place)
         fade(state.account, _FADE)
         return new(Rendering, (0.0, _UNBOUNDED))
-    speed = write_wish(world, settings, state, memory, under_way)
+    speed = write_wish(world, run, at.under_way)
     energy = certain_energy(state.account, settings.credit)
-    share, lead_share, damper_share, covered = shares_of_wish(settings, state, memory, speed, energy)
-    rendered = write_dampers(settings, state, memory, damper_share)
+    share, lead_share, damper_share, covered = shares_of_wish(run, speed, energy)
+    rendered = write_dampers(run, damper_share)
     damper, modulated, torques = memory.damper, memory.modulated, memory.torques
     for i in range(len(torques)):
         torques[i] = -(share * request.spring[i] + lead_share * request.lead[i] + damper[i] + modulated[i])
-    most = within_limits(settings, state, memory)
-    factor, certificate = certify(settings, state, memory, under_way, energy, most, covered)
+    most = within_limits(run)
+    factor, certificate = certify(run, at, energy, most, covered)
     sent, splits = memory.sent, settings.account.apart.is_apart and settings.account.axes.by_hand and factor < 1.0
     for i in range(len(torques)):
         commands.torques[place][i] = torques[i] if splits else sent[i]
         commands.dampers[place][i] = damper[i] if splits else factor * damper[i]
         commands.modulated[place][i] = modulated[i] if splits else factor * modulated[i]
     if splits:
-        certificate = split(settings, memory, place, most, energy, certificate)
+        certificate = split(run, place, most, energy, certificate)
     group.oldest = next_place(commands, place)
     return new(Rendering, (factor * rendered, certificate))
 
 
-def write_wish(
-    world: GroupModel,
-    settings: GuardedGroupSettings,
-    state: GuardedGroupState,
-    memory: GuardedGroupMemory,
-    under_way: QueuedTorques,
-) -> float:
+def write_wish(world: GroupModel, run: GuardedRun, under_way: QueuedTorques) -> float:
     """Write the requested efforts at the predicted motor positions; returns the same as `write_efforts`.
 
     Motion inside a network is not predicted: it continues as in the last hold, and the motors with it.
     """
+    settings, state, memory = run
     loop, motion, followed, request = settings.loop.motion, state.group.motion, memory.group.motion, memory.request
     way, steady = memory.way, memory.steady
     for i in range(len(way)):
@@ -540,19 +500,13 @@ def write_wish(
     return speed
 
 
-def split(
-    settings: GuardedGroupSettings,
-    memory: GuardedGroupMemory,
-    place: int,
-    most: float,
-    energy: float,
-    certificate: int,
-) -> int:
+def split(run: GuardedRun, place: int, most: float, energy: float, certificate: int) -> int:
     """Set a command to the larger part of the requested torques, by a common share or by inward torques first.
 
     Returns:
         Certificate of the command.
     """
+    settings, _, memory = run
     account, commands, together, found = settings.account, memory.group.commands, memory.sent, memory.scaled
     for i in range(len(found)):
         memory.asked[i] = most * memory.torques[i]
@@ -565,11 +519,12 @@ def split(
     return _BY_FORCE if more > 0.0 else certificate
 
 
-def within_limits(settings: GuardedGroupSettings, state: GuardedGroupState, memory: GuardedGroupMemory) -> float:
+def within_limits(run: GuardedRun) -> float:
     """Largest share of the requested torques, up to 1, that no limiter reduces: see `drive.profile.limiter`.
 
     Reducing one axis after all were certified together would turn the torque of the group.
     """
+    settings, state, memory = run
     loop, torques, most = settings.loop, memory.torques, 1.0
     newest, moved = memory.group.commands.torques[state.group.oldest - 1], memory.group.ended.displacement
     time = state.group.motion.holds * loop.motion.sample_time
@@ -584,22 +539,14 @@ def within_limits(settings: GuardedGroupSettings, state: GuardedGroupState, memo
     return most
 
 
-def certify(
-    settings: GuardedGroupSettings,
-    state: GuardedGroupState,
-    memory: GuardedGroupMemory,
-    under_way: QueuedTorques,
-    energy: float,
-    most: float,
-    covered: bool,
-) -> tuple[float, int]:
+def certify(run: GuardedRun, at: Accounting, energy: float, most: float, covered: bool) -> tuple[float, int]:
     """Write the torques to send; return their share of the requested ones, and the certificate."""
-    torques, sent = memory.torques, memory.sent
+    torques, sent = run.memory.torques, run.memory.sent
     if not acts(torques):
         for i in range(len(sent)):
             sent[i] = torques[i]
         return 1.0, _UNBOUNDED
-    by_force, by_damping, by_speed = shares(settings.account, state.account, memory.account, under_way, torques, energy)
+    by_force, by_damping, by_speed = shares(at, torques, energy)
     factor, largest = most, max(by_force, by_damping, by_speed)
     if factor > largest:
         factor, covered = largest, False
@@ -610,8 +557,8 @@ def certify(
             certificate = _BY_DAMPING
         elif by_force >= factor:
             certificate = _BY_FORCE
-    if settings.quantised:
-        return put_on_grid(settings, state, memory, under_way, energy, factor), certificate
+    if run.settings.quantised:
+        return put_on_grid(run, at, energy, factor), certificate
     for i in range(len(sent)):
         sent[i] = factor * torques[i]
     return factor, certificate
@@ -625,27 +572,18 @@ def acts(torques: Buffer) -> bool:
     return False
 
 
-def put_on_grid(
-    settings: GuardedGroupSettings,
-    state: GuardedGroupState,
-    memory: GuardedGroupMemory,
-    under_way: QueuedTorques,
-    energy: float,
-    factor: float,
-) -> float:
+def put_on_grid(run: GuardedRun, at: Accounting, energy: float, factor: float) -> float:
     """Write torques rounded towards 0 to the drives' quanta, and certified as such; return their share.
 
     Rounding a single axis is safe; rounding several turns the force a little, so that it is certified again.
     """
-    sent = memory.sent
+    sent = run.memory.sent
     for _ in range(_GRID_TRIES):
         for i in range(len(sent)):
-            sent[i] = towards_zero(factor * memory.torques[i], settings.quanta[i])
+            sent[i] = towards_zero(factor * run.memory.torques[i], run.settings.quanta[i])
         if len(sent) == 1 or not acts(sent):
             return factor
-        by_force, by_damping, by_speed = shares(
-            settings.account, state.account, memory.account, under_way, sent, energy
-        )
+        by_force, by_damping, by_speed = shares(at, sent, energy)
         share = max(by_force, by_damping, by_speed)
         if share >= 1.0:
             return factor
@@ -655,10 +593,9 @@ def put_on_grid(
     return 0.0
 
 
-def write_dampers(
-    settings: GuardedGroupSettings, state: GuardedGroupState, memory: GuardedGroupMemory, share: float
-) -> float:
+def write_dampers(run: GuardedRun, share: float) -> float:
     """Write the efforts of the damper and of the modulated damper (eq. 19); return the damping rendered."""
+    settings, state, memory = run
     request, damper, modulated, h_dis = memory.request, memory.damper, memory.modulated, state.account.h_dis
     square = along = extra = 0.0
     for i in range(len(damper)):
@@ -676,14 +613,9 @@ def write_dampers(
     return rendered + extra
 
 
-def shares_of_wish(
-    settings: GuardedGroupSettings,
-    state: GuardedGroupState,
-    memory: GuardedGroupMemory,
-    internal_speed: float,
-    energy: float,
-) -> tuple[float, float, float, bool]:
+def shares_of_wish(run: GuardedRun, internal_speed: float, energy: float) -> tuple[float, float, float, bool]:
     """Shares of spring, lead and damper to render, and whether the account covers all of them."""
+    settings, _, memory = run
     request, caps = memory.request, settings.loop.caps
     size, lead_size = capped_norm(request.spring, caps), capped_norm(request.lead, caps)
     damper_size = capped_norm(request.damper, caps)
@@ -694,7 +626,7 @@ def shares_of_wish(
     if internal_speed != 0.0:
         speed += sqrt(settings.loop.most_cap) * internal_speed
     room, share, lead_share, damper_share = speed, 1.0, 1.0, min(1.0, speed / damper_size) if damper_size > 0.0 else 1.0
-    permitted = permitted_square(settings, state, memory, size, energy)
+    permitted = permitted_square(run, size, energy)
     covered = permitted >= 1.0
     if not covered:
         share = sqrt(permitted)
@@ -719,10 +651,9 @@ def shares_of_wish(
     return share, lead_share, damper_share, covered
 
 
-def permitted_square(
-    settings: GuardedGroupSettings, state: GuardedGroupState, memory: GuardedGroupMemory, size: float, energy: float
-) -> float:
+def permitted_square(run: GuardedRun, size: float, energy: float) -> float:
     """Return the square of the share of the springs that the account covers; may be above 1."""
+    settings, state, memory = run
     request, account = memory.request, state.account
     if size == 0.0:
         return 1.0

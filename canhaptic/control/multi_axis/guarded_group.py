@@ -9,7 +9,13 @@ from typing import ClassVar
 
 from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.control.mechanisms.kinematics import Kinematics
-from canhaptic.control.multi_axis.group_account import doubt_of_mover, end_group_gap, end_group_hold
+from canhaptic.control.multi_axis.group_account import (
+    Accounting,
+    QueuedTorques,
+    doubt_of_mover,
+    end_group_gap,
+    end_group_hold,
+)
 from canhaptic.control.multi_axis.group_certificates import taken_by_mover
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
 from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel, SteppedGroup, end_holds, norm
@@ -18,7 +24,7 @@ from canhaptic.control.multi_axis.group_rendering import (
     GuardedGroupMemory,
     GuardedGroupSettings,
     GuardedGroupState,
-    QueuedTorques,
+    GuardedRun,
     free_energy,
     memory_of,
     render,
@@ -27,7 +33,7 @@ from canhaptic.control.multi_axis.group_rendering import (
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded_settings import GuardedParameters, observe, observe_mean
 from canhaptic.control.passivity.stepped import settle
-from canhaptic.kernels import Buffer, new
+from canhaptic.kernels import Buffer, Run, new
 from canhaptic.units import Parameters
 
 _FREE, _START, _EXACT = Branch.FREE.value, Branch.START.value, Branch.EXACT.value
@@ -45,13 +51,14 @@ def step(
 ) -> GroupHold:
     """Account for the hold that ended; see `GroupKernel`."""
     group, motion, ended, commands = state.group, state.group.motion, memory.group.ended, memory.group.commands
+    run = new(Run, (settings, state, memory))
     if not group.started:
-        begin(world, settings, state, memory, positions)
+        begin(world, run, positions)
         return new(GroupHold, (AT_REST, 0.0, 0.0, 0.0, 0, 0))
     group.oldest = end_holds(commands, ended, settings.loop.largest, group.oldest, missed, positions, torques_applied)
     follow(world, settings.loop.motion, motion, memory.group.motion, positions, ended.displacement, missed + 1)
     observe_all(settings, memory, missed)
-    supplied, uncertainty, further = end(world, settings, state, memory, missed)
+    supplied, uncertainty, further = end(world, run, missed)
     h_i = h_pas = lost = 0.0
     for i in range(len(ended.interactions)):
         h_i += ended.interactions[i]
@@ -60,8 +67,9 @@ def step(
             lost += commands.dampers[group.oldest][i] * ended.displacement[i]
     h_i = h_i + supplied - uncertainty
     under_way = new(QueuedTorques, (commands.torques, group.oldest - settings.loop.delay, settings.loop.delay))
-    h_r, deficit, leak, paid = book(settings, state, memory, under_way, h_i, h_pas, lost + motion.internal)
-    rendered, certificate = render(world, settings, state, memory, under_way)
+    at = new(Accounting, (settings.account, state.account, memory.account, under_way))
+    h_r, deficit, leak, paid = book(run, at, h_i, h_pas, lost + motion.internal)
+    rendered, certificate = render(world, run, at)
     account, branch = state.account, branch_of(state, h_i, leak, deficit)
     state.was_engaged = motion.engaged
     balance = new(EnergyBalance, (
@@ -71,14 +79,9 @@ def step(
     return new(GroupHold, (balance, supplied, uncertainty, further, motion.limit, group.oldest - 1))
 
 
-def begin(
-    world: GroupModel,
-    settings: GuardedGroupSettings,
-    state: GuardedGroupState,
-    memory: GuardedGroupMemory,
-    positions: Buffer,
-) -> None:
+def begin(world: GroupModel, run: GuardedRun, positions: Buffer) -> None:
     """Take the first positions, of a group at rest."""
+    settings, state, memory = run
     group, motion, loop = state.group, memory.group.motion, settings.loop.motion
     group.started = True
     for i in range(len(positions)):
@@ -99,13 +102,7 @@ def observe_all(settings: GuardedGroupSettings, memory: GuardedGroupMemory, miss
             observe_mean(memory.predicted[i], ended.displacement[i] / (missed + 1))
 
 
-def end(
-    world: GroupModel,
-    settings: GuardedGroupSettings,
-    state: GuardedGroupState,
-    memory: GuardedGroupMemory,
-    missed: int,
-) -> tuple[float, float, float]:
+def end(world: GroupModel, run: GuardedRun, missed: int) -> tuple[float, float, float]:
     """Take the holds that ended into the account; return the energy that a mover supplied, and its uncertainty [J].
 
     The uncertainty is the largest shortfall, which is not booked, and the largest excess.
@@ -113,11 +110,12 @@ def end(
     The mover's motion is that of the motors at the pose at which it was first computed: another pose of the same hold
     could book less than was certified.
     """
+    settings, state, memory = run
     ended, account, limits = memory.group.ended, memory.account, settings.account.apart
     supplied = doubt = moved = 0.0
     if settings.loop.motion.moves:
         for hold in range(missed + 1):
-            write_passed(world, settings, state, memory, hold, missed + 1)
+            write_passed(world, run, hold, missed + 1)
             supplied += taken_by_mover(ended.applied, account.passing)
             if hold < missed:
                 moved += doubt_of_mover(account, ended, hold)
@@ -136,15 +134,9 @@ def end(
     return 0.0 - supplied, doubt if doubt > 0.0 else 0.0, further + 2.0 * moved
 
 
-def write_passed(
-    world: GroupModel,
-    settings: GuardedGroupSettings,
-    state: GuardedGroupState,
-    memory: GuardedGroupMemory,
-    hold: int,
-    holds: int,
-) -> None:
+def write_passed(world: GroupModel, run: GuardedRun, hold: int, holds: int) -> None:
     """Write the mover's motion in one of the holds that ended, in motor coordinates [rad or m]."""
+    settings, state, memory = run
     motion, account = memory.group.motion, memory.account
     if hold < settings.account.apart.holds:
         for i in range(len(account.passing)):
@@ -153,31 +145,21 @@ def write_passed(
         write_carried(world, settings.loop.motion, state.group.motion, motion, hold - holds, account.passing)
 
 
-def book(
-    settings: GuardedGroupSettings,
-    state: GuardedGroupState,
-    memory: GuardedGroupMemory,
-    under_way: QueuedTorques,
-    h_i: float,
-    h_pas: float,
-    lost: float,
-) -> tuple[float, float, float, float]:
+def book(run: GuardedRun, at: Accounting, h_i: float, h_pas: float, lost: float) -> tuple[float, float, float, float]:
     """Book one hold into stored energy and surplus; return (h_r, deficit, leak, paid) [J].
 
     Args:
-        settings: Constants of the run.
-        state: State of the group; changed.
-        memory: Buffers of the group.
-        under_way: Torques that act before the next command.
+        run: Run of the group; its state is changed.
+        at: Its account.
         h_i: Interaction energy of the hold, supplied energy included [J].
         h_pas: Energy taken by the modulated damper [J].
         lost: Energy that the network's dissipators took [J]; negative values count as 0.
     """
-    account, ceiling = state.account, state.group.motion.energy
+    account, ceiling = at.account, run.state.group.motion.energy
     h_s, surplus = account.h_s + h_i - h_pas, account.h_dis - h_pas
     slack = 0.0
     if lost > 0.0 or h_s > ceiling:
-        free = free_energy(settings.account, account, memory.account, under_way, h_s - surplus + settings.credit)
+        free = free_energy(at, h_s - surplus + run.settings.credit)
         slack = min(free, h_s)
     account.h_s, account.h_dis, h_r, deficit, leak, paid = settle(h_s, surplus, lost, ceiling, slack)
     account.unrecovered += h_r + leak - paid
