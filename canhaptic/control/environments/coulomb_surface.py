@@ -19,18 +19,6 @@ class CoulombSurface(LinearSpring):
 
     relaxes: ClassVar[bool] = True
 
-    def contact(self, position: float) -> int:
-        """Return 1: the surface is everywhere."""
-        return 1
-
-    def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Return the strain of the bristle [m or rad] before it yields."""
-        return previous + displacement
-
-    def admissible(self, state: float, true: float) -> float:
-        """Return the state: the bristle works in both directions."""
-        return state
-
     def relaxed(self, state: float, sample_time: float) -> float:
         """The state, or the strain at which the bristle yields; the released energy is friction heat."""
         limit = self.friction / self.stiffness

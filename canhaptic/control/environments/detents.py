@@ -3,10 +3,11 @@
 import math
 from typing import Annotated, ClassVar
 
+from canhaptic.control.environments.environment import Everywhere
 from canhaptic.units import Parameters, quantity
 
 
-class Detents(Parameters):
+class Detents(Everywhere, Parameters):
     """A periodic potential: H = peak pitch / pi sin^2(pi x / pitch).
 
     Every stretch between two resting positions is a contact zone of its own: at a resting position nothing is
@@ -24,7 +25,6 @@ class Detents(Parameters):
     """Any one of the resting positions."""
 
     linear_stiffness: ClassVar[None] = None
-    relaxes: ClassVar[bool] = False
 
     def contact(self, position: float) -> int:
         """Return an odd number for every stretch between two resting positions, 0 exactly on one."""
@@ -65,7 +65,3 @@ class Detents(Parameters):
         else:
             state = math.asin(math.sqrt(min(1.0, energy / crest))) * self.pitch / math.pi
         return math.copysign(state if abs(like) <= 0.5 * self.pitch else self.pitch - state, like)
-
-    def relaxed(self, state: float, sample_time: float) -> float:
-        """Return the state: nothing relaxes."""
-        return state

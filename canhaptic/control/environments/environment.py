@@ -23,7 +23,7 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from math import copysign, sqrt
 from types import FunctionType
-from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar
 
 from canhaptic.units import Parameters, quantity
 
@@ -178,7 +178,7 @@ def _form_of(kind: Any) -> _Form | None:
         return None
     members: dict[str, Any] = {}
     for base in reversed(kind.__mro__):
-        if issubclass(base, Parameters) and base is not Parameters:
+        if not issubclass(Parameters, base):
             own = {name: value for name, value in vars(base).items() if _is_own(name, value)}
             if any(_names_its_class(value) for value in own.values()):
                 return None  # `super()` works in the class alone that it was written in
@@ -209,6 +209,44 @@ Side = Literal["below", "above"]
 """Where a wall is solid: below its position (q < q_w, eq. 12) or above it."""
 
 
+class Everywhere:
+    """Common part of environments: felt everywhere, moved by the axis, and nothing relaxes."""
+
+    relaxes: ClassVar[bool] = False
+
+    def contact(self, position: float) -> int:
+        """Return 1: it is everywhere."""
+        return 1
+
+    def true_state(self, position: float, displacement: float, previous: float) -> float:
+        """Return the motion since the start [m or rad], before anything relaxes."""
+        return previous + displacement
+
+    def admissible(self, state: float, true: float) -> float:
+        """Return the state: it has no surface."""
+        return state
+
+    def relaxed(self, state: float, sample_time: float) -> float:
+        """Return the state: nothing relaxes."""
+        return state
+
+
+class StoresNothing(Everywhere):
+    """Common part of environments without a storage."""
+
+    def stored_energy(self, state: float) -> float:
+        """Return 0 J."""
+        return 0.0
+
+    def effort(self, state: float) -> float:
+        """Return 0 N."""
+        return 0.0
+
+    def state_of_energy(self, energy: float, like: float) -> float:
+        """Return 0: no state stores energy."""
+        return 0.0
+
+
 def is_beyond(position: float, surface: float, is_below: bool) -> bool:
     """Return True where a position is inside a wall with its surface at `surface` [m or rad] (eq. 12)."""
     return position < surface if is_below else position > surface
@@ -219,7 +257,34 @@ def kept_on_side(state: float, true: float) -> float:
     return state if state * true >= 0.0 else 0.0
 
 
-class LinearSpring(Parameters):
+class OneSided(Everywhere):
+    """Common part of walls: solid on one `side` of a `position`."""
+
+    if TYPE_CHECKING:
+        position: float
+        side: Side
+
+    @property
+    def is_below(self) -> bool:
+        """Whether it is solid below its position."""
+        return self.side == "below"
+
+    def contact(self, position: float) -> int:
+        """Return 1 inside the wall, 0 outside (eq. 12)."""  # not by `is_beyond`: most scenes ask this at every SYNC
+        if self.is_below:
+            return 1 if position < self.position else 0
+        return 1 if position > self.position else 0
+
+    def true_state(self, position: float, displacement: float, previous: float) -> float:
+        """Return x = q - q_w [m or rad] (eq. 14): negative in a wall below, positive in a wall above."""
+        return position - self.position
+
+    def admissible(self, state: float, true: float) -> float:
+        """Return the state, or 0 where it lies outside the wall."""
+        return state if state * true >= 0.0 else 0.0
+
+
+class LinearSpring(Everywhere, Parameters):
     """A spring with the stored energy k x^2 / 2, and a damper in parallel."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)]

@@ -2,15 +2,15 @@
 
 from typing import ClassVar
 
+from canhaptic.control.environments.environment import StoresNothing
 from canhaptic.units import Parameters
 
 
-class FreeSpace(Parameters):
+class FreeSpace(StoresNothing, Parameters):
     """No contact anywhere."""
 
     damping: ClassVar[float] = 0.0
     linear_stiffness: ClassVar[float] = 0.0
-    relaxes: ClassVar[bool] = False
 
     def contact(self, position: float) -> int:
         """Return 0."""
@@ -23,19 +23,3 @@ class FreeSpace(Parameters):
     def admissible(self, state: float, true: float) -> float:
         """Return 0."""
         return 0.0
-
-    def stored_energy(self, state: float) -> float:
-        """Return 0 J."""
-        return 0.0
-
-    def effort(self, state: float) -> float:
-        """Return 0 N."""
-        return 0.0
-
-    def state_of_energy(self, energy: float, like: float) -> float:
-        """Return 0."""
-        return 0.0
-
-    def relaxed(self, state: float, sample_time: float) -> float:
-        """Return the state."""
-        return state

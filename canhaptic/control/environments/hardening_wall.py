@@ -1,13 +1,13 @@
 """A wall that grows stiffer with depth, as most real materials do: effort k x + k3 x^3."""
 
 import math
-from typing import Annotated, ClassVar
+from typing import Annotated
 
-from canhaptic.control.environments.environment import Side, is_beyond, kept_on_side
+from canhaptic.control.environments.environment import OneSided, Side
 from canhaptic.units import Parameters, quantity
 
 
-class HardeningWall(Parameters):
+class HardeningWall(OneSided, Parameters):
     """A one-sided wall with the stored energy k x^2 / 2 + k3 x^4 / 4."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)]
@@ -21,29 +21,10 @@ class HardeningWall(Parameters):
     side: Side = "below"
     """Where the wall is solid: below its position, or above it."""
 
-    relaxes: ClassVar[bool] = False
-
     @property
     def linear_stiffness(self) -> float | None:
         """Stiffness k [N/m or N*m/rad] without hardening, else None."""
         return self.stiffness if self.hardening == 0.0 else None
-
-    @property
-    def is_below(self) -> bool:
-        """Whether it is solid below its position."""
-        return self.side == "below"
-
-    def contact(self, position: float) -> int:
-        """Return 1 inside the wall, 0 outside."""
-        return int(is_beyond(position, self.position, self.is_below))
-
-    def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Return the penetration q - q_w [m or rad]."""
-        return position - self.position
-
-    def admissible(self, state: float, true: float) -> float:
-        """Return the state, or 0 where it lies outside the wall."""
-        return kept_on_side(state, true)
 
     def stored_energy(self, state: float) -> float:
         """Return k x^2 / 2 + k3 x^4 / 4 [J]."""
@@ -60,7 +41,3 @@ class HardeningWall(Parameters):
             return 0.0
         below = self.stiffness + math.sqrt(self.stiffness * self.stiffness + 4.0 * self.hardening * energy)
         return math.copysign(math.sqrt(4.0 * energy / below), like) if below else 0.0
-
-    def relaxed(self, state: float, sample_time: float) -> float:
-        """Return the state: nothing relaxes."""
-        return state

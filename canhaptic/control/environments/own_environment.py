@@ -20,7 +20,7 @@ from weakref import WeakKeyDictionary
 
 from pydantic import model_validator
 
-from canhaptic.control.environments.environment import is_beyond, kept_on_side
+from canhaptic.control.environments.environment import Everywhere, is_beyond, kept_on_side
 from canhaptic.errors import OwnCodeError
 from canhaptic.own_results import program_of
 from canhaptic.units import Parameters, quantity
@@ -50,7 +50,7 @@ _NODES: Final = (
 _MIDDLE: Final = (0.209482141084727828012999174891714, 0.417959183673469387755102040816327)
 
 
-class OwnEnvironment(Parameters):
+class OwnEnvironment(Everywhere, Parameters):
     """A storage with a damper, given by `effort` or by `potential`; felt on both sides of `position`, or on one.
 
     `effort` must point back to state 0, where nothing is stored: effort(x) x >= 0. A scene whose force does not, up to
@@ -66,7 +66,6 @@ class OwnEnvironment(Parameters):
     """Damping coefficient; the damper acts in contact only."""
 
     linear_stiffness: ClassVar[None] = None
-    relaxes: ClassVar[bool] = False
 
     @model_validator(mode="after")
     def _points_back(self) -> Self:
@@ -132,10 +131,6 @@ class OwnEnvironment(Parameters):
     def state_of_energy(self, energy: float, like: float) -> float:
         """Return the state on the side of `like` that stores `energy` [J], or the farthest where none does."""
         return state_of(self.stored_energy, self.effort, energy, like)
-
-    def relaxed(self, state: float, sample_time: float) -> float:
-        """Return the state: nothing relaxes."""
-        return state
 
 
 def _words_of(state: float, force: float) -> str:

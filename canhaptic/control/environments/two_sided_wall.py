@@ -1,7 +1,7 @@
 """A slot: free in the middle, a spring-damper wall on either side."""
 
 import math
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from pydantic import model_validator
 
@@ -16,8 +16,6 @@ class TwoSidedWall(LinearSpring):
     """Surface of the wall below."""
     upper: Annotated[float, quantity("m", "rad")]
     """Surface of the wall above; more than `lower`."""
-
-    relaxes: ClassVar[bool] = False
 
     @model_validator(mode="after")
     def _in_order(self) -> "TwoSidedWall":
@@ -44,7 +42,3 @@ class TwoSidedWall(LinearSpring):
         if position < self.lower:
             return -math.inf, self.lower
         return (self.upper, math.inf) if position > self.upper else (position, position)
-
-    def relaxed(self, state: float, sample_time: float) -> float:
-        """Return the state: nothing relaxes."""
-        return state

@@ -17,18 +17,6 @@ class ViscoelasticMedium(LinearSpring):
 
     relaxes: ClassVar[bool] = True
 
-    def contact(self, position: float) -> int:
-        """Return 1: the medium is everywhere."""
-        return 1
-
-    def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Return the strain of the spring [m or rad] before it relaxes."""
-        return previous + displacement
-
-    def admissible(self, state: float, true: float) -> float:
-        """Return the state: the spring works in both directions."""
-        return state
-
     def relaxed(self, state: float, sample_time: float) -> float:
         """Return x exp(-T / relaxation time): exact for a hold in which nothing moves."""
         return state * math.exp(-sample_time / self.relaxation_time)

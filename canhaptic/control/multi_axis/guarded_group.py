@@ -51,7 +51,7 @@ def step(
 ) -> GroupHold:
     """Account for the hold that ended; see `GroupKernel`."""
     group, motion, ended, commands = state.group, state.group.motion, memory.group.ended, memory.group.commands
-    run = new(Run, (settings, state, memory))
+    run = Run(settings, state, memory)  # not by `new`: compiled, no function returns a record
     if not group.started:
         begin(world, run, positions)
         return new(GroupHold, (AT_REST, 0.0, 0.0, 0.0, 0, 0))
@@ -67,7 +67,7 @@ def step(
             lost += commands.dampers[group.oldest][i] * ended.displacement[i]
     h_i = h_i + supplied - uncertainty
     under_way = new(QueuedTorques, (commands.torques, group.oldest - settings.loop.delay, settings.loop.delay))
-    at = new(Accounting, (settings.account, state.account, memory.account, under_way))
+    at = Accounting(settings.account, state.account, memory.account, under_way)
     h_r, deficit, leak, paid = book(run, at, h_i, h_pas, lost + motion.internal)
     rendered, certificate = render(world, run, at)
     account, branch = state.account, branch_of(state, h_i, leak, deficit)

@@ -14,6 +14,7 @@ from math import copysign, inf
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.control.certificates.torque_bound import keep, look_for_turn
 from canhaptic.control.damping import VelocityWindow, restart, update
+from canhaptic.control.environments.environment import StoresNothing
 from canhaptic.control.environments.free_space import FreeSpace
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import (
@@ -44,47 +45,25 @@ class Program(FreeSpace):
     """A program in the place of an environment, of which nothing is known."""
 
 
-class AskedEffort:
+class AskedEffort(StoresNothing):
     """The program as an environment: an effort that is the same everywhere and stores nothing.
 
     Attributes:
         asked: Requested torque [N or N*m].
     """
 
-    damping = 0.0
-    linear_stiffness = None
-    relaxes = False
+    damping, linear_stiffness = 0.0, None
 
     def __init__(self) -> None:
         self.asked = 0.0
-
-    def contact(self, position: float) -> int:
-        """Return 1: everywhere."""
-        return 1
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
         """Return 0."""
         return 0.0
 
-    def admissible(self, state: float, true: float) -> float:
-        """Return 0."""
-        return 0.0
-
-    def stored_energy(self, state: float) -> float:
-        """Return 0 J."""
-        return 0.0
-
     def effort(self, state: float) -> float:
         """Return the effort of the requested torque [N or N*m]."""
         return -self.asked
-
-    def state_of_energy(self, energy: float, like: float) -> float:
-        """Return 0."""
-        return 0.0
-
-    def relaxed(self, state: float, sample_time: float) -> float:
-        """Return the state."""
-        return state
 
 
 @dataclass(slots=True)

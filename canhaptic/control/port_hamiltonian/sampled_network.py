@@ -34,7 +34,7 @@ from canhaptic.control.port_hamiltonian.network import (
     stored_energy,
 )
 from canhaptic.control.port_hamiltonian.storages import Functions
-from canhaptic.kernels import Buffer, Matrix, list_of_zeros, new, zeros
+from canhaptic.kernels import Buffer, Matrix, list_of_zeros, zeros
 
 
 class Workspace(NamedTuple):
@@ -466,7 +466,7 @@ def propose(
         return True
     if tables.by_functions:
         model.functions.fill_structure(memory.state, tables.structure)
-    sample = new(NetworkSample, (memory.state, displacement, elapsed, room))
+    sample = NetworkSample(memory.state, displacement, elapsed, room)
     network.evaluations = advance(model, sample)
     if network.evaluations < 0:
         rest_on_ports(model, sample)
