@@ -18,12 +18,17 @@ from canhaptic.control.multi_axis.group_account import (
     doubt_of_late_group,
     end_group_gap,
     end_group_hold,
+    extraction_of,
+    free_energy,
     given_in_debt,
     largest_of,
+    needed_under_way,
     norms_of,
     older_needs,
     older_size,
     share_of_late,
+    shares,
+    worst_case,
 )
 from canhaptic.control.multi_axis.group_certificates import (
     Acting,
@@ -35,13 +40,6 @@ from canhaptic.control.multi_axis.group_certificates import (
     taken_by_mover,
 )
 from canhaptic.control.multi_axis.group_kernel import no_group_holds
-from canhaptic.control.multi_axis.group_rendering import (
-    extraction_of,
-    free_energy,
-    needed_under_way,
-    shares,
-    worst_case,
-)
 from canhaptic.control.multi_axis.per_axis_certificates import per_axis_limits, write_cells
 from canhaptic.control.passivity.controller import LoopProperties
 from tests.control.network.networks import AxesApart

@@ -16,14 +16,15 @@ from canhaptic.control.multi_axis.group_account import (
     account_memory,
     doubt_of_late_gap,
     doubt_of_late_group,
+    free_energy,
     norms_of,
     older_needs,
     older_size,
     share_of_late,
+    shares,
 )
 from canhaptic.control.multi_axis.group_certificates import AxisLimits, axes_of, pass_range, response_to_late
 from canhaptic.control.multi_axis.group_kernel import no_group_holds
-from canhaptic.control.multi_axis.group_rendering import free_energy, shares
 from canhaptic.control.multi_axis.per_axis_certificates import per_axis_limits
 from canhaptic.control.passivity.controller import LoopProperties
 

@@ -57,16 +57,39 @@ is asked as well.
 
 **The hold that ended.** Of that D_i is known, and the way back inside it is no longer than `swing` times
 s (D_i + step_i / 2) (`hold_timing`): `doubt_of_late_group`. By device damping and hand speed it is as of one axis.
+
+The energy reserved for queued torques, and the certified share of the next ones.
 """
 
 from dataclasses import dataclass
 from math import inf, sqrt
 from typing import NamedTuple
 
+from canhaptic.control.certificates.scalar_bounds import hand_force_bound
 from canhaptic.control.certificates.torque_bound import keep
-from canhaptic.control.multi_axis.group_certificates import Acting, AxisLimits, pass_range, response_to_late
+from canhaptic.control.multi_axis.group_certificates import (
+    Acting,
+    AxisLimits,
+    along_last,
+    base_of,
+    damping_need,
+    gain_of,
+    pass_range,
+    path_need,
+    response_to_late,
+    taken_by_mover,
+)
 from canhaptic.control.multi_axis.group_kernel import GroupHolds
-from canhaptic.control.multi_axis.per_axis_certificates import PerAxisLimits, PerAxisMemory, per_axis_memory
+from canhaptic.control.multi_axis.per_axis_certificates import (
+    PerAxisLimits,
+    PerAxisMemory,
+    needed_by_hand,
+    per_axis_memory,
+    share_by_hand,
+    take_sent,
+    taken_at_most,
+    write_needs,
+)
 from canhaptic.kernels import Buffer, Matrix, list_of_zeros, new, zeros
 
 
@@ -578,3 +601,209 @@ def quotient(budget: float, need: float) -> float:
     if not budget >= 0.0:
         return 0.0
     return budget / need if need > 0.0 else inf
+
+
+def worst_case(at: Accounting, torques: Buffer, count: int) -> float:
+    """Return the base of torques that act after some of the queued ones [J]; see `base_of`."""
+    axes, memory, sent, first = at.settings.axes, at.memory, at.under_way.torques, at.under_way.first
+    along = along_last(axes, torques, memory.displacement, memory.position_uncertainty)
+    if not axes.timing.is_ideal:
+        copy_range(axes, memory, False)
+    return base_of(axes, torques, memory.displacement, along, memory.torques, sent, first, count, memory.now)
+
+
+def extraction_of(at: Accounting, hold: int) -> float:
+    """Return the most energy [J] that the torques of one of the queued holds may take out in it."""
+    axes, memory, torques = at.settings.axes, at.memory, at.under_way.torques[at.under_way.first + hold]
+    taken = worst_case(at, torques, hold) + gain_of(axes, torques)
+    if not axes.timing.is_ideal:
+        taken += response_to_late(axes, torques, memory.now.highest, memory.now.lowest, torques, axes.during)
+    return taken + taken_by_mover(torques, memory.mover_motion[hold]) if at.settings.moves else taken
+
+
+def moved_at_most(at: Accounting) -> float:
+    """Energy that a mover takes [J] in the holds of queued torques, where that is positive."""
+    total, under_way = 0.0, at.under_way
+    if at.settings.moves:
+        for hold in range(under_way.holds):
+            total += max(0.0, taken_by_mover(under_way.torques[under_way.first + hold], at.memory.mover_motion[hold]))
+    return total
+
+
+def needed_under_way(at: Accounting) -> float:
+    """Return the most energy [J] that the queued torques may give out to a hand within its force."""
+    axes, memory, worst, given = at.settings.axes, at.memory, 0.0, 0.0
+    for hold in range(at.under_way.holds):
+        given += extraction_of(at, hold)
+        worst = max(worst, given)
+    if axes.timing.is_ideal:
+        return worst
+    return worst + share_of_late(axes, memory, at.under_way, memory.nothing, 1.0).constant
+
+
+def free_energy(at: Accounting, energy: float) -> float:
+    """Part of `energy` [J] that the certificates of the queued torques do not need."""
+    settings, account, memory, under_way = at
+    axes = settings.axes
+    if settings.apart.is_apart:
+        return free_if_apart(at, energy)
+    free, moved = 0.0, moved_at_most(at)
+    if axes.by_hand:
+        free = max(free, energy - needed_under_way(at))
+    needs, paths = older_needs(axes, memory)
+    for hold in range(under_way.holds):
+        torques = under_way.torques[under_way.first + hold]
+        if axes.path > 0.0:
+            paths += path_need(axes, torques)
+        if axes.by_damping:
+            needs += damping_need(axes, torques)
+    if axes.path > 0.0:
+        free = max(free, energy - moved - paths)
+    if axes.by_damping:
+        free = max(free, energy + account.dissipated - (moved + needs))
+    return free
+
+
+def shares(at: Accounting, torques: Buffer, energy: float) -> tuple[float, float, float]:
+    """Share of the torques that each certificate admits: hand force, device damping, hand speed; may be > 1.
+
+    Args:
+        at: Account of the group.
+        torques: W, for the next free hold [N*m or N].
+        energy: Energy budget [J].
+    """
+    settings, account, memory, under_way = at
+    axes = settings.axes
+    if settings.apart.is_apart:
+        return shares_if_apart(at, torques, energy)
+    by_force = by_damping = by_speed = moved = 0.0
+    if settings.moves:
+        moved = taken_by_mover(torques, memory.mover_motion[under_way.holds])
+    if axes.by_hand:
+        by_force = by_hand_force(at, torques, energy, moved)
+    if axes.by_damping or axes.path > 0.0:
+        more, taken = max(0.0, moved), moved_at_most(at)
+        needs, paths = older_needs(axes, memory)
+        for hold in range(under_way.holds):
+            acting = under_way.torques[under_way.first + hold]
+            needs += damping_need(axes, acting) if axes.by_damping else 0.0
+            paths += path_need(axes, acting)
+        if axes.by_damping:
+            budget = energy + account.dissipated - more - taken - needs
+            by_damping = sqrt(quotient(budget, damping_need(axes, torques)))
+        if axes.path > 0.0:
+            budget = energy - taken - paths
+            by_speed = quotient(budget, path_need(axes, torques) + more)
+    return by_force, by_damping, by_speed
+
+
+def by_hand_force(at: Accounting, torques: Buffer, energy: float, moved: float) -> float:
+    """Return the share by hand force; at most 1 where torques come late, see `group_account`.
+
+    `moved` is the energy of a mover on the torques [J]; the other arguments are as for `shares`.
+    """
+    axes, memory, under_way = at.settings.axes, at.memory, at.under_way
+    for hold in range(under_way.holds):
+        extraction = extraction_of(at, hold)
+        acting, along = under_way.torques[under_way.first + hold], 0.0
+        for i in range(len(torques)):
+            along += acting[i] * torques[i]
+        energy -= extraction if along >= 0.0 else max(0.0, extraction)
+    base, gain = worst_case(at, torques, under_way.holds) + moved, gain_of(axes, torques)
+    if axes.timing.is_ideal:
+        return hand_force_bound(energy, base, gain)
+    late = share_of_late(axes, memory, under_way, torques, 1.0)
+    if not energy >= late.constant:
+        return share_in_debt(at, torques, base, gain)
+    share = share_beyond(energy, base, gain, late, 1.0)
+    size = min(1.0, older_size(axes, memory, torques))
+    if share < 1.0 and size > 0.0:
+        late = share_of_late(axes, memory, under_way, torques, size)
+        if energy >= late.constant:
+            share = max(share, share_beyond(energy, base, gain, late, size))
+    return share
+
+
+def share_beyond(energy: float, base: float, gain: float, late: LateShare, size: float) -> float:
+    """Return the share, up to `size`, of torques beyond what the older ones give out.
+
+    `late` is for `size`, its constant at most the energy; `base` and `gain` are for all of the torques.
+    """
+    start, more = size * base + late.linear, max(0.0, size * size * gain + late.square)
+    return size * min(1.0, hand_force_bound(energy - late.constant, start, more))
+
+
+def share_in_debt(at: Accounting, torques: Buffer, base: float, gain: float) -> float:
+    """Return the share of torques that absorbs energy for certain, where older ones may give out more than the budget.
+
+    The range in `now` is that at the SYNC of the torques; the other arguments are as for `by_hand_force`.
+    """
+    own = given_in_debt(at.settings.axes, at.memory, at.under_way, torques)
+    return min(1.0, hand_force_bound(0.0, base + own.linear, max(0.0, gain + own.square)))
+
+
+def damping_need_of(axes: AxisLimits, squares: Buffer) -> float:
+    """Return sum((T + theta_i) / 4 b_i times the sum of squares of an axis) [J]."""
+    total = 0.0
+    for i in range(len(squares)):
+        total += squares[i] / axes.squares[i]
+    return total
+
+
+def size_of(values: Buffer) -> float:
+    """Return the sum of values."""
+    total = 0.0
+    for value in values:
+        total += value
+    return total
+
+
+def take_all_sent(at: Accounting) -> None:
+    """Take the hold that ended and the torques that may still act, for per-axis certificates."""
+    settings, _, memory, under_way = at
+    copy_range(settings.axes, memory, True)
+    take_sent(
+        settings.axes, settings.apart, memory.apart, memory.displacement, memory.position_uncertainty, memory.torques,
+        under_way.torques, under_way.first, memory.now,
+    )  # fmt: skip
+
+
+def free_if_apart(at: Accounting, energy: float) -> float:
+    """`free_energy` for per-axis certificates."""
+    settings, account, memory, _ = at
+    axes, limits, apart, free = settings.axes, settings.apart, memory.apart, 0.0
+    take_all_sent(at)
+    older_damped, older_paths = older_needs(axes, memory)
+    moved = taken_at_most(limits, apart, memory.mover_motion, apart.nothing)[0] if settings.moves else 0.0
+    if axes.by_hand:
+        free = max(free, energy - needed_by_hand(axes, limits, apart, memory.mover_motion))
+    if axes.path > 0.0:
+        write_needs(limits, apart, apart.nothing, squared=False)
+        free = max(free, energy - moved - axes.path * size_of(apart.old) - older_paths)
+    if axes.by_damping:
+        write_needs(limits, apart, apart.nothing, squared=True)
+        free = max(free, energy + account.dissipated - moved - damping_need_of(axes, apart.old) - older_damped)
+    return free
+
+
+def shares_if_apart(at: Accounting, torques: Buffer, energy: float) -> tuple[float, float, float]:
+    """`shares` for per-axis certificates; none is above 1 by hand force."""
+    settings, account, memory, _ = at
+    axes, limits, apart = settings.axes, settings.apart, memory.apart
+    take_all_sent(at)
+    older_damped, older_paths = older_needs(axes, memory)
+    by_force = by_damping = by_speed = moved = more = 0.0
+    if settings.moves:
+        moved, more = taken_at_most(limits, apart, memory.mover_motion, torques)
+    if axes.by_hand:
+        by_force = share_by_hand(axes, limits, apart, memory.mover_motion, torques, energy)
+    if axes.by_damping:
+        write_needs(limits, apart, torques, squared=True)
+        budget = energy + account.dissipated - moved - more
+        budget -= damping_need_of(axes, apart.old) + older_damped
+        by_damping = sqrt(quotient(budget, damping_need_of(axes, apart.new)))
+    if axes.path > 0.0:
+        write_needs(limits, apart, torques, squared=False)
+        budget = energy - moved - axes.path * size_of(apart.old) - older_paths
+        by_speed = quotient(budget, axes.path * size_of(apart.new) + more)
+    return by_force, by_damping, by_speed

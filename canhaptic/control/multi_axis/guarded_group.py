@@ -3,41 +3,223 @@
 On one axis with a spring and a damper it equals `passivity.guarded` to rounding. On several axes the account is scalar;
 efforts are compared in the norm in which every axis has its own damping cap, |f|^2 = sum(f_i^2 / cap_i), and are scaled
 together, so that a limited force keeps its direction.
+
+Efforts are rendered as far as the account covers them, and sent as far as they are certified.
 """
 
-from typing import ClassVar
+from dataclasses import dataclass, field
+from math import sqrt
+from typing import ClassVar, Final, NamedTuple, TypeAlias
 
-from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
+from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
+from canhaptic.control.certificates.torque_bound import keep
+from canhaptic.control.damping import modulated_damping
 from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis.group_account import (
     Accounting,
+    AccountMemory,
+    AccountSettings,
+    GroupAccount,
     QueuedTorques,
+    account_memory,
+    certain_energy,
     doubt_of_mover,
     end_group_gap,
     end_group_hold,
-)
-from canhaptic.control.multi_axis.group_certificates import taken_by_mover
-from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
-from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel, SteppedGroup, end_holds, norm
-from canhaptic.control.multi_axis.group_motion import GroupModel, begin_motion, follow, write_carried
-from canhaptic.control.multi_axis.group_rendering import (
-    GuardedGroupMemory,
-    GuardedGroupSettings,
-    GuardedGroupState,
-    GuardedRun,
+    fade,
     free_energy,
-    memory_of,
-    render,
-    settings_of,
+    quotient,
+    shares,
 )
+from canhaptic.control.multi_axis.group_certificates import AxisLimits, axes_of, taken_by_mover
+from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
+from canhaptic.control.multi_axis.group_kernel import (
+    Group,
+    GroupHold,
+    GroupKernel,
+    GroupLoop,
+    GroupMemory,
+    SteppedGroup,
+    end_holds,
+    group_loop,
+    group_memory,
+    next_place,
+    norm,
+    send_nothing,
+    take_applied,
+)
+from canhaptic.control.multi_axis.group_motion import (
+    GroupModel,
+    MotionAhead,
+    RequestedEfforts,
+    begin_motion,
+    follow,
+    write_carried,
+    write_efforts,
+    write_springs,
+)
+from canhaptic.control.multi_axis.per_axis_certificates import inward_first, per_axis_limits
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded_settings import GuardedParameters, observe, observe_mean
-from canhaptic.control.passivity.stepped import settle
-from canhaptic.kernels import Buffer, Run, new
+from canhaptic.control.passivity.guarded_settings import (
+    PREDICTION_HOLDS,
+    GuardedParameters,
+    PredictedMotion,
+    PredictionSettings,
+    calm_stiffness_of,
+    observe,
+    observe_mean,
+    predicted,
+    prediction_settings,
+)
+from canhaptic.control.passivity.stepped import settle, towards_zero
+from canhaptic.control.port_hamiltonian.sampled_network import internal_motion
+from canhaptic.errors import ParameterError
+from canhaptic.kernels import Buffer, Run, list_of_zeros, new
 from canhaptic.units import Parameters
 
 _FREE, _START, _EXACT = Branch.FREE.value, Branch.START.value, Branch.EXACT.value
 _DEPLETED, _EXIT = Branch.DEPLETED.value, Branch.EXIT.value
+_UNBOUNDED, _BY_FORCE = Certificate.EXACT.value, Certificate.HAND_FORCE.value
+_BY_DAMPING, _BY_SPEED = Certificate.DEVICE_DAMPING.value, Certificate.HAND_SPEED.value
+
+_FADE: Final = 0.8
+_GRID_TRIES: Final = 3
+_GRID_BACK: Final = 0.99
+
+
+class GuardedGroupSettings(NamedTuple):
+    """Constants of a run."""
+
+    loop: GroupLoop
+    account: AccountSettings
+    credit: float  # energy that may be given out before any came in [J]
+    alpha: float  # [s/m^2 or s/rad^2]
+    lead: float  # prediction [holds]
+    prediction: list[PredictionSettings]  # of each axis
+    calm: Buffer  # stiffness of the largest spring that the rate renders, (axes,) [N/m or N*m/rad]
+    damped: Buffer  # the same by the damping of the devices, (axes,); 0 where it is not declared [N/m or N*m/rad]
+    path: float  # of the hand in the holds that a torque takes; 0 without a hand speed [m or rad]
+    quanta: Buffer  # of the torque commands, (axes,); 0: ideal [N*m or N]
+    quantised: bool
+
+
+@dataclass(slots=True)
+class GuardedGroupState:
+    """State kept from SYNC to SYNC."""
+
+    was_engaged: bool = False
+    group: Group = field(default_factory=Group)
+    account: GroupAccount = field(default_factory=GroupAccount)
+
+
+class GuardedGroupMemory(NamedTuple):
+    """Buffers of a group."""
+
+    group: GroupMemory
+    account: AccountMemory
+    predicted: list[PredictedMotion]  # of each axis
+    column: Buffer  # torques under way of one axis, (delay + 1,) [N*m or N]
+    way: Buffer  # of the motors until the next torques act, (axes,) [rad or m]
+    steady: Buffer  # the same by the last motion alone
+    step: Buffer  # motion in a hold then
+    request: RequestedEfforts
+    damper: Buffer  # efforts to be sent, (axes,) [N*m or N]
+    modulated: Buffer
+    torques: Buffer  # requested
+    sent: Buffer
+    asked: Buffer  # as far as no limiter cuts them
+    scaled: Buffer
+
+
+GuardedRun: TypeAlias = Run[GuardedGroupSettings, GuardedGroupState, GuardedGroupMemory]
+"""Settings, state and memory of a group."""
+
+
+def settings_of(
+    world: GroupModel, parameters: GuardedParameters, loops: tuple[LoopProperties, ...]
+) -> GuardedGroupSettings:
+    """Constants of a run.
+
+    Raises:
+        ParameterError: No declared property certifies any torque, or a group cannot honour a key.
+    """
+    _refuse_keys_of_one_axis(parameters)
+    sample_time, delay = loops[0].sample_time, loops[0].delay
+    late = max([loop.timing.late for loop in loops]) / sample_time
+    axes = axes_of(loops, parameters.hand_force, parameters.hand_speed)
+    _require_certificates(axes, loops)
+    loop = group_loop(world, loops)
+    limits = per_axis_limits(axes, delay, parameters.max_consecutive_losses)
+    quanta = [loop.torque_quantum for loop in loops]
+    return GuardedGroupSettings(
+        loop,
+        AccountSettings(axes, limits, loop.motion.moves),
+        credit=parameters.energy_allowance,
+        alpha=parameters.alpha,
+        lead=PREDICTION_HOLDS + delay + late,
+        prediction=[
+            prediction_settings(
+                loop.moving_mass,
+                loop.device_damping or 0.0,
+                sample_time,
+                delay,
+                PREDICTION_HOLDS + late,
+                loop.encoder_count,
+            )
+            for loop in loops
+        ],
+        calm=[calm_stiffness_of(loop) for loop in loops],
+        damped=[2.0 * b / (1 + delay) for b in axes.damping],
+        path=axes.path * (1 + delay),
+        quanta=quanta,
+        quantised=any(quanta),
+    )
+
+
+def _refuse_keys_of_one_axis(parameters: GuardedParameters) -> None:
+    """Refuse what the certificates of a single axis alone can use.
+
+    Raises:
+        ParameterError: Such a key is declared; it names it.
+    """
+    push, pull = parameters.hand_push or 0.0, parameters.hand_force or 0.0
+    if push > pull:
+        raise ParameterError(
+            f"guarded group: got hand_push {push:g}, expected none above hand_force ({pull:g}); a group knows no way "
+            f"out of its contacts, and hand_force counts along every torque: declare hand_force {push:g}, or leave out "
+            "hand_push"
+        )
+    for key in ("earned_energy", "drag"):
+        if value := getattr(parameters, key):
+            raise ParameterError(
+                f"guarded group: got {key} {value:g}, expected 0; a group keeps no energy for later contacts: leave it "
+                "out, and declare energy_allowance where a contact has to start faster"
+            )
+
+
+def _require_certificates(axes: AxisLimits, loops: tuple[LoopProperties, ...]) -> None:
+    if not (axes.by_hand or axes.by_damping or axes.path):
+        raise ParameterError(
+            "guarded group: got neither moving_mass of every axis with hand_force, nor device_damping of every "
+            "axis, nor hand_speed, expected one of them; without any no torque can be certified"
+        )
+    if axes.by_hand and any(loop.device_damping_bound is None for loop in loops):
+        raise ParameterError(
+            "guarded group: got hand_force without device_damping_bound of every axis, expected the largest damping "
+            "that each device can have; measure it (canhaptic commission), or declare hand_force: null and another "
+            "certificate"
+        )
+
+
+def memory_of(world: GroupModel, settings: GuardedGroupSettings) -> GuardedGroupMemory:
+    """Return the buffers of a group at rest."""
+    axes, one, limits = len(settings.quanta), list_of_zeros, settings.account.apart
+    return GuardedGroupMemory(
+        group_memory(world, settings.loop, 0), account_memory(limits), [PredictedMotion() for _ in settings.quanta],
+        one(settings.loop.delay + 1), one(axes), one(axes), one(axes),
+        RequestedEfforts(one(axes), one(axes), one(axes), one(axes)),
+        one(axes), one(axes), one(axes), one(axes), one(axes), one(axes),
+    )  # fmt: skip
 
 
 def step(
@@ -173,6 +355,261 @@ def branch_of(state: GuardedGroupState, h_i: float, leak: float, deficit: float)
     if state.group.motion.engaged:
         return _EXACT if state.was_engaged else _START
     return _EXIT if state.was_engaged or h_i != 0.0 or leak != 0.0 else _FREE
+
+
+class Rendering(NamedTuple):
+    """Damping rendered in a hold, and its certificate."""
+
+    damping: float  # rendered along the motion [N*s/m or N*m*s/rad]
+    certificate: int
+
+
+def render(world: GroupModel, run: GuardedRun, at: Accounting) -> Rendering:
+    """Send the torques for the next free hold."""
+    settings, state, memory = run
+    group, commands, request = state.group, memory.group.commands, memory.request
+    place = group.oldest
+    if not group.motion.engaged:
+        group.oldest = send_nothing(commands, place)
+        fade(state.account, _FADE)
+        return new(Rendering, (0.0, _UNBOUNDED))
+    speed = write_wish(world, run, at.under_way)
+    energy = certain_energy(state.account, settings.credit)
+    share, lead_share, damper_share, covered = shares_of_wish(run, speed, energy)
+    rendered = write_dampers(run, damper_share)
+    damper, modulated, torques = memory.damper, memory.modulated, memory.torques
+    for i in range(len(torques)):
+        torques[i] = -(share * request.spring[i] + lead_share * request.lead[i] + damper[i] + modulated[i])
+    most = within_limits(run)
+    factor, certificate = certify(run, at, energy, most, covered)
+    sent, splits = memory.sent, settings.account.apart.is_apart and settings.account.axes.by_hand and factor < 1.0
+    for i in range(len(torques)):
+        commands.torques[place][i] = torques[i] if splits else sent[i]
+        commands.dampers[place][i] = damper[i] if splits else factor * damper[i]
+        commands.modulated[place][i] = modulated[i] if splits else factor * modulated[i]
+    if splits:
+        certificate = split(run, place, most, energy, certificate)
+    group.oldest = next_place(commands, place)
+    return new(Rendering, (factor * rendered, certificate))
+
+
+def write_wish(world: GroupModel, run: GuardedRun, under_way: QueuedTorques) -> float:
+    """Write the requested efforts at the predicted motor positions; returns the same as `write_efforts`.
+
+    Motion inside a network is not predicted: it continues as in the last hold, and the motors with it.
+    """
+    settings, state, memory = run
+    loop, motion, followed, request = settings.loop.motion, state.group.motion, memory.group.motion, memory.request
+    way, steady = memory.way, memory.steady
+    for i in range(len(way)):
+        for hold in range(under_way.holds):
+            memory.column[hold] = under_way.torques[under_way.first + hold][i]
+        travel = followed.velocity[i] * loop.sample_time
+        steady[i] = settings.lead * travel
+        way[i], memory.step[i] = predicted(settings.prediction[i], memory.predicted[i], memory.column, 0, travel)
+    moves = internal_motion(world.tables, followed.network.room) != 0.0
+    ahead = new(MotionAhead, (settings.lead, steady if moves else way, memory.step, state.was_engaged and not moves))
+    speed = write_efforts(world, loop, motion, followed, ahead, request)
+    if moves:
+        for i in range(len(way)):
+            way[i] = steady[i]
+    elif state.account.h_s < motion.energy:  # going in, more may be taken in where the account is short
+        further = least = 0.0
+        for i in range(len(way)):
+            further += request.spring[i] * steady[i]
+            least += request.spring[i] * way[i]
+        if further > 0.0 and further > least:
+            for i in range(len(way)):
+                way[i] = steady[i]
+            write_springs(world, motion, followed, settings.lead, way, request)
+    return speed
+
+
+def split(run: GuardedRun, place: int, most: float, energy: float, certificate: int) -> int:
+    """Set a command to the larger part of the requested torques, by a common share or by inward torques first.
+
+    Returns:
+        Certificate of the command.
+    """
+    settings, _, memory = run
+    account, commands, together, found = settings.account, memory.group.commands, memory.sent, memory.scaled
+    for i in range(len(found)):
+        memory.asked[i] = most * memory.torques[i]
+    apart, mover_motion = memory.account.apart, memory.account.mover_motion
+    inward_first(account.axes, account.apart, apart, mover_motion, memory.asked, settings.quanta, energy, found)
+    more = 0.0
+    for i in range(len(found)):
+        more += (found[i] - together[i]) * memory.asked[i] * account.apart.responses[i]
+    take_applied(commands, place, found if more > 0.0 else together)
+    return _BY_FORCE if more > 0.0 else certificate
+
+
+def within_limits(run: GuardedRun) -> float:
+    """Largest share of the requested torques, up to 1, that no limiter reduces: see `drive.profile.limiter`.
+
+    Reducing one axis after all were certified together would turn the torque of the group.
+    """
+    settings, state, memory = run
+    loop, torques, most = settings.loop, memory.torques, 1.0
+    newest, moved = memory.group.commands.torques[state.group.oldest - 1], memory.group.ended.displacement
+    time = state.group.motion.holds * loop.motion.sample_time
+    for i in range(len(torques)):
+        sign = 1.0 if torques[i] > 0.0 else -1.0
+        size, limit = sign * torques[i], loop.largest[i]
+        limit = min(limit, loop.rises[i] + max(0.0, sign * newest[i]))
+        if sign * moved[i] > 0.0:
+            limit = min(limit, loop.powers[i] * time / (sign * moved[i]))
+        if size > limit:
+            most = min(most, limit / size)
+    return most
+
+
+def certify(run: GuardedRun, at: Accounting, energy: float, most: float, covered: bool) -> tuple[float, int]:
+    """Write the torques to send; return their share of the requested ones, and the certificate."""
+    torques, sent = run.memory.torques, run.memory.sent
+    if not acts(torques):
+        for i in range(len(sent)):
+            sent[i] = torques[i]
+        return 1.0, _UNBOUNDED
+    by_force, by_damping, by_speed = shares(at, torques, energy)
+    factor, largest = most, max(by_force, by_damping, by_speed)
+    if factor > largest:
+        factor, covered = largest, False
+    certificate = _UNBOUNDED
+    if not covered or factor < 1.0:
+        certificate = _BY_SPEED
+        if by_damping >= factor > 0.0:  # of no share at all, what `split` adds is by hand force
+            certificate = _BY_DAMPING
+        elif by_force >= factor:
+            certificate = _BY_FORCE
+    if run.settings.quantised:
+        return put_on_grid(run, at, energy, factor), certificate
+    for i in range(len(sent)):
+        sent[i] = factor * torques[i]
+    return factor, certificate
+
+
+def acts(torques: Buffer) -> bool:
+    """Return whether any torque is not zero."""
+    for torque in torques:
+        if torque != 0.0:
+            return True
+    return False
+
+
+def put_on_grid(run: GuardedRun, at: Accounting, energy: float, factor: float) -> float:
+    """Write torques rounded towards 0 to the drives' quanta, and certified as such; return their share.
+
+    Rounding a single axis is safe; rounding several turns the force a little, so that it is certified again.
+    """
+    sent = run.memory.sent
+    for _ in range(_GRID_TRIES):
+        for i in range(len(sent)):
+            sent[i] = towards_zero(factor * run.memory.torques[i], run.settings.quanta[i])
+        if len(sent) == 1 or not acts(sent):
+            return factor
+        by_force, by_damping, by_speed = shares(at, sent, energy)
+        share = max(by_force, by_damping, by_speed)
+        if share >= 1.0:
+            return factor
+        factor *= _GRID_BACK * share
+    for i in range(len(sent)):
+        sent[i] = 0.0
+    return 0.0
+
+
+def write_dampers(run: GuardedRun, share: float) -> float:
+    """Write the efforts of the damper and of the modulated damper (eq. 19); return the damping rendered."""
+    settings, state, memory = run
+    request, damper, modulated, h_dis = memory.request, memory.damper, memory.modulated, state.account.h_dis
+    square = along = extra = 0.0
+    for i in range(len(damper)):
+        damper[i] = share * request.damper[i]
+        square += request.velocity[i] * request.velocity[i]
+        along += damper[i] * request.velocity[i]
+    rendered = along / square if square != 0.0 else 0.0
+    if settings.alpha > 0.0 and h_dis > 0.0 and square != 0.0:
+        sample_time = settings.loop.motion.sample_time
+        extra = modulated_damping(
+            settings.alpha, h_dis, rendered, settings.loop.least_cap, sqrt(square) * sample_time, sample_time
+        )
+    for i in range(len(modulated)):
+        modulated[i] = extra * request.velocity[i]
+    return rendered + extra
+
+
+def shares_of_wish(run: GuardedRun, internal_speed: float, energy: float) -> tuple[float, float, float, bool]:
+    """Shares of spring, lead and damper to render, and whether the account covers all of them."""
+    settings, _, memory = run
+    request, caps = memory.request, settings.loop.caps
+    size, lead_size = capped_norm(request.spring, caps), capped_norm(request.lead, caps)
+    damper_size = capped_norm(request.damper, caps)
+    speed = 0.0
+    for i in range(len(caps)):
+        speed += caps[i] * request.velocity[i] * request.velocity[i]
+    speed = sqrt(speed)
+    if internal_speed != 0.0:
+        speed += sqrt(settings.loop.most_cap) * internal_speed
+    room, share, lead_share, damper_share = speed, 1.0, 1.0, min(1.0, speed / damper_size) if damper_size > 0.0 else 1.0
+    permitted = permitted_square(run, size, energy)
+    covered = permitted >= 1.0
+    if not covered:
+        share = sqrt(permitted)
+        inward = opposed = 0.0
+        for i in range(len(caps)):
+            inward += request.spring[i] * request.velocity[i]
+            opposed += request.lead[i] * request.spring[i] / caps[i]
+        if inward > 0.0:
+            catch_up = min(size - share * size, inward / size, room)
+            share += catch_up / size
+            room -= catch_up
+        if opposed < 0.0 and lead_size > share * size:  # a spring does not stick
+            lead_share = share * size / lead_size
+    if damper_share * damper_size > room:
+        damper_share, covered = room / damper_size, False
+    lead, led = capped_norm(request.lead, settings.calm), 0.0
+    for i in range(len(caps)):
+        led += settings.calm[i] * memory.way[i] * memory.way[i]
+    led = sqrt(led)
+    if lead_share * lead > led:
+        lead_share = led / lead
+    return share, lead_share, damper_share, covered
+
+
+def permitted_square(run: GuardedRun, size: float, energy: float) -> float:
+    """Return the square of the share of the springs that the account covers; may be above 1."""
+    settings, state, memory = run
+    request, account = memory.request, state.account
+    if size == 0.0:
+        return 1.0
+    permitted = 0.0
+    if settings.account.axes.by_hand:
+        calm = capped_norm(request.spring, settings.calm)
+        permitted = quotient(2.0 * energy, calm * calm)
+    if settings.account.axes.by_damping:
+        total = needed = 0.0
+        for i in range(len(settings.damped)):
+            spring, stiffness = request.spring[i], settings.damped[i]
+            whole = spring + request.lead[i] + request.damper[i]
+            total += 0.5 * (whole * whole) / stiffness
+            needed += 0.5 * spring * spring / stiffness
+        keep(account, energy, state.group.motion.energy + total)
+        permitted = max(permitted, quotient(energy + account.dissipated, needed))
+    if settings.path > 0.0 and energy > 0.0:
+        travelled = 0.0
+        for spring in request.spring:
+            travelled += abs(spring)
+        ratio = quotient(energy, settings.path * travelled)
+        permitted = max(permitted, ratio * ratio)
+    return permitted
+
+
+def capped_norm(efforts: Buffer, caps: Buffer) -> float:
+    """Return the norm of efforts in which every axis has its own damping cap."""
+    total = 0.0
+    for i in range(len(efforts)):
+        total += efforts[i] * efforts[i] / caps[i]
+    return sqrt(total)
 
 
 class GuardedGroup(SteppedGroup):
