@@ -11,12 +11,13 @@ from math import sqrt
 from typing import ClassVar, Final
 
 from canhaptic.control.admittance.force_evidence import LateMargin
+from canhaptic.control.admittance.group_environment import AdmittanceMass, GroupMass, TaskEnvironment
 from canhaptic.control.admittance.guarded_axis import GuardedAxis
 from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold, reopen
-from canhaptic.control.admittance.sampled_group import AdmittanceGroup, GroupMotion, require_alike
+from canhaptic.control.admittance.sampled_group import AdmittanceGroup
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, may_limit, reserve
-from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
-from canhaptic.control.multi_axis.group_controller import GroupBalance, group_at_rest
+from canhaptic.control.balance import Branch, Certificate, EnergyBalance
+from canhaptic.control.multi_axis.group_controller import GroupBalance
 from canhaptic.control.passivity.stepped import settle
 from canhaptic.errors import ForceContradictedError, ParameterError
 from canhaptic.units import Parameters
@@ -26,67 +27,47 @@ _CLOSE: Final = 0.999  # of the budget used: near enough
 
 
 class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
-    """A mass on several axes, with the certificate of their velocity loops; a `GroupController`.
-
-    Args:
-        environment: Environment to render.
-        parameters: Parameters of every axis; masses are over-estimates of the largest.
-        properties: Declared properties of each axis; sample time, delay and latency are the same for all.
-
-    Attributes:
-        axes: Number of axes.
-        energy_resolution: Uncertainty of the energy of all axes [J]; its lower end is booked.
-
-    Raises:
-        ParameterError: Parts do not fit together, or a hand is declared.
-    """
+    """A mass on several axes, with the certificate of their velocity loops."""
 
     parameters_type: ClassVar[type[Parameters]] = GuardedAdmittanceParameters
     is_certified: ClassVar[bool] = True
+    _parameters: GuardedAdmittanceParameters
 
     def __init__(
         self,
-        environment: GroupMotion,
+        environment: GroupMass | TaskEnvironment,
         parameters: GuardedAdmittanceParameters,
         properties: Sequence[AdmittanceProperties],
     ) -> None:
-        require_alike(properties)
         for key in ("largest_hand_force", "hand_stiffness"):
             if getattr(parameters, key):
                 raise ParameterError(
                     f"guarded: {key}: got {getattr(parameters, key):g}, expected 0 for several axes: "
                     "such a hand is proved for one axis only"
                 )
-        environment.require(len(properties))
-        self.axes = len(properties)
-        self._environment, self._parameters, self._properties = environment, parameters, tuple(properties)
-        self._time, self._allowance = properties[0].sample_time, parameters.energy_allowance
-        self.max_consecutive_losses, self.energy_allowance = parameters.max_consecutive_losses, self._allowance
-        self.reset()
+        self._allowance = self.energy_allowance = parameters.energy_allowance
+        self.max_consecutive_losses = parameters.max_consecutive_losses
+        super().__init__(environment, parameters, properties)
+
+    def _begun(self, environment: AdmittanceMass, properties: AdmittanceProperties) -> GuardedAxis:
+        return GuardedAxis(environment, self._parameters, properties)
 
     def reset(self) -> None:
         """Return to the initial state; see `GroupController`."""
-        self._each = [
-            GuardedAxis(self._environment.of_axis(place), self._parameters, of)
-            for place, of in enumerate(self._properties)
-        ]
-        self._margin = LateMargin(self._properties[0].latency)
-        self._h_s = self._surplus = self._taken = 0.0
+        super().reset()
+        self._margin, self._surplus, self._taken = LateMargin(self._properties[0].latency), 0.0, 0.0
         uneven = any(of.jitter > 0.0 for of in self._properties)  # the integral of the drive is then unknown
-        self._is_unsure, self._started = uneven and self._parameters.integral_gain > 0.0, False
-        self._last = group_at_rest(self.axes)
+        self._is_unsure = uneven and self._parameters.integral_gain > 0.0
 
     def sample_lost(self) -> GroupBalance:
         """Answer a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
-        speeds = (0.0,) * self.axes
+        balance = super().sample_lost()
         if self._started:
-            self._let_pass([axis.unseen() for axis in self._each])
-            for axis in self._each:
-                axis.commands.send(0.0)
             self._watch_limit()
-        last = self._last.account
-        account = AT_REST._replace(h_s=last.h_s, h_dis=last.h_dis, branch=Branch.HELD.value)
-        return GroupBalance(speeds, account, speeds)
+        return balance
+
+    def _miss(self) -> None:
+        self._let_pass([axis.unseen() for axis in self._each])
 
     def lasted(self, periods: float) -> None:
         """Account for skipped SYNCs: no command was sent, and the queued ones acted longer."""

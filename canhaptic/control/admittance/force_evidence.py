@@ -143,14 +143,8 @@ class _Half:
     """Sums over the holds of one half of a hat: as they are, and with the weight of a rise."""
 
     begin: float  # position [m or rad]
-    force: float = 0.0
-    rising_force: float = 0.0
-    slip: float = 0.0  # v - r
-    rising_slip: float = 0.0
-    lead: float = 0.0
-    rising_lead: float = 0.0
-    loose: float = 0.0  # uncertainty of each hold [N or N*m]
-    rising_loose: float = 0.0
+    sums: list[float] = field(default_factory=lambda: [0.0] * 4)  # of force, v - r, lead and uncertainty of each hold
+    rising: list[float] = field(default_factory=lambda: [0.0] * 4)
     is_limited: bool = False
     command_change: float = 0.0  # sum of abs(change of the command) [m/s or rad/s]
     force_change: float = 0.0
@@ -225,14 +219,9 @@ class MomentumCheck:
         mean, doubt = self._mean_force(force, memory.force)
         loose = doubt + self._loop.gain * hold.uncertainty + self._damping * abs(velocity)
         slip, lead = velocity - hold.command, 0.5 * (memory.lead + hold.lead)
-        half.force += mean
-        half.rising_force += rise * mean
-        half.slip += slip
-        half.rising_slip += rise * slip
-        half.lead += lead
-        half.rising_lead += rise * lead
-        half.loose += loose
-        half.rising_loose += rise * loose
+        for place, value in enumerate((mean, slip, lead, loose)):
+            half.sums[place] += value
+            half.rising[place] += rise * value
         torque = self._loop.gain * (abs(slip) + 0.5 * port.handle_acceleration * time + port.encoder_count / time)
         torque += self._loop.integral * (abs(lead) + port.encoder_count + abs(slip) * time)
         half.is_limited = half.is_limited or torque >= self._loop.torque_limit
@@ -257,10 +246,8 @@ class MomentumCheck:
     def _compared(self, first: _Half, second: _Half) -> Disagreement | None:
         """Compare the means over a whole hat."""
         holds, loop = self._holds, self._loop
-        force = (first.rising_force + second.force - second.rising_force) / holds
-        slip = (first.rising_slip + second.slip - second.rising_slip) / holds
-        lead = (first.rising_lead + second.lead - second.rising_lead) / holds
-        loose = (first.rising_loose + second.loose - second.rising_loose) / holds
+        halves = zip(first.rising, second.sums, second.rising, strict=True)
+        force, slip, lead, loose = [(rising + whole - falling) / holds for rising, whole, falling in halves]
         bent = (self._memory.position - 2.0 * second.begin + first.begin) / (self._half * self._half)
         terms = (
             (loop.mass * (1.0 - self._spread), loop.mass, bent),

@@ -1,16 +1,16 @@
 """Several admittance displays with one account and without a certificate: `unprotected` and observer.
 
 What sampling, the drives and the uncertainty of the account create is booked as `gen`, what they lose as `leak`, as on
-one axis (`sampled_mass`). The observer counts the sum of F u T over all axes.
+one axis (`unprotected_admittance`). The observer counts the sum of F u T over all axes.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from math import isfinite, sqrt
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 from canhaptic.control.admittance.admittance_environment import AdmittanceAxis
-from canhaptic.control.admittance.group_environment import AdmittanceMass
+from canhaptic.control.admittance.group_environment import AdmittanceMass, GroupMass, TaskEnvironment
 from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold
 from canhaptic.control.admittance.unprotected_admittance import NothingToChoose
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
@@ -21,78 +21,65 @@ from canhaptic.units import Parameters
 _Vector = list[float]
 
 
-class GroupMotion(Protocol):
-    """Environment of a group of displays, in motor axes; see `GroupMass`."""
-
-    damping: float
-
-    def require(self, axes: int) -> None:
-        """Check that it fits a number of axes; raise ParameterError."""
-
-    def of_axis(self, axis: int, /) -> AdmittanceMass:
-        """Return the mass on one axis, with its walls."""
-
-    def speeds_after(self, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
-        """Return the speeds after another hold under the forces of the hand [m/s or rad/s]."""
-
-    def stored(self, speeds: _Vector) -> float:
-        """Return the energy of the mass [J]."""
-
-    def lost(self, speeds: _Vector, time: float) -> float:
-        """Return the energy that the damper dissipates in a time [J]."""
-
-
-def require_alike(properties: Sequence[AdmittanceProperties]) -> None:
-    """Require that the axes of a group share their clock.
-
-    Raises:
-        ParameterError: They do not.
-    """
-    if len({(p.sample_time, p.delay, p.latency) for p in properties}) > 1:
-        raise ParameterError("got axes that differ in sample time, delay or force.latency, expected the same for all")
-
-
-def require_finite(positions: Sequence[float], torques: Sequence[float], axes: int) -> None:
-    """Require a finite sample of every axis.
-
-    Raises:
-        ControlError: It did not, or is not finite.
-    """
-    if not len(positions) == len(torques) == axes or not isfinite(sum((*positions, *torques))):
-        raise ControlError(
-            f"group controller: got positions {tuple(positions)} and applied forces {tuple(torques)}, "
-            f"expected {axes} finite numbers each; the velocities are zero and the controller was reset; "
-            "check encoders and force sensors"
-        )
-
-
 _Axis = TypeVar("_Axis", bound=AdmittanceAxis)
 
 
 class AdmittanceGroup(ABC, Generic[_Axis]):
     """Common part of every `GroupController` of displays; `_answer` is the algorithm's own.
 
+    Args:
+        environment: Environment to render.
+        parameters: Parameters of the algorithm.
+        properties: Declared properties of each axis; sample time, delay and latency are the same for all.
+
     Attributes:
         axes: Number of axes.
+
+    Raises:
+        ParameterError: Parts do not fit together.
     """
 
-    axes: int
-    _each: list[_Axis]
-    _started: bool
-    _last: GroupBalance
+    is_certified: ClassVar[bool] = False
+
+    def __init__(
+        self, environment: GroupMass | TaskEnvironment, parameters: Any, properties: Sequence[AdmittanceProperties]
+    ) -> None:
+        if len({(p.sample_time, p.delay, p.latency) for p in properties}) > 1:
+            raise ParameterError(
+                "got axes that differ in sample time, delay or force.latency, expected the same for all"
+            )
+        environment.require(len(properties))
+        self.axes, self._time = len(properties), properties[0].sample_time
+        self._environment, self._parameters, self._properties = environment, parameters, tuple(properties)
+        self.reset()
+
+    @abstractmethod
+    def _begun(self, environment: AdmittanceMass, properties: AdmittanceProperties) -> _Axis:
+        """Return an axis at rest."""
+
+    def reset(self) -> None:
+        """Return to the initial state; see `GroupController`."""
+        self._each = [self._begun(self._environment.of_axis(axis), of) for axis, of in enumerate(self._properties)]
+        self._h_s, self._started, self._last = 0.0, False, group_at_rest(self.axes)
 
     @property
     def energy_resolution(self) -> float:
         """Uncertainty of the sum of h_i of all axes [J]; its lower end is booked."""
         return 2.0 * sum(axis.port.doubt for axis in self._each)
 
-    @abstractmethod
-    def reset(self) -> None:
-        """Return to the initial state; see `GroupController`."""
-
-    @abstractmethod
     def sample_lost(self) -> GroupBalance:
         """Answer a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
+        speeds, last = (0.0,) * self.axes, self._last.account
+        if self._started:
+            self._miss()
+            for axis in self._each:
+                axis.commands.send(0.0)
+        return GroupBalance(speeds, AT_REST._replace(h_s=last.h_s, h_dis=last.h_dis, branch=Branch.HELD.value), speeds)
+
+    def _miss(self) -> None:
+        """Account for a hold that ended without a sample."""
+        for axis in self._each:
+            axis.port.missed += 1
 
     def lasted(self, periods: float) -> None:
         """Count skipped SYNCs as lost samples, during which the commands kept acting."""
@@ -102,11 +89,14 @@ class AdmittanceGroup(ABC, Generic[_Axis]):
 
     def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
         """Account for the hold that ended; see `GroupController`. `torques_applied` are minus the forces."""
-        try:
-            require_finite(positions, torques_applied, self.axes)
-        except ControlError:
+        values = (*positions, *torques_applied)
+        if not len(positions) == len(torques_applied) == self.axes or not isfinite(sum(values)):
             self.reset()
-            raise
+            raise ControlError(
+                f"group controller: got positions {tuple(positions)} and applied forces {tuple(torques_applied)}, "
+                f"expected {self.axes} finite numbers each; the velocities are zero and the controller was reset; "
+                "check encoders and force sensors"
+            )
         forces = [-torque for torque in torques_applied]
         if self._started:
             self._last = self._answer(positions, forces)
@@ -122,55 +112,25 @@ class AdmittanceGroup(ABC, Generic[_Axis]):
 
 
 class UnprotectedAdmittanceGroup(AdmittanceGroup[AdmittanceAxis]):
-    """A mass on several axes without protection; a `GroupController`.
-
-    Args:
-        environment: Environment to render.
-        parameters: Parameters of the algorithm.
-        properties: Declared properties of each axis; sample time, delay and latency are the same for all.
-
-    Attributes:
-        axes: Number of axes.
-        energy_resolution: Uncertainty of the energy of all axes; its lower end is booked [J].
-
-    Raises:
-        ParameterError: Parts do not fit together.
-    """
+    """A mass on several axes without protection."""
 
     parameters_type: ClassVar[type[Parameters]] = NothingToChoose
-    is_certified: ClassVar[bool] = False
 
-    def __init__(self, environment: GroupMotion, parameters: Any, properties: Sequence[AdmittanceProperties]) -> None:
-        require_alike(properties)
-        environment.require(len(properties))
-        self.axes = len(properties)
-        self._environment, self._properties, self._time = environment, tuple(properties), properties[0].sample_time
-        self._parameters = parameters
-        self.reset()
+    def _begun(self, environment: AdmittanceMass, properties: AdmittanceProperties) -> AdmittanceAxis:
+        return AdmittanceAxis(environment, properties, properties.delay + 1)
 
     def reset(self) -> None:
         """Return to the initial state; see `GroupController`."""
-        self._each = [
-            AdmittanceAxis(self._environment.of_axis(place), of, of.delay + 1)
-            for place, of in enumerate(self._properties)
-        ]
-        self._slips, self._h_s, self._energy, self._started = [0.0] * self.axes, 0.0, self._begin(), False
-        self._last = group_at_rest(self.axes)
+        super().reset()
+        self._slips, self._energy = [0.0] * self.axes, self._begin()
 
     def _begin(self) -> float:
         """Initial energy of the algorithm's own [J]."""
         return 0.0
 
-    def sample_lost(self) -> GroupBalance:
-        """Answer a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
-        speeds = (0.0,) * self.axes
-        if self._started:
-            for axis in self._each:
-                axis.port.missed += 1
-                axis.commands.send(0.0)
-            self._slips = [0.0] * self.axes
-        last = self._last.account
-        return GroupBalance(speeds, AT_REST._replace(h_s=last.h_s, branch=Branch.HELD.value), speeds)
+    def _miss(self) -> None:
+        super()._miss()
+        self._slips = [0.0] * self.axes
 
     def _answer(self, positions: Sequence[float], forces: list[float]) -> GroupBalance:
         time = self._time
