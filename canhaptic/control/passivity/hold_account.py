@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass, field
 from math import inf
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from canhaptic.control.balance import Certificate, EnergyBalance
 from canhaptic.control.damping import DamperVelocity, VelocityWindow, restart, update
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.stepped import Commands, as_far_as_limit, efforts_inside, no_commands, repeat, send
-from canhaptic.kernels import Buffer, MakeBuffer, new
+from canhaptic.kernels import Buffer, MakeBuffer, Run, new
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,16 +90,17 @@ def axis_memory(delay: int, longest_window: int, make_buffer: MakeBuffer) -> Axi
     return AxisMemory(make_buffer(longest_window + 1 if longest_window else 0), no_commands(delay, make_buffer))
 
 
-class _WithHold(Protocol):
-    """Settings of an algorithm whose holds are those of this module."""
+class HoldMemory(NamedTuple):
+    """Buffers of one axis, and of its algorithm."""
 
-    @property
-    def hold(self) -> HoldSettings: ...
+    axis: AxisMemory
+    own: Buffer  # of the algorithm
 
 
-def hold_memory(settings: _WithHold, make_buffer: MakeBuffer) -> AxisMemory:
-    """Return the buffers of one axis for an algorithm without buffers of its own."""
-    return axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
+def hold_memory(settings: Any, make_buffer: MakeBuffer, own: int = 0) -> HoldMemory:
+    """Return the buffers of one axis for an algorithm whose settings have a `hold`, and its own of this length."""
+    axis = axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
+    return HoldMemory(axis, make_buffer(own))
 
 
 def begin(axis: Axis, memory: AxisMemory, position: float) -> None:
@@ -163,22 +164,13 @@ def let_samples_pass(
 
 
 def close_hold(
-    settings: HoldSettings,
-    axis: Axis,
-    memory: AxisMemory,
-    hold: Hold,
-    account: HoldAccount,
-    efforts: tuple[float, float, float],
-    rendered: float,
-    state: float,
-    h_s: float,
-) -> EnergyBalance:
+    run: Run[Any, Any, HoldMemory], hold: Hold, account: HoldAccount, efforts: tuple[float, float, float],
+    rendered: float, state: float, h_s: float,
+) -> EnergyBalance:  # fmt: skip
     """Send a command of given efforts (spring, damper, modulated) and return the balance of the hold.
 
     Args:
-        settings: Constants of the run.
-        axis: Axis; its surplus and commands are updated.
-        memory: Buffers of the axis.
+        run: Run of the algorithm; surplus and commands of its axis are updated.
         hold: The hold as it was opened.
         account: Account of the hold by the algorithm.
         efforts: Parts of the command [N or N*m].
@@ -186,16 +178,17 @@ def close_hold(
         state: Displacement of the storage [m or rad].
         h_s: Energy stored at that displacement [J].
     """
+    axis: Axis = run.state.axis
     h_i, h_pas = hold.h_i, hold.h_pas
     branch, h_r, gen, deficit, leak = account
     h_dis, paid = surplus_after(axis, hold, account)
     axis.h_dis = h_dis
     spring, damper, modulated = efforts
     torque = -spring - damper - modulated
-    axis.oldest = send(memory.commands, axis.oldest, torque, damper, modulated)
+    axis.oldest = send(run.memory.axis.commands, axis.oldest, torque, damper, modulated)
     return new(EnergyBalance, (
         torque, h_i, h_pas, h_i - h_pas, h_r, h_s, h_dis, gen, deficit, leak, paid, branch, rendered,
-        settings.certificate, state,
+        run.settings.hold.certificate, state,
     ))  # fmt: skip
 
 

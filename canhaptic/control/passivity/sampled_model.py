@@ -24,6 +24,7 @@ from canhaptic.control.passivity.hold_account import (
     AxisMemory,
     Hold,
     HoldAccount,
+    HoldMemory,
     HoldSettings,
     begin,
     close_hold,
@@ -31,7 +32,7 @@ from canhaptic.control.passivity.hold_account import (
     hold_settings,
     open_hold,
 )
-from canhaptic.kernels import Buffer, GivenT, Kernel, MakeBuffer, Run, StateT, new
+from canhaptic.kernels import GivenT, Kernel, MakeBuffer, Run, StateT, new
 from canhaptic.kernels.records import filled
 
 _FREE, _START, _EXACT, _EXIT = Branch.FREE.value, Branch.START.value, Branch.EXACT.value, Branch.EXIT.value
@@ -133,14 +134,7 @@ class SampledState:
     model: SampledModel = field(default_factory=SampledModel)
 
 
-class SampledMemory(NamedTuple):
-    """Buffers of one axis."""
-
-    axis: AxisMemory
-    own: Buffer  # of the algorithm
-
-
-SampledRun: TypeAlias = Run[SampledSettings[GivenT], StateT, SampledMemory]
+SampledRun: TypeAlias = Run[SampledSettings[GivenT], StateT, HoldMemory]
 """Settings, state and memory of an algorithm with given parameters and state."""
 
 
@@ -189,7 +183,7 @@ def step(
     gen, leak = settle(environment, model, stored, hold.h_i - hold.h_pas, asked.h_r)
     account = new(HoldAccount, (asked.branch, asked.h_r, gen, 0.0, leak))
     efforts = spring, damper, modulated
-    return close_hold(settings, axis, memory, hold, account, efforts, damping, model.state, model.h_s)
+    return close_hold(run, hold, account, efforts, damping, model.state, model.h_s)
 
 
 def sampled_kernel(
@@ -207,7 +201,7 @@ def sampled_kernel(
         kept: Length of the algorithm's own buffer.
     """
 
-    def memory_of(made: SampledSettings[Any], make_buffer: MakeBuffer) -> SampledMemory:
-        return SampledMemory(hold_memory(made, make_buffer), make_buffer(kept(made)))
+    def memory_of(made: SampledSettings[Any], make_buffer: MakeBuffer) -> HoldMemory:
+        return hold_memory(made, make_buffer, kept(made))
 
     return Kernel(settings, state, memory_of, filled(step, respond=respond_as))

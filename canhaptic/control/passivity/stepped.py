@@ -190,7 +190,7 @@ class SteppedController:
 
     def withhold(self) -> None:
         """Record that the command of the last `step` is not sent: in a dry run the drive holds no torque."""
-        commands = getattr(getattr(self._memory, "axis", self._memory), "commands", None)
+        commands = getattr(getattr(self._memory, "axis", None), "commands", None)
         if commands is not None:  # own code may keep none
             send(commands, self._axis.oldest - 1, 0.0, 0.0, 0.0)
 

@@ -22,7 +22,7 @@ and the exit. Each rule moves the storage and returns its account of the hold.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Final, Generic, NamedTuple
+from typing import Any, Final, Generic, NamedTuple, TypeAlias
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.damping import Alpha, DamperVelocity, damping_cap, modulated_damping
@@ -30,9 +30,9 @@ from canhaptic.control.environments.environment import Environment, plain
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import (
     Axis,
-    AxisMemory,
     Hold,
     HoldAccount,
+    HoldMemory,
     HoldSettings,
     begin,
     close_hold,
@@ -374,6 +374,10 @@ class StoredModelState:
     storage: Storage = field(default_factory=Storage)
 
 
+StoredModelRun: TypeAlias = Run[StoredModelSettings[Any], StoredModelState, HoldMemory]
+"""Settings, state and memory of an algorithm."""
+
+
 def stored_model_settings(
     environment: Environment, parameters: StoredModelParameters, loop: LoopProperties
 ) -> StoredModelSettings[Any]:
@@ -412,14 +416,9 @@ def exchange(environment: Environment, settings: StoredModelSettings[Any], stora
     raise NotImplementedError
 
 
-def step(
-    environment: Environment,
-    run: Run[StoredModelSettings[Any], StoredModelState, AxisMemory],
-    position: float,
-    torque_applied: float,
-) -> EnergyBalance:
+def step(environment: Environment, run: StoredModelRun, position: float, torque_applied: float) -> EnergyBalance:
     """Account for the hold that ended; see `Controller.step`."""
-    settings, state, memory = run.settings, run.state, run.memory
+    settings, state, memory = run.settings, run.state, run.memory.axis
     axis, storage = state.axis, state.storage
     if not axis.started:
         begin(axis, memory, position)
@@ -433,7 +432,7 @@ def step(
         account = leave(storage, exchange(environment, settings, storage, hold))
     else:
         account = UNTOUCHED
-    return close(environment, settings, axis, memory, storage, hold, account)
+    return close(environment, run, hold, account)
 
 
 def stored_model_kernel(
@@ -445,38 +444,28 @@ def stored_model_kernel(
     return Kernel(stored_model_settings, state, hold_memory, filled(step, touch=touch_as, exchange=exchange_as))
 
 
-def close(
-    environment: Environment,
-    settings: StoredModelSettings[Any],
-    axis: Axis,
-    memory: AxisMemory,
-    storage: Storage,
-    hold: Hold,
-    account: HoldAccount,
-) -> EnergyBalance:
+def close(environment: Environment, run: StoredModelRun, hold: Hold, account: HoldAccount) -> EnergyBalance:
     """Send spring, damper and the modulated damper of eq. 19, and return the balance of the hold.
 
     Args:
         environment: The rendered environment.
-        settings: Constants of the run.
-        axis: Axis; its surplus and commands are updated.
-        memory: Buffers of the axis.
-        storage: Storage after the hold.
+        run: Run of the algorithm, its storage after the hold.
         hold: The hold as it was opened.
         account: Account of the hold by the algorithm.
     """
+    settings, storage = run.settings, run.state.storage
     state, h_s = storage.state, storage.h_s
     if not storage.zone:
-        return close_hold(settings.hold, axis, memory, hold, account, (0.0, 0.0, 0.0), 0.0, state, h_s)
+        return close_hold(run, hold, account, (0.0, 0.0, 0.0), 0.0, state, h_s)
     measured = settings.hold.tolerance > 0.0 and not (settings.stores and is_deadlocked(storage))
     rendered, modulated = settings.damping, 0.0
     damper = rendered * (hold.velocity if measured else storage.velocity)
     if settings.given.alpha > 0.0:
-        surplus = surplus_after(axis, hold, account)[0]
+        surplus = surplus_after(run.state.axis, hold, account)[0]
         extra = modulated_damping(
             settings.given.alpha, surplus, rendered, settings.cap, hold.displacement, hold.elapsed
         )
         modulated = extra * hold.displacement / hold.elapsed
         rendered += extra
     efforts = environment.effort(state), damper, modulated
-    return close_hold(settings.hold, axis, memory, hold, account, efforts, rendered, state, h_s)
+    return close_hold(run, hold, account, efforts, rendered, state, h_s)
