@@ -65,6 +65,7 @@ from typing import Final, NamedTuple
 from canhaptic.control.admittance.admittance_environment import Commands
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, VelocityLoopSettings, largest_square
+from canhaptic.control.environments.environment import plain
 
 
 def held_back(force: float, loop: VelocityLoopSettings, speed: float) -> float:
@@ -120,12 +121,8 @@ class DeclaredHandSettings:
     """Declared properties of the hand, and constants that follow from drive and sensor."""
 
     loop: VelocityLoopSettings
-    stiffness: float  # K_e [N/m or N*m/rad]; 0: no hand is declared
-    speed: float  # w [m/s or rad/s]
-    mass: float  # N [kg or kg*m^2]
-    damping: float  # B [N*s/m or N*m*s/rad]
+    given: GuardedAdmittanceParameters  # K_e, w, N and B of the hand, d_d of the drive
     friction: float  # f_d [N or N*m]
-    viscous: float  # d_d [N*s/m or N*m*s/rad]
     holds: int  # from the SYNC of the last force to the one at which a new command acts
     lag: float  # l [s]
     decay: float  # part of the difference to the command that remains after a hold
@@ -168,8 +165,7 @@ def declared_hand_settings(
     """Constants of a run."""
     lag = loop.mass / loop.gain
     return DeclaredHandSettings(
-        loop, known.hand_stiffness, known.hand_speed, known.hand_mass, known.hand_damping,
-        known.drive_friction or 0.0, known.drive_damping,
+        loop, plain(known), known.drive_friction or 0.0,
         loop.delay + latency, lag, exp(-loop.sample_time / lag), loop.mass * (1.0 - known.spread),
         loop.gain * known.spread,
     )  # fmt: skip
@@ -223,7 +219,8 @@ def _gained(
             doubt += max(abs(begin), abs(end)) * room / (4.0 * port.force_slew)
     added = max(0.0, abs(heard.moved - way) - port.encoder_count)
     top = max(abs(begin), abs(end))
-    doubt += port.force_error * abs(way) + (settings.friction + 0.25 * settings.viscous * top) * top * time
+    friction = settings.friction + 0.25 * settings.given.drive_damping * top
+    doubt += port.force_error * abs(way) + friction * top * time
     doubt += settings.uncertainty * settings.uncertainty / (2.0 * loop.gain_least) * _square(settings, lead)
     return mean * way + 0.5 * loop.gain_least * added * added / time - doubt
 
@@ -241,15 +238,15 @@ def _forces(
     uncertainty = port.encoder_count / time
     if port.is_mean:
         late = max(0.0, 0.5 * sign * heard.moved + port.handle_acceleration * time * time / 12.0)
-        late = settings.stiffness * (late + 0.5 * settings.speed * time)
+        late = settings.given.hand_stiffness * (late + 0.5 * settings.given.hand_speed * time)
     else:
         uncertainty += 0.5 * port.handle_acceleration * time
     lead = sign * (heard.command - heard.moved / time) - uncertainty
     push = along + (loop.gain_least if lead > 0.0 else loop.gain) * lead - settings.friction
-    push -= settings.viscous * (abs(heard.moved) / time + uncertainty)
+    push -= settings.given.drive_damping * (abs(heard.moved) / time + uncertainty)
     push /= loop.mass if push > 0.0 else settings.moved
-    alone = min(late, 0.5 * port.force_slew * time) if settings.mass == 0.0 else late
-    return along - alone, along - late + settings.mass * push
+    alone = min(late, 0.5 * port.force_slew * time) if settings.given.hand_mass == 0.0 else late
+    return along - alone, along - late + settings.given.hand_mass * push
 
 
 def _square(settings: DeclaredHandSettings, lead: float) -> float:
@@ -269,8 +266,8 @@ def loss(
         newest: Index of the oldest command that differs from the new one.
         speed: New command [m/s or rad/s].
     """
-    loop, lag, holds, g = settings.loop, settings.lag, settings.holds, hand.before
-    time = loop.sample_time
+    loop, lag, holds, g, given = settings.loop, settings.lag, settings.holds, hand.before, settings.given
+    time, damping, mass, arm = loop.sample_time, given.hand_damping, given.hand_mass, given.hand_speed
     forth, back, late = lag * max(0.0, g), lag * max(0.0, -g), lag * lag * abs(g)
     top, square, bent = abs(g), 0.0, g
     for hold in range(holds + 1):
@@ -286,24 +283,24 @@ def loss(
         bent = command - lead * settings.decay
         top = max(top, abs(bent))
     square = _square(settings, 1.0) * square + 0.5 * lag * bent * bent
-    way, stiffness, share = forth + back, settings.stiffness, settings.uncertainty
-    uncertainty = stiffness * stiffness * way * late + settings.damping * settings.damping * top * way
-    fixed = stiffness * settings.speed * late + (2.0 * settings.damping * settings.speed + settings.friction) * way
-    fixed += 0.25 * settings.viscous * top * way + _OF_WAY * uncertainty / loop.gain_least
-    yielding = settings.damping * (top - hand.slowest), settings.damping * (top + hand.fastest)
+    way, stiffness, share = forth + back, given.hand_stiffness, settings.uncertainty
+    uncertainty = stiffness * stiffness * way * late + damping * damping * top * way
+    fixed = stiffness * arm * late + (2.0 * damping * arm + settings.friction) * way
+    fixed += 0.25 * given.drive_damping * top * way + _OF_WAY * uncertainty / loop.gain_least
+    yielding = damping * (top - hand.slowest), damping * (top + hand.fastest)
     push = 0.5 * stiffness * forth - hand.up + max(0.0, yielding[0])
     pull = 0.5 * stiffness * back - hand.down + max(0.0, yielding[1])
     largest = max(0.0, push * forth) + max(0.0, pull * back)
     largest += _OF_COMMANDS * share * share / loop.gain_least * square
-    if settings.mass > 0.0:
+    if mass > 0.0:
         push += hand.up - hand.up_with_mass
         pull += hand.down - hand.down_with_mass
-        share += settings.mass / lag
+        share += mass / lag
         slip = hand.slowest - g if g > 0.0 else g - hand.fastest
         heavy = max(0.0, push * forth) + max(0.0, pull * back)
         heavy += _OF_COMMANDS * share * share / loop.gain_least * square
-        heavy += 0.5 * settings.mass * ((1.0 + settings.mass / settings.moved) * top * top - g * g)
-        heavy -= settings.mass * abs(g) * slip
+        heavy += 0.5 * mass * ((1.0 + mass / settings.moved) * top * top - g * g)
+        heavy -= mass * abs(g) * slip
         largest = heavy if heavy > largest else largest
     return fixed + largest
 

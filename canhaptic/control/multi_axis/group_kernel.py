@@ -282,6 +282,8 @@ class SteppedGroup:
             ParameterError: Parts do not fit together, or the algorithm cannot do without something that is not known.
         """
         self.axes = kinematics.axes
+        self.max_consecutive_losses: int = getattr(parameters, "max_consecutive_losses", 0)
+        self.energy_allowance: float = getattr(parameters, "energy_allowance", 0.0)
         world = world_of(environment, kinematics, loops)
         settings = self.kernel.settings(world, parameters, loops)
         self._begin: Callable[[], GroupRun] = interpreted_run(self.kernel, world, settings)

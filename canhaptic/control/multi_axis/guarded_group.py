@@ -14,7 +14,6 @@ from typing import ClassVar, Final, NamedTuple, TypeAlias
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.certificates.torque_bound import keep
 from canhaptic.control.damping import modulated_damping
-from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis.group_account import (
     Accounting,
     AccountMemory,
@@ -32,7 +31,6 @@ from canhaptic.control.multi_axis.group_account import (
     shares,
 )
 from canhaptic.control.multi_axis.group_certificates import AxisLimits, axes_of, taken_by_mover
-from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
 from canhaptic.control.multi_axis.group_kernel import (
     Group,
     GroupHold,
@@ -617,14 +615,3 @@ class GuardedGroup(SteppedGroup):
 
     parameters_type: ClassVar[type[Parameters]] = GuardedParameters
     kernel: ClassVar[GroupKernel] = GroupKernel(settings_of, GuardedGroupState, memory_of, step)
-
-    def __init__(
-        self,
-        environment: NetworkEnvironment,
-        kinematics: Kinematics,
-        parameters: GuardedParameters,
-        loops: tuple[LoopProperties, ...],
-    ) -> None:
-        super().__init__(environment, kinematics, parameters, loops)
-        self.max_consecutive_losses = parameters.max_consecutive_losses
-        self.energy_allowance = parameters.energy_allowance
