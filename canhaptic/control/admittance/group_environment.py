@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple, Self
 from pydantic import model_validator
 
 from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
+from canhaptic.control.port_hamiltonian.gauss import dot, solve_linear
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer
 from canhaptic.units import Coordinates, Parameters, quantity
@@ -126,11 +127,11 @@ class GroupMass(Parameters):
 
     def stored(self, speeds: _Vector) -> float:
         """Return the energy of the mass [J]."""
-        return 0.5 * self.mass * _dot(speeds, speeds)
+        return 0.5 * self.mass * dot(speeds, speeds)
 
     def lost(self, speeds: _Vector, time: float) -> float:
         """Energy that the damper dissipates in a time [J]."""
-        return self.damping * _dot(speeds, speeds) * time
+        return self.damping * dot(speeds, speeds) * time
 
 
 class PathMass(GroupMass):
@@ -169,7 +170,7 @@ class PathMass(GroupMass):
     def speeds_after(self, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
         """Return the speeds after another hold; see `GroupMass`."""
         place = nearest(self._ends, positions)
-        pushed = self.mass * _dot(speeds, place.along) + time * _dot(forces, place.along)
+        pushed = self.mass * dot(speeds, place.along) + time * dot(forces, place.along)
         speed = pushed / (self.mass + time * self.damping)
         if not self.closed and ((place.is_begin and speed < 0.0) or (place.is_end and speed > 0.0)):
             speed = 0.0
@@ -191,23 +192,16 @@ def nearest(points: tuple[tuple[float, ...], ...], position: _Vector) -> PathPla
     best, least, last = PathPlace([], [], False, False), inf, len(points) - 2
     for piece, (start, end) in enumerate(pairwise(points)):
         span = [b - a for a, b in zip(start, end, strict=True)]
-        square = _dot(span, span)
-        share = min(1.0, max(0.0, _dot([p - a for p, a in zip(position, start, strict=True)], span) / square))
+        square = dot(span, span)
+        share = min(1.0, max(0.0, dot([p - a for p, a in zip(position, start, strict=True)], span) / square))
         away = [p - a - share * s for p, a, s in zip(position, start, span, strict=True)]
-        distance = _dot(away, away)
+        distance = dot(away, away)
         if distance < least:
             length = sqrt(square)
             least = distance
             is_begin, is_end = piece == 0 and share == 0.0, piece == last and share == 1.0
             best = PathPlace([s / length for s in span], away, is_begin, is_end)
     return best
-
-
-def _dot(first: _Vector, second: _Vector) -> float:
-    total = 0.0
-    for a, b in zip(first, second, strict=True):
-        total += a * b
-    return total
 
 
 _Rows = Sequence[Sequence[float]]
@@ -231,10 +225,7 @@ class TaskEnvironment:
                 f"kinematics: got {kinematics.axes} motor axes and {kinematics.dimensions} task coordinates, expected "
                 "as many: only then does every speed in task space have one of the motors"
             )
-        from canhaptic.control.port_hamiltonian.gauss import solve_linear  # a display without mechanism needs none
-
         self._environment, self._kinematics, self._ahead = environment, kinematics, time_ahead
-        self._solve = solve_linear
         self._jacobian: _Rows = ()
         self.damping = environment.damping
 
@@ -260,11 +251,11 @@ class TaskEnvironment:
         transposed = [list(column) for column in zip(*jacobian, strict=True)]
         pushed = list(forces)
         before = _times(jacobian, speeds)
-        if not self._solve(transposed, pushed):
+        if not solve_linear(transposed, pushed):
             return [0.0] * len(speeds)
         request = self._environment.speeds_after(before, pushed, list(pose.position), time)
         request = self._within_walls(request, before, pose.position, time)
-        return request if self._solve([list(row) for row in jacobian], request) else [0.0] * len(speeds)
+        return request if solve_linear([list(row) for row in jacobian], request) else [0.0] * len(speeds)
 
     def _within_walls(self, request: _Vector, before: _Vector, place: Sequence[float], time: float) -> _Vector:
         walls, found = self._environment, []

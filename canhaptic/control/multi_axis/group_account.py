@@ -90,6 +90,7 @@ from canhaptic.control.multi_axis.per_axis_certificates import (
     taken_at_most,
     write_needs,
 )
+from canhaptic.control.port_hamiltonian.gauss import dot
 from canhaptic.kernels import Buffer, Matrix, list_of_zeros, new, zeros
 
 
@@ -705,9 +706,7 @@ def by_hand_force(at: Accounting, torques: Buffer, energy: float, moved: float) 
     axes, memory, under_way = at.settings.axes, at.memory, at.under_way
     for hold in range(under_way.holds):
         extraction = extraction_of(at, hold)
-        acting, along = under_way.torques[under_way.first + hold], 0.0
-        for i in range(len(torques)):
-            along += acting[i] * torques[i]
+        along = dot(under_way.torques[under_way.first + hold], torques)
         energy -= extraction if along >= 0.0 else max(0.0, extraction)
     base, gain = worst_case(at, torques, under_way.holds) + moved, gain_of(axes, torques)
     if axes.timing.is_ideal:

@@ -7,6 +7,7 @@ from canhaptic.control.damping import VelocityWindow, restart, update
 from canhaptic.control.mechanisms.kinematics import Kinematics, KinematicsKernel, Limit, mechanism_of
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.port_hamiltonian.gauss import dot
 from canhaptic.control.port_hamiltonian.network import NetworkTables
 from canhaptic.control.port_hamiltonian.sampled_network import (
     NetworkMemory,
@@ -339,10 +340,7 @@ def write_springs(
 def to_ports(memory: MotionMemory, moved: Buffer, carried: float, into: Buffer) -> None:
     """Write the port motion [m or rad] due to a motor motion, less the mover's."""
     for j in range(len(into)):
-        row, total = memory.at_motors[j], 0.0
-        for axis in range(len(row)):
-            total += row[axis] * moved[axis]
-        into[j] = total - carried
+        into[j] = dot(memory.at_motors[j], moved) - carried
 
 
 def write_port_motion(settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, into: Buffer) -> None:
@@ -350,10 +348,7 @@ def write_port_motion(settings: MotionSettings, motion: GroupMotion, memory: Mot
     holds = motion.holds
     for j in range(len(into)):
         if settings.smooth:
-            row, total = memory.at_motors[j], 0.0
-            for axis in range(len(row)):
-                total += row[axis] * memory.velocity[axis]
-            into[j] = total * settings.sample_time - motion.moved / holds
+            into[j] = dot(memory.at_motors[j], memory.velocity) * settings.sample_time - motion.moved / holds
         else:
             into[j] = memory.displacement[j] / holds
 

@@ -1,6 +1,14 @@
-"""Linear equations in place, in plain loops: the few states of a network, factored at every step of Newton's method."""
+"""Sums of products, and linear equations in place: the few states of a network, factored at every step of Newton."""
 
 from canhaptic.kernels import Buffer, Matrix
+
+
+def dot(row: Buffer, vector: Buffer) -> float:
+    """Return the product of a row and a vector of the same length, summed from the first entry on."""
+    total = 0.0
+    for i in range(len(row)):
+        total += row[i] * vector[i]
+    return total
 
 
 def solve_linear(matrix: Matrix, right: Buffer) -> bool:

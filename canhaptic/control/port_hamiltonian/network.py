@@ -25,6 +25,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from canhaptic.control.port_hamiltonian.gauss import dot
 from canhaptic.control.port_hamiltonian.storages import (
     Damper,
     DampingMatrix,
@@ -95,10 +96,7 @@ def stored_energy(tables: NetworkTables, state: Buffer) -> float:
             total += 0.25 * stiffness[i] * stiffness[i] / hardening[i]
     if tables.coupled:
         for i in range(len(stiffness)):
-            row, sum_ = tables.quadratic[i], 0.0
-            for j in range(len(stiffness)):
-                sum_ += row[j] * state[j]
-            total += 0.5 * state[i] * sum_
+            total += 0.5 * state[i] * dot(tables.quadratic[i], state)
     return total
 
 

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from math import sqrt
 from typing import Final, NamedTuple, Protocol
 
-from canhaptic.control.port_hamiltonian.gauss import solve_linear
+from canhaptic.control.port_hamiltonian.gauss import dot, solve_linear
 from canhaptic.control.port_hamiltonian.network import (
     NetworkTables,
     discrete_gradient,
@@ -91,12 +91,9 @@ def drive(tables: NetworkTables, state: Buffer, displacement: Buffer, room: Work
     """Write g dc, and the engaged share of the motion for every dissipator in parallel to a storage."""
     driven, step = room.driven, room.step
     for i in range(len(driven)):
-        row, total = tables.gain[i], 0.0
-        for j in range(len(row)):
-            total += row[j] * displacement[j]
-        driven[i] = total
+        driven[i] = dot(tables.gain[i], displacement)
         if not tables.moving:
-            step[i] = total
+            step[i] = driven[i]
     for j in range(len(room.engaged)):
         storage = tables.beside[j]
         room.engaged[j] = 1.0 if storage < 0 else engaged_share(tables, storage, state[storage], step[storage])
@@ -116,11 +113,7 @@ def dissipate(tables: NetworkTables, displacement: Buffer, sample_time: float, r
     """Write flow, effort and slope of every dissipator at the efforts of the step."""
     efforts = room.efforts
     for j in range(len(room.flows)):
-        flow = 0.0
-        row = tables.on_ports[j]
-        for i in range(len(row)):
-            flow += row[i] * displacement[i]
-        flow /= sample_time
+        flow = dot(tables.on_ports[j], displacement) / sample_time
         if tables.moving:
             row = tables.on_states[j]
             for i in range(len(row)):
@@ -337,15 +330,7 @@ def _aim(model: NetworkModel, sample: NetworkSample) -> float:
         room.weights[i] = weight
     if tables.by_functions:
         model.functions.add_change(room.direction, room.weights)
-    return _power_of(room)
-
-
-def _power_of(room: Workspace) -> float:
-    """Return r . de."""
-    total = 0.0
-    for i in range(len(room.residual)):
-        total += room.residual[i] * room.weights[i]
-    return total
+    return dot(room.residual, room.weights)  # the power r . de
 
 
 def _go_down(model: NetworkModel, sample: NetworkSample, power: float, left: int) -> tuple[float, int]:
@@ -365,7 +350,7 @@ def _go_down(model: NetworkModel, sample: NetworkSample, power: float, left: int
         for i in range(len(room.step)):
             room.step[i] = room.before[i] - share * room.direction[i]
         worst = evaluate(model, sample)
-        here = _power_of(room) if worst < math.inf else -math.inf
+        here = dot(room.residual, room.weights) if worst < math.inf else -math.inf
         if worst <= _FLOOR or abs(here) <= _LEVEL * power or (high == 0.0 and 0.0 < here <= _STEEP * power):
             return worst, tried
         if here < 0.0:
@@ -422,10 +407,7 @@ def begin_network(model: NetworkModel, network: NetworkState, memory: NetworkMem
     for j in range(len(coordinates)):
         memory.first[j] = coordinates[j]
     for i in range(len(memory.state)):
-        row, total = model.tables.origin[i], 0.0
-        for j in range(len(coordinates)):
-            total += row[j] * coordinates[j]
-        memory.state[i] = memory.begun[i] = total
+        memory.state[i] = memory.begun[i] = dot(model.tables.origin[i], coordinates)
         memory.room.step[i] = 0.0
     settle_network(model, network, memory)
     network.internal, network.evaluations = 0.0, 0
@@ -473,10 +455,7 @@ def propose(
         return False
     inner = 0.0
     for j in range(len(room.losses)):
-        row, at_ports = tables.on_ports[j], 0.0
-        for i in range(len(row)):
-            at_ports += row[i] * displacement[i]
-        inner += room.losses[j] * (room.flows[j] * elapsed - at_ports)
+        inner += room.losses[j] * (room.flows[j] * elapsed - dot(tables.on_ports[j], displacement))
     network.internal = inner
     return True
 
@@ -523,10 +502,7 @@ def springs(
     tables, room, state = model.tables, memory.room, memory.state
     now, ahead, moved, gain = room.efforts, memory.ahead, memory.moved, tables.gain
     for i in range(len(state)):
-        row, driven = gain[i], 0.0
-        for j in range(len(way)):
-            driven += row[j] * way[j]
-        moved[i] = state[i] + (lead * ((room.step[i] - room.driven[i]) / holds) + driven)
+        moved[i] = state[i] + (lead * ((room.step[i] - room.driven[i]) / holds) + dot(gain[i], way))
     gradient(tables, state, now)
     gradient(tables, moved, ahead)
     if tables.by_functions:
