@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar, Final, Literal, Self
 
 from pydantic import model_validator
 
-from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold, begin_port, book, port_of
+from canhaptic.control.admittance.port import AdmittanceProperties, Port
 from canhaptic.control.environments.environment import plain
 from canhaptic.kernels import Buffer
 from canhaptic.units import Parameters, quantity
@@ -114,15 +114,11 @@ class AdmittanceAxis:
         self._low = max(environment.lower_wall, properties.position_low)
         self._high = min(environment.upper_wall, properties.position_high)
         self._step = properties.acceleration_limit * properties.sample_time
-        self.port, self.commands = port_of(properties), Commands(kept)
+        self.port, self.commands = Port(self.properties), Commands(kept)
 
     def begin(self, position: float, force: float) -> None:
         """Take the first sample."""
-        begin_port(self.port, position, force)
-
-    def book(self, position: float, force: float) -> BookedHold:
-        """Book the hold to which the received force belongs."""
-        return book(self.properties, self.port, position, force)
+        self.port.begin(position, force)
 
     def limited(self, request: float, position: float, velocity: float) -> float:
         """Return the nearest command that speed, acceleration and position limits allow [m/s or rad/s].

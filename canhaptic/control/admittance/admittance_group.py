@@ -13,7 +13,7 @@ from typing import ClassVar, Final
 from canhaptic.control.admittance.force_evidence import LateMargin
 from canhaptic.control.admittance.group_environment import AdmittanceMass, GroupMass, TaskEnvironment
 from canhaptic.control.admittance.guarded_axis import GuardedAxis
-from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold, reopen
+from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold
 from canhaptic.control.admittance.sampled_group import AdmittanceGroup
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, may_limit, reserve
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
@@ -121,7 +121,7 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
         if proved <= free + energy:
             return holds, energy
         for axis in self._each:
-            reopen(axis.port)
+            axis.port.reopen()
         return holds, proved - free
 
     def _require_agreement(self, holds: Sequence[BookedHold], forces: Sequence[float], *, is_first: bool) -> None:

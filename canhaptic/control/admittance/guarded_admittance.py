@@ -37,7 +37,7 @@ from canhaptic.control.admittance.declared_hand import (
 )
 from canhaptic.control.admittance.force_evidence import LateMargin
 from canhaptic.control.admittance.guarded_axis import GuardedAxis
-from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold, reopen
+from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold
 from canhaptic.control.admittance.velocity_loop import (
     GuardedAdmittanceParameters,
     fastest,
@@ -225,7 +225,7 @@ class GuardedAdmittance(AdmittanceController):
         proved = margin.before[then] - self._taken
         if proved <= late:
             return hold, late - free
-        reopen(port)
+        port.reopen()
         return hold, proved - free
 
     def _fall(self, change: float) -> None:

@@ -61,7 +61,7 @@ class GuardedAxis(AdmittanceAxis):
     def take(self, position: float, force: float) -> tuple[BookedHold, float]:
         """Book the hold that ended; return it, and a lower bound on the change of the margin in it [J]."""
         missed, loop = self.port.missed, self.loop
-        hold = self.book(position, force)
+        hold = self.port.book(position, force)
         if not missed:
             change = gained(loop, self.drive.lead, self.commands, hold.moved)
         else:  # with an integral all is deducted by now

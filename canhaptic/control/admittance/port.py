@@ -14,12 +14,12 @@ integral abs(e) <= (L^2 H^2 - dF^2) / 4L; the chord's slope dF / H against v is 
 A filter of first order, F = F_f + F_f' / w_f, adds dF_f dq / (w_f H), off by at most L A H^2 / 4 w_f.
 An error eps of the force costs eps abs(dq). The encoder's error of half a count at each end, summed by parts, costs
 half a count times the change of the force; its share of the last force is part of the account until the next. Where an
-energy that was proved otherwise takes the place of the account, that share is open again: see `reopen`.
+energy that was proved otherwise takes the place of the account, that share is open again: see `Port.reopen`.
 
 Declared properties of an admittance display: its loop of SYNCs, its force sensor, its limits.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isnan, nan, pi
 from typing import Annotated, Literal, NamedTuple
 
@@ -84,23 +84,6 @@ class AdmittanceProperties(Parameters):
         return 1.0 / (2.0 * pi * self.filter) if self.filter else 0.0
 
 
-@dataclass(slots=True)
-class Port:
-    """State kept from SYNC to SYNC."""
-
-    positions: list[float]  # of the SYNCs whose forces have not come, a ring of shape (latency + 1,) [m or rad]
-    started: bool = False
-    position: float = 0.0  # of the last SYNC that came [m or rad]
-    missed: int = 0  # samples lost since
-    moved: float = 0.0  # in the last hold [m or rad]
-    newest: int = 0  # place of the last position
-    origin: float = 0.0  # position to which the energy is booked [m or rad]
-    force: float = 0.0  # force there [N or N*m]
-    waiting: int = 0  # samples since
-    mean: float = 0.0  # force with which the hold before was booked [N or N*m]
-    doubt: float = 0.0  # sum of the uncertain energies [J]
-
-
 class BookedHold(NamedTuple):
     """Energy increments of one SYNC."""
 
@@ -112,88 +95,94 @@ class BookedHold(NamedTuple):
     most: float  # energy that came in, at most [J]
 
 
-def port_of(properties: AdmittanceProperties) -> Port:
-    """Return the port of an axis at rest."""
-    return Port([0.0] * (properties.latency + 1))
+@dataclass(slots=True)
+class Port:
+    """Account of one axis, kept from SYNC to SYNC."""
 
+    settings: AdmittanceProperties
+    positions: list[float] = field(init=False)  # of the SYNCs whose forces have not come, (latency + 1,) [m or rad]
+    started: bool = False
+    position: float = 0.0  # of the last SYNC that came [m or rad]
+    missed: int = 0  # samples lost since
+    moved: float = 0.0  # in the last hold [m or rad]
+    newest: int = 0  # place of the last position
+    origin: float = 0.0  # position to which the energy is booked [m or rad]
+    force: float = 0.0  # force there [N or N*m]
+    waiting: int = 0  # samples since
+    mean: float = 0.0  # force with which the hold before was booked [N or N*m]
+    doubt: float = 0.0  # sum of the uncertain energies [J]
 
-def begin_port(port: Port, position: float, force: float) -> None:
-    """Take the first position and force."""
-    port.started, port.position, port.origin, port.force = True, position, position, force
-    port.missed = port.newest = port.waiting = 0
-    port.moved = port.mean = port.doubt = 0.0
-    port.positions = [position] * len(port.positions)
+    def __post_init__(self) -> None:
+        self.positions = [0.0] * (self.settings.latency + 1)
 
+    def begin(self, position: float, force: float) -> None:
+        """Take the first position and force."""
+        self.started, self.position, self.origin, self.force = True, position, position, force
+        self.positions = [position] * len(self.positions)
 
-def reopen(port: Port) -> None:
-    """Charge the encoder's error at the last booked SYNC in full: the energy there no longer comes from the account."""
-    port.mean = 0.0
+    def reopen(self) -> None:
+        """Charge the encoder's error at the last booked SYNC in full: its energy no longer comes from the account."""
+        self.mean = 0.0
 
+    def book(self, position: float, force: float) -> BookedHold:
+        """Book the hold to which the received force belongs.
 
-def book(settings: AdmittanceProperties, port: Port, position: float, force: float) -> BookedHold:
-    """Book the hold to which the received force belongs.
+        Args:
+            position: Position at this SYNC [m or rad].
+            force: Force received at this SYNC [N or N*m].
+        """
+        settings, holds = self.settings, self.missed + 1
+        moved = position - self.position
+        self.position, self.moved = position, moved
+        self.waiting += holds
+        then = position  # the position that belongs to the force
+        if settings.latency:
+            for _ in range(self.missed):
+                self._put(nan)
+            self._put(position)
+            then = self.positions[self.newest + 1 - len(self.positions)]
+        self.missed = 0
+        elapsed = holds * settings.sample_time
+        if isnan(then):
+            return new(BookedHold, (0.0, 0.0, False, moved, elapsed, 0.0))
+        energy, speed, most = self._energy(then - self.origin, force, self.waiting)
+        self.origin, self.force, self.waiting = then, force, 0
+        return new(BookedHold, (energy, speed, True, moved, elapsed, most))
 
-    Args:
-        settings: Declared properties of the axis.
-        port: State of the port; advanced to this SYNC.
-        position: Position at this SYNC [m or rad].
-        force: Force received at this SYNC [N or N*m].
-    """
-    holds = port.missed + 1
-    moved = position - port.position
-    port.position, port.moved = position, moved
-    port.waiting += holds
-    then = position  # the position that belongs to the force
-    if settings.latency:
-        for _ in range(port.missed):
-            _put(port, nan)
-        _put(port, position)
-        then = port.positions[port.newest + 1 - len(port.positions)]
-    port.missed = 0
-    elapsed = holds * settings.sample_time
-    if isnan(then):
-        return new(BookedHold, (0.0, 0.0, False, moved, elapsed, 0.0))
-    energy, speed, most = _energy(settings, port, then - port.origin, force, port.waiting)
-    port.origin, port.force, port.waiting = then, force, 0
-    return new(BookedHold, (energy, speed, True, moved, elapsed, most))
+    def _put(self, position: float) -> None:
+        self.newest = self.newest + 1 if self.newest + 1 < len(self.positions) else 0
+        self.positions[self.newest] = position
 
-
-def _put(port: Port, position: float) -> None:
-    port.newest = port.newest + 1 if port.newest + 1 < len(port.positions) else 0
-    port.positions[port.newest] = position
-
-
-def _energy(
-    settings: AdmittanceProperties, port: Port, moved: float, force: float, samples: int
-) -> tuple[float, float, float]:
-    """Least energy that came in [J], the largest speed at the end [m/s or rad/s], and the most energy [J]."""
-    length, way = samples * settings.sample_time * (1.0 + settings.jitter), abs(moved)
-    shortest = samples * settings.sample_time * (1.0 - settings.jitter)
-    slew, acceleration, change = settings.force_slew, settings.handle_acceleration, force - port.force
-    error, count = settings.force_error, settings.encoder_count
-    if not settings.is_mean:
-        mean, rise = 0.5 * (force + port.force), abs(change)
-        fastest = (way + count) / shortest + 0.5 * acceleration * length
-        room = slew * slew * length * length - rise * rise
-        doubt = rise * acceleration * length * length / 12.0
-        if room > 0.0:
-            doubt += fastest * room / (4.0 * slew)
-    elif samples == 1 or settings.is_impulse:
-        mean = force
-        doubt = slew * acceleration * length * length * length / 12.0
-    else:  # of the holds before the last no mean came
-        mean = force
-        doubt = slew * length * (way + 0.25 * acceleration * length * length)
-    if settings.lag > 0.0:
-        mean += change * settings.lag / length
-        doubt += 0.25 * slew * acceleration * length * length * settings.lag
-        doubt += abs(change) * settings.lag * (1.0 / shortest - 1.0 / length) * way
-        error += 2.0 * error * settings.lag / shortest
-    if settings.is_impulse:  # it was divided by the sample time
-        doubt += abs(mean) * way * settings.jitter / (1.0 - settings.jitter)
-    doubt += error * (way + count)
-    doubt += 0.5 * count * (abs(mean - port.mean) + abs(mean) - abs(port.mean))
-    port.mean = mean
-    port.doubt += doubt
-    energy = mean * moved
-    return energy - doubt, (way + count) / shortest + 0.5 * acceleration * length, energy + doubt
+    def _energy(self, moved: float, force: float, samples: int) -> tuple[float, float, float]:
+        """Least energy that came in [J], the largest speed at the end [m/s or rad/s], and the most energy [J]."""
+        settings = self.settings
+        length, way = samples * settings.sample_time * (1.0 + settings.jitter), abs(moved)
+        shortest = samples * settings.sample_time * (1.0 - settings.jitter)
+        slew, acceleration, change = settings.force_slew, settings.handle_acceleration, force - self.force
+        error, count = settings.force_error, settings.encoder_count
+        if not settings.is_mean:
+            mean, rise = 0.5 * (force + self.force), abs(change)
+            fastest = (way + count) / shortest + 0.5 * acceleration * length
+            room = slew * slew * length * length - rise * rise
+            doubt = rise * acceleration * length * length / 12.0
+            if room > 0.0:
+                doubt += fastest * room / (4.0 * slew)
+        elif samples == 1 or settings.is_impulse:
+            mean = force
+            doubt = slew * acceleration * length * length * length / 12.0
+        else:  # of the holds before the last no mean came
+            mean = force
+            doubt = slew * length * (way + 0.25 * acceleration * length * length)
+        if settings.lag > 0.0:
+            mean += change * settings.lag / length
+            doubt += 0.25 * slew * acceleration * length * length * settings.lag
+            doubt += abs(change) * settings.lag * (1.0 / shortest - 1.0 / length) * way
+            error += 2.0 * error * settings.lag / shortest
+        if settings.is_impulse:  # it was divided by the sample time
+            doubt += abs(mean) * way * settings.jitter / (1.0 - settings.jitter)
+        doubt += error * (way + count)
+        doubt += 0.5 * count * (abs(mean - self.mean) + abs(mean) - abs(self.mean))
+        self.mean = mean
+        self.doubt += doubt
+        energy = mean * moved
+        return energy - doubt, (way + count) / shortest + 0.5 * acceleration * length, energy + doubt

@@ -135,7 +135,7 @@ class UnprotectedAdmittanceGroup(AdmittanceGroup[AdmittanceAxis]):
     def _answer(self, positions: Sequence[float], forces: list[float]) -> GroupBalance:
         time = self._time
         holds = [
-            axis.book(position, force) for axis, position, force in zip(self._each, positions, forces, strict=True)
+            axis.port.book(position, force) for axis, position, force in zip(self._each, positions, forces, strict=True)
         ]
         before = [axis.commands.speed - slip for axis, slip in zip(self._each, self._slips, strict=True)]
         h_pas = sum(force * slip for force, slip in zip(forces, self._slips, strict=True)) * holds[0].elapsed

@@ -61,7 +61,7 @@ class UnprotectedAdmittance(AdmittanceController):
             display.begin(position, force)
             self._energy = self.first_energy(position)
             return AT_REST
-        booked = display.book(position, force)
+        booked = display.port.book(position, force)
         before, elapsed, velocity = commands.speed - self._slip, booked.elapsed, booked.moved / booked.elapsed
         request = environment.speed_after(inner, before, force, position, time)
         hold = new(SampledHold, (booked.energy, elapsed, velocity, before, request, force))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from canhaptic.control.admittance.port import AdmittanceProperties, begin_port, book, port_of
+from canhaptic.control.admittance.port import AdmittanceProperties, Port
 
 _TIME, _SLEW, _ACCELERATION = 1e-3, 2000.0, 20.0
 _STEPS = 200
@@ -48,9 +48,9 @@ def _energies(force: Array, speed: Array) -> tuple[Array, Array, Array]:
 
 def _booked(settings: AdmittanceProperties, first: float, last: float, mean: float, way: float) -> tuple[float, float]:
     """Returns (energy booked at least, its doubt)."""
-    port = port_of(settings)
-    begin_port(port, 0.0, first)
-    energy = book(settings, port, way, mean if settings.is_mean else last).energy
+    port = Port(settings)
+    port.begin(0.0, first)
+    energy = port.book(way, mean if settings.is_mean else last).energy
     return energy, port.doubt
 
 
@@ -83,15 +83,15 @@ def test_a_built_hold_reaches_the_bound_of_two_samples() -> None:
 def test_an_encoder_in_counts_costs_half_a_count_times_the_change_of_the_force() -> None:
     random, count = np.random.default_rng(8), 1e-5
     settings = _settings(is_mean=True, count=count)
-    port = port_of(settings)
+    port = Port(settings)
     force = np.cumsum(random.normal(0.0, 0.05, 3000)) + 5.0
     way = np.cumsum(random.normal(0.0, 3e-5, 3000))
     true = booked = position = 0.0
-    begin_port(port, 0.0, 0.0)
+    port.begin(0.0, 0.0)
     for value, place in zip(force.tolist(), way.tolist(), strict=True):
         true += value * (place - position)
         position = place
-        booked += book(settings, port, round(place / count) * count, value).energy
+        booked += port.book(round(place / count) * count, value).energy
         assert booked <= true + 1e-12
     assert true - booked < 0.05  # 3000 holds at 5 N: a count of each would be 0.15 J
 
@@ -100,12 +100,12 @@ def test_an_encoder_in_counts_costs_half_a_count_times_the_change_of_the_force()
 def test_a_late_force_is_booked_with_the_way_of_its_own_time(latency: int) -> None:
     random = np.random.default_rng(latency)
     settings = _settings(is_mean=True, latency=latency)
-    port, force = port_of(settings), random.uniform(-5.0, 5.0, 400)
+    port, force = Port(settings), random.uniform(-5.0, 5.0, 400)
     way = np.cumsum(random.normal(0.0, 1e-4, 400))
-    begin_port(port, 0.0, 0.0)
+    port.begin(0.0, 0.0)
     booked = 0.0
     for k in range(400):
-        booked += book(settings, port, way[k], force[k - latency] if k >= latency else 0.0).energy
+        booked += port.book(way[k], force[k - latency] if k >= latency else 0.0).energy
     steps = np.diff(np.concatenate([[0.0], way]))
     assert booked + port.doubt == pytest.approx(float((force * steps)[: 400 - latency].sum()), abs=1e-9)
 
@@ -119,12 +119,12 @@ def test_lost_samples_are_booked_with_their_doubt() -> None:
     steps = _TIME * ((force[:-1] + force[1:]) * (speed[:-1] + speed[1:]) / 4.0 + np.diff(force) * np.diff(speed) / 12.0)
     way = np.cumsum(_TIME * (speed[:-1] + speed[1:]) / 2.0)
     settings, booked, true = _settings(is_mean=False), 0.0, 0.0
-    port = port_of(settings)
-    begin_port(port, 0.0, force[0])
+    port = Port(settings)
+    port.begin(0.0, force[0])
     for k in range(holds):
         true += steps[k]
         if random.random() < 0.2:
             port.missed += 1
             continue
-        booked += book(settings, port, way[k], force[k + 1]).energy
+        booked += port.book(way[k], force[k + 1]).energy
         assert booked <= true + 1e-12
