@@ -9,11 +9,12 @@ Durations of a whole run in constant memory: a histogram with bins of 1 us and a
 
 import time
 from collections.abc import Sequence
-from typing import Final, Protocol
-
-import can
+from typing import TYPE_CHECKING, Final, Protocol
 
 from canhaptic.signals import SimulatedPeer
+
+if TYPE_CHECKING:
+    import can
 
 _POLL_STOP: Final = 20_000  # [ns] before a deadline from which the bus is no longer polled, so that none is overslept
 _NEVER: Final = 1 << 62  # [ns], later than any deadline
@@ -29,7 +30,7 @@ class Clock(Protocol):
     def wait_until(self, deadline: int) -> None:
         """Return when `deadline` [ns] has come; at once when it has passed."""
 
-    def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
+    def receive(self, bus: "can.BusABC", deadline: int) -> "can.Message | None":
         """Return the next frame of `bus`, or None when none came until `deadline` [ns]."""
 
 
@@ -57,7 +58,7 @@ class WallClock:
                 time.sleep(idle)
             now = time.monotonic_ns()
 
-    def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
+    def receive(self, bus: "can.BusABC", deadline: int) -> "can.Message | None":
         """Return the next frame, or None at `deadline` [ns]: block, then poll, then spin."""
         now = time.monotonic_ns()
         while True:
@@ -130,7 +131,7 @@ class VirtualClock:
             self._process(self._now)
             self._now = min(deadline, self._next_event(self._now))
 
-    def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
+    def receive(self, bus: "can.BusABC", deadline: int) -> "can.Message | None":
         """Return the next frame; virtual time moves, up to `deadline` [ns], only while there is none."""
         while True:
             now = self._now

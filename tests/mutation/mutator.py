@@ -105,6 +105,7 @@ def changes(
 def load(code: CodeType) -> ModuleType:
     """Runs a mutant and returns it as a module that nothing else can import."""
     module = ModuleType("mutant")
+    module.__file__ = code.co_filename  # by which some read their tables
     exec(code, module.__dict__)
     return module
 
