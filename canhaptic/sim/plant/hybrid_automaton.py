@@ -16,7 +16,7 @@ be taken in one step. The bound is strict up to rounding, for which a part of th
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from operator import add
 from typing import Any, Final, NamedTuple
 
@@ -215,6 +215,11 @@ class HybridAutomaton:
         """Return the kinetic and elastic energy [J]."""
         stored: Callable[[Array], float] = self._stored[self._counts[stepper.MODE]]
         return stored(self.state)
+
+    def set_states(self, values: Mapping[str, float]) -> None:
+        """Set states by their names, between two steps."""
+        for name, value in values.items():
+            self.state[self.scene.names.index(name)] = value
 
     def set_part_mode(self, part: str, mode: str) -> None:
         """Put one part into another mode, at a time that the plant fixed beforehand."""

@@ -240,8 +240,7 @@ class Plant(SampleClock):
         Args:
             values: New values by the name of the state, for a `GuidedHand` or a `PointerHand`.
         """
-        for name, value in values.items():
-            self._machine.state[self.scene.names.index(name)] = value
+        self._machine.set_states(values)
         if self._looks_ahead:
             self._free_torque = -1.0  # the look-ahead rested on the old place
 

@@ -1,6 +1,6 @@
 """Mode changes at fixed ticks, between two steps, and not by a guard."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 
 from canhaptic.sim.plant.hybrid_automaton import HOLDS, HybridAutomaton
@@ -21,10 +21,9 @@ class Timetable:
     """
 
     def __init__(self, machine: HybridAutomaton, run: Callable[[int], object]) -> None:
-        self._machine, self._run = machine, run
-        scene = machine.scene
+        self._run, scene = run, machine.scene
         entries: list[_Entry] = [(time, partial(machine.set_part_mode, *change)) for time, *change in scene.schedule]
-        entries += [(time, partial(self._set_states, values)) for time, values in scene.settings]
+        entries += [(time, partial(machine.set_states, values)) for time, values in scene.settings]
         ticks = [(round(time / machine.tick_time), change) for time, change in entries]
         self._entries = sorted(ticks, key=lambda entry: entry[0])
         self.reset()
@@ -32,10 +31,6 @@ class Timetable:
     def reset(self) -> None:
         """Return to tick 0."""
         self.tick = self._done = 0
-
-    def _set_states(self, values: Mapping[str, float]) -> None:
-        for name, value in values.items():
-            self._machine.state[self._machine.scene.names.index(name)] = value
 
     def holds_from(self, tick: int) -> int:
         """Return the number of whole sample times after a tick without a change; at most `HOLDS`."""

@@ -69,7 +69,7 @@ class XYMotion(SampleClock):
     def __init__(self, stage: XYStage, hand: TaskHand | None, sample_time_ns: int) -> None:
         super().__init__(sample_time_ns)
         self._parts = stage, hand, sample_time_ns * 1e-9
-        self._scene = scene = self.model()
+        scene = self.model()
         self._machine = machine = HybridAutomaton(scene, _MAX_EVENTS, LEVELS)
         self.is_linear = not any(part.has_guards for part in scene.parts)
         self._run = machine.run_free if self.is_linear else machine.run
@@ -114,8 +114,7 @@ class XYMotion(SampleClock):
 
     def move_hand(self, x: float, y: float) -> None:
         """Move a `PointerTaskHand` to a position [m] for the following holds; only between two holds."""
-        for name, place in zip(_NAMES, (x, y), strict=True):
-            self._machine.state[self._scene.names.index(f"{name}_hand_place")] = place
+        self._machine.set_states({"x_hand_place": x, "y_hand_place": y})
 
     @property
     def events(self) -> int:
