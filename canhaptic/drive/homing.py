@@ -40,10 +40,6 @@ _ERROR: Final = 1 << 13
 _SETTLED: Final = 100_000_000  # [ns] after which a drive has taken an older result out of its statusword, or halted
 _TOO_FAST: Final = 2.0  # times the speed asked for; a drive may overshoot
 _FAST_SYNCS: Final = 5  # in a row: the new zero makes one step
-_REMEDIES: Final = {
-    "homing": "home it with the vendor's tool",
-    "velocity unit": "home it with the vendor's tool, or set 0x60A9 to counts per second (0x00B50300) with it",
-}
 
 
 class HomingOrder(NamedTuple):
@@ -95,10 +91,6 @@ class HomingDrive(ServoDrive):
 
 class _HomingBringUp(CanBringUp):
     _drive: HomingDrive
-
-    def __init__(self, drive: HomingDrive) -> None:
-        super().__init__(drive)
-        self._remedies = {**self._remedies, **_REMEDIES}
 
     def _mode(self) -> None:
         """Write method and speeds, compare the unit of the velocity, then select the mode."""

@@ -4,22 +4,16 @@ A simulated drive inherits its axis's quirks, so that a scene for a real drive s
 drive will behave; any key of `simulation.drive` wins.
 """
 
-import tomllib
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Final
 
+from canhaptic.drive.profile.quirks import TWINS
 from canhaptic.scene.document import Diagnostics, MarkedMapping, read_mapping
 from canhaptic.scene.models import SCALING_KEYS, SIMULATION_PARTS
 from canhaptic.units import Unit
 
 _MILLI: Final = 1e-3
 _LARGEST_RATIO: Final = 1e9  # anything larger is a fault of the axis, noted there
-
-_TWINS: Final[Mapping[str, Mapping[str, Any]]] = tomllib.loads(
-    Path(__file__).with_name("quirk_twins.toml").read_text(encoding="utf-8")
-)
-"""Quirk -> keys of `simulation.drive`."""
 
 
 def _twin_of(axis: Mapping[str, Any]) -> dict[str, Any]:
@@ -31,7 +25,7 @@ def _twin_of(axis: Mapping[str, Any]) -> dict[str, Any]:
     twin: dict[str, Any] = {}
     names = axis.get("quirks")
     for name in names if isinstance(names, list | tuple) else ():
-        for key, value in _TWINS.get(str(name), {}).items():
+        for key, value in TWINS.get(str(name), {}).items():
             twin[key] = _joined(twin.get(key), value)
     if axis.get("demand_reported") == "after":
         twin["torque_read_back"] = "after_update"

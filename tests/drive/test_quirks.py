@@ -10,9 +10,9 @@ import pytest
 from canhaptic.drive.can.dictionary_check import check_dictionary
 from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.profile.fitness import Verdict
-from canhaptic.drive.profile.quirks import _QUIRKS
+from canhaptic.drive.profile.quirks import _QUIRKS, TWINS
 from canhaptic.errors import CommandLostError, DictionaryError, StartError
-from canhaptic.scene.simulated_defaults import _TWINS, _twin_of
+from canhaptic.scene.simulated_defaults import _twin_of
 from tests.drive.drive_bench import OUR_EDS, RATED_TORQUE, REPOSITORY, Bench, MakeBench, axis, dictionary
 
 ALONE: dict[str, str] = {
@@ -49,7 +49,7 @@ def pushed(made: Bench) -> float:
 
 
 def test_every_quirk_has_a_twin_and_a_test() -> None:
-    assert set(_QUIRKS) == set(_TWINS) == set(ALONE)
+    assert set(_QUIRKS) == set(TWINS) == set(ALONE)
 
 
 @pytest.mark.parametrize("name", sorted(_QUIRKS))

@@ -216,33 +216,12 @@ def speed_quantum(axis: AxisParameters, bus: BusParameters) -> float:
 
 
 _SLOW_DOWN: Final = 2  # value of 0x605A: along the quick stop ramp, then switch on disabled
-_OF_THE_SENSOR: Final = (
-    "check power and node ID of the sensor; its TPDO 1 needs transmission type 1 and no inhibit time (0x1800:02, :03); "
-    "admittance.force.node.device_type names its 0x1000"
-)
-_NO_TARE: Final = "check power and node ID of the sensor, or leave admittance.force.node.tare out"
-_NOT_AT_REST: Final = (
-    "let go of the handle; then correct force.offset_counts (canhaptic commission measures it), tare the sensor, or "
-    "raise force.error, which the account assumes"
-)
-_REMEDY: Final = "set the object with the vendor's tool, or correct its limits in the dictionary"
 
 
 class AdmittanceBringUp(CanBringUp):
     """Configures one drive that follows velocities."""
 
     _drive: AdmittanceDrive
-
-    def __init__(self, drive: AdmittanceDrive) -> None:
-        super().__init__(drive)
-        self._remedies = {
-            **self._remedies,
-            "ramps": _REMEDY,
-            "quick stop": _REMEDY,
-            "tare": _NO_TARE,
-            "force sensor": _OF_THE_SENSOR,
-            "force at rest": _NOT_AT_REST,
-        }
 
     def _zero_torque(self) -> None:
         """Write a target at rest, the steepest ramps of the drive, zero offsets, and the quick stop."""

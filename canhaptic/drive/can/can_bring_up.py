@@ -11,18 +11,6 @@ from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
 from canhaptic.errors import StartError
 
-_REMEDIES: Final = {
-    "presence": "check power, node ID, bit rate and cable",
-    "heartbeat": "the drive must produce heartbeats (0x1017); check that it accepts NMT commands",
-    "SYNC period": "set the drive's 0x1006 (communication cycle period) with the vendor's tool, or choose its rate",
-    "PDO map": "compare the EDS with the drive's firmware, or choose other PDOs (rpdo_number, tpdo_numbers; quirks: "
-    "demand_absent, manufacturer_event)",
-    "NMT operational": "the drive stays out of OPERATIONAL; check its EMCY and its configuration",
-    "PDO exchange": "the drive sends no TPDO on SYNC; check 0x1005, the transmission types, and that 0x1019 is 0 (this "
-    "master counts no SYNCs)",
-    "bus": "check the interface, cable and termination",
-}
-
 _NO_NODE_ID: Final = "give it its node ID (canhaptic lss, or the vendor's tool), and store it"
 
 
@@ -30,9 +18,6 @@ class CanBringUp(BringUp):
     """Configures one CANopen drive, step by step."""
 
     _drive: ServoDrive
-
-    def __init__(self, drive: ServoDrive) -> None:
-        super().__init__(drive, _REMEDIES)
 
     def refusal(self, name: str, seen: str, expected: str, remedy: str = "") -> StartError:
         """Return the error of a step; two nodes with the same ID take precedence as the cause."""

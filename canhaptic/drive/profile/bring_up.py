@@ -5,7 +5,7 @@ The steps are those of CiA 402. A derived class adds the fieldbus: its states, w
 
 import tomllib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -18,7 +18,7 @@ from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.errors import DictionaryError, LinkError, SdoError, StartError
 
-_REMEDIES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_REMEDIES: Final = tomllib.loads(Path(__file__).parents[1].joinpath("remedies.toml").read_text(encoding="utf-8"))
 
 _MODE_NAMES: Final = {
     od.HOMING: "homing",
@@ -45,13 +45,11 @@ class BringUp(ABC):
 
     Args:
         drive: Drive to be configured.
-        remedies: Remedies for refused steps of the fieldbus.
     """
 
-    def __init__(self, drive: TorqueAxis, remedies: Mapping[str, str]) -> None:
+    def __init__(self, drive: TorqueAxis) -> None:
         self._drive = drive
         self._sdo = drive.sdo
-        self._remedies = {**_REMEDIES, **remedies}
 
     def call(self) -> None:
         """Take the drive from any state to pre-operational and request its state reports; `configure` follows.
@@ -142,7 +140,7 @@ class BringUp(ABC):
 
     def refusal(self, name: str, seen: str, expected: str, remedy: str = "") -> StartError:
         """Return the error of a step, by default with the remedy of that step."""
-        return StartError(self._drive.axis.name, name, seen, expected, remedy or self._remedies[name])
+        return StartError(self._drive.axis.name, name, seen, expected, remedy or _REMEDIES[name])
 
     def expect(self, name: str, item: str, seen: int, expected: int) -> None:
         """Compare a value read back; raise StartError where it differs."""

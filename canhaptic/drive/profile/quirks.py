@@ -3,8 +3,10 @@
 Each has a twin in the simulated drive (`canhaptic.scene.simulated_defaults`), with which a whole start is tested.
 """
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from functools import cache
+from pathlib import Path
 from typing import Annotated, Any, Final
 
 from canhaptic.errors import ParameterError
@@ -48,32 +50,10 @@ class Quirks(Parameters):
         return round(1000.0 * self.torque_resolution, 9)
 
 
-_QUIRKS: Final[Mapping[str, Mapping[str, Any]]] = {
-    # the rated torque, 0x6076
-    "rated_torque_micro": {"rated_torque_resolution": 1e-6},  # in uN*m instead of mN*m
-    "rated_torque_absent": {"reads_rated_torque": False},  # listed in the dictionary, not in the drive, or meaningless
-    "rated_torque_written": {"writes_rated_torque": True},  # rw and 0 until the master writes it
-    # the unit of 0x6071, 0x6072, 0x6074, 0x6077
-    "torque_per_cent": {"torque_resolution": 1e-2},
-    "torque_per_ten_thousand": {"torque_resolution": 1e-4},
-    # the limit, 0x6072; INTEGER16 instead of UNSIGNED16 needs no quirk, the type of the dictionary is used
-    "max_torque_absent": {"writes_max_torque": False},  # listed in the dictionary, not in the drive
-    # the read-back
-    "demand_absent": {"maps_demand": False},  # 0x6074 listed as mappable, refused or never filled by the drive
-    # the enabling
-    "slow_enable": {"enable_time": 10.0},  # brake, commutation search: OPERATION ENABLED comes seconds after 0x0F
-    "late_following": {"waits_for_following": True},  # OPERATION ENABLED at once, the torque follows later (bit 12)
-    # the hold in which a torque acts
-    "acts_at_once": {"acts_at_once": True},  # a synchronous RPDO acts on arrival
-    "acts_a_sync_late": {"syncs_late": 1},  # a synchronous RPDO acts at the second SYNC after it
-    # the rest
-    "abort_disable_voltage": {"abort_connection_option": 2},  # 0x6007 takes no 1
-    "abort_quick_stop": {"abort_connection_option": 3},  # 0x6007 takes neither 1 nor 2
-    "manufacturer_event": {"event_transmission_type": 254},  # an RPDO takes no 255
-    "no_interpolation_period": {"writes_interpolation_period": False},  # 0x60C2 is listed and refused
-    "sdo_size_not_indicated": {},  # answers 0x42: always understood; named so that a simulated drive can show it
-}
-"""Name -> the fields that it changes."""
+_TABLE: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_QUIRKS: Final[Mapping[str, Mapping[str, Any]]] = {name: of["master"] for name, of in _TABLE.items()}
+TWINS: Final[Mapping[str, Mapping[str, Any]]] = {name: of["twin"] for name, of in _TABLE.items()}
+"""Quirk -> keys of `simulation.drive`."""
 
 
 @cache
