@@ -1,13 +1,13 @@
 """`canhaptic accuracy CONFIG`: the price of accuracy in time, for the simulated plant and for the loop, with advice."""
 
 import argparse
-from collections.abc import Callable
-from functools import partial
-from pathlib import Path
 
 from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.options import check_page, check_picture, check_place, scene_of
 from canhaptic.cli.output import note_file, write_file, write_json, write_note
+from canhaptic.lab.studies import Row
+from canhaptic.lab.studies.accuracy.accuracy_table import accuracy_report, markdown
+from canhaptic.lab.studies.accuracy.admittance_accuracy import study_display
 from canhaptic.lab.studies.accuracy.study import UNITS, AccuracyStudy, length_of
 from canhaptic.scene.method import dear_holds
 from canhaptic.scene.models import Scene
@@ -28,13 +28,23 @@ def execute(arguments: argparse.Namespace) -> int:
         check_page(arguments.html)
     if arguments.markdown is not None:
         check_place(arguments.markdown)
-    if _is_of_display(scene, arguments.axis):
-        return _study_display(scene, arguments)
+    with StopSignal() as stop:
+        result = (_of_display if _is_of_display(scene, arguments.axis) else _of_axis)(scene, arguments, stop)
+    if arguments.json:
+        write_json(result)
+    else:
+        make_console().print(accuracy_report(result, tables=arguments.tables))
+    if result["loop"] or result["plant"]:  # else it was stopped before anything could be drawn
+        _write(result, arguments)
+    return stop.exit_status
+
+
+def _of_axis(scene: Scene, arguments: argparse.Namespace, stop: StopSignal) -> Row:
     for text in dear_holds(scene):
         write_note(f"  {text}")
     chosen = length_of(scene, arguments.axis, arguments.duration)
-    with StopSignal() as stop, run_progress(UNITS, scene.bus.sample_time, "free", every=1) as progress:
-        study = AccuracyStudy(
+    with run_progress(UNITS, scene.bus.sample_time, "free", every=1) as progress:
+        return AccuracyStudy(
             chosen.scene,
             arguments.axis,
             tolerance=arguments.tolerance,
@@ -45,10 +55,11 @@ def execute(arguments: argparse.Namespace) -> int:
             stop=stop.requested,
             judged=chosen.remark,
             say=None if arguments.json else lambda row: write_note(f"  {row}"),
-        )
-        result = study.run()
-    _report(result, arguments)
-    return stop.exit_status
+        ).run()
+
+
+def _of_display(scene: Scene, arguments: argparse.Namespace, stop: StopSignal) -> Row:
+    return study_display(scene, arguments.axis, arguments.duration, stop.requested)
 
 
 def _is_of_display(scene: Scene, name: str | None) -> bool:
@@ -57,54 +68,16 @@ def _is_of_display(scene: Scene, name: str | None) -> bool:
     return axis is not None and axis.parameters.admittance is not None
 
 
-def _study_display(scene: Scene, arguments: argparse.Namespace) -> int:
-    from canhaptic.lab.render.accuracy_picture import draw_display_accuracy, write_display_accuracy_page
-    from canhaptic.lab.studies.accuracy.admittance_accuracy import (
-        display_accuracy_markdown,
-        display_accuracy_report,
-        study_display,
-    )
-
-    with StopSignal() as stop:
-        result = study_display(scene, arguments.axis, arguments.duration, stop.requested)
-    if arguments.json:
-        write_json(result)
-    else:
-        make_console().print(display_accuracy_report(result))
-    if not result["loop"]:
-        return stop.exit_status  # stopped before anything could be drawn
-    draw, write_page = partial(draw_display_accuracy, result), partial(write_display_accuracy_page, result)
-    _write(arguments, draw, write_page, partial(display_accuracy_markdown, result))
-    return stop.exit_status
-
-
-def _report(result: dict[str, object], arguments: argparse.Namespace) -> None:
-    from canhaptic.lab.render.accuracy_picture import draw_accuracy, write_accuracy_page
-    from canhaptic.lab.studies.accuracy.accuracy_table import accuracy_report, markdown
-
-    if arguments.json:
-        write_json(result)
-    else:
-        make_console().print(accuracy_report(result, tables=arguments.tables))
-    if not result["plant"]:
-        return  # stopped before anything could be drawn
-    draw, write_page = partial(draw_accuracy, result), partial(write_accuracy_page, result)
-    _write(arguments, draw, write_page, partial(markdown, result))
-
-
-def _write(
-    arguments: argparse.Namespace,
-    draw: Callable[[Path], object],
-    write_page: Callable[[Path], object],
-    markdown: Callable[[], str],
-) -> None:
+def _write(result: Row, arguments: argparse.Namespace) -> None:
     """Write the requested picture, page and tables."""
+    from canhaptic.lab.render.accuracy_picture import draw_accuracy, write_accuracy_page
+
     if arguments.png is not None:
-        draw(arguments.png)
+        draw_accuracy(result, arguments.png)
         note_file("picture", arguments.png)
     if arguments.html is not None:
-        write_page(arguments.html)
+        write_accuracy_page(result, arguments.html)
         note_file("page", arguments.html)
     if arguments.markdown is not None:
-        write_file(arguments.markdown, markdown())
+        write_file(arguments.markdown, markdown(result))
         note_file("tables", arguments.markdown)

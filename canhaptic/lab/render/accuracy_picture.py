@@ -23,11 +23,11 @@ from canhaptic.lab.studies.accuracy.accuracy_table import (
     base_loop,
     front,
     heading,
+    is_of_display,
     part_of,
     price_lines,
 )
-from canhaptic.lab.studies.accuracy.admittance_accuracy import display_accuracy_table
-from canhaptic.lab.studies.accuracy.admittance_accuracy import heading as display_heading
+from canhaptic.lab.studies.accuracy.admittance_accuracy import display_accuracy_table, display_heading
 from canhaptic.lab.studies.accuracy.plant_solvers import COMPILED, OURS
 from canhaptic.view.html_page import picture, words, write_page
 from canhaptic.view.picture_style import (
@@ -73,6 +73,9 @@ def draw_accuracy(result: Row, path: str | Path) -> None:
         InputError: matplotlib is not installed, the file cannot be written, or nothing was measured.
     """
     require_matplotlib()
+    if is_of_display(result):
+        _draw_display(result, path)
+        return
     if not result["plant"]:
         raise InputError("nothing was measured, there is nothing to draw")
     with drawing() as figure_type:
@@ -110,10 +113,13 @@ def write_accuracy_page(result: Row, path: Path) -> None:
     Raises:
         InputError: matplotlib is not installed, the page cannot be written, or nothing was measured.
     """
-    shown = picture(lambda file: draw_accuracy(result, file), "what accuracy costs")
+    title, shown = f"{result['scene']} - accuracy", picture(lambda file: draw_accuracy(result, file), "accuracy")
+    if is_of_display(result):
+        write_page(path, title, [words(*display_heading(result)), shown, display_accuracy_table(result)])
+        return
     prices = [line.replace("\t", ": ") for line in price_lines(result)]
     said = words(*advice_lines(result)), words(*prices), words(*heading(result))
-    write_page(path, f"{result['scene']} - accuracy", [*said, shown, *accuracy_tables(result, wide=True)])
+    write_page(path, title, [*said, shown, *accuracy_tables(result, wide=True)])
 
 
 def _price_of(result: Row) -> tuple[str, str]:
@@ -252,12 +258,8 @@ def _name(row: Row) -> str:
     return f"{row['changed']}: {row['to']}".rstrip(": ").replace("_", " ") + ended
 
 
-def draw_display_accuracy(result: Row, path: str | Path) -> None:
-    """Draw a study into a file; its suffix gives the format (.png, .svg, .pdf).
-
-    Raises:
-        InputError: matplotlib is not installed, the file cannot be written, or nothing was measured.
-    """
+def _draw_display(result: Row, path: str | Path) -> None:
+    """Draw the study of a display; errors as for `draw_accuracy`."""
     rows, columns = _drawn(result), _figures(result["unit"])
     places = list(range(len(rows)))[::-1]
     with drawing() as figure_type:
@@ -278,15 +280,3 @@ def draw_display_accuracy(result: Row, path: str | Path) -> None:
             panel.set_yticks(places, [_name(row) for row in rows], fontsize=8.5)
         figure.suptitle("\n".join(display_heading(result)), x=0.01, ha="left", fontsize=9.0, color="#404040")
         save_picture(figure, path)
-
-
-def write_display_accuracy_page(result: Row, path: Path) -> None:
-    """Write a study as one self-contained page: the picture and the table.
-
-    Raises:
-        InputError: Nothing was measured, matplotlib is not installed, or the page cannot be written.
-    """
-    shown = picture(lambda file: draw_display_accuracy(result, file), "errors of the loop and of the plant")
-    write_page(
-        path, f"{result['scene']} - accuracy", [words(*display_heading(result)), shown, display_accuracy_table(result)]
-    )

@@ -10,7 +10,7 @@ from canhaptic.cli.main import main
 from canhaptic.errors import InputError
 from canhaptic.lab.loop.admittance_equations import integrate, why_no_equations
 from canhaptic.lab.loop.admittance_loop import run_display
-from canhaptic.lab.render.accuracy_picture import draw_display_accuracy
+from canhaptic.lab.render.accuracy_picture import draw_accuracy
 from canhaptic.lab.studies.accuracy.admittance_accuracy import study_display
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import simulation_of
@@ -91,4 +91,4 @@ def test_page_and_markdown_show_every_change(tmp_path: Path, capsys: pytest.Capt
     nothing = found.copy()
     nothing["loop"] = []
     with pytest.raises(InputError, match="nothing was measured"):
-        draw_display_accuracy(nothing, tmp_path / "none.png")
+        draw_accuracy(nothing, tmp_path / "none.png")

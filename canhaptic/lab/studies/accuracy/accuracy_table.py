@@ -17,6 +17,7 @@ from canhaptic.axis_units import effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR, LEAST_ORDER
+from canhaptic.lab.studies.accuracy.admittance_accuracy import display_accuracy_table, display_heading
 from canhaptic.lab.studies.accuracy.plant_solvers import OURS
 from canhaptic.view.si import si
 from canhaptic.view.table import Cell, Styled, Table
@@ -44,13 +45,20 @@ _WIDE_HEADS: Final = ("wall time per simulated s", "median over least")
 
 
 def accuracy_report(result: Row, *, tables: bool = False) -> RenderableType:
-    """Return the answer, the heading and, if requested, the tables, for a terminal."""
+    """Return the answer, the heading and, if requested, the tables, for a terminal; of displays always the table."""
+    if is_of_display(result):
+        return Group(*(Text(f" {line}") for line in display_heading(result)), display_accuracy_table(result))
     lines = [*advice_lines(result), "", *price_lines(result), ""]
     if not tables:
         said = [*lines, *heading(result)[:2], *result["remarks"], "every row: --tables"]
         return Group(*(Text(f" {part}") for line in said for part in wrapped(line)))
     shown = [Text(f" {part}") for line in (*lines, *heading(result)) for part in wrapped(line)]
     return Group(*shown, *accuracy_tables(result))
+
+
+def is_of_display(result: Row) -> bool:
+    """Whether a study is that of an admittance display."""
+    return "tolerance" not in result
 
 
 def wrapped(line: str) -> list[str]:
@@ -164,6 +172,9 @@ def _time(microseconds: float) -> str:
 
 def markdown(result: Row) -> str:
     """Return the report as Markdown, with every table."""
+    if is_of_display(result):
+        lines = [f"{line}  " for line in display_heading(result)]
+        return "\n".join([*lines, "", display_accuracy_table(result).markdown()])
     lines = ["### Advice", "", *(f"- {line}" for line in advice_lines(result)), ""]
     lines += ["### Prices", "", *(f"- {line.replace(_GAP, ': ')}" for line in price_lines(result)), ""]
     lines += [*(f"{line}  " for line in heading(result)), ""]

@@ -15,8 +15,6 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from rich.console import Group, RenderableType
-from rich.text import Text
 
 from canhaptic.axis_units import mass_unit
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
@@ -39,22 +37,12 @@ from canhaptic.view.table import Table
 HEADS: Final = ("changed", "to", "position", "energy", "mass felt", "given out", "guard acts", "us per\ncycle")
 
 
-def display_accuracy_report(result: Row) -> RenderableType:
-    """Return the tables of a study for a terminal."""
-    return Group(*(Text(f" {line}") for line in heading(result)), display_accuracy_table(result))
-
-
-def display_accuracy_markdown(result: Row) -> str:
-    """Return the report as Markdown."""
-    return "\n".join([*(f"{line}  " for line in heading(result)), "", display_accuracy_table(result).markdown()])
-
-
 def display_accuracy_table(result: Row) -> Table:
     """Return one row for each change of the scene."""
     return Table("", HEADS, [_cells(row, result["unit"]) for row in result["loop"]], keys=2)
 
 
-def heading(result: Row) -> list[str]:
+def display_heading(result: Row) -> list[str]:
     """Return the heading: the part studied, its reference, and the difference of the plant from a solver."""
     unit, reference = result["unit"], result["reference"]
     lines = [
