@@ -28,7 +28,7 @@ SCENES: Final = {
 }
 """Each scene, and what a scene like it has."""
 FOLDER: Final = ROOT / "docs" / "accuracy"
-BUDGET: Final = 12.0  # [s], compiled plants included
+BUDGET: Final = 12.0  # [s]
 PACKAGES: Final = ("canhaptic", "numpy", "scipy")
 
 

@@ -151,15 +151,11 @@ def design(
     Examples:
         >>> canhaptic.design("demo")["stiffness"]  # doctest: +SKIP
     """
-    from canhaptic.lab.studies.design.wall import MARGIN, TOLERANCE, design_wall
+    from canhaptic.lab.studies.design.wall import MARGIN, TOLERANCE
+    from canhaptic.lab.studies.design.wall import design as design_scene
 
-    loaded = load_any(scene, changes or {}, allow_code)
     chosen = (MARGIN if margin is None else margin, TOLERANCE if tolerance is None else tolerance)
-    if all(axis.parameters.admittance is not None for axis in loaded.axes):
-        from canhaptic.lab.studies.design.admittance_design import design_displays
-
-        return design_displays(loaded, *chosen)
-    return design_wall(loaded, *chosen)
+    return design_scene(load_any(scene, changes or {}, allow_code), *chosen)
 
 
 def accuracy(
@@ -189,16 +185,8 @@ def accuracy(
     Examples:
         >>> canhaptic.accuracy("demo", budget=0.0)["advice"]  # doctest: +SKIP
     """
-    from canhaptic.lab.studies.accuracy.study import DEFAULT_BUDGET, AccuracyStudy, length_of
+    from canhaptic.lab.studies.accuracy.study import DEFAULT_BUDGET, study_accuracy
 
+    spent = DEFAULT_BUDGET if budget is None else budget
     loaded = load_any(scene, changes or {}, allow_code)
-    part = next((of for of in loaded.axes if axis in (None, of.parameters.name, of.group)), None)
-    if part is not None and part.parameters.admittance is not None:
-        from canhaptic.lab.studies.accuracy.admittance_accuracy import study_display
-
-        return study_display(loaded, axis, duration, lambda: False)
-    chosen = length_of(loaded, axis, duration)
-    return AccuracyStudy(
-        chosen.scene, axis, tolerance=tolerance, duration=chosen.holds * loaded.bus.sample_time,
-        budget=DEFAULT_BUDGET if budget is None else budget, judged=chosen.remark,
-    ).run()  # fmt: skip
+    return study_accuracy(loaded, axis, tolerance=tolerance, duration=duration, budget=spent)

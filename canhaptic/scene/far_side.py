@@ -31,13 +31,12 @@ _CHOICES: Final = {"auto": "canhaptic.lab.studies.accuracy.accuracy_choice:with_
 """Automatic accuracy -> "module:function" that chooses it; the laboratory, loaded only for a scene that asks for it."""
 
 
-def build_plant(simulation: AxisSimulation, sample_time_ns: int, *, compiled: bool = False) -> "Plant":
+def build_plant(simulation: AxisSimulation, sample_time_ns: int) -> "Plant":
     """Return the motor and user of one axis, at rest until the first SYNC with the drive enabled.
 
     Args:
         simulation: Plant, user and effects.
         sample_time_ns: Time between two SYNCs [ns].
-        compiled: Whether holds run compiled by numba, for whole runs without a bus; not for an admittance display.
     """
     effects = [effect_of(effect) for effect in simulation.effects]
     if simulation.admittance is not None:
@@ -49,10 +48,7 @@ def build_plant(simulation: AxisSimulation, sample_time_ns: int, *, compiled: bo
         )  # fmt: skip
     from canhaptic.sim.plant.plant import Plant
 
-    return Plant(
-        simulation.plant, simulation.user, effects, sample_time_ns, simulation.seed, simulation.accuracy,
-        compiled,
-    )  # fmt: skip
+    return Plant(simulation.plant, simulation.user, effects, sample_time_ns, simulation.seed, simulation.accuracy)
 
 
 def effect_of(effect: ComponentSpec) -> "Effect":

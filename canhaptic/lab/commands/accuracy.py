@@ -7,10 +7,8 @@ from canhaptic.cli.options import check_page, check_picture, check_place, scene_
 from canhaptic.cli.output import note_file, write_file, write_json, write_note
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy.accuracy_table import accuracy_report, markdown
-from canhaptic.lab.studies.accuracy.admittance_accuracy import study_display
-from canhaptic.lab.studies.accuracy.study import UNITS, AccuracyStudy, length_of
+from canhaptic.lab.studies.accuracy.study import UNITS, study_accuracy
 from canhaptic.scene.method import dear_holds
-from canhaptic.scene.models import Scene
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.terminal import run_progress
 
@@ -28,8 +26,20 @@ def execute(arguments: argparse.Namespace) -> int:
         check_page(arguments.html)
     if arguments.markdown is not None:
         check_place(arguments.markdown)
-    with StopSignal() as stop:
-        result = (_of_display if _is_of_display(scene, arguments.axis) else _of_axis)(scene, arguments, stop)
+    for text in dear_holds(scene):
+        write_note(f"  {text}")
+    with StopSignal() as stop, run_progress(UNITS, scene.bus.sample_time, "free", every=1) as progress:
+        result = study_accuracy(
+            scene,
+            arguments.axis,
+            tolerance=arguments.tolerance,
+            duration=arguments.duration,
+            budget=arguments.budget,
+            engine=arguments.engine,
+            progress=progress,
+            stop=stop.requested,
+            say=None if arguments.json else lambda row: write_note(f"  {row}"),
+        )
     if arguments.json:
         write_json(result)
     else:
@@ -37,35 +47,6 @@ def execute(arguments: argparse.Namespace) -> int:
     if result["loop"] or result["plant"]:  # else it was stopped before anything could be drawn
         _write(result, arguments)
     return stop.exit_status
-
-
-def _of_axis(scene: Scene, arguments: argparse.Namespace, stop: StopSignal) -> Row:
-    for text in dear_holds(scene):
-        write_note(f"  {text}")
-    chosen = length_of(scene, arguments.axis, arguments.duration)
-    with run_progress(UNITS, scene.bus.sample_time, "free", every=1) as progress:
-        return AccuracyStudy(
-            chosen.scene,
-            arguments.axis,
-            tolerance=arguments.tolerance,
-            duration=chosen.holds * scene.bus.sample_time,
-            budget=arguments.budget,
-            engine=arguments.engine,
-            progress=progress,
-            stop=stop.requested,
-            judged=chosen.remark,
-            say=None if arguments.json else lambda row: write_note(f"  {row}"),
-        ).run()
-
-
-def _of_display(scene: Scene, arguments: argparse.Namespace, stop: StopSignal) -> Row:
-    return study_display(scene, arguments.axis, arguments.duration, stop.requested)
-
-
-def _is_of_display(scene: Scene, name: str | None) -> bool:
-    """Whether an axis or group, the first by default, is an admittance display, or has some."""
-    axis = next((of for of in scene.axes if name in (None, of.parameters.name, of.group)), None)
-    return axis is not None and axis.parameters.admittance is not None
 
 
 def _write(result: Row, arguments: argparse.Namespace) -> None:

@@ -28,7 +28,7 @@ from canhaptic.lab.studies.accuracy.accuracy_table import (
     price_lines,
 )
 from canhaptic.lab.studies.accuracy.admittance_accuracy import display_accuracy_table, display_heading
-from canhaptic.lab.studies.accuracy.plant_solvers import COMPILED, OURS
+from canhaptic.lab.studies.accuracy.plant_solvers import OURS
 from canhaptic.view.html_page import picture, words, write_page
 from canhaptic.view.picture_style import (
     BLUE,
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
 
 _STYLES: Final[dict[str, tuple[str, str]]] = {
     OURS: (GREEN, "o"),
-    COMPILED: (GREEN, "*"),
     "semi-implicit Euler": (PALE, "v"),
     "implicit midpoint": (ORANGE, "s"),
     "RK4": (VERMILION, "^"),

@@ -21,7 +21,8 @@ _LARGEST: Final = 1_000_000_000  # [B] of one file
 _NAME: Final = "study.json"
 _CHUNK: Final = re.compile(r"\d{8}\.npz|[0-9a-f]{32}\.json")
 _VERSION: Final = 2
-_KEPT: Final = "what was finished is kept, --resume goes on"
+_KEPT: Final = {"sweep": "what was finished is kept, --resume goes on"}
+_GOES_ON: Final = "what was finished is kept, the same command goes on"
 _ROOM_OF_LAYOUT: Final = 1 << 20
 """Least room for names and remarks [bytes]."""
 
@@ -44,7 +45,7 @@ class Store:
     """
 
     def __init__(self, folder: Path, kind: str, *, writable: bool = False) -> None:
-        self.folder = folder
+        self.folder, self._kept = folder, _KEPT.get(kind, _GOES_ON)
         self.document = _document(folder, kind)
         self._lock = _locked(folder) if writable else None
         self.chunks = {name.name for name in folder.iterdir() if _CHUNK.fullmatch(name.name)}
@@ -71,7 +72,7 @@ class Store:
         """
         if self._lock is None:
             raise LogWriteError(f"{self.folder}: is open for reading only; open it with writable=True")
-        _write(self.folder, chunk, content, _KEPT)
+        _write(self.folder, chunk, content, self._kept)
         self.chunks.add(chunk)
 
 

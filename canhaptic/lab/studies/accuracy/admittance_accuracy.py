@@ -85,7 +85,13 @@ _PLAIN: Final = "unprotected"
 Stop = Callable[[], bool]
 
 
-def study_display(scene: Scene, name: str | None, duration: float | None, stop: Stop) -> Row:
+def study_display(
+    scene: Scene,
+    name: str | None,
+    duration: float | None,
+    stop: Stop,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Row:
     """Return the study of one display, or group of displays, as plain values.
 
     Args:
@@ -93,6 +99,7 @@ def study_display(scene: Scene, name: str | None, duration: float | None, stop: 
         name: Name of the axis or group; None for the first.
         duration: Length of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter.
         stop: Polled before every run; what was measured until then is returned.
+        progress: Called with the completed fraction.
 
     Raises:
         InputError: There is none of that name, or it is not simulated.
@@ -121,7 +128,9 @@ def study_display(scene: Scene, name: str | None, duration: float | None, stop: 
         "loop": rows,
         "status": "completed",
     }
-    for variant in _variants(alone):
+    every = list(_variants(alone))
+    for number, variant in enumerate(every):
+        progress((1 + number) / (1 + len(every)))
         if stop():
             found["status"] = "stopped"
             return found

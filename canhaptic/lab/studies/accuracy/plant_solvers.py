@@ -48,7 +48,6 @@ from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import Array
 
 OURS: Final = "canhaptic"
-COMPILED: Final = "canhaptic, compiled"
 LSODA: Final = "LSODA, located"
 _SUBSTEPS: Final = (1, 2, 4, 8, 16)
 _TOLERANCES: Final = (1e-3, 1e-5, 1e-7, 1e-9)
@@ -127,23 +126,18 @@ def own_setting(simulation: AxisSimulation, sample_time_ns: int) -> AccuracyPara
 
 
 def ours(
-    simulation: AxisSimulation,
-    accuracy: AccuracyParameters,
-    torques: Sequence[float],
-    sample_time_ns: int,
-    *,
-    compiled: bool = False,
+    simulation: AxisSimulation, accuracy: AccuracyParameters, torques: Sequence[float], sample_time_ns: int
 ) -> Candidate:
-    """Return our plant at one accuracy; compiled, it is a method of its own, to compare times."""
+    """Return our plant at one accuracy."""
     solved = replace(simulation, accuracy=accuracy)
-    kept = build_plant(solved, sample_time_ns, compiled=compiled)
+    kept = build_plant(solved, sample_time_ns)
 
     def observe() -> tuple[Motion, int, int]:
-        plant = build_plant(solved, sample_time_ns, compiled=compiled)
+        plant = build_plant(solved, sample_time_ns)
         return observed(plant, torques), plant.products, plant.events
 
     return Candidate(
-        COMPILED if compiled else OURS,
+        OURS,
         _setting_of(accuracy, kept),
         1.0 / accuracy.substeps,
         None,
@@ -210,7 +204,6 @@ class PlantSide:
         scene: Scene of the axis.
         holds: Number of holds.
         stop: Polled regularly; true aborts.
-        with_compiled: Whether the plant is run compiled too, where numba is installed.
         torques: Torque of each hold [N or N*m]; None: those of the scene's own controller.
         settings: Settings to try; None: every one that makes a difference for this plant.
 
@@ -230,7 +223,6 @@ class PlantSide:
         holds: int,
         stop: Callable[[], bool],
         *,
-        with_compiled: bool = False,
         torques: Sequence[float] | None = None,
         settings: Sequence[AccuracyParameters] | None = None,
     ) -> None:
@@ -245,9 +237,6 @@ class PlantSide:
         self.energy = max(float(np.abs(work).max()) for work in (self.exact.motor, self.exact.user, kinetic))
         settings = settings or own_ladder(self._simulation, self._period)
         self.candidates: list[Candidate] = candidates(self._simulation, self.torques, self._period, settings)
-        if with_compiled and importlib.util.find_spec("numba"):
-            finest = settings[-1]
-            self.candidates.append(ours(self._simulation, finest, self.torques, self._period, compiled=True))
         self.without: dict[str, Candidate] = {}
         self.rows: list[Row] = []
         self.effects: list[Row] = []
@@ -256,24 +245,10 @@ class PlantSide:
         """Run every setting once for its errors and evaluations; yield the name of each before it is run."""
         for candidate in self.candidates:
             yield candidate.name
-            self.rows.append(self._row(candidate))
+            self.rows.append(_row_of(candidate, self._judged, self.travel, len(self.torques)))
 
-    def _row(self, candidate: Candidate) -> Row:
-        try:
-            motion, evaluations, events = candidate.observe()
-        except InputError as error:
-            return {**named(candidate), "status": f"failed: {error}", "evaluations": None}
-        found = difference(motion, self.exact, self._simulation.plant.mass, self._period * 1e-9)
-        stable = found.is_finite and found.position <= FURTHEST * self.travel
-        errors = _errors_of(found) if stable else dict.fromkeys(("position_error", "force_error", "energy_error"))
-        return {
-            **named(candidate),
-            "status": "ok" if stable else "unstable",
-            **errors,
-            "evaluations": evaluations,
-            "evaluations_per_period": evaluations / len(self.torques),
-            "events": events,
-        }
+    def _judged(self, motion: Motion) -> MotionError:
+        return difference(motion, self.exact, self._simulation.plant.mass, self._period * 1e-9)
 
     def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
         """Run the plant without each effect at the chosen accuracy; yield the name of each before it is run.
@@ -338,6 +313,24 @@ class PlantSide:
         return own if own is None or not switching else 1
 
 
+def _row_of(candidate: Candidate, judged: Callable[[Motion], MotionError], travel: float, holds: int) -> Row:
+    """Return the row of a setting, run once; errors are None where it is unstable."""
+    try:
+        motion, evaluations, events = candidate.observe()
+    except InputError as error:
+        return {**named(candidate), "status": f"failed: {error}", "evaluations": None}
+    found = judged(motion)
+    stable = found.is_finite and found.position <= FURTHEST * travel
+    return {
+        **named(candidate),
+        "status": "ok" if stable else "unstable",
+        **(_errors_of(found) if stable else dict.fromkeys(_errors_of(found))),
+        "evaluations": evaluations,
+        "evaluations_per_period": evaluations / holds,
+        "events": events,
+    }
+
+
 def orders_of(
     tried: Sequence[Candidate], rows: Sequence[Row], travel: float, declared: Callable[[str], int | None]
 ) -> list[Row]:
@@ -388,7 +381,7 @@ _REFERENCE: Final = 1e-12
 _RUNGE_KUTTA: Final = (1, 2, 4, 8)
 
 
-def group_side(scene: Scene, holds: int, stop: Callable[[], bool], *, with_compiled: bool) -> "Plants":
+def group_side(scene: Scene, holds: int, stop: Callable[[], bool]) -> "Plants":
     """Return the plant side of the one group of a scene; arguments as for `PlantSide`.
 
     Raises:
@@ -398,13 +391,13 @@ def group_side(scene: Scene, holds: int, stop: Callable[[], bool], *, with_compi
     if run.ended:
         raise InputError(f"{scene.source}: the loop {run.ended} before its end ({run.reason}); nothing can be compared")
     torques = run.torque[1:]
-    return _Mechanism(scene, torques, stop) if scene.mechanisms else _OwnPlants(scene, torques, stop, with_compiled)
+    return _Mechanism(scene, torques, stop) if scene.mechanisms else _OwnPlants(scene, torques, stop)
 
 
 class _OwnPlants:
     """Plants that each axis of the group has by itself; see `PlantSide`."""
 
-    def __init__(self, scene: Scene, torques: Array, stop: Callable[[], bool], with_compiled: bool) -> None:
+    def __init__(self, scene: Scene, torques: Array, stop: Callable[[], bool]) -> None:
         axes = [scene.axis(name) for name in scene.groups[0].axes]
         period = scene.bus.sample_time_ns
         ladders = [ladder(simulation_of(axis), period) for axis in axes]
@@ -416,7 +409,6 @@ class _OwnPlants:
                 scene,
                 len(torques),
                 stop,
-                with_compiled=with_compiled,
                 torques=column.tolist(),
                 settings=ladders[lead],
             )
@@ -521,9 +513,7 @@ class _Mechanism:
         """Run every rung once; yield the name of each before it is run."""
         for candidate in self.candidates:
             yield candidate.name
-            motion, evaluations, events = candidate.observe()
-            self.rows.append({**named(candidate), **self._judged(motion), "evaluations": evaluations,
-                              "evaluations_per_period": evaluations / len(self.torques), "events": events})  # fmt: skip
+            self.rows.append(_row_of(candidate, self._judged, self.travel, len(self.torques)))
 
     def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
         """Yield nothing: a mechanism has no effects."""
@@ -534,7 +524,7 @@ class _Mechanism:
         declared: Mapping[str, int | None] = {OURS: self._order, "RK4": 1 if self._switches else 4}
         return orders_of(self.candidates, self.rows, self.travel, lambda method: declared.get(method))
 
-    def _judged(self, motion: Motion) -> Row:
+    def _judged(self, motion: Motion) -> MotionError:
         """Return the largest differences from the reference at the end of any hold."""
         exact, period = self._exact, self.scene.bus.sample_time
         with np.errstate(all="ignore"):
@@ -543,10 +533,7 @@ class _Mechanism:
             works = (motion.motor - exact.motor, motion.user - exact.user, self._kinetic(motion) - self._kinetic(exact))
             found = [motion.position - exact.position, kicks, np.array(works)]
         largest = [float(np.abs(values).max()) if np.isfinite(values).all() else math.inf for values in found]
-        stable = math.isfinite(sum(largest)) and largest[0] <= FURTHEST * self.travel
-        names = ("position_error", "force_error", "energy_error")
-        errors = dict(zip(names, largest, strict=True)) if stable else dict.fromkeys(names)
-        return {"status": "ok" if stable else "unstable", **errors}
+        return MotionError(*largest)
 
     def _kinetic(self, motion: Motion) -> Array:
         return np.asarray(0.5 * np.einsum("ki,kij,kj->k", motion.velocity, self._inertia, motion.velocity))

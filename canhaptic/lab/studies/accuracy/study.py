@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -255,11 +255,11 @@ class StudiedPart:
         names = self.scene.groups[0].axes if self.is_group else (self.name,)
         return tuple(self.scene.axis(name).parameters for name in names)
 
-    def plants(self, holds: int, stop: Stop, *, with_compiled: bool) -> Plants:
+    def plants(self, holds: int, stop: Stop) -> Plants:
         """Return the plant side; see `PlantSide`."""
         if self.is_group:
-            return group_side(self.scene, holds, stop, with_compiled=with_compiled)
-        return PlantSide(self.scene.axes[0], self.whole, holds, stop, with_compiled=with_compiled)
+            return group_side(self.scene, holds, stop)
+        return PlantSide(self.scene.axes[0], self.whole, holds, stop)
 
     def remarks(self) -> list[str]:
         """Return what could not be run, and why."""
@@ -374,8 +374,40 @@ _REPEATS: Final = 3
 _WORKLOAD: Final = "workload"
 _IDEAL: Final = 1e9
 """Fineness of what has no step, as a number that JSON can hold."""
-_COMPILING: Final = 5.0
-"""Budget from which the plant is timed compiled too, which costs seconds once [s]."""
+
+
+def study_accuracy(
+    scene: Scene,
+    axis: str | None = None,
+    *,
+    duration: float | None = None,
+    progress: Callable[[int], None] | None = None,
+    stop: Stop = lambda: False,
+    **options: Any,
+) -> Row:
+    """Return the study of an axis, a group or an admittance display of a scene, as plain values.
+
+    Args:
+        scene: Simulated scene.
+        axis: Name of an axis or a group; the first axis by default, or its group.
+        duration: Length of the comparison [s]; see `length_of`.
+        progress: Called with the number of units done, of `UNITS`.
+        stop: Polled often; true stops the study, which returns what it has.
+        options: Further ones of `AccuracyStudy`.
+
+    Raises:
+        InputError: There is none of that name, or it is not simulated.
+    """
+    studied = next((of for of in scene.axes if axis in (None, of.parameters.name, of.group)), None)
+    if studied is not None and studied.parameters.admittance is not None:
+        from canhaptic.lab.studies.accuracy.admittance_accuracy import study_display
+
+        return study_display(scene, axis, duration, stop, lambda share: progress and progress(round(UNITS * share)))
+    chosen = length_of(scene, axis, duration)
+    return AccuracyStudy(
+        chosen.scene, axis, duration=chosen.holds * scene.bus.sample_time, judged=chosen.remark, progress=progress,
+        stop=stop, **options,
+    ).run()  # fmt: skip
 
 
 class _StoppedError(InputError):
@@ -445,8 +477,7 @@ class AccuracyStudy:
             for row in self.part.first_rows(self.holds):
                 self._check()
                 self._say(row)
-        with_compiled, stop = self._budget >= _COMPILING, self._counted_stop("references")
-        self._plant = plant = self.part.plants(self.holds, stop, with_compiled=with_compiled)
+        self._plant = plant = self.part.plants(self.holds, self._counted_stop("references"))
         self._remarks = self.part.remarks()
         self._each(plant.measure(), len(plant.candidates), "ladder")
         self._each(plant.measure_effects(self._accuracy(plant)))

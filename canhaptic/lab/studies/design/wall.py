@@ -31,7 +31,7 @@ from canhaptic.errors import CheckFailedError
 from canhaptic.lab.batch.engine import Engine
 from canhaptic.lab.loop.axis_loop import Array, able_under, loop_case, plant_parts, require_design_room
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.compare import compare
+from canhaptic.lab.studies.compare import are_displays, compare
 from canhaptic.lab.studies.design.contact_quality import Bench, Leaning, SlowHand, enter, largest_held, settling_time
 from canhaptic.lab.studies.design.trial import (
     ALGORITHM,
@@ -190,6 +190,21 @@ _COMPILED: Final = _Places((128, 64), (32, 32), 10)
 _ONE_BY_ONE: Final = _Places((12, 6, 6), (8, 6), 5)
 _GROUPS: Final = _Places((12, 6), (6,), 3)
 """Places where Python runs the loop of a group, which takes four times as long as that of an axis."""
+
+
+def design(
+    scene: Scene,
+    margin: float = MARGIN,
+    tolerance: float = TOLERANCE,
+    engine: Engine = "auto",
+    progress: Callable[[int, int], None] = lambda _tried, _most: None,
+) -> Row:
+    """Return the stiffest wall of an axis or group, see `design_wall`, or the lightest mass of each display."""
+    if are_displays(scene):
+        from canhaptic.lab.studies.design.admittance_design import design_displays
+
+        return design_displays(scene, margin, tolerance, progress)
+    return design_wall(scene, margin, tolerance, engine, progress)
 
 
 def design_wall(
